@@ -1,4 +1,4 @@
-"""What a tracer is asked for, by names or as typed options: turned into one form, and checked."""
+"""The structure, device and machine of a tracer, from names or typed options."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Chosen(NamedTuple):
         None if the structure is built already.
     device, machine : str
     device_options : DeviceOptions or None
-        None for a device that was registered without a class of them.
+        None for a device registered without a class of options.
     options : mapping
-        Those of the device and the machine that were given, for `Machines.make`.
+        The given options of the device and the machine, for `Machines.make`.
     """
 
     structure: StructureOptions | None
@@ -40,7 +40,7 @@ def choose(
     machine: str | MachineOptions | None,
     options: Mapping[str, Any],
 ) -> Chosen:
-    """Check what a tracer is asked for.
+    """Check the arguments of a tracer.
 
     Parameters
     ----------
@@ -50,15 +50,14 @@ def choose(
     machine : str or MachineOptions, optional
         [default: the device's first]
     options : mapping
-        Options of those that are given by name: first the device's and the machine's, then the
-        structure's.
+        Options of those that are given by name: of the device, the machine and the structure.
 
     Raises
     ------
     ValueError
         If a name is unknown or an option is out of range.
     TypeError
-        If there is no such option, or it is given beside typed options.
+        If there is no such option, or it is given in addition to typed options.
     """
     name = device.name if isinstance(device, DeviceOptions) else device
     entry = device_of(name)
@@ -86,7 +85,7 @@ def choose(
 
 
 def _options_given(one: Any, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that a device or a machine itself has, which must not be given twice."""
+    """The options set in a typed device or machine, which must not be given twice."""
     if not isinstance(one, Options):
         return {}
     for option in options:

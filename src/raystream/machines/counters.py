@@ -1,4 +1,4 @@
-"""RayCounters: what the rays of a query met."""
+"""RayCounters: the steps and tests of the rays of a query."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ __all__ = ["RayCounters", "answer_counting"]
 
 @dataclass(frozen=True)
 class RayCounters:
-    """What the rays of a query met, counted for each; arrays have the rays' shape S, uint32.
+    """Steps and tests of each ray of a query; arrays have the rays' shape S, uint32.
 
     Attributes
     ----------
     steps : ndarray
-        Traversal steps: cells looked at in a grid; splits gone down at in a kd-tree (Foley's
-        Down); inner nodes whose boxes were tested in a BVH; sectors of a graph. Purcell's v.
+        Traversal steps: cells visited in a grid; splits descended in a kd-tree (Foley's Down);
+        inner nodes whose boxes were tested in a BVH; sectors of a graph. Purcell's v.
     leaves : ndarray
-        Lists of triangles looked at: cells that are not empty, or leaves.
+        Lists of triangles visited: cells that are not empty, or leaves.
     tests : ndarray
         Triangles tested. Purcell's t.
     restarts : ndarray
-        How often a kd-tree's search began at the root again.
+        Restarts of a kd-tree's traversal at the root.
     backtracks : ndarray
-        How often a kd-tree's search began to climb.
+        Backtracks of a kd-tree's traversal.
     backtrack_steps : ndarray
-        Nodes climbed to (Foley's Up).
+        Steps to a parent (Foley's Up).
     shadings : ndarray
-        Hits handed over. Purcell's s.
+        Hits shaded. Purcell's s.
     link_nodes : ndarray
-        Planes between sectors of a graph that were looked at.
+        Planes between sectors of a graph that were tested.
     structure : str
         The structure's name.
     passes : Passes or None
-        What a multipass machine ran.
+        The passes of a multipass machine.
 
     Notes
     -----
-    `Tracer.multi_hit` counts hits before it keeps them, and its counts are of both searches.
+    `Tracer.multi_hit` counts hits before it keeps them; its counters include both searches.
     """
 
     steps: NDArray[np.uint32]
@@ -72,13 +72,13 @@ class RayCounters:
         structure: str,
         passes: Passes | None,
     ) -> RayCounters:
-        """Name the columns of tallies, of shape (N, 8)."""
+        """The counters in tallies, of shape (N, 8)."""
         columns = {name: tallies[:, k].reshape(shape) for k, name in enumerate(COLUMNS)}
         return cls(**columns, structure=structure, passes=passes)
 
     @property
     def cells(self) -> NDArray[np.uint32]:
-        """Cells of space that a ray looked at: cells of a grid, sectors, or leaves of a tree."""
+        """Cells of space visited: cells of a grid, sectors, or leaves of a tree."""
         cells: NDArray[np.uint32] = getattr(self, STRUCTURES[self.structure].cell_counter)
         return cells
 
@@ -95,7 +95,7 @@ class RayCounters:
 
     def __str__(self) -> str:
         count = max(self.steps.size, 1)
-        lines = [f"{'':16} {'total':>14} {'a ray':>10} {'most':>10}"]
+        lines = [f"{'':16} {'total':>14} {'per ray':>10} {'most':>10}"]
         for name, total in self.total.items():
             most = int(getattr(self, name).max(initial=0))
             lines.append(f"{name:16} {total:14,} {total / count:10.2f} {most:10,}")
@@ -105,12 +105,12 @@ class RayCounters:
 def answer_counting(
     backend: Backend, query: Query, rays: RayBatch, progress: Progress | None = None
 ) -> tuple[Sink, RayCounters]:
-    """Answer a query, and count what its rays meet.
+    """Answer a query with counters.
 
     Parameters
     ----------
     backend : Backend
-        One that runs passes adds a record of them.
+        One that runs passes also records them.
     query : Query
         Without a filter.
     rays : RayBatch

@@ -1,4 +1,4 @@
-"""Devices by name: who builds structures for them, and which machines they have."""
+"""Devices by name, with their builders of structures and their machines."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ __all__ = [
     "register_device",
 ]
 
-#: Builds a structure that traces on a device: (structure, triangles, progress=, device=), with
-#: the options of both.
+#: Builds a structure for a device: (structure, triangles, progress=, device=), with the options of
+#: both.
 DeviceFactory = Callable[..., Structure]
 
 
@@ -37,17 +37,17 @@ class Machines(Protocol):
     Attributes
     ----------
     names : tuple of str
-        What ``Tracer(machine=...)`` takes; the first is the usual one.
+        Values of ``Tracer(machine=...)``; the first is the default.
     """
 
     names: tuple[str, ...]
 
     def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Those of a tracer's options that are a machine's; see `machines.own_options`."""
+        """The options of a tracer that are the machine's; see `machines.own_options`."""
         ...
 
     def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
-        """Make a machine for a structure; see `machines.make_machine`."""
+        """Make the backend of a machine; see `machines.make_machine`."""
         ...
 
 
@@ -61,7 +61,7 @@ class _CpuMachines:
         return make_machine(machine, structure, options)
 
 
-#: Those that run on the CPU, around any structure's queries.
+#: The machines of the CPU.
 CPU_MACHINES: Machines = _CpuMachines()
 
 
@@ -74,7 +74,7 @@ class Device(NamedTuple):
         A `DeviceFactory`.
     machines : Machines
     options : type of DeviceOptions, optional
-        None if it has no options but its machines'.
+        None if it has no options besides its machines'.
     """
 
     build: DeviceFactory
@@ -87,16 +87,16 @@ def build_on_cpu(
     triangles: Triangles,
     *,
     progress: Progress | None = None,
-    device: DeviceOptions | None = None,  # noqa: ARG001 - as every `DeviceFactory` has it
+    device: DeviceOptions | None = None,  # noqa: ARG001 - part of `DeviceFactory`
 ) -> Structure:
     """Build a structure on the CPU; a `DeviceFactory`."""
     return build_structure(structure, triangles, progress=progress)
 
 
-#: Devices by name: those that were asked for, or registered by others.
+#: Devices by name: those in use, and those that were registered.
 DEVICES: dict[str, Device] = {"cpu": Device(build_on_cpu, CPU_MACHINES, Cpu)}
 
-#: Rooms that register their device when they are imported, which is when it is asked for.
+#: Rooms that register their device on import, at its first use.
 _ROOMS = {"cuda": "raystream.cuda", "graphics": "raystream.graphics"}
 
 
@@ -106,19 +106,19 @@ def register_device(
     machines: Machines = CPU_MACHINES,
     options: type[DeviceOptions] | None = None,
 ) -> None:
-    """Make a device known by name.
+    """Register a device by name.
 
     Parameters
     ----------
     name : str
-        What ``Tracer(device=...)`` takes.
+        Value of ``Tracer(device=...)``.
     build : callable, optional
         ``build(structure, triangles, progress=None, device=None)`` takes the `StructureOptions`
         and `DeviceOptions`, and returns a `Structure` [default: on the CPU].
     machines : Machines, optional
         How the device traverses structures [default: as the CPU does].
     options : type of DeviceOptions, optional
-        What ``Tracer(device=...)`` takes beside the name: a frozen dataclass.
+        Also accepted by ``Tracer(device=...)``: a frozen dataclass.
     """
     DEVICES[name] = Device(build, machines, options)
 
@@ -129,7 +129,7 @@ def device_of(name: str) -> Device:
     Raises
     ------
     ValueError
-        If there is none of that name.
+        If the name is unknown.
     """
     if name in list(_ROOMS) and name not in DEVICES:
         importlib.import_module(_ROOMS[name])

@@ -23,7 +23,7 @@ from raystream.machines.passes import Passes
 from raystream.machines.ray_job import HitGoal, RayJob
 from raystream.machines.ray_streams import RayStreams
 from raystream.machines.records import StepArguments
-from raystream.machines.schedulers import USUAL_THRESHOLD, Scheduler, make_scheduler
+from raystream.machines.schedulers import DEFAULT_THRESHOLD, Scheduler, make_scheduler
 from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
 from raystream.structures import Structure
@@ -72,7 +72,7 @@ class MultipassBackend(LocalBackend):
         structure: Structure,
         *,
         scheduler: str | Scheduler = "threshold",
-        threshold: float = USUAL_THRESHOLD,
+        threshold: float = DEFAULT_THRESHOLD,
         traversal_steps: int = 1,
         intersections: int = 1,
         compaction: bool = False,

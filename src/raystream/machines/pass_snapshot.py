@@ -1,4 +1,4 @@
-"""Observing: what a multipass machine shows of its rays after each pass, to whoever asks."""
+"""PassSnapshot: the rays of a multipass machine between two passes, for observers."""
 
 from __future__ import annotations
 
@@ -15,23 +15,22 @@ __all__ = ["Observer", "PassSnapshot"]
 
 
 class PassSnapshot(NamedTuple):
-    """The rays between two passes: the machine's own arrays, which the next pass changes.
+    """The rays between two passes: views of the machine's arrays, which the next pass changes.
 
     Attributes
     ----------
     kernel : StepKernel or None
-        The one that ran; None before the first pass.
+        The kernel that ran; None before the first pass.
     streams : dict of str to ndarray of shape (N,)
         ``ray``, ``wanted``, ``found``, ``place`` and ``state``: see `records`, and `PLACE` in the
-        structure's module of `steps`. The field ``number`` of ``wanted`` says which ray a record
-        is of.
+        structure's module of `steps`. The field ``number`` of ``wanted`` is the ray's index.
     stacks : ndarray of shape (R, B), uint8
-        Each ray's own memory, by its number; B is 0 where a traversal needs none. A kd-tree's
+        Each ray's stack, by its index; B is 0 for stackless traversals. A kd-tree's
         stack is in the first ``top`` bytes: node (uint32) and end of its interval (float32).
     hits : HitArrays or None
-        What has been found so far, if it is kept, with t in the local frame.
+        Hits so far, if they are kept, with t in the local frame.
     tallies : ndarray of shape (R, 8), uint32, or None
-        What has been counted so far, if it is; see `kernels.tally`.
+        Counters so far, if any; see `kernels.tally`.
     """
 
     kernel: StepKernel | None
@@ -41,5 +40,5 @@ class PassSnapshot(NamedTuple):
     tallies: NDArray[np.uint32] | None
 
 
-#: Called before the first pass and after each one. It changes nothing.
+#: Called before the first pass and after each one. It must not change the arrays.
 Observer = Callable[[PassSnapshot], None]

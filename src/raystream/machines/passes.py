@@ -1,4 +1,4 @@
-"""Passes: what a multipass machine ran, and the fewest passes that could have done."""
+"""Passes: a record of the passes of a multipass machine, and a lower bound of their number."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["Passes"]
 
 @dataclass
 class Passes:
-    """The passes of a query, in the order in which they ran.
+    """The passes of a query, in order.
 
     Attributes
     ----------
     counters : Counters
-        Every pass: its kernel, its active rays (``run_count``), how many rays the streams held
+        Every pass: its kernel, active rays (``run_count``), rays in the streams
         (``record_count``), words read and written.
     optimal_count : int
-        No scheduler needs fewer: for each kernel the most runs on any ray, added up (Purcell
-        2002, section 4.2: a lower bound, which a schedule may not reach).
+        The most runs on any ray, summed over kernels (Purcell 2002, section 4.2): a lower bound,
+        which a schedule may not reach.
     most_runs : dict of str to int
         For each kernel, the most runs on any ray.
     draw_count : int
-        Draws of a graphics pipeline, those that drew nothing included; 0 elsewhere.
+        Draws of a graphics pipeline, including those that drew nothing; 0 elsewhere.
     """
 
     counters: Counters = field(default_factory=Counters)
@@ -43,7 +43,7 @@ class Passes:
         runs: NDArray[np.uint32],
         at_once: Mapping[str, int],
     ) -> None:
-        """Take note of rays that were traced together.
+        """Add to the lower bound for rays that were traced together.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class Passes:
         runs : ndarray of shape (N, 8), uint32
             Runs of each kernel on each ray.
         at_once : mapping of str to int
-            How many runs on a ray one pass does, by `StepKernel.limit`.
+            Runs per ray and pass, by `StepKernel.limit`.
         """
         most = runs.max(axis=0, initial=0)
         for one, ran in zip(kernels, most.tolist(), strict=False):
@@ -60,9 +60,9 @@ class Passes:
 
     @property
     def efficiency(self) -> float:
-        """SIMD efficiency: the mean share of a pass's rays that it ran on; nan without passes.
+        """SIMD efficiency: the mean share of active rays in a pass; nan without passes.
 
-        Rays that have ended count too, unless compaction took them out.
+        Rays that have ended count as inactive, unless compaction removed them.
         """
         shares = [one.run_count / one.record_count for one in self]
         return float(np.mean(shares)) if shares else float("nan")

@@ -1,4 +1,4 @@
-"""RayBlock: rays of a batch as a structure takes them."""
+"""RayBlock: rays of a batch in the scene's local frame."""
 
 from __future__ import annotations
 
@@ -21,25 +21,24 @@ from raystream.kernels.ray import SceneFrame
 
 __all__ = ["LIGHT_CHUNK", "RAYS_PER_BLOCK", "RayBlock", "blocks"]
 
-#: Rays that are made local at a time: bounds the memory of everything but the results, at
-#: about 100 bytes a ray.
+#: Rays of a block: bounds all memory but the results, at about 100 bytes per ray.
 RAYS_PER_BLOCK = 1 << 20
 
-#: Rays that one call of a loop over rays without traversal gets: about a millisecond.
+#: Rays per chunk of loops without traversal: about a millisecond.
 LIGHT_CHUNK = 1 << 15
 
 
 class RayBlock:
-    """Some rays of a batch in a scene's local frame, and the way back for their distances.
+    """Some rays of a batch in a scene's local frame, and the inverse transform of their distances.
 
     Parameters
     ----------
     batch : RayBatch
     rows : slice
-        Which of its rays.
+        The range of its rays.
     frame : SceneFrame
     status : ndarray of shape (N,), uint8
-        Of the whole batch; these rays' rows are written.
+        Status of the whole batch; the rows of these rays are written.
     progress : callable, optional
         Called with (rays of the batch done, rays of the batch).
 
@@ -109,8 +108,8 @@ def blocks(
 def _given(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
     """The caller's rows as kernels take them: contiguous and read-only.
 
-    Numba compiles for each memory order and for each of read-only and writable anew; this
-    leaves it float32 and float64.
+    Numba compiles for each memory order, and for read-only and writable arrays: this leaves only
+    float32 and float64.
     """
     view = np.ascontiguousarray(array, dtype).view()
     view.flags.writeable = False

@@ -1,8 +1,7 @@
-"""Schedulers: which kernel a multipass machine runs next.
+"""Schedulers: the choice of the next kernel of a multipass machine.
 
 Purcell 2002, section 3.2, calls it an oracle; Foley 2005, section 3.4, load balancing. Every
-choice leads to the same hits, and to the same steps of every ray; what differs is how many
-passes it takes.
+choice leads to the same hits and the same steps of every ray, in a different number of passes.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ from raystream.machines.records import RayState
 from raystream.machines.steps.base import StepKernel
 
 __all__ = [
+    "DEFAULT_THRESHOLD",
     "SCHEDULERS",
-    "USUAL_THRESHOLD",
     "Double",
     "MostWork",
     "Naive",
@@ -27,18 +26,18 @@ __all__ = [
 ]
 
 #: The share of waiting rays at which it pays to intersect (Purcell 2002, section 3.2).
-USUAL_THRESHOLD = 0.2
+DEFAULT_THRESHOLD = 0.2
 
 
 class Queues(NamedTuple):
-    """What rays wait for.
+    """The number of rays that wait for each kernel.
 
     Attributes
     ----------
     kernels : sequence of StepKernel
-        In the order of a ray's way: the one that begins first, shading last.
+        Set-up first, shading last.
     waiting : sequence of int
-        How many rays wait for each. Some ray waits.
+        Rays that wait for each; not all 0.
     latest : int or None
         The kernel that ran last.
     """
@@ -49,24 +48,24 @@ class Queues(NamedTuple):
 
     @property
     def tests(self) -> list[int]:
-        """The kernels that intersect, of those that rays wait for."""
-        return [k for k in self._on_way() if self._is_test(k)]
+        """The kernels that intersect, if rays wait for them."""
+        return [k for k in self._searching() if self._is_test(k)]
 
     @property
     def others(self) -> list[int]:
-        """Those that neither intersect nor shade."""
-        return [k for k in self._on_way() if not self._is_test(k)]
+        """The kernels that neither intersect nor shade, if rays wait for them."""
+        return [k for k in self._searching() if not self._is_test(k)]
 
     @property
     def shading(self) -> int:
-        """The kernel that ends a ray's way."""
+        """The kernel that shades."""
         return len(self.kernels) - 1
 
     def fullest(self, among: Iterable[int]) -> int:
-        """The kernel with the most rays, the first of equal ones."""
+        """The kernel with the most rays; the first one on ties."""
         return max(among, key=lambda k: self.waiting[k])
 
-    def _on_way(self) -> list[int]:
+    def _searching(self) -> list[int]:
         return [k for k in range(self.shading) if self.waiting[k]]
 
     def _is_test(self, k: int) -> bool:
@@ -77,14 +76,14 @@ class Scheduler(Protocol):
     """Chooses kernels."""
 
     def choose(self, queues: Queues) -> int:
-        """The number of a kernel for which some ray waits."""
+        """The index of a kernel for which rays wait."""
         ...
 
 
 class Naive:
     """Intersect as soon as any ray waits for it (Purcell 2002, section 3.2).
 
-    Where no ray does, the kernel that comes last on a ray's way runs, and shading when all rays
+    Otherwise the last of the other kernels for which rays wait runs, and shading when all rays
     have ended.
     """
 
@@ -107,7 +106,7 @@ class Threshold:
         0 to 1.
     """
 
-    def __init__(self, share: float = USUAL_THRESHOLD) -> None:
+    def __init__(self, share: float = DEFAULT_THRESHOLD) -> None:
         self.share = share
 
     def choose(self, queues: Queues) -> int:
@@ -120,7 +119,7 @@ class Threshold:
 
 
 class MostWork:
-    """The kernel for which most rays wait (Delany 1988, after Purcell 2002, section 3.2)."""
+    """Run the kernel for which most rays wait (Delany 1988, after Purcell 2002, section 3.2)."""
 
     def choose(self, queues: Queues) -> int:
         """See `Scheduler.choose`."""
@@ -128,7 +127,7 @@ class MostWork:
 
 
 class Double:
-    """Stay until another kernel has more than twice as many rays (Foley 2005, section 3.4)."""
+    """Keep the kernel until another has more than twice as many rays (Foley 2005, section 3.4)."""
 
     def choose(self, queues: Queues) -> int:
         """See `Scheduler.choose`."""
@@ -139,17 +138,17 @@ class Double:
         return latest
 
 
-def make_scheduler(scheduler: str | Scheduler, threshold: float = USUAL_THRESHOLD) -> Scheduler:
-    """Find a scheduler by name; an object that chooses stays as it is.
+def make_scheduler(scheduler: str | Scheduler, threshold: float = DEFAULT_THRESHOLD) -> Scheduler:
+    """The scheduler of a name; an object with a method ``choose`` is returned.
 
     Raises
     ------
     ValueError
-        If there is none of that name, or the threshold is no share.
+        If the name is unknown, or the threshold is not in 0 to 1.
     TypeError
-        If it is neither a name nor has a method ``choose``.
+        If it is neither a name nor such an object.
     """
-    Multipass(scheduler=scheduler, threshold=threshold)  # raises what is wrong
+    Multipass(scheduler=scheduler, threshold=threshold)  # checks both
     if not isinstance(scheduler, str):
         return scheduler
     made: dict[str, Scheduler] = {

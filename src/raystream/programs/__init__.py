@@ -1,7 +1,6 @@
-"""Programs: users' functions that run at hits, and decide what becomes of rays and hits.
+"""Programs: users' functions that run at hits, and filter hits or end rays.
 
-They run on the rows that a tracer's queries give, a bounded number of them at a time: on every
-structure and machine alike.
+They run over the hits of queries, a bounded number at a time, on every structure and machine.
 """
 
 from raystream.programs.decisions import Decision

@@ -1,4 +1,4 @@
-"""Decisions: what a program at a hit returns."""
+"""Decision: the result of a program at a hit."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ __all__ = ["Decision"]
 
 
 class Decision(enum.IntEnum):
-    """What becomes of a ray after a hit.
+    """How a ray continues after a hit.
 
     Attributes
     ----------
     CONTINUE
-        It goes on: the same as to return nothing.
+        The ray continues; the same as returning None.
     STOP
-        It ends here: no later hit of the ray is given to the program.
+        The ray ends: the program gets none of its later hits.
     IGNORE
-        It goes on, and for a query the hit does not exist.
+        The ray continues, and the query ignores the hit.
     """
 
     CONTINUE = 0

@@ -1,4 +1,4 @@
-"""Filters: queries in which some hits do not exist."""
+"""Filters: queries that ignore some hits."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ __all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"
 
 
 def _keep_all(hit: Any) -> bool:
-    """The filter of a query that only skips triangles: every hit exists."""
+    """The filter of a query that only skips triangles: it keeps every hit."""
     exists: bool = hit.prim_id >= 0
     return exists
 
 
 class Bound(NamedTuple):
-    """A filter with numbers that it gets when it runs: others need no other code.
+    """A filter with constants passed at run time, so that others need no compilation.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Bound(NamedTuple):
     constants : tuple
         Numbers, and tuples of numbers.
     kept : object
-        What lies at addresses among them.
+        Keeps the memory at addresses among them alive.
     """
 
     function: Callable[..., Any]
@@ -47,14 +47,14 @@ class Bound(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """Which hits do not exist.
+    """The hits that a query ignores.
 
     Attributes
     ----------
     function : callable
-        The user's.
+        The user's function.
     skipped : ndarray of shape (N, k), int32, or None
-        Triangles that do not exist for each ray; of rays on a device as the caller gave them.
+        Triangles that each ray skips; on a device, as the caller gave them.
     triangles : Triangles
     bound : Bound, optional
         If the function has constants.
@@ -69,7 +69,7 @@ class Filter(NamedTuple):
     def of(
         cls, on_hit: Any, skip_prim_ids: Any, shape: tuple[int, ...], triangles: Triangles
     ) -> Filter | None:
-        """What the arguments of a query say; None if all hits exist."""
+        """The filter of a query's arguments; None if it keeps all hits."""
         if on_hit is None and skip_prim_ids is None:
             return None
         skipped = None
@@ -79,13 +79,13 @@ class Filter(NamedTuple):
 
     @classmethod
     def among(cls, on_hit: Any, skipped: Any, triangles: Triangles) -> Filter:
-        """A function, or None for the one that finds that all hits exist."""
+        """The filter of a function, or of None, which keeps all hits."""
         if isinstance(on_hit, Bound):
             return cls(on_hit.function, skipped, triangles, on_hit)
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
 
     def program(self, goal: Goal, *arguments: Any) -> Program:
-        """The filter's loop."""
+        """The filter compiled into a loop."""
         skips = None if self.skipped is None else SkipsAt.of(self.skipped)
         constants = None if self.bound is None else self.bound.constants
         return Program(self.function, goal, skips, arguments, self.triangles, constants)
@@ -97,7 +97,7 @@ def filter_first(
     batch: RayBatch,
     hits: HitArrays,
 ) -> None:
-    """Replace nearest hits that do not exist by the nearest ones that do.
+    """Replace ignored first hits by the nearest hits that are kept.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def filter_first(
     find : callable
     batch : RayBatch
     hits : HitArrays
-        The nearest hits of all triangles; changed.
+        The first hits without the filter; changed in place.
     """
     program = filter_.program("first", HitAddresses.of(hits))
     program.compile()
@@ -123,13 +123,13 @@ def filter_first(
 def count_filtered(
     filter_: Filter, find: FindHits, batch: RayBatch, progress: Progress | None
 ) -> NDArray[np.int64]:
-    """Count the hits of each ray that exist."""
+    """Count the hits of each ray that are kept."""
     counts = np.zeros(len(batch), np.int64)
     program = filter_.program("count", np.uint64(counts.ctypes.data))
     program.compile()
     whole, status = RaySubset(batch, None, 0), np.zeros(len(batch), np.uint8)
     if visit(find, whole, program.run, status, progress, is_ordered=False):
-        # What is counted before a ray ends depends on the order.
+        # The hits before the one that ends a ray depend on the order.
         counts.fill(0)
         visit(find, whole, program.run, status, progress)
     return counts
@@ -143,26 +143,26 @@ def multi_filtered(
     status: NDArray[np.uint8],
     progress: Progress | None,
 ) -> tuple[NDArray[np.int64], HitArrays]:
-    """Find the nearest `limit` hits of each ray that exist: splits, and rows; see `Sink`."""
+    """Find the nearest `limit` hits of each ray that are kept: splits, and rows; see `Sink`."""
     found_counts = np.zeros(len(batch), np.int64)
     program = filter_.program("multi", found_counts, np.int64(limit))
     program.compile(np.empty(0, np.int64))
     collected = HitAccumulator(len(batch))
 
-    def look(found: HitBatch, pending: PendingRays) -> int:
+    def run(found: HitBatch, pending: PendingRays) -> int:
         counts = np.zeros(len(found), np.int64)
         seen = program.run(found, pending, counts)
         collected.take(_compact(found, pending, counts), pending.delivered > 0)
         return seen
 
-    visit(find, RaySubset(batch, None, 0), look, status, progress)
+    visit(find, RaySubset(batch, None, 0), run, status, progress)
     return collected.whole()
 
 
 def _compact(found: HitBatch, pending: PendingRays, counts: NDArray[np.int64]) -> HitBatch:
-    """The rows that exist, of rays of the whole batch.
+    """The rows that are kept, for rays of the whole batch.
 
-    The loop left them where each ray's new rows begin.
+    The loop moved them to the first of each ray's new rows.
     """
     assert found.splits is not None
     firsts = np.minimum(found.splits[:-1] + pending.delivered, found.splits[1:])

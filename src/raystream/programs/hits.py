@@ -1,4 +1,4 @@
-"""What a program sees of a hit, and where it is read."""
+"""Hit, the argument of programs, and how it is read from the rows of a query."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ _ZERO = np.float64(0.0)
 
 
 class Hit(NamedTuple):
-    """A hit, as a program sees it. What a program does not use is not computed.
+    """A hit, as an argument of programs. Unused fields are not computed.
 
     Attributes
     ----------
     ray : int64
         Index of the ray in the flattened batch.
     t, u, v : float32
-        Distance in direction lengths, and the weights of vertices 1 and 2.
+        Distance in direction lengths, and weights of vertices 1 and 2.
     prim_id, mesh_id : int32
         Triangle, counted over the whole scene, and its mesh.
     is_entering : bool
-        Whether the ray comes from the side to which the triangle's normal points, where its
-        vertices run counter-clockwise: whether it enters a closed mesh here.
+        Whether the ray comes from the front of the triangle, where its vertices run
+        counter-clockwise: whether it enters a closed mesh here.
     """
 
     ray: int
@@ -62,19 +62,18 @@ class Hit(NamedTuple):
 
 
 class RowsAt(NamedTuple):
-    """Where the rows of a query's answer lie; the caller keeps them.
+    """Addresses of the rows of a query's hits; the caller keeps them alive.
 
     Attributes
     ----------
     t, u, v, prim_id : uint64
-        Addresses of the first row's numbers.
+        Addresses of the columns.
     splits : uint64
-        Address of the entries' first rows, int64; 0 if row i is entry i's, or a miss.
+        Address of the first row of each entry, int64; 0 if row i is entry i's hit or miss.
     counts : uint64
-        Address of how many rows of its own each entry has, int64; 0 if those up to the next
-        entry's.
+        Address of the number of rows of each entry, int64; 0 if they end at the next entry's.
     delivered : uint64
-        Rows of each ray that a program has seen before.
+        Rows of each ray that the program has seen before.
     """
 
     t: np.uint64
@@ -87,7 +86,7 @@ class RowsAt(NamedTuple):
 
     @classmethod
     def of(cls, hits: HitArrays, splits: NDArray[np.int64] | None, delivered: int) -> RowsAt:
-        """Where these rows lie; without `splits` there is one for each ray."""
+        """Addresses of rows; without `splits` there is one per ray."""
         places = (*map(_place, hits), _place(splits), 0, delivered)
         return cls(*np.array(places, np.uint64))
 
@@ -98,7 +97,7 @@ class RowsAt(NamedTuple):
 
 
 class SceneAt(NamedTuple):
-    """Where triangles lie; the caller keeps them.
+    """Addresses of triangles; the caller keeps them alive.
 
     Attributes
     ----------
@@ -106,7 +105,7 @@ class SceneAt(NamedTuple):
         Addresses of `Triangles.corners` and `Triangles.mesh_splits`.
     mesh_count : uint64
     halvings : uint64
-        Steps of a search among the meshes.
+        Steps of the binary search for a mesh.
     """
 
     corners: np.uint64
@@ -116,29 +115,27 @@ class SceneAt(NamedTuple):
 
     @classmethod
     def of(cls, triangles: Triangles) -> SceneAt:
-        """Where these triangles lie."""
+        """Addresses of triangles."""
         count = len(triangles.mesh_splits) - 1
         places = triangles.corners.ctypes.data, triangles.mesh_splits.ctypes.data
         return cls(*np.array((*places, count, max(count - 1, 0).bit_length()), np.uint64))
 
 
 class RaysAt(NamedTuple):
-    """Whose rows the entries of a part are, and where the rays' directions lie.
+    """The rays of a part's entries, and addresses of their directions.
 
     Attributes
     ----------
     positions : uint64
-        Address of the entries' positions among the rays traced; 0 if they follow each
-        other.
+        Address of the entries' positions among the rays traced; 0 if they are consecutive.
     positions_are_short : bool
         Whether they are int32, else int64.
     start : uint64
-        Position of the first one if they follow each other.
+        The first position, if they are consecutive.
     ids : uint64
-        Address of the indices in the batch of the rays traced, int64; 0 if they follow
-        each other.
+        Address of the batch indices of the rays traced, int64; 0 if they are consecutive.
     first : uint64
-        Index of the first one if they follow each other.
+        The first index, if they are consecutive.
     directions, direction_step : uint64
     directions_are_double : bool
         See `RaySource`; of the rays traced.
@@ -162,7 +159,7 @@ class RaysAt(NamedTuple):
         positions: NDArray[np.int64] | NDArray[np.int32] | None,
         start: int,
     ) -> RaysAt:
-        """Where the rays of a source lie."""
+        """Addresses of the rays of a source."""
         places = _place(positions), start, _place(ids), first
         position_place, start_place, id_place, first_place = np.array(places, np.uint64)
         return cls(
@@ -199,7 +196,7 @@ def position_at(rays, i):
 
 @device
 def ray_at(rays, position):
-    """Index in the batch of a ray that was traced."""
+    """Batch index of a ray that was traced."""
     if rays.ids == _NOWHERE:
         return rays.first + position
     return np.uint64(load(np.int64, rays.ids + position * _LONG))
@@ -207,19 +204,19 @@ def ray_at(rays, position):
 
 @device
 def is_open(open_rays, position):
-    """Whether no program has ended a ray: its byte at an address."""
+    """Whether a ray is open: no program has ended it."""
     return load(np.uint8, open_rays + position) != _ENDED
 
 
 @device
 def close_ray(open_rays, position):
-    """Say that a ray has ended."""
+    """End a ray."""
     store(open_rays + position, _ENDED)
 
 
 @device
 def row_range(rows, i):
-    """The rows of entry i that are new, as first and end."""
+    """The new rows of entry i: first and end."""
     if rows.splits == _NOWHERE:
         if load(np.int32, rows.prim_id + i * _WORD) < 0:
             return i, i
@@ -233,7 +230,7 @@ def row_range(rows, i):
 
 @device
 def hit_at(rows, row, rays, position, ray, scene):
-    """The hit of a row of the ray at a position, whose index in the batch is `ray`."""
+    """The hit in a row, of the ray at a position among those traced; `ray` is its batch index."""
     at = row * _WORD
     prim_id = load(np.int32, rows.prim_id + at)
     return Hit(
@@ -249,7 +246,7 @@ def hit_at(rows, row, rays, position, ray, scene):
 
 @device
 def _mesh_of(scene, prim_id):
-    """Binary search of a fixed number of steps, which goes away where it is not used."""
+    """Binary search of a fixed number of steps, which LLVM removes where it is not used."""
     low, high = _NOWHERE, scene.mesh_count
     for _ in range(scene.halvings):
         middle = (low + high) >> _ONE
@@ -268,7 +265,7 @@ def _number(at, k, is_double):
 
 @device
 def _direction(rays, position):
-    """Direction of a ray, of a length at which products with normals are finite."""
+    """Direction of a ray, scaled so that products with normals are finite."""
     at = rays.directions + position * rays.direction_step
     is_double = rays.directions_are_double
     x = _number(at, _NOWHERE, is_double)

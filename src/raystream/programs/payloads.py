@@ -1,4 +1,4 @@
-"""Payloads: what a program keeps for each ray."""
+"""Payloads: a record per ray that programs read and write."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 __all__ = ["as_payload", "as_records"]
 
-#: Bytes of the numbers that compiled code computes with, by kind.
+#: Sizes of supported numbers in bytes, by kind.
 _SIZES = {"b": (1,), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8), "c": (8, 16)}
 
 
 def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """The array that a program changes: the caller's, or zeros of a dtype.
+    """The array that a program writes: the caller's, or zeros of a dtype.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
     ValueError
         If an array is read-only, or its shape is neither S nor, for plain numbers, S + (k,).
     TypeError
-        If it is neither an array nor a dtype, or holds something else than numbers and records.
+        If it is neither an array nor a dtype, or of another type than numbers and records.
     """
     if not isinstance(payload, np.ndarray):
         try:
@@ -40,7 +40,7 @@ def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
         payload = np.zeros(shape, dtype)
     _check_dtype(payload.dtype)
     if not payload.flags.writeable:
-        raise ValueError("payload: the array is read-only, and programs write to it")
+        raise ValueError("payload: the array is read-only, but programs write to it")
     is_plain = payload.dtype.fields is None
     if payload.shape != shape and not (is_plain and payload.shape[:-1] == shape):
         wanted = f"{shape}, or {shape} + (k,)" if is_plain else f"{shape}"
@@ -49,9 +49,9 @@ def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def as_records(payload: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """The payload as loops take it, a record or a row of numbers for each ray.
+    """The payload as an argument of loops: a record or a row of numbers per ray.
 
-    Its memory is the payload's, unless that is scattered.
+    A view of the payload, or a copy if that is not contiguous.
     """
     array = np.ascontiguousarray(payload).view(np.ndarray)
     count = int(np.prod(shape, dtype=np.int64))

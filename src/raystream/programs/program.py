@@ -1,4 +1,4 @@
-"""Program: a user's function, compiled into a loop over the rows of a query's answer."""
+"""Program: a user's function, compiled into a loop over the hits of a query."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from raystream.programs.texts import Goal, names_of, text_of
 
 __all__ = ["Program", "check_function"]
 
-#: How a program's payload is read, by the array's number of dimensions; 0 without one.
+#: Expressions that read a payload, by its number of dimensions; 0 without a payload.
 _RECORDS = {0: "None", 1: "payload[ray]", 2: "row_of(payload, ray)"}
 
 
@@ -27,22 +27,22 @@ class Program:
     Parameters
     ----------
     function : callable
-        Takes a `Hit`, with the goal ``"trace"`` a payload record, and constants if there are any.
+        Takes a `Hit`, for the goal ``"trace"`` a payload record, and constants if there are any.
     goal : {"trace", "first", "count", "multi"}
     skips : SkipsAt, optional
-        Triangles that do not exist for a ray.
+        Triangles that rays skip.
     arguments : tuple
-        What the goal's loop takes: the payload's array or None; where hits or counts go, by
-        rays of the batch; for ``"multi"`` the hits found so far and the most.
+        Arguments of the goal's loop: the payload's array or None; the output of hits or counts,
+        by rays of the batch; for ``"multi"`` the hits found so far and the most.
     triangles : Triangles
-        What is hit; the program keeps it.
+        Those of the scene; the program keeps them alive.
     constants : tuple, optional
-        Handed to the function as its last argument.
+        The function's last argument.
 
     Raises
     ------
     TypeError
-        If it is no function of so many arguments.
+        If it is not a function of this number of arguments.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class Program:
 
     @property
     def compiled_count(self) -> int:
-        """How often this process compiled its loop, rather than find it on disk."""
+        """How often this process compiled its loop, rather than loading it from disk."""
         return self._loop.compiled_count
 
     def compile(self, *more: Any) -> None:
-        """Run the loop over nothing: what is raised later is the function's own.
+        """Compile the loop now: later errors are raised by the function itself.
 
         Parameters
         ----------
@@ -100,17 +100,17 @@ class Program:
         pending : PendingRays
             The rays that were traced; those that end are closed.
         *more
-            The goal's last argument, if it is made for each part.
+            The goal's last argument, if each part has its own.
 
         Returns
         -------
         int
-            Rows that it looked at.
+            Rows that it visited.
 
         Raises
         ------
         RuntimeError
-            If the function raised something.
+            If the function raised an exception.
         """
         rows = RowsAt.of(found.hits, found.splits, pending.delivered)
         rays = RaysAt.of(pending.source, *pending.rays.places, found.ids, found.first)
@@ -127,7 +127,7 @@ class Program:
 
 
 def _text(goal: Goal, skips: bool, constants: bool, record: str) -> str:
-    """The loop over entries and their rows; it returns the number of rows that it looked at."""
+    """The loop over entries and their rows; it returns the number of rows visited."""
     names, lines = text_of(goal, skips, constants, record, "continue")
     lines = [
         f"def loop(begin, end, {', '.join(names)}):",
@@ -146,7 +146,7 @@ def check_function(function: Callable[..., Any], goal: Goal, has_constants: bool
     Raises
     ------
     TypeError
-        If it is no function of as many arguments as a program has.
+        If it is not a function of the arguments of a program.
     """
     name = getattr(function, "__name__", type(function).__name__)
     expected = ["hit", *(["payload"] if goal == "trace" else [])]

@@ -1,4 +1,4 @@
-"""Rays that a program is run for: a whole batch, consecutive rays of it, or a selection."""
+"""Rays of a program: a whole batch, a range of it, or a selection."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class RaySubset(NamedTuple):
     ----------
     batch : RayBatch
     ids : ndarray of shape (N,), int64, or None
-        Their indices in the whole batch; None if they follow each other there.
+        Their indices in the whole batch; None if they are consecutive.
     first : int
-        Index of the first one.
+        Index of the first one, if they are consecutive.
     """
 
     batch: RayBatch
@@ -40,25 +40,25 @@ class RaySubset(NamedTuple):
         return RaySubset(_batch(self.batch, picked, (len(picked),)), ids, 0)
 
     def rows(self, rows: slice, shape: tuple[int, ...]) -> RaySubset:
-        """Some rays in a row, in the shape in which they are to be traced."""
+        """A range of the rays, in the shape in which to trace them."""
         ids = None if self.ids is None else self.ids[rows]
         return RaySubset(_batch(self.batch, rows, shape), ids, self.first + rows.start)
 
 
 class PendingRays(NamedTuple):
-    """Rays whose hits are being found, and which of them a program still wants hits of.
+    """Rays that are being traced, and which of them are still open.
 
     Attributes
     ----------
     rays : RaySubset
     source : RaySource
-        Where they lie.
+        Their addresses.
     delivered : int
         Hits of each ray that the program has seen before.
     open_rays : ndarray of shape (N,), bool
-        Which of them a program has not ended.
+        The rays that no program has ended.
     kept : object
-        What lies at the source's addresses.
+        Keeps the memory at the source's addresses alive.
     """
 
     rays: RaySubset
@@ -69,14 +69,14 @@ class PendingRays(NamedTuple):
 
     @classmethod
     def of(cls, rays: RaySubset, delivered: int) -> PendingRays:
-        """All of them open."""
+        """Make a value with all rays open."""
         batch = rays.batch
         source, kept = RaySource.of(batch.origins, batch.directions, batch.limits)
         return cls(rays, source, delivered, np.ones(len(batch), np.bool_), kept)
 
 
 def _batch(batch: RayBatch, picked: Any, shape: tuple[int, ...]) -> RayBatch:
-    """Some rays of a batch; what serves all rays is not copied."""
+    """Some rays of a batch; values shared by all rays are not copied."""
     vectors = [_vectors(array, picked, shape) for array in (batch.origins, batch.directions)]
     limits = [
         limit.reshape(()) if len(limit) == 1 else limit[picked].reshape(shape)

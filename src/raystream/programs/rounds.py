@@ -1,7 +1,7 @@
-"""Rounds: asking for hits until a program has seen what it wants to see.
+"""Rounds: more and more hits of each ray, until a program ends the ray.
 
-Hits are in a total order (t, then prim_id), so that a ray that is traced again for more hits
-gives the same ones first: those are left out.
+Hits are in a total order (t, then prim_id), so that a ray traced again for more hits has the same
+ones first; these are skipped.
 """
 
 from __future__ import annotations
@@ -17,48 +17,48 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hit_batch import HitBatch, HitVisitor
 from raystream.programs.ray_subset import PendingRays, RaySubset
 
-__all__ = ["FindHits", "Look", "visit"]
+__all__ = ["FindHits", "RunProgram", "visit"]
 
-#: Gives hits of a batch to a visitor: (batch, most of a ray, whether in order, visitor, status,
-#: progress).
+#: Calls a visitor with the hits of a batch: (batch, most hits per ray, whether in order, visitor,
+#: status, progress).
 FindHits = Callable[[RayBatch, int, bool, HitVisitor, NDArray[np.uint8], Progress | None], None]
 
-#: Runs a program over some of the hits, on any thread; returns how many it looked at.
-Look = Callable[[HitBatch, PendingRays], int]
+#: Runs a program over some of the hits, on any thread; returns the number visited.
+RunProgram = Callable[[HitBatch, PendingRays], int]
 
-#: Most rays whose hits are found at a time.
+#: Most rays of a block.
 RAYS_PER_BLOCK = 1 << 20
 
-#: Rays of the first block, which shows how many hits they have and how many of these a
-#: program sees: about so many, in whole tiles of an image.
+#: Rays of the first block, rounded to whole tiles of an image: it estimates the hits per ray, and
+#: how many of them a program sees.
 FIRST_RAYS = 1 << 12
 TILE_ROWS = 16
 
-#: Where rays have no more hits than this, all are found: that takes one search, and the
-#: nearest few may take several.
+#: If rays have no more hits than this, all are found: that takes one search, and the nearest few
+#: may take several.
 FEW_HITS = 16
 
-#: Likewise where a program sees more than this share of the hits.
+#: Likewise if a program sees more than this share of the hits.
 SEEN_SHARE = 0.25
 
 #: Each round finds this many times as many hits of a ray as the one before.
 GROWTH = 4
 
 
-class _Pace:
-    """How many rays to trace next, and how many hits of each to find, by what was seen so far."""
+class _RoundSize:
+    """Rays to trace next, and hits of each to find, from the hits seen so far."""
 
     def __init__(self) -> None:
         self._rays = self._found = self._seen = 0
 
     def saw(self, rays: int, found: int, seen: int) -> None:
-        """Take in an answer that had all hits."""
+        """Take in a round that found all hits."""
         self._rays += rays
         self._found += found
         self._seen += seen
 
     def limit(self) -> int:
-        """Hits of a ray to find at first."""
+        """Hits per ray to find in the first round."""
         if self._found <= FEW_HITS * self._rays or self._seen > SEEN_SHARE * self._found:
             return UNLIMITED
         limit = GROWTH
@@ -74,44 +74,44 @@ class _Pace:
 def visit(
     find: FindHits,
     whole: RaySubset,
-    look: Look,
+    run: RunProgram,
     status: NDArray[np.uint8],
     progress: Progress | None = None,
     *,
     delivered: int = 0,
     is_ordered: bool = True,
 ) -> bool:
-    """Give the hits of rays to a program until none is open.
+    """Run a program over the hits of rays until none is open.
 
     Parameters
     ----------
     find : callable
     whole : RaySubset
-    look : callable
+    run : callable
     status : ndarray of shape (N,), uint8
-        Of these rays; written for invalid ones.
+        Status of these rays; written for invalid ones.
     progress : callable, optional
         Called with (rays done, rays).
     delivered : int
         Hits of each ray that the program has seen before.
     is_ordered : bool
-        Whether a ray's hits must come by t, then prim_id.
+        Whether a ray's hits must be in order of t, then prim_id.
 
     Returns
     -------
     bool
         Whether the program ended a ray.
     """
-    pace, has_ended = _Pace(), False
-    for rows, rays in _blocks(whole, pace):
+    sizes, has_ended = _RoundSize(), False
+    for rows, rays in _blocks(whole, sizes):
         report = _report(progress, rows, len(whole.batch))
-        limit = pace.limit()
+        limit = sizes.limit()
         if limit == UNLIMITED:
             has_ended |= _visit_all(
-                find, PendingRays.of(rays, delivered), look, status[rows], report, is_ordered, pace
+                find, PendingRays.of(rays, delivered), run, status[rows], report, is_ordered, sizes
             )
         else:
-            has_ended |= _visit_rounds(find, rays, limit, look, status[rows], report, delivered)
+            has_ended |= _visit_rounds(find, rays, limit, run, status[rows], report, delivered)
     if progress:
         progress(len(whole.batch), len(whole.batch))
     return has_ended
@@ -120,22 +120,22 @@ def visit(
 def _visit_all(
     find: FindHits,
     pending: PendingRays,
-    look: Look,
+    run: RunProgram,
     status: NDArray[np.uint8],
     progress: Progress | None,
     is_ordered: bool,
-    pace: _Pace,
+    sizes: _RoundSize,
 ) -> bool:
-    """Ask for all hits, once."""
+    """Find all hits, in one round."""
     figures: list[tuple[int, int]] = []
 
     def visitor(found: HitBatch) -> None:
-        figures.append((found.hit_count, look(found, pending)))
+        figures.append((found.hit_count, run(found, pending)))
 
     batch = pending.rays.batch
     find(batch, UNLIMITED, is_ordered, visitor, status, progress)
     found, seen = np.sum(figures, axis=0) if figures else (0, 0)
-    pace.saw(len(batch), int(found), int(seen))
+    sizes.saw(len(batch), int(found), int(seen))
     return not pending.open_rays.all()
 
 
@@ -143,16 +143,16 @@ def _visit_rounds(
     find: FindHits,
     rays: RaySubset,
     limit: int,
-    look: Look,
+    run: RunProgram,
     status: NDArray[np.uint8],
     progress: Progress | None,
     delivered: int,
 ) -> bool:
-    """Ask for the nearest few hits, and for more where the program did not end the ray."""
+    """Find the nearest few hits, and more for rays that the program did not end."""
     has_ended = False
     while True:
         pending = PendingRays.of(rays, delivered)
-        more = _visit_nearest(find, pending, limit, look, status, progress)
+        more = _visit_nearest(find, pending, limit, run, status, progress)
         has_ended |= not pending.open_rays.all()
         if len(more) == 0:
             return has_ended
@@ -164,31 +164,31 @@ def _visit_nearest(
     find: FindHits,
     pending: PendingRays,
     limit: int,
-    look: Look,
+    run: RunProgram,
     status: NDArray[np.uint8],
     progress: Progress | None,
 ) -> NDArray[np.int64]:
-    """Ask for the nearest few hits; returns the positions of rays that want more."""
+    """Find the nearest few hits; returns the positions of rays that may have more."""
     is_full = np.zeros(len(pending.rays.batch), np.bool_)
 
     def visitor(found: HitBatch) -> None:
         assert found.splits is not None
         is_full[found.rays] = np.diff(found.splits) == limit
-        look(found, pending)
+        run(found, pending)
 
     find(pending.rays.batch, limit, True, visitor, status, progress)
     return np.flatnonzero(is_full & pending.open_rays)
 
 
-def _blocks(whole: RaySubset, pace: _Pace) -> Iterator[tuple[slice, RaySubset]]:
-    """Cut rays into blocks, of whole rows of tiles where they are an image's."""
+def _blocks(whole: RaySubset, sizes: _RoundSize) -> Iterator[tuple[slice, RaySubset]]:
+    """Split rays into blocks: of whole rows of tiles, if they are an image's."""
     shape, count = whole.batch.shape, len(whole.batch)
     width = shape[-1] if len(shape) > 1 else 0
     is_image = 0 < width * TILE_ROWS <= 8 * FIRST_RAYS
     unit = width * TILE_ROWS if is_image else 1
     begin = 0
     while begin < count:
-        size = max(pace.ray_count() // unit, 1) * unit
+        size = max(sizes.ray_count() // unit, 1) * unit
         end = count if begin + size + 2 * FIRST_RAYS >= count else begin + size
         rows = slice(begin, end)
         if end - begin == count:
@@ -200,7 +200,7 @@ def _blocks(whole: RaySubset, pace: _Pace) -> Iterator[tuple[slice, RaySubset]]:
 
 
 def _report(progress: Progress | None, rows: slice, total: int) -> Progress | None:
-    """The callback of a block, whose query may count in steps of another kind."""
+    """The progress callback of a block, whose query may count in other steps."""
     if progress is None:
         return None
     whole, count = progress, rows.stop - rows.start

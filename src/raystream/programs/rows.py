@@ -1,4 +1,4 @@
-"""What filters do with rows: skip them, keep them in order, copy them to where they belong."""
+"""Operations of filters on rows: skip, count, keep in order, copy to a ray's output."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _LONG = np.uint64(8)
 
 
 class SkipsAt(NamedTuple):
-    """Where the triangles that do not exist for each ray are; the caller keeps them.
+    """Address of the triangles that rays skip; the caller keeps them alive.
 
     Attributes
     ----------
     prim_ids : uint64
-        Address of the first ray's, int32; -1 for none.
+        Address of the first ray's, int32; -1 skips nothing.
     width : uint64
-        How many each ray has.
+        Triangles per ray.
     """
 
     prim_ids: np.uint64
@@ -35,7 +35,7 @@ class SkipsAt(NamedTuple):
 
     @classmethod
     def of(cls, prim_ids: NDArray[np.int32]) -> SkipsAt:
-        """Where the rows of an array of shape (N, k) are."""
+        """The address of an array of shape (N, k)."""
         return cls(np.uint64(prim_ids.ctypes.data), np.uint64(prim_ids.shape[1]))
 
 
@@ -45,8 +45,8 @@ def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArra
     Raises
     ------
     ValueError, TypeError
-        If its shape is neither the rays' nor has one dimension more, or it does not hold
-        integers, or no triangles of the scene and not -1.
+        If its shape is neither the rays' nor has one dimension more, or its values are neither
+        triangles of the scene nor -1.
     """
     given = as_host_array("skip_prim_ids", values)
     if given.dtype.kind not in "iu":
@@ -67,7 +67,7 @@ def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArra
 
 @device
 def is_skipped(skips, ray, rows, row):
-    """Whether the triangle of a row does not exist for a ray."""
+    """Whether a ray skips the triangle of a row."""
     prim_id = load(np.int32, rows.prim_id + row * _WORD)
     at = skips.prim_ids + ray * skips.width * _WORD
     end = at + skips.width * _WORD
@@ -89,7 +89,7 @@ def _copy_row(rows, row, out, to):
 
 @device
 def put_row(out, ray, rows, row):
-    """Write a row to the place of its ray in `HitAddresses`, if it is not there already."""
+    """Copy a row to its ray's row of `HitAddresses`, unless it is that row."""
     if rows.prim_id + row * _WORD != out.prim_id + ray * _WORD:
         _copy_row(rows, row, out, ray)
 
@@ -103,7 +103,7 @@ def move_row(rows, row, to):
 
 @device
 def add_one(counts, ray):
-    """Add 1 to a ray's count, at the address of the first one's; returns what it is then."""
+    """Add 1 to a ray's count and return it; `counts` is the address of the first ray's."""
     at = counts + ray * _LONG
     count = load(np.int64, at) + np.int64(1)
     store(at, count)
@@ -112,20 +112,20 @@ def add_one(counts, ray):
 
 @device
 def keep_row(out, splits, found, ray, rows, row):
-    """Write a row behind those that a ray has in `HitAddresses`, and count it.
+    """Append a row to those of a ray in `HitAddresses`, and count it.
 
     Parameters
     ----------
     out : HitAddresses
     splits : uint64
-        Address of the rays' first rows, int64; 0 if rows are counted alone.
+        Address of the rays' first rows, int64; 0 if rows are only counted.
     found : uint64
         Address of the rays' counts, int64.
 
     Returns
     -------
     int64
-        How many the ray has then.
+        The new count.
     """
     count = add_one(found, ray)
     if splits != _NOWHERE:

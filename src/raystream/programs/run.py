@@ -1,4 +1,4 @@
-"""Programs and filters on the CPU, at the hits that any backend finds."""
+"""Queries with programs or filters, run on the CPU over the hits of any backend."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def run_on_hits(
     Parameters
     ----------
     run : callable
-        ``run(query, rays, sink, progress)`` answers queries that have none.
+        ``run(query, rays, sink, progress)`` answers queries without either.
     query : Query
     rays : RayBatch
     sink : Sink

@@ -1,4 +1,4 @@
-"""Texts around a user's function: what is done with a ray's rows, on the CPU and on CUDA."""
+"""Source of the loops around a user's function, for the CPU and CUDA."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from raystream.programs.rows import add_one, is_skipped, keep_row, move_row, put
 
 __all__ = ["Goal", "names_of", "text_of"]
 
-#: What becomes of hits: given to a program with a record, or kept by a filter as the nearest,
-#: counted, or kept in order: where they lie, or at a place that is known.
+#: Use of hits: by a program with a record, or by a filter that keeps the nearest, counts, or keeps
+#: all in order: compacted in place ("multi"), or copied to an output ("keep").
 Goal = Literal["trace", "first", "count", "multi", "keep"]
 
-#: Statements at the beginning of a ray, at a hit that exists, and at the end of a ray.
+#: Statements before the hits of a ray, at each one that is kept, and after them.
 _STATEMENTS: dict[str, tuple[list[str], list[str], list[str]]] = {
     "trace": ([], [], []),
     "first": (
@@ -69,24 +69,24 @@ _PARAMETERS = {
 def text_of(
     goal: Goal, skips: bool, constants: bool, record: str, leave: str
 ) -> tuple[list[str], list[str]]:
-    """What is done for entry i, whose rows are looked at from `start` to `row`.
+    """Source of the loop over the rows of entry i; those visited are `start` to `row`.
 
     Parameters
     ----------
     goal : Goal
     skips, constants : bool
-        Whether some triangles do not exist, and whether the function takes constants.
+        Whether rays skip triangles, and whether the function takes constants.
     record : str
-        How the record of a payload is read.
+        Expression that reads the record of a payload.
     leave : str
-        The statement that leaves an entry.
+        Statement that ends an entry.
 
     Returns
     -------
     names : list of str
-        Of its arguments, but the first, ``i``.
+        Its arguments, except the first, ``i``.
     lines : list of str
-        They use `names_of`, and the user's function as ``function``.
+        Statements that use `names_of`, and the user's function as ``function``.
     """
     before, at_hit, after = _STATEMENTS[goal]
     more = f", {record}" if goal == "trace" else ""
@@ -119,7 +119,7 @@ def text_of(
 
 
 def names_of(goal: Goal) -> dict[str, Any]:
-    """What the text uses."""
+    """Globals of the source."""
     return {
         "accept": accept_decision(Decision, goal != "trace"),
         "add_one": add_one,

@@ -1,4 +1,4 @@
-"""Trace: a program and its payload at the hits of every ray."""
+"""Trace: a program and its payload, run at the hits of every ray."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from raystream.programs.rounds import FindHits, visit
 
 __all__ = ["ORDERS", "Order", "check_order", "trace_program"]
 
-#: How a ray's hits are given to a program.
+#: Orders of a ray's hits.
 Order = Literal["front-to-back", "any"]
 ORDERS: tuple[str, ...] = ("front-to-back", "any")
 
 
 def check_order(order: str) -> None:
-    """Raise ValueError for an unknown word."""
+    """Raise ValueError for an unknown order."""
     if order not in ORDERS:
         known = " or ".join(map(repr, ORDERS))
         raise ValueError(f"order: expected {known}, got {order!r}")
@@ -49,7 +49,7 @@ def trace_program(
     records : ndarray of shape (N,) or (N, k), or None
         Each ray's payload, of `payloads.as_records`; changed in place.
     is_ordered : bool
-        Whether hits come by t, then prim_id: packets of rays need not sort what they find.
+        Whether hits are in order of t, then prim_id; otherwise packets need not sort theirs.
     progress : callable, optional
     """
     program = Program(function, "trace", None, (records,), triangles)

@@ -15,7 +15,7 @@ from raystream.jit.cuda import RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.records import StepArguments
-from raystream.machines.schedulers import USUAL_THRESHOLD
+from raystream.machines.schedulers import DEFAULT_THRESHOLD
 from raystream.machines.steps import steps_of
 from raystream.scene.scene import Scene
 from raystream.structures import build_structure
@@ -48,7 +48,7 @@ def multipass_catalogue_of(
     hits = HitAddresses(NULL, NULL, NULL, NULL)
     wanted = rays.Wanted(NULL, NULL)
     query = StepArguments(np.float32(1.0), True, True, hits, *(NULL,) * 6)
-    rules = rules_of(steps.kernels, "threshold", USUAL_THRESHOLD, compacts=False)
+    rules = rules_of(steps.kernels, "threshold", DEFAULT_THRESHOLD, compacts=False)
     return {
         "pass": (pass_of(steps), (*(NULL,) * 8, steps.tree, query)),
         "counting pass": (pass_of(steps), (*(NULL,) * 8, steps.tree, query._replace(hits=None))),

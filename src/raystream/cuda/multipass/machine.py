@@ -35,8 +35,8 @@ from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes
 from raystream.machines.records import RayState
 from raystream.machines.schedulers import (
+    DEFAULT_THRESHOLD,
     SCHEDULERS,
-    USUAL_THRESHOLD,
     Scheduler,
     make_scheduler,
 )
@@ -101,7 +101,7 @@ class Multipass(Branching):
         gpu: Gpu,
         *,
         scheduler: str | Scheduler = "threshold",
-        threshold: float = USUAL_THRESHOLD,
+        threshold: float = DEFAULT_THRESHOLD,
         traversal_steps: int = 1,
         intersections: int = 1,
         compaction: bool = False,

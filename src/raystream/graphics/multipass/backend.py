@@ -31,8 +31,8 @@ from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Capabilities
 from raystream.machines.passes import Passes
 from raystream.machines.schedulers import (
+    DEFAULT_THRESHOLD,
     SCHEDULERS,
-    USUAL_THRESHOLD,
     Scheduler,
     make_scheduler,
 )
@@ -107,7 +107,7 @@ class MultipassBackend(GraphicsBackend):
         opened: OpenDevice,
         *,
         scheduler: str | Scheduler = "threshold",
-        threshold: float = USUAL_THRESHOLD,
+        threshold: float = DEFAULT_THRESHOLD,
         traversal_steps: int = 1,
         intersections: int = 1,
         loop: str = "device",

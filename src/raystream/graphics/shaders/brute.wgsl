@@ -1,12 +1,12 @@
-// Every triangle, one after another (Foley 2005, section 4).
+// Brute force: all triangles in order (Foley 2005, section 4).
 
 struct Tree {
     triangle_count: u32,
 }
 
-// Numbers of the triangles that can be hit.
+// The prim_ids of triangles that can be hit.
 @group(1) @binding(0) var<storage, read> prim_ids: array<u32>;
-// Corners of all triangles: nine numbers each.
+// Vertices of all triangles: nine numbers each.
 @group(1) @binding(1) var<storage, read> corners: array<f32>;
 
 //! include "vertices.wgsl"
@@ -23,7 +23,7 @@ fn test_row(ray: Ray, row: u32) {
 
 fn search(ray: Ray) {
     for (var row = 0u; row < params.tree.triangle_count; row++) {
-        if is_enough() || !spend() {
+        if is_full() || !spend_budget() {
             return;
         }
         test_row(ray, row);

@@ -1,6 +1,5 @@
-// Every triangle, one after another, as Foley did: each is drawn with the triangle in constants, so
-// that no ray reads memory for it (Foley 2005, section 4). Takes the place of brute.wgsl where a
-// program tests one triangle.
+// Brute force as Foley did it: each draw has its triangle in constants, so that no ray reads memory
+// for it (Foley 2005, section 4). Replaces brute.wgsl where a program tests one triangle.
 
 struct Tree {
     a: vec3f,
@@ -10,7 +9,7 @@ struct Tree {
     c: vec3f,
 }
 
-// Test the triangle in the constants, which is that of the row.
+// Test the triangle in the constants: that of the row.
 fn test_row(ray: Ray, row: u32) {
     tally.tests += 1u;
     let hit = intersect(ray, Triangle(params.tree.a, params.tree.b, params.tree.c));

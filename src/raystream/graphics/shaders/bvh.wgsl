@@ -1,8 +1,8 @@
-// The 8-wide bounding volume hierarchy: the steps of a ray's search, and the search. As
+// The 8-wide bounding volume hierarchy: the steps of a traversal, and the traversal. As
 // raystream/structures/bvh/steps.py and traversal.py, where the reasons are.
 
 struct Tree {
-    // Without nodes there is nothing to search.
+    // 0 in an empty tree.
     node_count: u32,
 }
 
@@ -18,13 +18,13 @@ const ROOT: i32 = 0;
 //! include "bvh_stack.wgsl"
 
 struct Child {
-    // Else the search is at its end.
+    // False at the end of the search.
     is_found: bool,
     // A node, or a leaf; see is_leaf().
     link: i32,
 }
 
-// Put the root on the stack, if there is anything to search.
+// Push the root, if the tree is not empty.
 fn begin_search(ray: Ray) {
     clear_stack();
     if params.tree.node_count != 0u && ray.t_min <= ray.t_max {
@@ -32,10 +32,10 @@ fn begin_search(ray: Ray) {
     }
 }
 
-// Take the next child from the stack whose box the ray enters soon enough.
+// Pop the next child whose box the ray enters before t_far.
 fn next_child() -> Child {
     let last_key = t_key(found.t_far);
-    while has_entries() && spend() {
+    while has_entries() && spend_budget() {
         let entry = pop();
         if entry.key <= last_key {
             return Child(true, entry.link);
@@ -44,7 +44,7 @@ fn next_child() -> Child {
     return Child(false, ROOT);
 }
 
-// Put the children of a node that a ray enters on the stack, the nearest on top.
+// Push the children of a node that a ray enters, the nearest on top.
 fn visit(ray: Ray, node: i32) {
     tally.steps += 1u;
     var entered = entered_children(ray, node);
@@ -58,10 +58,10 @@ fn visit(ray: Ray, node: i32) {
     }
 }
 
-// Down to the next leaf.
+// Traverse to the next leaf.
 fn next_leaf(ray: Ray) -> Child {
     var child = next_child();
-    while child.is_found && !is_leaf(child.link) && spend() {
+    while child.is_found && !is_leaf(child.link) && spend_budget() {
         visit(ray, child.link);
         child = next_child();
     }
@@ -71,9 +71,9 @@ fn next_leaf(ray: Ray) -> Child {
 fn search(ray: Ray) {
     begin_search(ray);
     var slots = NO_SLOTS;
-    while !is_enough() && spend() {
-        // Step 1: on to a triangle that the ray crosses, in this leaf or a later one. Only then
-        // those that run side by side go on together, to the long part of the test.
+    while !is_full() && spend_budget() {
+        // Step 1: find the next triangle that the ray crosses, in this leaf or a later one, so that
+        // the invocations of a subgroup do the long part of the test together.
         slots.first = next_crossed(ray, slots);
         while slots.first == slots.end {
             let leaf = next_leaf(ray);
@@ -83,7 +83,7 @@ fn search(ray: Ray) {
             slots = leaf_slots(leaf.link);
             slots.first = next_crossed(ray, slots);
         }
-        // Step 2: where it crosses it.
+        // Step 2: intersect it.
         offer_slot(ray, slots.first);
         slots.first += 1u;
     }

@@ -1,8 +1,8 @@
 // The children of a node that a ray enters. As visit() of raystream/structures/bvh/steps.py.
 //
-// A key holds where the ray enters a child, as the bits of a number that is not negative, whose
-// order is that of the numbers; the lowest three bits are the child's lane. The highest bit tells
-// a key from NO_KEY, and is left out on the stack.
+// A key holds the distance at which the ray enters a child, as the bits of a nonnegative float,
+// whose order is that of the floats; the lowest three bits are the child's lane. The highest bit
+// distinguishes a key from NO_KEY, and is cleared on the stack.
 
 const NO_KEY: u32 = 0u;
 const IS_KEY: u32 = 0x80000000u;
@@ -42,7 +42,7 @@ fn box_intervals(ray: Ray, at: u32) -> Intervals {
     return Intervals(max(max(near_x, near_y), near_z), min(min(far_x, far_y), far_z));
 }
 
-// NO_KEY for a child that is absent, whatever its box is, or that the ray does not enter.
+// NO_KEY for an absent child, and for one that the ray does not enter.
 fn keys_of(ray: Ray, at: u32, links: vec4i, lanes: vec4u) -> vec4u {
     let boxes = box_intervals(ray, at);
     let enters = max(boxes.t_in, vec4f(ray.t_min)) <= min(boxes.t_out, vec4f(found.t_far));
@@ -89,7 +89,7 @@ fn sort_key(key: u32) -> u32 {
     return key & ~IS_KEY;
 }
 
-// The largest key that may still matter: its lane must not decide. A box may begin before 0.
+// The largest key that can still hold a nearer hit, for any lane. A box may begin before 0.
 fn t_key(t: f32) -> u32 {
     return bitcast<u32>(max(t, 0.0)) & ~IS_KEY | KEY_LANES;
 }

@@ -1,12 +1,12 @@
-// The triangles of a leaf: blocks of four slots, in which the last ones may be empty. As
+// The triangles of a leaf: blocks of four slots, the last of which may be empty. As
 // raystream/kernels/leaf_block.py.
 
 //! include "leaf_block.wgsl"
 
-// The prim_id of an empty slot. One below is that of a triangle that cannot be hit any more.
+// The prim_id of an empty slot. One below marks a triangle without finite vertices.
 const NO_TRIANGLE: i32 = -1;
 
-// Those from the first on are still to be tested.
+// The slots that are still to be tested.
 struct Slots {
     first: u32,
     end: u32,
@@ -37,7 +37,7 @@ fn prim_id_in(slot: u32) -> i32 {
 // The first slot whose triangle the ray crosses, or the end.
 fn next_crossed(ray: Ray, slots: Slots) -> u32 {
     var slot = slots.first;
-    while slot < slots.end && spend() {
+    while slot < slots.end && spend_budget() {
         let prim_id = prim_id_in(slot);
         if prim_id == NO_TRIANGLE {
             slot += BLOCK_SIZE - slot % BLOCK_SIZE;
@@ -52,7 +52,7 @@ fn next_crossed(ray: Ray, slots: Slots) -> u32 {
     return slots.end;
 }
 
-// Offer the hit of the triangle in a slot, which the ray crosses.
+// Offer the hit of the triangle in a slot; the ray must cross it.
 fn offer_slot(ray: Ray, slot: u32) {
     let hit = crossing(ray, triangle_in(slot));
     if hit.is_hit && hit.t >= ray.t_min && hit.t <= found.t_far {

@@ -1,7 +1,7 @@
-// A ray's stack of children, in its own memory; the form says how many entries a tree may need.
+// A ray's stack of children, in private memory, of STACK_SIZE entries.
 
 struct Entry {
-    // Where the ray enters the child's box; see bvh_boxes.wgsl.
+    // The child's key; see bvh_boxes.wgsl.
     key: u32,
     link: i32,
 }

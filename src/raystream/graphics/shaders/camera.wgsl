@@ -1,14 +1,14 @@
-// Eye rays of a camera in perspective, through the pixels' centres (Purcell 2002, section 3.1.1).
+// Camera rays of a pinhole camera, through the pixels' centres (Purcell 2002, section 3.1.1).
 //
-// As raystream/scene/camera.py. What is float64 there is a Wide here, so that the directions
-// are, but for a few last bits, the same.
+// As raystream/scene/camera.py. Its float64 is a Wide here, so that directions agree to
+// the last few bits.
 
 struct View {
     // Local frame.
     eye: vec3f,
-    // The least depth of what is rasterised.
+    // Depth of the near plane.
     near: f32,
-    // Unit vectors of the picture; the height of a pixel, one unit ahead; pixels.
+    // Unit vectors of the image's axes; the height of a pixel, one unit ahead; pixels.
     right: vec3f,
     scale: f32,
     right_low: vec3f,
@@ -18,7 +18,7 @@ struct View {
     up_low: vec3f,
     height: f32,
     forward: vec3f,
-    // World lengths in a local one.
+    // World units per local unit.
     inverse_scale: f32,
     forward_low: vec3f,
 }
@@ -28,7 +28,7 @@ fn view_axis(right: Wide, up: Wide, forward: Wide, across: Wide, down: Wide) -> 
     return wide_sum(beside, forward);
 }
 
-// Root of a positive sum of two floats: one step of Newton's method after a first guess.
+// Square root of a positive Wide: one Newton step from that of its float32.
 fn wide_root(square: Wide) -> Wide {
     let guess = rounded(sqrt(square.high));
     let rest = wide_difference(square, exact_product(guess, guess));
@@ -66,7 +66,7 @@ fn eye_direction(view: View, pixel: vec2f) -> vec3f {
     return vec3f(wide_quotient(x, length), wide_quotient(y, length), wide_quotient(z, length));
 }
 
-// The power of two that brings the largest component into [1, 2), where ray.wgsl wants it.
+// The power of two that brings the largest component into [1, 2), as ray.wgsl requires.
 fn power_for(direction: vec3f) -> f32 {
     let size = abs(direction);
     let largest = max(max(size.x, size.y), size.z);

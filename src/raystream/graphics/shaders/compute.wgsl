@@ -1,17 +1,17 @@
-// One ray from start to end in each invocation: all four queries, around a structure's search().
+// Each invocation traces one ray: all queries, around a structure's search().
 
 //! include "params.wgsl"
 
-// Origin and t_min, then direction and t_max, of each.
+// Origin and t_min, then direction and t_max, of each ray.
 @group(0) @binding(1) var<storage, read> rays: array<vec4f>;
-// For MULTI_HIT: of each ray the first of its rows, and how many hits are wanted.
+// For MULTI_HIT: first row and capacity of each ray.
 @group(0) @binding(2) var<storage, read> wanted: array<vec2u>;
 @group(0) @binding(3) var<storage, read_write> rows: array<Row>;
-// How the search of each ray ended; 0 before it has.
+// Termination codes; 0 for rays that were not traced.
 @group(0) @binding(4) var<storage, read_write> endings: array<u32>;
 @group(0) @binding(5) var<storage, read_write> tallies: array<Tally>;
 
-// Whether tallies are wanted.
+// Whether steps and tests are counted.
 override COUNTS: bool = false;
 
 //! include "exact.wgsl"
@@ -22,7 +22,7 @@ override COUNTS: bool = false;
 //! include "tally.wgsl"
 //! include "termination.wgsl"
 
-// The first of a ray's rows, and how many hits it wants.
+// First row and capacity of a ray.
 fn wish_of(i: u32) -> vec2u {
     if QUERY == MULTI_HIT {
         return wanted[i];

@@ -1,5 +1,5 @@
-// Walking through a lattice of cells: set-up and step. As raystream/structures/grid/dda.py, where
-// the reasons are: distances come from the planes' positions and never from adding up.
+// DDA through a 3D lattice of cells: set-up and step. As raystream/structures/grid/dda.py, where
+// the reasons are: distances are computed from the planes' positions, never accumulated.
 //
 // Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987;
 // Purcell 2002, section 3.1.3.
@@ -10,25 +10,25 @@ struct Lattice {
     counts: vec3f,
 }
 
-// What does not change while a ray walks through a lattice.
+// Constants of a ray in a lattice.
 struct Line {
     inv: vec3f,
     // A plane's distance is fused(plane, inv, middle).
     middle: vec3f,
-    // 1 or -1: from a plane's number to the next one's.
+    // 1 or -1: step from a plane to the next one.
     step: vec3f,
-    // Number of the last plane, which the ray never passes.
+    // Index of the last plane, which the ray never passes.
     end: vec3f,
-    // From a cell's number to the next one's.
+    // Step from a cell to the next one.
     stride: vec3i,
 }
 
-// Where a ray is.
+// State of the traversal.
 struct Walk {
     cell: i32,
-    // Distance of the plane that the ray meets next, for each axis; FAR for the last one.
+    // Distance of the next plane of each axis; FAR for the last one.
     t_next: vec3f,
-    // Number of the plane after that, and its distance.
+    // Index of the plane after that, and its distance.
     plane: vec3f,
     t_after: vec3f,
 }
@@ -66,11 +66,11 @@ fn cells_at(t: f32, lattice: Lattice, line: Line, ray: Ray) -> vec3f {
     let most = lattice.counts - vec3f(1.0);
     let first = select(vec3f(0.0), most, line.step < vec3f(0.0));
     let last = most - first;
-    // Step 1: a guess that is right but for rounding. That of a flat axis is 0.
+    // Step 1: an estimate, correct but for rounding; 0 on a flat axis.
     let size = select(lattice.size, vec3f(1.0), lattice.size == vec3f(0.0));
     let guess = (fused3(vec3f(t), direction, origin) - lattice.low) / size;
     var cell = floor(min(select(vec3f(0.0), guess, guess > vec3f(0.0)), most));
-    // Step 2: the right one, by the rule: first onward, then back. One of the two loops is empty.
+    // Step 2: the exact cell: forward, then back. One of the two loops does nothing.
     let far_t = vec3f(t);
     var left = u32(max(max(lattice.counts.x, lattice.counts.y), lattice.counts.z));
     while left != 0u {
@@ -93,7 +93,7 @@ fn cells_at(t: f32, lattice: Lattice, line: Line, ray: Ray) -> vec3f {
     return cell;
 }
 
-// Where a walk is in the cell with these numbers along the axes.
+// The state in the cell with these indices along the axes.
 fn walk_from(lattice: Lattice, line: Line, cell: vec3f) -> Walk {
     let number = vec3i(cell);
     let counts = vec3i(lattice.counts);
@@ -116,7 +116,7 @@ fn cell_end(walk: Walk) -> f32 {
     return min(min(walk.t_next.x, walk.t_next.y), walk.t_next.z);
 }
 
-// Go to the next cell: through all planes that are passed at the cell's end, which is not FAR.
+// Step to the next cell, across all planes at the cell's end, which is not FAR.
 fn step_walk(lattice: Lattice, line: Line, walk: Walk) -> Walk {
     let passes = walk.t_next <= vec3f(cell_end(walk));
     let strides = select(vec3i(0), line.stride, passes);

@@ -1,9 +1,9 @@
-// Arithmetic that is exact, or nearly: rounding errors are numbers of their own.
+// Exact and nearly exact arithmetic, with rounding errors as numbers of their own.
 //
 // A triangle test is watertight if triangles that share an edge round alike. Shader compilers may
-// fuse a product with a sum, and may cancel terms; what passes through rounded() they cannot look
-// through, because they do not know that params.zero is 0. WGSL has no 64-bit floats; where the
-// CPU's test has them, a Wide is the sum of two float32, about 46 bits.
+// fuse a product with a sum, and cancel terms, but not through rounded(), because they do not know
+// that params.zero is 0. WGSL has no 64-bit floats; in their place, a Wide is the sum of two
+// float32, of about 46 bits.
 //
 // Sources: Dekker, "A Floating-Point Technique for Extending the Available Precision", Numerische
 // Mathematik 18, 1971; Knuth, "The Art of Computer Programming", volume 2, section 4.2.2.
@@ -14,7 +14,7 @@ struct Wide {
     low: f32,
 }
 
-// x as it is rounded to float32: nothing is fused with it, or cancelled against it.
+// x, rounded to float32: not fused with anything, nor cancelled.
 fn rounded(x: f32) -> f32 {
     return bitcast<f32>(bitcast<u32>(x) ^ params.zero);
 }
@@ -24,7 +24,7 @@ fn leading(x: f32) -> f32 {
     return bitcast<f32>(bitcast<u32>(x) & 0xfffff000u);
 }
 
-// What rounding took from product = rounded(a * b). Each term is exact, in this order.
+// The rounding error of product = rounded(a * b). Each term is exact, in this order.
 fn product_error(a: f32, b: f32, product: f32) -> f32 {
     let a_high = leading(a);
     let b_high = leading(b);
@@ -69,11 +69,11 @@ fn wide_product(a: Wide, b: Wide) -> Wide {
     return ordered_sum(high.high, rounded(high.low + cross));
 }
 
-// Whether the device's fma() rounds once. WGSL lets it be a product and a sum.
+// Whether the device's fma() rounds once: WGSL allows a product and a sum.
 override FUSED: bool = false;
 
-// a * b + c, rounded once: so it is monotone in each, and what the CPU computes. (Where the device
-// has no such thing, one result in some millions is rounded the other way.)
+// a * b + c, rounded once, so that it is monotone in each and equals the CPU's. (Emulated, one
+// result in some millions is rounded the other way.)
 fn fused(a: f32, b: f32, c: f32) -> f32 {
     if FUSED {
         return fma(a, b, c);
@@ -87,8 +87,8 @@ fn fused3(a: vec3f, b: vec3f, c: vec3f) -> vec3f {
     return vec3f(fused(a.x, b.x, c.x), fused(a.y, b.y, c.y), fused(a.z, b.z, c.z));
 }
 
-// a / b, rounded right but in cases that are nearly a tie: a device's own division may be off by
-// two and a half units in the last place. b is not 0.
+// a / b, correctly rounded except near ties: a device's own division may be off by 2.5 units in the
+// last place. b is not 0.
 fn quotient(a: f32, b: f32) -> f32 {
     let first = rounded(a / b);
     let product = rounded(first * b);
@@ -112,7 +112,7 @@ fn times(a: f32, b: Wide) -> Wide {
     return wide_product(Wide(a, 0.0), b);
 }
 
-// a * b - c * d, without an error but that of the last sum.
+// a * b - c * d, exact but for the last sum.
 fn wide_determinant(a: f32, b: f32, c: f32, d: f32) -> Wide {
     let left = exact_product(a, b);
     let right = exact_product(c, d);

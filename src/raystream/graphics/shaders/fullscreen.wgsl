@@ -1,5 +1,5 @@
-// A triangle that covers the screen: to draw it is to run a kernel on every pixel's record. It fills
-// the upper left half of a viewport twice as wide and as high; see fragments.py.
+// A full-screen triangle: drawing it runs a kernel on every texel. It fills
+// the upper left half of a viewport twice as wide and as high; see fragment_program.py.
 
 @vertex
 fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {

@@ -2,12 +2,12 @@
 
 struct Tree {
     low: vec3f,
-    // Without sectors the rest means nothing.
+    // 0 in an empty graph.
     sector_count: u32,
     high: vec3f,
     bin_counts: vec3f,
     bin_low: vec3f,
-    // Bins in a unit of length.
+    // Bins per unit of length.
     bin_scales: vec3f,
 }
 
@@ -18,7 +18,7 @@ struct Tree {
 @group(1) @binding(0) var<storage, read> sector_rows: array<vec4u>;
 // Leaf blocks; see leaf_in_interval.wgsl.
 @group(1) @binding(1) var<storage, read> blocks: array<vec4u>;
-// Row of a sector near by.
+// Row of a sector near each bin.
 @group(1) @binding(2) var<storage, read> bins: array<u32>;
 
 //! include "leaf_in_interval.wgsl"
@@ -34,7 +34,7 @@ fn search(ray: Ray) {
     let line = plane_ray(ray);
     var sector = start_sector(line, ray, part.t_in);
     var t_in = part.t_in;
-    while spend() {
+    while spend_budget() {
         tally.steps += 1u;
         let way = way_out(line, sector);
         let t_out = min(way.t, part.t_out);
@@ -43,8 +43,8 @@ fn search(ray: Ray) {
             tally.leaves += 1u;
             test_blocks(ray, triangles.block, triangles.triangle_count, t_in, t_out);
         }
-        // Hits in sectors to come are not before this one's end.
-        if is_past(t_out) || t_out >= part.t_out {
+        // Hits in later sectors are not before this one's end.
+        if is_over(t_out) || t_out >= part.t_out {
             return;
         }
         let next = cross_face(line, way.link, t_out);

@@ -5,9 +5,9 @@ struct Tree {
     high: vec3f,
     size: vec3f,
     counts: vec3f,
-    // Whether cells may be divided, into lattices of the second level.
+    // Whether cells may have lattices of the second level.
     is_divided: u32,
-    // Without triangles the rest means nothing.
+    // 0 in an empty grid.
     triangle_count: u32,
 }
 
@@ -15,7 +15,7 @@ struct Tree {
 @group(1) @binding(0) var<storage, read> splits: array<u32>;
 @group(1) @binding(1) var<storage, read> references: array<u32>;
 @group(1) @binding(2) var<storage, read> corners: array<f32>;
-// Number of the lattice in each cell, or NO_CHILD.
+// Index of the lattice in each cell, or NO_CHILD.
 @group(1) @binding(3) var<storage, read> children: array<i32>;
 // First cell of each lattice, and its cells along the axes.
 @group(1) @binding(4) var<storage, read> lattices: array<vec4u>;
@@ -33,7 +33,7 @@ struct List {
     end: u32,
 }
 
-// The part of a ray's interval in which it can hit anything; none if t_in > t_out.
+// The part of a ray's interval in the grid; empty if t_in > t_out.
 fn enter_grid(ray: Ray) -> Interval {
     let part = box_interval(ray, params.tree.low, params.tree.high);
     return Interval(max(ray.t_min, part.t_in), min(ray.t_max, part.t_out));
@@ -43,7 +43,7 @@ fn coarse_cells() -> Lattice {
     return Lattice(params.tree.low, params.tree.size, params.tree.counts);
 }
 
-// Numbers of a cell along the axes.
+// Indices of a cell along the axes.
 fn cell_numbers(lattice: Lattice, cell: i32) -> vec3f {
     let counts = vec3i(lattice.counts);
     return vec3f(vec3i(cell % counts.x, cell / counts.x % counts.y, cell / (counts.x * counts.y)));
@@ -80,7 +80,7 @@ fn reference_at(row: u32, is_fine: bool) -> u32 {
     return references[row];
 }
 
-// Offer a triangle's hit, if it is at t_in <= t < t_out: outside, it is another cell's.
+// Offer a triangle's hit if t_in <= t < t_out: others belong to other cells.
 fn test_reference(ray: Ray, prim_id: u32, t_in: f32, t_out: f32) {
     tally.tests += 1u;
     let hit = intersect(ray, triangle_of(prim_id));
@@ -89,7 +89,7 @@ fn test_reference(ray: Ray, prim_id: u32, t_in: f32, t_out: f32) {
     }
 }
 
-// Whoever wants one hit, no matter which, takes it from wherever it is.
+// Any-hit queries accept a hit at any t.
 fn end_of_hits(t_out: f32) -> f32 {
     return select(t_out, FAR, QUERY == ANY_HIT);
 }
@@ -99,24 +99,24 @@ fn test_list(ray: Ray, list: List, is_fine: bool, t_in: f32, t_out: f32) {
         tally.leaves += 1u;
     }
     for (var row = list.begin; row != list.end; row++) {
-        if is_enough() || !spend() {
+        if is_full() || !spend_budget() {
             return;
         }
         test_reference(ray, reference_at(row, is_fine), t_in, end_of_hits(t_out));
     }
 }
 
-// Visit the cells within a cell, from t_in to t_end.
+// Visit the fine cells of a coarse cell, from t_in to t_end.
 fn visit_fine(ray: Ray, cell: i32, child: i32, start: f32, t_end: f32) {
     let lattice = fine_cells(cell, child);
     let line = line_through(lattice, ray);
     var walk = start_walk(lattice, line, ray, start);
     var t_in = start;
-    while spend() {
+    while spend_budget() {
         let t_out = min(cell_end(walk), t_end);
         tally.steps += 1u;
         test_list(ray, fine_list(child, walk.cell), true, t_in, t_out);
-        if is_past(t_out) || t_out >= t_end {
+        if is_over(t_out) || t_out >= t_end {
             return;
         }
         walk = step_walk(lattice, line, walk);
@@ -134,7 +134,7 @@ fn search(ray: Ray) {
     let line = line_through(lattice, ray);
     var walk = start_walk(lattice, line, ray, part.t_in);
     var t_in = part.t_in;
-    while spend() {
+    while spend_budget() {
         let t_out = cell_end(walk);
         tally.steps += 1u;
         let list = coarse_list(walk.cell);
@@ -147,7 +147,7 @@ fn search(ray: Ray) {
             }
         }
         // A hit at the cell's end is in the next cell, and may tie with one at t_far.
-        if is_past(t_out) {
+        if is_over(t_out) {
             return;
         }
         walk = step_walk(lattice, line, walk);

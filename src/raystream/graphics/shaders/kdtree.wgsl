@@ -4,7 +4,7 @@ struct Tree {
     low: vec3f,
     root: u32,
     high: vec3f,
-    // Without nodes the rest means nothing.
+    // 0 in an empty tree.
     node_count: u32,
 }
 
@@ -24,16 +24,16 @@ fn search(ray: Ray) {
         return;
     }
     let line = plane_ray(ray);
-    while spend() {
-        while !is_at_leaf(state) && spend() {
+    while spend_budget() {
+        while !is_at_leaf(state) && spend_budget() {
             state = descend(line, state);
             tally.steps += 1u;
         }
         tally.leaves += 1u;
         let triangles = leaf(state);
         test_blocks(ray, triangles.block, triangles.triangle_count, state.t_in, state.t_out);
-        // Hits in leaves to come are not before this one's end.
-        if is_past(state.t_out) || state.t_out >= state.t_end {
+        // Hits in later leaves are not before this one's end.
+        if is_over(state.t_out) || state.t_out >= state.t_end {
             return;
         }
         state = continue_counted(line, state);

@@ -1,5 +1,5 @@
-// A leaf block of four triangles, 160 bytes: four x of the first corners, then their y and z, the
-// second corners, the third ones, and the numbers of the triangles. As
+// A leaf block of four triangles, 160 bytes: four x of the first vertices, then their y and z, the
+// second vertices, the third ones, and the prim_ids. As
 // raystream/kernels/leaf_block.py; needs `blocks`, as vectors of four words.
 
 const BLOCK_ROWS: u32 = 10u;
@@ -18,7 +18,7 @@ fn block_triangle(block: u32, lane: u32) -> Triangle {
     );
 }
 
-// The number of a triangle; negative where there is none that can be hit.
+// The prim_id of a triangle; negative in a slot that cannot be hit.
 fn block_prim_id(block: u32, lane: u32) -> i32 {
     return bitcast<i32>(blocks[block * BLOCK_ROWS + 9u][lane]);
 }

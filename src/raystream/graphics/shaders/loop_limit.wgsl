@@ -1,8 +1,8 @@
-// Whether loops still run to their ends.
+// Whether loops still run to their end.
 //
-// Mesa's software driver lets all loops of an invocation, and of those that run beside it, run
-// 65,535 rounds altogether. After that, each loop runs one round and is left, as if nothing was:
-// results are wrong then. Of these two rounds one would be missing.
+// Mesa's software driver limits all loops of an invocation, and of those in its group, to 65,535
+// iterations altogether. After that each loop silently ends after one iteration, with wrong
+// results. One of these two iterations would then be missing.
 //
 // Source: LP_MAX_TGSI_LOOP_ITERATIONS in Mesa's gallivm.
 

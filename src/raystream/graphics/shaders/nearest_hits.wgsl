@@ -1,11 +1,11 @@
-// Keeping the nearest hits of a ray: a heap whose root is the last one, sorted at the end. As
+// The nearest hits of a ray: a heap with the farthest one at its root, sorted at the end. As
 // raystream/kernels/hits.py. A ray's rows are its own, so no other invocation touches them.
 
 fn row_before(a: Row, b: Row) -> bool {
     return is_before(a.t, a.prim_id, b.t, b.prim_id);
 }
 
-// Put a hit into a heap of so many rows, from an empty place downward.
+// Insert a hit into a heap of `count` rows, from an empty place downward.
 fn sift_down(count: u32, empty: u32, row: Row) {
     var hole = empty;
     while 2u * hole + 1u < count {
@@ -30,7 +30,7 @@ fn make_heap(count: u32) {
     }
 }
 
-// Rows are in no order until there are as many as are wanted.
+// Rows are unordered until there are `capacity` of them.
 fn keep(row: Row) {
     if found.capacity == 0u {
         return;
@@ -50,7 +50,7 @@ fn keep(row: Row) {
     }
 }
 
-// By t, then prim_id, whatever their order was.
+// Sort by t, then prim_id.
 fn sort_rows() {
     make_heap(found.count);
     var last = found.count;

@@ -1,4 +1,4 @@
-// Where no more than one hit of a ray is kept: takes the place of nearest_hits.wgsl.
+// Replaces nearest_hits.wgsl where at most one hit of a ray is kept.
 
 fn keep(row: Row) {}
 

@@ -1,4 +1,4 @@
-// What all rays of a search share, and the structure's own numbers. As raystream/graphics/structures/base.py.
+// Uniforms of all rays of a search, and the structure's. As raystream/graphics/structures/base.py.
 
 struct Params {
     // Largest absolute coordinate of the scene.
@@ -6,11 +6,11 @@ struct Params {
     // 0: see exact.wgsl.
     zero: u32,
     ray_count: u32,
-    // Rays in a row of textures, or in a row of workgroups, as one dimension may have too few.
+    // Rays in a row of textures, or of workgroups, whose number per dimension is limited.
     row_size: u32,
     // Steps and tests before a search counts as endless.
     budget: u32,
-    // Hits wanted of each ray, where all want as many.
+    // Hits wanted of each ray, where that is the same for all.
     capacity: u32,
     @align(16) tree: Tree,
 }

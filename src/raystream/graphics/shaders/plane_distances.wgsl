@@ -1,10 +1,10 @@
-// Distances to planes that part space. Each plane has one, which depends on its position alone:
-// a distance t is either before it or not, always. As raystream/structures/kdtree/traversal.py.
+// Distances to split planes, which depend on the plane's position alone, so that all comparisons
+// with a distance t agree. As raystream/structures/kdtree/traversal.py.
 
-// What a ray's distances to planes are made of.
+// The coefficients of a ray's distances to planes.
 struct PlaneRay {
     inv: vec3f,
-    // The slab's constant without padding.
+    // The slab constant without padding.
     middle: vec3f,
 }
 
@@ -24,7 +24,7 @@ fn distances_to(line: PlaneRay, positions: vec3f, beyond: f32) -> vec3f {
     return select(t, vec3f(beyond), abs(positions) >= vec3f(FAR));
 }
 
-// The next number after x. FAR has none; numbers too small for all GPUs are skipped.
+// The next float after x, FAR for FAR; denormals are skipped, since not all GPUs have them.
 fn just_after(x: f32) -> f32 {
     if abs(x) < SMALLEST {
         return SMALLEST;
@@ -36,8 +36,8 @@ fn just_after(x: f32) -> f32 {
     return bitcast<f32>(select(bits + 1u, bits - 1u, x < 0.0));
 }
 
-// The part of a ray in which it can hit anything: t_in <= t < t_out. A hit lies in its triangle's
-// interval, so in that of the scene's box.
+// The part of a ray in the scene's box, t_in <= t < t_out: it holds every hit, since a hit lies in
+// its triangle's interval.
 fn searched_part(ray: Ray, low: vec3f, high: vec3f) -> Interval {
     let part = box_interval(ray, low, high);
     return Interval(max(part.t_in, ray.t_min), just_after(min(part.t_out, ray.t_max)));

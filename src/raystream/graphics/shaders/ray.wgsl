@@ -1,10 +1,10 @@
-// The ray as the tests want it: reciprocals for slabs, a sheared frame for triangles.
+// A ray prepared for tests: reciprocals for slabs, a sheared frame for triangles.
 // As raystream/kernels/ray.py and slab.py, where the reasons are.
 
 const PAD: f32 = 0x1p-20;
 const TINY_DIRECTION: f32 = 0x1p-40;
 
-// Stands for infinity, which shaders need not have.
+// In place of infinity, which WGSL does not guarantee.
 const FAR: f32 = 0x1.fffffep+127;
 
 struct Ray {
@@ -27,7 +27,7 @@ struct Interval {
     t_out: f32,
 }
 
-// A vector's components in the order of the frame: z along axis kz, x and y after it in a circle.
+// A vector's components in the order of the frame: z along axis kz, then x and y cyclically.
 fn to_frame(kz: u32, v: vec3f) -> vec3f {
     return select(select(v, v.zxy, kz == 1u), v.yzx, kz == 0u);
 }
@@ -94,8 +94,8 @@ fn rounded3(v: vec3f) -> vec3f {
     return vec3f(rounded(v.x), rounded(v.y), rounded(v.z));
 }
 
-// The part of a ray in a box that is grown by the ray's padding; none if t_in > t_out. Monotone
-// in each plane, so a box in a box has an interval in its interval.
+// The part of a ray in a box grown by the ray's padding; empty if t_in > t_out. Monotone in each
+// plane, so that a box inside another has an interval inside the other's.
 fn box_interval(ray: Ray, low: vec3f, high: vec3f) -> Interval {
     let down = vec3<bool>(is_down(ray.inv.x), is_down(ray.inv.y), is_down(ray.inv.z));
     let near = fma(select(low, high, down), ray.inv, ray.near);

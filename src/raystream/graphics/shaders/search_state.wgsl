@@ -1,30 +1,30 @@
-// What a ray has found, and what it still wants. As raystream/kernels/hits.py.
+// The state of a search: hits so far, and when it is over. As raystream/kernels/search.py.
 
 const FIRST_HIT: u32 = 0u;
 const ANY_HIT: u32 = 1u;
 const COUNT_HITS: u32 = 2u;
 const MULTI_HIT: u32 = 3u;
 
-// Of the pipeline: one of these, and what a ray through an edge meets.
+// Constants of the pipeline: one of these, and whether a ray through an edge crosses once.
 override QUERY: u32 = 0u;
 override SURFACES: bool = false;
 
 const MISS: i32 = -1;
 
 struct SearchState {
-    // Hits beyond are not wanted.
+    // Hits beyond are ignored.
     t_far: f32,
-    // Hits so far; of MULTI_HIT those that are kept.
+    // Hits so far; for MULTI_HIT, those that are kept.
     count: u32,
-    // How many are wanted: rows from `first` on are this ray's.
+    // Most hits wanted; rows from `first` on are this ray's.
     capacity: u32,
     first: u32,
-    // The nearest one, of FIRST_HIT.
+    // The nearest hit, for FIRST_HIT.
     t: f32,
     u: f32,
     v: f32,
     prim_id: i32,
-    // Steps and tests that are left before a search counts as endless.
+    // Steps and tests left before the search counts as endless.
     budget: u32,
 }
 
@@ -41,19 +41,19 @@ fn begin_search_state(t_max: f32, first: u32, capacity: u32) {
     found = SearchState(t_max, 0u, capacity, first, FAR, 0.0, 0.0, MISS, params.budget);
 }
 
-// Whether the search has all that it wants, wherever it is.
-fn is_enough() -> bool {
+// Whether no hit can change the result any more.
+fn is_full() -> bool {
     return (QUERY == ANY_HIT || QUERY == COUNT_HITS) && found.count >= found.capacity;
 }
 
-// Whether nothing at t or after it is wanted; ties at t_far are.
-fn is_past(t: f32) -> bool {
-    return found.t_far < t || is_enough();
+// Whether no hit at t or beyond can change the result; ties at t_far can.
+fn is_over(t: f32) -> bool {
+    return found.t_far < t || is_full();
 }
 
-// Pay for a step or a test. False if the budget is spent: then the search must end, and whoever
-// asked is told.
-fn spend() -> bool {
+// Spend budget for a step or a test. False if none is left: then the search must end, which becomes
+// an error on the host.
+fn spend_budget() -> bool {
     if found.budget == 0u {
         return false;
     }

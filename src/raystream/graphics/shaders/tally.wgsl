@@ -1,4 +1,4 @@
-// What a ray meets, in the order of raystream/kernels/tally.py.
+// Counters of a ray, in the order of raystream/kernels/tally.py.
 
 struct Tally {
     steps: u32,
@@ -13,7 +13,7 @@ struct Tally {
 
 var<private> tally: Tally;
 
-// Hits are handed over, but where they are only counted.
+// Count shaded hits, unless hits are only counted.
 fn note_shadings() {
     if QUERY == FIRST_HIT {
         tally.shadings = u32(found.prim_id != MISS);

@@ -1,15 +1,14 @@
-// How the search of a ray ended. As raystream/graphics/endings.py; 0 is that of one which did not
-// run.
+// Termination codes, as raystream/graphics/termination.py; 0 is that of a ray which was not traced.
 
-// It took more steps and tests than any search can.
+// The budget is spent.
 const ENDLESS: u32 = 0xffffffffu;
 
-// Its loops were left too early.
+// A driver ended loops early.
 const CUT_SHORT: u32 = 0xfffffffeu;
 
 //! include "loop_limit.wgsl"
 
-// One of these, or one more than the hits found.
+// One of these codes, or one more than the number of hits.
 fn termination_code() -> u32 {
     if !loops_run() {
         return CUT_SHORT;

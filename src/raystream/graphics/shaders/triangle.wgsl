@@ -1,5 +1,5 @@
-// The one triangle test: watertight. As raystream/kernels/triangle.py, where the reasons are; its
-// float64 numbers are Wide here.
+// The one triangle test: watertight. As raystream/kernels/triangle.py, where the reasons are, with
+// Wide for float64.
 //
 // Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", Journal of Computer Graphics
 // Techniques 2(1), 2013.
@@ -19,7 +19,7 @@ struct Triangle {
 
 const NO_HIT = Hit(false, FAR, 0.0, 0.0);
 
-// A vertex, in the order of the frame, in the ray's own frame: its image depends on nothing else.
+// A vertex, in the order of the frame, sheared into the ray's frame, independently of others.
 fn image_of(ray: Ray, vertex: vec3f) -> vec2f {
     let moved = rounded3(vertex - ray.origin);
     return vec2f(
@@ -29,7 +29,7 @@ fn image_of(ray: Ray, vertex: vec3f) -> vec2f {
 }
 
 // -1, 0 or 1: on which side of the origin the line from a to b passes, a.x * b.y - a.y * b.x.
-// Where rounded products are equal, what rounding took decides; so it is right.
+// Exact: where rounded products are equal, their rounding errors decide.
 fn side_of(a: vec2f, b: vec2f) -> i32 {
     let left = rounded(a.x * b.y);
     let right = rounded(a.y * b.x);
@@ -53,8 +53,8 @@ fn wide_edge(a: vec2f, b: vec2f) -> Wide {
     return wide_determinant(a.x, b.y, a.y, b.x);
 }
 
-// Distance to the triangle's plane, of its corners in the order of the frame: those of a large
-// triangle would have lost all digits of a short distance as images.
+// Distance to the triangle's plane, from its vertices in the order of the frame: sheared, those of
+// a large triangle would lose all digits of a short distance.
 fn plane_distance(ray: Ray, a: vec3f, b: vec3f, c: vec3f) -> f32 {
     let px = exact_sum(b.x, -a.x);
     let py = exact_sum(b.y, -a.y);
@@ -81,7 +81,7 @@ fn plane_distance(ray: Ray, a: vec3f, b: vec3f, c: vec3f) -> f32 {
     return wide_quotient(along, speed);
 }
 
-// The corners in the ray's frame.
+// The vertices in the ray's frame.
 struct Images {
     a: vec2f,
     b: vec2f,
@@ -96,10 +96,9 @@ fn images_of(ray: Ray, triangle: Triangle) -> Images {
     );
 }
 
-// Whether the line through a ray meets a triangle, by the signs of its edges, which are right:
-// most triangles end here, and the rest of the test takes ten times as long. With SURFACES a ray
-// through an edge or a vertex meets one triangle for each time that it crosses the surface, and
-// else every one.
+// Whether the line through a ray crosses a triangle, by the exact signs of its edges: most
+// triangles end here, and the rest of the test takes ten times as long. With SURFACES a ray through
+// an edge or a vertex crosses one triangle each time that it crosses the surface, else all of them.
 fn is_crossed(images: Images) -> bool {
     var u_side = side_of(images.c, images.b);
     var v_side = side_of(images.a, images.c);
@@ -118,9 +117,9 @@ fn is_crossed(images: Images) -> bool {
     return true;
 }
 
-// Where the line through a ray meets a triangle, which it crosses, at any t.
+// The hit of the line through a ray and a triangle that it crosses, at any t.
 fn crossing(ray: Ray, triangle: Triangle) -> Hit {
-    // Step 1: weights. All have one sign, so their sum loses nothing.
+    // Step 1: weights. All have one sign, so their sum does not cancel.
     let images = images_of(ray, triangle);
     let u_weight = wide_edge(images.c, images.b);
     let v_weight = wide_edge(images.a, images.c);
@@ -148,9 +147,8 @@ fn crossing(ray: Ray, triangle: Triangle) -> Hit {
     return Hit(own.t_in <= own.t_out, t, u, v);
 }
 
-// Intersect the line through a ray with a triangle, at any t. Where many triangles are tested one
-// after another, look for the next one that is_crossed() first: programs that run side by side
-// wait for each other.
+// Intersect the line through a ray with a triangle, at any t. Over many triangles, first search for
+// the next one that is_crossed(): the invocations of a subgroup wait for each other.
 fn intersect(ray: Ray, triangle: Triangle) -> Hit {
     if !is_crossed(images_of(ray, triangle)) {
         return NO_HIT;

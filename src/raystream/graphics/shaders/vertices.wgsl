@@ -1,4 +1,4 @@
-// The triangles of a scene by their numbers.
+// Triangles of the scene by prim_id.
 
 fn corner_of(prim_id: u32, corner: u32) -> vec3f {
     let at = 9u * prim_id + 3u * corner;

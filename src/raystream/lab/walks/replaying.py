@@ -25,7 +25,7 @@ from raystream.lab.walks.walks import Walks
 from raystream.machines.multipass import MultipassBackend
 from raystream.machines.records import RayState
 from raystream.machines.schedulers import (
-    USUAL_THRESHOLD,
+    DEFAULT_THRESHOLD,
     Double,
     MostWork,
     Naive,
@@ -120,7 +120,7 @@ def replay(
     walks: Walks,
     *,
     scheduler: str | Scheduler = "threshold",
-    threshold: float = USUAL_THRESHOLD,
+    threshold: float = DEFAULT_THRESHOLD,
     traversal_steps: int = 1,
     intersections: int = 1,
 ) -> Replay:

@@ -2,8 +2,8 @@
 //
 //     c(n) = sum over j of M_j (r_1 ... r_(j-1)) (1 - r_j)
 //
-// R holds the product: what part of the light on the way reaches the pixel. The colour gets R times
-// the surface's own light M, whose diffuse share has the factor 1 - r in it; then R gets r.
+// R holds the product: the path's weight. R times the surface's own light M is added to the colour,
+// where the diffuse part of M has the factor 1 - r; then R is multiplied by r.
 
 //! include "bounces/params.wgsl"
 //! include "bounces/bsdf.wgsl"

@@ -1,4 +1,4 @@
-// A light's share in the colour of a surface, where nothing is in its way.
+// Add the light of one source to a surface's colour, unless it is in shadow.
 
 //! include "bounces/params.wgsl"
 //! include "bounces/lights.wgsl"

@@ -1,5 +1,4 @@
-// What surfaces do with light. As raystream/rendering/shading/bsdf.py, but for glass, and for what
-// is rough.
+// Reflection at surfaces. As raystream/rendering/shading/bsdf.py, without glass and roughness.
 
 //! include "bounces/surface.wgsl"
 //! include "bounces/textures.wgsl"
@@ -31,7 +30,7 @@ fn material_color(material: u32, column: u32) -> vec3f {
     return vec3f(materials[at], materials[at + 1u], materials[at + 2u]);
 }
 
-// What a surface does at a point: where its shares add up to more than 1, all are made less.
+// The lobes at a point, scaled down if their sum exceeds 1.
 fn lobes_at(point: Point) -> Lobes {
     let texture = texture_color(point.material, point.texcoord);
     let diffuse = material_color(point.material, DIFFUSE) * point.color * texture;
@@ -46,13 +45,13 @@ fn emitted(point: Point) -> vec3f {
     return material_color(point.material, EMISSION);
 }
 
-// The direction in which a mirror sends a ray that came from `back`.
+// The mirror direction of `back`, which points to where the ray came from.
 fn mirrored(back: vec3f, normal: vec3f) -> vec3f {
     return 2.0 * dot(back, normal) * normal - back;
 }
 
-// Light that matte and glossy reflection send back, for an irradiance of 1 on a surface that
-// faces the light (Lafortune and Willems 1994).
+// Diffuse and glossy reflection, for an irradiance of 1 on a surface that faces the light
+// (Lafortune and Willems 1994).
 fn reflected(lobes: Lobes, point: Point, back: vec3f, toward: vec3f) -> vec3f {
     let cosine = dot(point.normal, toward);
     if !(cosine > 0.0 && dot(point.plane, toward) > 0.0) {

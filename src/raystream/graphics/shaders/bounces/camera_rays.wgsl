@@ -1,4 +1,4 @@
-// The ray generator: a ray from the eye through each pixel's centre (Christen 2005, section 5.4.1).
+// The ray generator: a camera ray through each pixel's centre (Christen 2005, section 5.4.1).
 
 //! include "bounces/params.wgsl"
 //! include "bounces/ray_record.wgsl"

@@ -1,4 +1,4 @@
-// The light that needs no further ray: what surfaces emit, ambient light, and the background.
+// Light without shadow rays: emission, ambient light, and the background.
 
 //! include "bounces/params.wgsl"
 //! include "bounces/bsdf.wgsl"

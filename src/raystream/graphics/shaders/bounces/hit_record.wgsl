@@ -1,10 +1,10 @@
-// A pixel's hit between two passes.
+// A pixel's hit between passes.
 
 @group(0) @binding(1) var directions: texture_2d<f32>;
 @group(0) @binding(2) var hits: texture_2d<u32>;
 
 struct HitRecord {
-    // Whether there is a ray, and a surface on its way.
+    // Whether there is a ray, and whether it hit a surface.
     is_ray: bool,
     is_hit: bool,
     // Of unit length.

@@ -1,4 +1,4 @@
-// What a light sends to a point. As raystream/rendering/shading/classic.py: each in one place.
+// Direct light at a point. As raystream/rendering/shading/punctual_lights.py.
 
 //! include "bounces/bsdf.wgsl"
 
@@ -14,10 +14,10 @@ const COLUMNS: u32 = 12u;
 struct Arrival {
     // Unit vector to the light.
     toward: vec3f,
-    // Where it comes from, local frame, off the light's own surface.
+    // The end of the shadow ray, local frame, off the light's own surface.
     place: vec3f,
     is_far: bool,
-    // What a facing surface receives.
+    // Irradiance of a surface that faces the light.
     color: vec3f,
 }
 
@@ -31,7 +31,7 @@ fn light_vector(column: u32) -> vec3f {
     return vec3f(light_number(column), light_number(column + 1u), light_number(column + 2u));
 }
 
-// From a point on a surface to a place: near it, differences of rounded numbers would be too rough.
+// The vector from a surface point to a place, without cancellation near it.
 fn way_to(point: Point, place: vec3f) -> vec3f {
     return vec3f(
         wide_difference(Wide(place.x, 0.0), point.x).high,
@@ -40,7 +40,7 @@ fn way_to(point: Point, place: vec3f) -> vec3f {
     );
 }
 
-// What a light sends to a point, if nothing is in its way.
+// The light of one source at a point, without shadows.
 fn arriving(point: Point) -> Arrival {
     let kind = u32(light_number(6u));
     let place = light_vector(0u);
@@ -63,7 +63,7 @@ fn arriving(point: Point) -> Arrival {
     return from_area(kind, place, color, toward, distance);
 }
 
-// An area light taken together: as a disc seen from its axis; a sphere shows a quarter of its area.
+// An area light as a point: as a disc seen from its axis; a sphere shows a quarter of its area.
 fn from_area(kind: u32, place: vec3f, color: vec3f, toward: vec3f, distance: f32) -> Arrival {
     let radius = light_number(10u);
     let clearance = light_number(11u);

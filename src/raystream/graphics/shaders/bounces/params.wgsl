@@ -1,4 +1,4 @@
-// What all programs share but the one that traces.
+// Uniforms of all programs but the one that traces.
 
 struct Params {
     // Largest absolute coordinate of the scene, local frame.
@@ -7,22 +7,22 @@ struct Params {
     zero: u32,
     // Largest coordinate of the frame's origin, in local lengths.
     world_reach: f32,
-    // Rays of which no colour weighs more end.
+    // Paths end when no channel of their weight is greater.
     min_weight: f32,
-    // Radiance from everywhere, that nothing blocks.
+    // Ambient radiance, without occlusion.
     ambient: vec3f,
-    // The light that is looked at.
+    // Index of the light.
     number: u32,
-    // What rays that miss see.
+    // Radiance of rays that miss.
     background: vec3f,
-    // Whether any mesh has attributes of its vertices: 0 or 1.
+    // Whether any mesh has vertex attributes: 0 or 1.
     has_attributes: u32,
     view: View,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 
-// What a ray through an edge meets: every triangle.
+// A ray through an edge hits all its triangles.
 const SURFACES: bool = false;
 
 //! include "exact.wgsl"

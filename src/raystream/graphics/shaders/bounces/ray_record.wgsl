@@ -1,11 +1,11 @@
-// A pixel's ray between two passes: two records of four floats.
+// A pixel's ray between passes: two records of four floats.
 
 //! include "ray.wgsl"
 
 struct RayRecord {
-    // Local frame; the fourth number means nothing.
+    // Local frame; the fourth number is unused.
     @location(0) origin: vec4f,
-    // World space, of any length. Then t_max, in its lengths; below 0 there is no ray.
+    // World space, of any length. Then t_max, in its lengths; negative without a ray.
     @location(1) direction: vec4f,
 }
 

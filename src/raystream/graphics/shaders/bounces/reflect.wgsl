@@ -1,4 +1,4 @@
-// The reflector: the ray that a mirror sends on, where it weighs anything (Christen 2005, section 5.2.1).
+// The reflected ray, unless its weight is too small (Christen 2005, section 5.2.1).
 
 //! include "bounces/params.wgsl"
 //! include "bounces/bsdf.wgsl"

@@ -1,4 +1,4 @@
-// The ray from a surface to a light, where the light would show.
+// The shadow ray from a surface to a light, unless the light has no effect there.
 
 //! include "bounces/params.wgsl"
 //! include "bounces/lights.wgsl"

@@ -1,8 +1,8 @@
-// Points on surfaces, where rays hit. As raystream/rendering/shading/points.py; what is float64 there
-// is a Wide here where it matters: on a triangle, and off it.
+// Surface points at hits. As raystream/rendering/shading/points.py, with Wide for float64 where it
+// matters: for positions on a triangle, and off it.
 
 @group(1) @binding(0) var<storage, read> corners: array<f32>;
-// Numbers of vertices, three for each triangle; none if no mesh has attributes.
+// Vertex indices, three for each triangle; empty if no mesh has attributes.
 @group(1) @binding(1) var<storage, read> faces: array<u32>;
 // Of each vertex: normal, zero where a mesh has none; colour; texture coordinates.
 @group(1) @binding(2) var<storage, read> vertices: array<f32>;
@@ -13,7 +13,7 @@
 const UNIT: f32 = 0x1p-24;
 const WORLD_UNIT: f32 = 0x1p-50;
 
-// Texture coordinates where a mesh has none.
+// Texture coordinates of a mesh without any.
 const UNKNOWN: f32 = 1e30;
 
 //! include "bounces/ray_record.wgsl"
@@ -25,11 +25,11 @@ struct Point {
     x: Wide,
     y: Wide,
     z: Wide,
-    // Unit normal of the triangle, on the side that the ray came from.
+    // Unit normal of the triangle, facing the ray.
     plane: vec3f,
     // Unit shading normal, likewise.
     normal: vec3f,
-    // How far from the triangle a ray must start that leaves it.
+    // Distance from the triangle at which a spawned ray starts.
     offset: f32,
     is_front: bool,
     color: vec3f,
@@ -52,7 +52,7 @@ fn vertex_of(number: u32) -> Vertex {
     );
 }
 
-// Attributes between a triangle's corners.
+// Attributes interpolated between a triangle's vertices.
 fn attributes_at(prim_id: u32, u: f32, v: f32) -> Vertex {
     if params.has_attributes == 0u {
         return Vertex(vec3f(0.0), vec3f(1.0), vec2f(UNKNOWN));
@@ -72,7 +72,7 @@ fn largest(v: vec3f) -> f32 {
     return max(max(v.x, v.y), v.z);
 }
 
-// A coordinate between three corners.
+// A coordinate interpolated between three vertices.
 fn between(a: f32, p: Wide, q: Wide, u: f32, v: f32) -> Wide {
     return wide_sum(wide_sum(Wide(a, 0.0), times(u, p)), times(v, q));
 }
@@ -100,7 +100,7 @@ fn surface_point(prim_id: u32, u: f32, v: f32, toward: vec3f) -> Point {
         wide_cross(pz, qx, px, qz).high,
         wide_cross(px, qy, py, qx).high,
     );
-    // Scaled before it is measured: the square of a small area would vanish.
+    // Scaled before it is normalised: the square of a small area would underflow.
     plane /= largest(abs(plane));
     let is_front = dot(plane, toward) <= 0.0;
     plane *= select(-1.0, 1.0, is_front) / sqrt(dot(plane, plane));

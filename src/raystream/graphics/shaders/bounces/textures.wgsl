@@ -1,7 +1,7 @@
 // Bitmaps, looked up bilinearly and decoded from sRGB. As raystream/rendering/shading/textures.py.
 
-// Of each material: first texel, width, height, and 1 if it is clamped; all zero for none. Then the
-// texels: sRGB and a byte without meaning.
+// For each material: first texel, width, height, and 1 if it is clamped; all zero without a
+// texture. Then the texels: sRGB and an unused byte.
 @group(1) @binding(5) var<storage, read> texels: array<u32>;
 
 // The texel at an index of -1 to `size`.
@@ -21,7 +21,7 @@ fn texel_at(first: u32, width: i32, column: i32, row: i32) -> vec3f {
     return vec3f(linear_of(color.x), linear_of(color.y), linear_of(color.z));
 }
 
-// Between the four nearest texels' centres; white without a texture or coordinates; v points up.
+// Bilinear between texel centres; white without a texture or coordinates; v points up.
 fn texture_color(material: u32, texcoord: vec2f) -> vec3f {
     let first = texels[4u * material];
     let size = vec2i(i32(texels[4u * material + 1u]), i32(texels[4u * material + 2u]));

@@ -1,11 +1,11 @@
-// The traverser and intersector in one: a pixel's ray from start to end, as hardware with branches
-// can have it (Christen 2005, sections 5.4.3 and 5.4.4; Purcell 2002, section 2.2).
+// Traverser and intersector in one program, for hardware with branches (Christen 2005, sections
+// 5.4.3 and 5.4.4; Purcell 2002, section 2.2).
 
 //! include "params.wgsl"
 
 @group(0) @binding(1) var origins: texture_2d<f32>;
 @group(0) @binding(2) var directions: texture_2d<f32>;
-// Rays whose budget was spent, and rays whose loops were left too early.
+// Number of rays whose budget was spent, and of rays whose loops a driver ended early.
 @group(0) @binding(3) var<storage, read_write> failures: array<atomic<u32>>;
 
 //! include "exact.wgsl"
@@ -17,8 +17,8 @@
 //! include "tally.wgsl"
 //! include "loop_limit.wgsl"
 
-// A first hit: t in lengths of the local direction, weights, and number of the triangle. Of any
-// hit, the last word is whether there is one.
+// A first hit: t in lengths of the local direction, weights, and prim_id. For an any-hit query, the
+// last word is whether there is a hit.
 @fragment
 fn trace(@builtin(position) pixel: vec4f) -> @location(0) vec4u {
     let place = vec2i(pixel.xy);

@@ -1,4 +1,4 @@
-// One fragment program with loops: a ray from start to end. Around a structure's search().
+// One fragment program traces each ray from start to end, around a structure's search().
 
 //! include "fragment/frame.wgsl"
 //! include "termination.wgsl"
@@ -8,7 +8,7 @@ fn trace(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     let number = ray_number(texel);
     if number >= params.ray_count {
-        // Not a discard: one software driver loses writes to buffers after it, those of others too.
+        // Not a discard: one software driver then loses writes to buffers, also of other fragments.
         return targets_of(vec4u(), vec4f(), vec4u(), vec4f());
     }
     let ray = ray_at(texel);

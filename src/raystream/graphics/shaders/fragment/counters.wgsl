@@ -1,10 +1,10 @@
-// Adding up what rays meet. Where nobody counts, no_counters.wgsl takes this file's place.
+// Counters of rays. Without counters, no_counters.wgsl replaces this file.
 
 @group(2) @binding(1) var<storage, read_write> tallies: array<Tally>;
-// How often each kernel ran on each ray: eight words of each.
+// Runs of each kernel on each ray: eight words per ray.
 @group(2) @binding(2) var<storage, read_write> runs: array<u32>;
 
-// A kernel whose streams are too many for the adapter's targets is drawn more than once; one of
+// A kernel with too many streams for the adapter's render targets is drawn more than once; one of
 // the draws counts.
 override COUNTS: bool = true;
 

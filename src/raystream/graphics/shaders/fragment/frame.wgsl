@@ -1,11 +1,11 @@
-// What the fragment programs of a traversal share: the rays of a query, as textures.
+// Shared declarations of fragment programs: the rays of a query, as textures.
 
 //! include "params.wgsl"
 
 // Origin and t_min; direction and t_max.
 @group(0) @binding(1) var ray_origins: texture_2d<f32>;
 @group(0) @binding(2) var ray_directions: texture_2d<f32>;
-// The first of the ray's rows, and how many hits are wanted.
+// First row and capacity of the ray.
 @group(0) @binding(3) var wanted: texture_2d<u32>;
 
 //! include "exact.wgsl"
@@ -18,7 +18,7 @@
 //! include "fragment/counters.wgsl"
 //! include "fragment/targets.wgsl"
 
-// The number of a texel's ray.
+// The index of a texel's ray.
 fn ray_number(texel: vec2i) -> u32 {
     return u32(texel.y) * params.row_size + u32(texel.x);
 }

@@ -1,5 +1,5 @@
-// Rows of hits: a buffer that fragments write, each those of its own ray. Where a ray keeps one hit
-// at most, no_hit_rows.wgsl takes this file's place, and a program writes nothing but its targets.
+// Rows of hits: a buffer in which each fragment writes those of its ray. Where a ray keeps at most
+// one hit, no_hit_rows.wgsl replaces this file, and a program writes only its render targets.
 
 @group(2) @binding(0) var<storage, read_write> rows: array<Row>;
 

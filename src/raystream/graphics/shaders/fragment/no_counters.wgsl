@@ -1,4 +1,4 @@
-// Where nobody counts: takes the place of counters.wgsl.
+// Replaces counters.wgsl in queries without counters.
 
 fn add_tallies(ray: u32) {}
 

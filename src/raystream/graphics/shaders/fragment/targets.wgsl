@@ -1,12 +1,12 @@
-// What a kernel writes: a texel of each stream, 64 bytes. Where an adapter allows 32, which all do,
-// targets_found.wgsl and targets_place.wgsl take this file's place, one after the other.
+// Render targets of a kernel: a texel of each stream, 64 bytes. Where an adapter allows only 32,
+// the guaranteed minimum, targets_found.wgsl and targets_place.wgsl replace this file in turn.
 
 struct Targets {
-    // What the ray waits for, how many hits it has, the triangle of the nearest one, and its budget.
+    // State of the ray, number of hits, prim_id of the nearest one, and budget.
     @location(0) state: vec4u,
-    // t, u and v of the nearest hit, and the distance beyond which none is wanted.
+    // t, u and v of the nearest hit, and t_far.
     @location(1) found: vec4f,
-    // Where its search is, in whole numbers, and in distances: each structure has its own.
+    // Traversal state, in integers and in floats, as each structure defines.
     @location(2) place: vec4u,
     @location(3) span: vec4f,
 }

@@ -1,5 +1,5 @@
-// A fragment program runs over all rays by drawing a triangle that covers the screen: a texel is
-// a ray, a texture a stream of records of four words.
+// A full-screen triangle runs a fragment program over all rays: a texel is a ray, a texture a
+// stream of records of four words.
 
 //! include "fullscreen.wgsl"
 

@@ -1,6 +1,6 @@
-// Where a ray begins in a graph of sectors: a bin has a sector near by, from which it walks.
+// The first sector of a ray: found from a sector near it, that of its bin.
 
-// The bin in which a ray is at t, to a rounding.
+// The bin of a ray at t, up to rounding.
 fn bin_row(ray: Ray, t: f32) -> u32 {
     let origin = from_frame(ray.kz, ray.origin);
     let position = fused3(vec3f(t), from_frame(ray.kz, ray.direction), origin);
@@ -10,18 +10,17 @@ fn bin_row(ray: Ray, t: f32) -> u32 {
     return (bin.x * u32(counts.y) + bin.y) * u32(counts.z) + bin.z;
 }
 
-// Walk from any sector to the one in which a ray is at t: first back, through faces by which the
-// ray comes in, until all of them are before t; then on, until none by which it goes out is. Exact
-// from wherever it begins.
+// Walk from any sector to the one that holds a ray at t: first back, through entry faces, until all
+// are before t; then forward, through exit faces, until none is. Exact from any start.
 fn walk_to(line: PlaneRay, near: u32, t: f32) -> u32 {
     var sector = near;
     var way = way_back(line, sector);
-    while way.t > t && spend() {
+    while way.t > t && spend_budget() {
         sector = cross_face(line, way.link, t).sector;
         way = way_back(line, sector);
     }
     way = way_out(line, sector);
-    while way.t <= t && spend() {
+    while way.t <= t && spend_budget() {
         sector = cross_face(line, way.link, t).sector;
         way = way_out(line, sector);
     }

@@ -1,5 +1,5 @@
-// The steps of a ray's way through a graph of sectors. As raystream/structures/graph/steps.py,
-// where it is said why no ray loops.
+// The steps of a traversal of a graph of sectors. As raystream/structures/graph/steps.py, which
+// says why every search ends.
 
 // A link is the row of a sector or, with this bit, of a link node.
 const NODE_BIT: u32 = 0x80000000u;
@@ -10,13 +10,13 @@ struct Way {
     link: u32,
 }
 
-// Where a link leads, and the link nodes on the way.
+// The sector behind a link, and the number of link nodes on the way.
 struct Crossing {
     sector: u32,
     node_count: u32,
 }
 
-// A sector's first block, and its triangles.
+// A sector's first block, and its number of triangles.
 struct SectorBlocks {
     block: u32,
     triangle_count: u32,
@@ -54,7 +54,7 @@ fn way_out(line: PlaneRay, sector: u32) -> Way {
     return Way(t[axis], face_link(sector, axis, is_up[axis]));
 }
 
-// The face by which a ray comes into a sector: at -FAR for the first one.
+// The face by which a ray enters a sector: at -FAR for the first one.
 fn way_back(line: PlaneRay, sector: u32) -> Way {
     let is_up = line.inv > vec3f(0.0);
     let ends = select(high_corner(sector), low_corner(sector), is_up);
@@ -69,10 +69,10 @@ fn way_back(line: PlaneRay, sector: u32) -> Way {
     return Way(t[axis], face_link(sector, axis, !is_up[axis]));
 }
 
-// Follow a link, through the nodes that tell sectors apart, to where a ray is at t.
+// Follow a link, through link nodes, to the sector that holds a ray at t.
 fn cross_face(line: PlaneRay, link: u32, t: f32) -> Crossing {
     var next = Crossing(link, 0u);
-    while (next.sector & NODE_BIT) != 0u && spend() {
+    while (next.sector & NODE_BIT) != 0u && spend_budget() {
         let node = sector_rows[next.sector ^ NODE_BIT];
         let is_behind = distance_to(line, node.y, bitcast<f32>(node.x)) <= t;
         let is_above = is_behind == (line.inv[node.y] > 0.0);

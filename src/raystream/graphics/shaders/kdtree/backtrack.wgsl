@@ -1,5 +1,5 @@
-// Going on after a leaf by going up to where the rest of the ray begins: kd-backtrack (Foley 2005,
-// Figure 4).
+// The kd-backtrack traversal: after a leaf, climb to the node that holds the rest of the ray (Foley
+// 2005, Figure 4).
 
 //! include "kdtree/no_stack.wgsl"
 //! include "kdtree/compact_parents.wgsl"
@@ -24,9 +24,9 @@ fn continue_search(state: KdState) -> KdState {
     return KdState(state.node, state.t_out, state.t_end, state.t_end, 0u, true);
 }
 
-// Go to the parent of a node; stay there if it holds t_in (Foley's Up). Nodes above hold all that
-// was searched, so only where the ray leaves one is in question: at the first of the planes that
-// it goes towards. The root has none.
+// Climb to the parent of a node; stop there if it holds t_in (Foley's Up). Ancestors hold all that
+// was searched, so only the exit distance is tested: that of the first plane the ray moves towards.
+// The root has no such plane.
 fn backtrack(line: PlaneRay, state: KdState) -> KdState {
     let row = parent_row(state.node);
     let parent = extended_of(row);
@@ -41,7 +41,7 @@ fn backtrack(line: PlaneRay, state: KdState) -> KdState {
 fn continue_counted(line: PlaneRay, state: KdState) -> KdState {
     tally.backtracks += 1u;
     var next = continue_search(state);
-    while next.is_backtracking && spend() {
+    while next.is_backtracking && spend_budget() {
         next = backtrack(line, next);
         tally.backtrack_steps += 1u;
     }

@@ -1,7 +1,8 @@
-// Nodes of 8 bytes; children lie side by side. As raystream/structures/kdtree/layout.py and nodes.py.
+// Nodes of 8 bytes; children lie side by side. As raystream/structures/kdtree/layout.py and
+// nodes.py.
 
-// A split: position of its plane; number of the child below, and axis. A leaf: its first block;
-// number of its triangles, and LEAF_AXIS.
+// A split: position of its plane; index of the child below, and axis. A leaf: its first block;
+// number of triangles, and LEAF_AXIS.
 @group(1) @binding(0) var<storage, read> nodes: array<vec2u>;
 
 const LEAF_AXIS: u32 = 3u;

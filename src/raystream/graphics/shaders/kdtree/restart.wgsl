@@ -1,4 +1,4 @@
-// Going on after a leaf from the root again: kd-restart (Foley 2005, Figure 3).
+// The kd-restart traversal: after a leaf, restart at the root (Foley 2005, Figure 3).
 
 //! include "kdtree/no_stack.wgsl"
 
@@ -6,7 +6,7 @@ fn continue_search(state: KdState) -> KdState {
     return KdState(params.tree.root, state.t_out, state.t_end, state.t_end, 0u, false);
 }
 
-// No ray climbs.
+// Never called: kd-restart has no such step.
 fn backtrack(line: PlaneRay, state: KdState) -> KdState {
     return state;
 }

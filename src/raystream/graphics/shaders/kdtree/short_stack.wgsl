@@ -1,5 +1,5 @@
-// Going on after a leaf with the nodes that were left last; where they are forgotten, from the lowest
-// node that holds the rest of the ray. As raystream/structures/kdtree/traversals/short_stack.py.
+// Short stack: after a leaf, pop the last nodes; if they were dropped, restart at the lowest node
+// that holds the rest of the ray. As raystream/structures/kdtree/traversals/short_stack.py.
 //
 // Horn and others, "Interactive k-D Tree GPU Raytracing", Interactive 3D Graphics 2007.
 
@@ -13,10 +13,10 @@ struct KdEntry {
 
 var<private> ring: array<KdEntry, PLACES>;
 
-// Where a search begins again.
+// The node of restarts.
 var<private> lowest: u32;
 
-// Returns which place is next then, and how many nodes are kept.
+// Returns the next place in the ring, and the number of nodes kept.
 fn push(state: KdState, node: u32) -> u32 {
     if state.t_out == state.t_end {
         lowest = state.node;

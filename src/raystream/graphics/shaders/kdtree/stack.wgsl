@@ -1,5 +1,5 @@
-// Going on after a leaf with what descend() put on a stack: a node and the end of its interval for
-// each split on a path. STACK_SIZE is the source's.
+// Stack: after a leaf, pop what descend() pushed: a node and the end of its interval for each split
+// on a path. STACK_SIZE is declared by the source.
 
 struct KdEntry {
     node: u32,
@@ -8,13 +8,13 @@ struct KdEntry {
 
 var<private> stack: array<KdEntry, STACK_SIZE>;
 
-// Returns how many nodes are on the stack then.
+// Returns the new number of nodes on the stack.
 fn push(state: KdState, node: u32) -> u32 {
     stack[state.top] = KdEntry(node, state.t_out);
     return state.top + 1u;
 }
 
-// The child on top begins where the leaf ends: only then was it put there.
+// The child on top begins where the leaf ends: only such children were pushed.
 fn continue_search(state: KdState) -> KdState {
     let top = state.top - 1u;
     let entry = stack[top];

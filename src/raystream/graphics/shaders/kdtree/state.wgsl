@@ -1,4 +1,4 @@
-// Where a ray's search in a kd-tree is. As raystream/structures/kdtree/state.py.
+// The traversal state of a ray in a kd-tree. As raystream/structures/kdtree/state.py.
 
 struct KdState {
     // A node; see the layout.
@@ -6,11 +6,11 @@ struct KdState {
     // The part of the ray in the node: t_in <= t < t_out.
     t_in: f32,
     t_out: f32,
-    // Where the search ends: just after the last t that is wanted.
+    // End of the search: just after the last t of the interval.
     t_end: f32,
     // Nodes on the stack.
     top: u32,
-    // The search goes on above the node: backtrack() is next.
+    // The search continues above the node: backtrack() is next.
     is_backtracking: bool,
 }
 
@@ -22,7 +22,7 @@ struct KdSplit {
     above: u32,
 }
 
-// The triangles of a leaf: their first block, and how many they are.
+// The triangles of a leaf: their first block, and their number.
 struct KdLeaf {
     block: u32,
     triangle_count: u32,

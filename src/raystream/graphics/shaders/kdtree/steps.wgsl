@@ -4,13 +4,13 @@
 // Foley and Sugerman, "KD-Tree Acceleration Structures for a GPU Raytracer", Graphics Hardware
 // 2005, Figures 2 to 4, and section 3.3.
 
-// Begin a search at the root (Foley's Initialize).
+// Start at the root (Foley's Initialize).
 fn initialize(ray: Ray) -> KdState {
     let part = searched_part(ray, params.tree.low, params.tree.high);
     return KdState(params.tree.root, part.t_in, part.t_out, part.t_out, 0u, false);
 }
 
-// Whether there is anything to search.
+// Whether the ray enters the tree.
 fn is_active(state: KdState) -> bool {
     return params.tree.node_count != 0u && state.t_in < state.t_end;
 }
@@ -19,7 +19,7 @@ fn is_at_leaf(state: KdState) -> bool {
     return is_leaf(state.node);
 }
 
-// Go from a split to the child that holds t_in (Foley's Down).
+// Descend from a split to the child that holds t_in (Foley's Down).
 fn descend(line: PlaneRay, state: KdState) -> KdState {
     let split = split_of(state.node);
     let t = distance_to(line, split.axis, split.position);

@@ -1,4 +1,4 @@
-// Brute force as kernels: every ray takes one triangle after another (Foley 2005, section 4). As
+// Brute force as kernels: one triangle per ray and step (Foley 2005, section 4). As
 // raystream/machines/steps/brute.py.
 
 //! include "multipass/frame.wgsl"
@@ -28,14 +28,14 @@ fn intersect_next(@builtin(position) position: vec4f) -> Targets {
     var row = textureLoad(places, texel, 0).x;
     var state = INTERSECTING;
     for (var i = 0u; i < INTERSECTIONS && state == INTERSECTING; i++) {
-        if !tick() {
+        if !count_step() {
             state = DONE;
             break;
         }
         test_row(ray, row);
         row += 1u;
-        if row == params.tree.triangle_count || is_enough() {
-            state = end_of_search();
+        if row == params.tree.triangle_count || is_full() {
+            state = end_state();
         }
     }
     return end_kernel(texel, state, vec4u(row, 0u, 0u, 0u), vec4f());

@@ -1,12 +1,12 @@
-// What comes before and after kernels, whatever these do: rays begin; the records that a kernel has
-// written are copied from scratch textures to the streams, and its rays are told what they wait
-// for next. The textures that are read are the scratch ones.
+// Programs before and after kernels: they start rays, copy the records that a kernel has written
+// from scratch textures to the streams, and set the next states of its rays. They read the scratch
+// textures.
 
 //! include "fragment/texel.wgsl"
 //! include "fragment/targets.wgsl"
 //! include "multipass/states.wgsl"
 
-// What params.wgsl has before the structure's Tree.
+// params.wgsl up to the structure's Tree.
 struct Params {
     max_coordinate: f32,
     zero: u32,
@@ -21,14 +21,14 @@ struct Params {
 @group(0) @binding(6) var places: texture_2d<u32>;
 @group(0) @binding(7) var spans: texture_2d<f32>;
 
-// As ray.wgsl and search_state.wgsl have them.
+// As in ray.wgsl and search_state.wgsl.
 const FAR: f32 = 0x1.fffffep+127;
 const MISS: i32 = -1;
 
-// Of the pipeline: see classify().
+// Constant of the pipeline: see classify().
 override NEXT: u32 = 0u;
 
-// All rays begin; texels that are no ray's never do.
+// Start all rays; texels without a ray never start.
 @fragment
 fn begin(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -54,7 +54,7 @@ fn commit(@builtin(position) position: vec4f) -> Targets {
     );
 }
 
-// Keep the fragments whose rays go on to one state: the stencil operation then takes them there.
+// Keep the fragments of rays with one next state, which the stencil operation sets.
 @fragment
 fn classify(@builtin(position) position: vec4f) {
     if textureLoad(states, texel_at(position), 0).x != NEXT {

@@ -1,15 +1,15 @@
 // The grid as kernels: set up, traverse, intersect (Purcell 2002, section 3.1). As
-// raystream/machines/steps/grid.py; but distances of planes are computed from a cell's number
-// whenever they are wanted, which gives the same numbers, and takes fewer texels.
+// raystream/machines/steps/grid.py; but distances of planes are recomputed from a cell's
+// index, which gives the same numbers in fewer texels.
 
 //! include "multipass/frame.wgsl"
 
-// What `outer` is where a ray walks through coarse cells.
+// `outer` in the coarse lattice.
 const COARSE: i32 = -1;
 
 struct Place {
     cell: i32,
-    // The coarse cell that it walks through the lattice of, which it leaves at t_end.
+    // The coarse cell whose lattice the ray traverses, up to t_end.
     outer: i32,
     // References of its cell that are still to be tested.
     row: u32,
@@ -29,7 +29,7 @@ fn end_at(texel: vec2i, state: u32, at: Place) -> Targets {
     return end_kernel(texel, state, place, vec4f(at.t_in, at.t_end, 0.0, 0.0));
 }
 
-// The lattice that a ray walks through.
+// The lattice that a ray traverses.
 fn lattice_of(at: Place) -> Lattice {
     if at.outer == COARSE {
         return coarse_cells();
@@ -54,13 +54,13 @@ fn end_of_cell(ray: Ray, at: Place) -> f32 {
     return min(cell_end(walk_at(lattice, line_through(lattice, ray), at.cell)), at.t_end);
 }
 
-// Where a ray is after its cell, which it leaves at t_out.
+// The next cell of a ray that leaves its cell at t_out.
 fn next_place(ray: Ray, at: Place, t_out: f32) -> Place {
     var lattice = lattice_of(at);
     var cell = at.cell;
     var next = Place(cell, at.outer, 0u, 0u, t_out, at.t_end);
     if t_out >= at.t_end && at.outer != COARSE {
-        // Out of the lattice within a coarse cell, into the coarse cell after it.
+        // Leave the lattice of a coarse cell for the next coarse cell.
         lattice = coarse_cells();
         cell = at.outer;
         next.outer = COARSE;
@@ -71,14 +71,14 @@ fn next_place(ray: Ray, at: Place, t_out: f32) -> Place {
     return next;
 }
 
-// Into the lattice within a coarse cell.
+// Enter the lattice of a coarse cell.
 fn enter_cell(ray: Ray, at: Place, child: i32) -> Place {
     let fine = fine_cells(at.cell, child);
     let walk = start_walk(fine, line_through(fine, ray), ray, at.t_in);
     return Place(walk.cell, at.cell, 0u, 0u, at.t_in, end_of_cell(ray, at));
 }
 
-// Find the cell in which a ray begins.
+// Find a ray's first cell.
 @fragment
 fn set_up(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -98,7 +98,7 @@ fn set_up(@builtin(position) position: vec4f) -> Targets {
     return end_at(texel, TRAVERSING, Place(walk.cell, COARSE, 0u, 0u, part.t_in, FAR));
 }
 
-// Look at the cell that a ray is in; go on to the next one if it is empty.
+// Find the triangles of a ray's cell, or the next cell if it is empty.
 @fragment
 fn traverse(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -109,7 +109,7 @@ fn traverse(@builtin(position) position: vec4f) -> Targets {
     var at = place_at(texel);
     var state = TRAVERSING;
     for (var i = 0u; i < TRAVERSAL_STEPS && state == TRAVERSING; i++) {
-        if !tick() {
+        if !count_step() {
             state = DONE;
             break;
         }
@@ -117,8 +117,8 @@ fn traverse(@builtin(position) position: vec4f) -> Targets {
         let list = list_of(at);
         if list.begin == list.end {
             let t_out = end_of_cell(ray, at);
-            if is_past(t_out) {
-                state = end_of_search();
+            if is_over(t_out) {
+                state = end_state();
             } else {
                 at = next_place(ray, at, t_out);
             }
@@ -140,7 +140,7 @@ fn traverse(@builtin(position) position: vec4f) -> Targets {
     return end_at(texel, state, at);
 }
 
-// Test a triangle of the cell that a ray is in; go on to the next cell after the last.
+// Test a triangle of a ray's cell; after the last one, step to the next cell.
 @fragment
 fn intersect_cell(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -152,15 +152,15 @@ fn intersect_cell(@builtin(position) position: vec4f) -> Targets {
     let t_out = end_of_cell(ray, at);
     var state = INTERSECTING;
     for (var i = 0u; i < INTERSECTIONS && state == INTERSECTING; i++) {
-        if !tick() {
+        if !count_step() {
             state = DONE;
             break;
         }
         test_reference(ray, reference_at(at.row, at.outer != COARSE), at.t_in, end_of_hits(t_out));
         at.row += 1u;
-        if at.row == at.end || is_enough() {
-            if is_past(t_out) {
-                state = end_of_search();
+        if at.row == at.end || is_full() {
+            if is_over(t_out) {
+                state = end_state();
             } else {
                 at = next_place(ray, at, t_out);
                 state = TRAVERSING;

@@ -5,7 +5,7 @@
 
 struct Place {
     state: KdState,
-    // Triangles of its leaf that are still to be tested, and the block that they begin with.
+    // Triangles of its leaf that are still to be tested, and their first block.
     triangles: KdLeaf,
 }
 
@@ -24,12 +24,12 @@ fn end_at(texel: vec2i, waits_for: u32, at: Place) -> Targets {
     return end_kernel(texel, waits_for, place, span);
 }
 
-// What a ray waits for at a node.
+// The next state at a node.
 fn downward(state: KdState) -> u32 {
     return select(TRAVERSING, AT_LEAF, is_at_leaf(state));
 }
 
-// Begin at the root.
+// Start at the root.
 @fragment
 fn begin_at_root(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -46,7 +46,7 @@ fn begin_at_root(@builtin(position) position: vec4f) -> Targets {
     return end_at(texel, downward(state), Place(state, NO_TRIANGLES));
 }
 
-// Go to a child.
+// Descend to a child.
 @fragment
 fn descend_rays(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -57,7 +57,7 @@ fn descend_rays(@builtin(position) position: vec4f) -> Targets {
     var state = place_at(texel).state;
     var waits_for = TRAVERSING;
     for (var i = 0u; i < TRAVERSAL_STEPS && waits_for == TRAVERSING; i++) {
-        if !tick() {
+        if !count_step() {
             waits_for = DONE;
             break;
         }
@@ -94,7 +94,7 @@ fn intersect_leaf(@builtin(position) position: vec4f) -> Targets {
     var at = place_at(texel);
     var waits_for = INTERSECTING;
     for (var i = 0u; i < INTERSECTIONS && waits_for == INTERSECTING; i++) {
-        if !tick() {
+        if !count_step() {
             waits_for = DONE;
             break;
         }
@@ -103,8 +103,8 @@ fn intersect_leaf(@builtin(position) position: vec4f) -> Targets {
         intersect_block(ray, at.triangles.block, at.state.t_in, at.state.t_out);
         at.triangles.block += 1u;
         at.triangles.triangle_count -= count;
-        if is_enough() {
-            waits_for = end_of_search();
+        if is_full() {
+            waits_for = end_state();
         } else if at.triangles.triangle_count == 0u {
             waits_for = CONTINUING;
         }
@@ -112,8 +112,8 @@ fn intersect_leaf(@builtin(position) position: vec4f) -> Targets {
     return end_at(texel, waits_for, at);
 }
 
-// Go on after a leaf, unless nothing more is wanted: hits in leaves to come are not before this
-// one's end.
+// Continue after a leaf, unless the search is over: hits in later leaves are not before this one's
+// end.
 @fragment
 fn continue_rays(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -121,8 +121,8 @@ fn continue_rays(@builtin(position) position: vec4f) -> Targets {
         return nothing();
     }
     let state = place_at(texel).state;
-    if !tick() || is_past(state.t_out) || state.t_out >= state.t_end {
-        return end_at(texel, end_of_search(), Place(state, NO_TRIANGLES));
+    if !count_step() || is_over(state.t_out) || state.t_out >= state.t_end {
+        return end_at(texel, end_state(), Place(state, NO_TRIANGLES));
     }
     let next = continue_search(state);
     if next.is_backtracking {
@@ -133,7 +133,7 @@ fn continue_rays(@builtin(position) position: vec4f) -> Targets {
     return end_at(texel, downward(next), Place(next, NO_TRIANGLES));
 }
 
-// Go to the parent.
+// Climb to the parent.
 @fragment
 fn backtrack_rays(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
@@ -144,7 +144,7 @@ fn backtrack_rays(@builtin(position) position: vec4f) -> Targets {
     var state = place_at(texel).state;
     var waits_for = BACKTRACKING;
     for (var i = 0u; i < TRAVERSAL_STEPS && waits_for == BACKTRACKING; i++) {
-        if !tick() {
+        if !count_step() {
             waits_for = DONE;
             break;
         }

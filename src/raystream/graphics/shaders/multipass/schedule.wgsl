@@ -1,8 +1,7 @@
-// Which kernel runs next is decided on the device: rays are counted in each state, and the one
-// kernel that is chosen gets a draw of one instance, all others of none. As
-// raystream/machines/schedulers.py, whose choices these are.
+// Chooses the next kernel on the device: counts rays by state, and gives the chosen kernel's draw
+// one instance, all others none. The choices are those of raystream/machines/schedulers.py.
 
-// Arguments of a kernel's draws.
+// Indirect arguments of a kernel's draws.
 struct Arguments {
     corner_count: u32,
     instance_count: u32,
@@ -10,7 +9,7 @@ struct Arguments {
     first_instance: u32,
 }
 
-// A pass: its kernel, and how many rays waited for it.
+// A pass: its kernel, and the number of rays that waited for it.
 struct Pass {
     kernel: u32,
     active_count: u32,
@@ -24,7 +23,7 @@ struct Schedule {
     waiting: array<atomic<u32>, 16>,
     // The kernel that ran last.
     latest: u32,
-    // Passes since the host looked.
+    // Passes since the host read the record.
     pass_count: u32,
     // Rays that wait for any kernel.
     active_count: u32,
@@ -32,7 +31,7 @@ struct Schedule {
     passes: array<Pass>,
 }
 
-// The kernels, in the order of a ray's way: what waits for each, and whether it intersects.
+// The kernels, set-up first, shading last: the state of each, and whether it intersects.
 struct Kernels {
     count: u32,
     tests: u32,
@@ -42,7 +41,7 @@ struct Kernels {
 @group(0) @binding(0) var states: texture_2d<u32>;
 @group(0) @binding(1) var<storage, read_write> schedule: Schedule;
 @group(0) @binding(2) var<uniform> kernels: Kernels;
-// Of each number of active rays, the fewest that have to wait for an intersection.
+// For each number of active rays, the fewest that must wait for an intersection.
 @group(0) @binding(3) var<storage, read> least: array<u32>;
 
 const THRESHOLD: u32 = 0u;
@@ -61,7 +60,7 @@ fn count_states(
     @builtin(global_invocation_id) id: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
-    // Said explicitly: not every driver clears it.
+    // Explicit, since not every driver clears it.
     if local < 16u {
         atomicStore(&in_group[local], 0u);
     }
@@ -89,13 +88,13 @@ fn is_test(kernel: u32) -> bool {
     return ((kernels.tests >> kernel) & 1u) != 0u;
 }
 
-// The kernel that ends a ray's way.
+// The kernel that shades.
 fn shading() -> u32 {
     return kernels.count - 1u;
 }
 
-// What most rays wait for, the first of equal ones; of all kernels, or of those before the last
-// one that do not intersect. NO_KERNEL if no ray waits.
+// The kernel with the most rays, the first one on ties: of all, or of those that neither intersect
+// nor shade. NO_KERNEL if no ray waits.
 fn fullest(is_of_others: bool) -> u32 {
     var best = NO_KERNEL;
     var most = 0u;

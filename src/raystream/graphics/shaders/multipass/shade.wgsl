@@ -1,6 +1,6 @@
-// The kernel that all traversals end with. As raystream/machines/steps/base.py.
+// Shading, the last kernel of all traversals. As raystream/machines/steps/base.py.
 
-// Hand a ray's hits over: sorted, where several may have been kept.
+// End a ray: its hits are sorted, and counted as shaded.
 @fragment
 fn shade(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);

@@ -1,4 +1,4 @@
-// What a ray waits for: its value in the stencil. As raystream/machines/records.py.
+// States of rays: values of the stencil. As raystream/machines/records.py.
 const DONE: u32 = 0u;
 const STARTING: u32 = 1u;
 const TRAVERSING: u32 = 2u;

@@ -1,4 +1,4 @@
-// What both passes share.
+// Uniforms of both passes.
 
 struct Params {
     // Largest absolute coordinate of the scene.
@@ -10,7 +10,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 
-// What a ray through an edge meets: every triangle.
+// A ray through an edge hits all its triangles.
 const SURFACES: bool = false;
 
 //! include "exact.wgsl"

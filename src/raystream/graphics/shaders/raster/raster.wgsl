@@ -1,13 +1,14 @@
-// Rasterising: the nearest triangle in each pixel, found by the depth buffer.
+// Rasterisation: the nearest triangle of each pixel, by the depth buffer.
 //
-// Purcell 2002, section 3.2, the shadow caster: the standard graphics pipeline computes what is
-// hidden. Depth is near / z, so that floats are as fine far away as nearby, and nothing is too far.
+// Purcell 2002, section 3.2, the shadow caster: visibility by the standard graphics pipeline. Depth
+// is near / z, so that its relative precision is the same at all distances, and there is no far
+// plane.
 
 //! include "raster/params.wgsl"
 
-// Numbers of the triangles that can be hit.
+// The prim_ids of triangles that can be hit.
 @group(1) @binding(0) var<storage, read> prim_ids: array<u32>;
-// Corners of all triangles: nine numbers each.
+// Vertices of all triangles: nine numbers each.
 @group(1) @binding(1) var<storage, read> corners: array<f32>;
 
 struct Vertex {

@@ -1,12 +1,12 @@
-// Where the eye ray of each pixel meets the triangle that the rasteriser found there.
+// The hit of each pixel's camera ray on the triangle that the rasteriser found.
 
 //! include "raster/params.wgsl"
 
 @group(0) @binding(1) var seen: texture_2d<i32>;
 @group(1) @binding(0) var<storage, read> corners: array<f32>;
 
-// Rasterisers move vertices to a lattice of, usually, 1/256 pixel: so a ray may pass a triangle
-// by as much. It then counts as where it meets the triangle's plane, at the nearest weights.
+// Rasterisers snap vertices to a lattice, usually of 1/256 pixel, so a ray may miss the triangle by
+// as much. Its hit is then that with the triangle's plane, at the nearest weights.
 fn hit_beside(ray: Ray, triangle: Triangle) -> Hit {
     let a = to_frame(ray.kz, triangle.a);
     let b = to_frame(ray.kz, triangle.b);
@@ -30,7 +30,7 @@ fn hit_beside(ray: Ray, triangle: Triangle) -> Hit {
     return Hit(true, max(t, 0.0), weights.y, weights.z);
 }
 
-// Distance in world lengths, weights of vertices 1 and 2, and number of the triangle.
+// Distance in world units, weights of vertices 1 and 2, and prim_id.
 @fragment
 fn resolve(@builtin(position) pixel: vec4f) -> @location(0) vec4u {
     let prim_id = textureLoad(seen, vec2i(pixel.xy), 0).x;
