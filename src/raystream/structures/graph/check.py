@@ -25,7 +25,7 @@ from raystream.structures.graph.layout import (
     VOID,
     GraphArrays,
 )
-from raystream.structures.saved import take
+from raystream.structures.saved import are_listed, take
 
 __all__ = ["check_graph"]
 
@@ -63,18 +63,10 @@ def _check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted):
             if not (np.isfinite(low) and np.isfinite(high) and low < high):
                 return _BAD_BOX
         first, count = np.int64(rows[row, 3]), np.int64(rows[row + 1, 3])
-        blocks = (count + 3) // 4
-        if first + blocks > block_count:
+        if first + (count + BLOCK_SIZE - 1) // BLOCK_SIZE > block_count:
             return _BAD_LIST
-        for i in range(blocks * 4):
-            prim_id = np.int64(prim_ids[first + i // 4, i % 4])
-            if i >= count:
-                if prim_id != -1:
-                    return _BAD_ID
-                continue
-            if prim_id < 0 or prim_id >= len(solid) or not solid[prim_id]:
-                return _BAD_ID
-            wanted[prim_id] = False
+        if not are_listed(prim_ids, first, count, solid, wanted):
+            return _BAD_ID
     return _FINE
 
 
