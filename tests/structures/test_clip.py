@@ -9,12 +9,12 @@ import pytest
 
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
-from raystream.structures.clip import tighten
+from raystream.structures.clip import clip_to_plane
 
 
 @kernel
 def tightened(corners, bound, box):
-    return tighten(address(corners), bound, address(box))
+    return clip_to_plane(address(corners), bound, address(box))
 
 
 def tighten_box(corners, bound, low, high):

@@ -14,7 +14,6 @@ from raystream.jit.cpu import kernel
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import prepare_ray
 from raystream.machines.ray_block import blocks
-from raystream.structures.graph.graphlog import load_graph
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.locate import MAX_WALK
 from raystream.structures.graph.steps import (
@@ -25,6 +24,7 @@ from raystream.structures.graph.steps import (
     start_sector,
     walk_to,
 )
+from raystream.structures.graph.text_format import load_graph
 
 NOWHERE = np.int64(-1)
 ROW_BYTES = np.uint64(16)

@@ -16,12 +16,12 @@ from raystream.core.triangles import Triangles
 from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
 from raystream.structures.graph.cells import find_cells
 from raystream.structures.graph.check import check_graph
-from raystream.structures.graph.graphlog import dump_graph, load_graph
 from raystream.structures.graph.layout import NODE_BIT, VOID, GraphArrays
 from raystream.structures.graph.links import link_sectors
-from raystream.structures.graph.order import fill_sectors, order_sectors
+from raystream.structures.graph.morton_order import fill_sectors, order_sectors
 from raystream.structures.graph.prune import prune
 from raystream.structures.graph.statistics import statistics
+from raystream.structures.graph.text_format import dump_graph, load_graph
 from raystream.structures.kdtree.build import MAX_REFERENCES
 from raystream.structures.kdtree.layout import KdArrays
 from raystream.structures.kdtree.split import Costs

@@ -265,7 +265,7 @@ def check_graph(
     numbers = rows.view(np.float32)
 
     def check_some(begin: int, end: int) -> None:
-        _complain(_check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted))
+        _raise_fault(_check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted))
 
     parallel_for(check_some, sector_count, _CHUNK)
     # In all blocks, also those of no sector: corners are looked up for each.
@@ -291,7 +291,7 @@ def _take(arrays: Mapping[str, Any]) -> GraphArrays:
     return GraphArrays(rows, count, prim_ids, bins)
 
 
-def _complain(code: int) -> None:
+def _raise_fault(code: int) -> None:
     if code != _FINE:
         raise ValueError(_FAULTS[code])
 
@@ -328,11 +328,11 @@ def _check_all_links(
     node_count = len(rows) - SECTOR_ROWS * sector_count
     sides = np.empty((node_count, 6), np.float32)
     hulls = np.empty((node_count, 6), np.float32)
-    _complain(_check_nodes(rows, numbers, sector_count, sides, hulls))
+    _raise_fault(_check_nodes(rows, numbers, sector_count, sides, hulls))
     box = _box_of(numbers[: SECTOR_ROWS * sector_count])
 
     def check_some(begin: int, end: int) -> None:
-        _complain(_check_links(begin, end, rows, numbers, sector_count, sides, box))
+        _raise_fault(_check_links(begin, end, rows, numbers, sector_count, sides, box))
 
     parallel_for(check_some, sector_count, _CHUNK)
     degrees = np.zeros(sector_count + node_count, np.uint32)

@@ -111,7 +111,7 @@ class GridStructure(Structure):
 
     @cached_property
     def _steps_per_ray(self) -> int:
-        """About as many cells and triangles as a ray may meet."""
+        """About the most cells and triangles that a ray visits."""
         sizes = np.diff(self.lists.splits)
         sizes[self.fine.cells] = 0
         inner = np.diff(self.fine.lists.splits)
