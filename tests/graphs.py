@@ -1,4 +1,4 @@
-"""Looking at graphs of sectors in NumPy, for tests."""
+"""Inspecting graphs of sectors in NumPy, for tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SURELY = 0.9
 
 
 class View:
-    """A graph, taken apart."""
+    """A graph, decoded."""
 
     def __init__(self, arrays):
         count = self.count = arrays.sector_count
@@ -95,7 +95,7 @@ def assert_links(view, rng):
 
 
 def assert_nodes(view):
-    """Planes cut the faces of all who use them, across; returns the depth of the deepest tree."""
+    """Planes cut the faces that link to them; returns the depth of the deepest tree."""
     first = 4 * view.count
     links = view.node_links.astype(np.int64)
     number = np.arange(len(links))[:, None]
@@ -167,7 +167,7 @@ def assert_bins(view, triangles):
 
 
 def assert_sound(arrays, triangles, rng):
-    """All that a graph promises; returns the depth of its deepest tree of link nodes."""
+    """Check all invariants of a graph; returns the depth of its deepest tree of link nodes."""
     view = View(arrays)
     assert_tiles(view, triangles, rng)
     assert_links(view, rng)

@@ -1,4 +1,4 @@
-"""Slabs: a structure from outside the package, in one file, as docs/add_a_structure has it.
+"""Slabs: a structure from outside the package, in one file, for docs/add_a_structure.
 
 The triangles are sorted along the longest axis of the scene and cut into slabs of equally many;
 each slab has the box around its triangles.
@@ -25,7 +25,7 @@ from raystream.structures.saved import take
 
 
 class SlabAddresses(NamedTuple):
-    """What the traversal reads: addresses of arrays, which the structure keeps alive."""
+    """The view of the traversal: addresses of arrays, which the structure keeps alive."""
 
     prim_ids: np.uint64  # (A,), int32: the triangles that can be hit, in the order of the slabs
     corners: np.uint64  # (F, 3, 3), float32: all triangles of the scene
@@ -46,7 +46,7 @@ def number_at(address, row, column):
 
 @device
 def traverse(view, ray, search, stack):
-    """Test the triangles of all slabs whose boxes the ray enters soon enough."""
+    """Test the triangles of all slabs whose boxes the ray enters before the best hit."""
     for i in range(view.slab_count):
         slab, boxes = np.uint64(i), view.boxes
         add_to(search.counters, STEPS, _ONE)
@@ -72,7 +72,7 @@ def traverse(view, ray, search, stack):
 
 
 class SlabStructure(Structure):
-    """Slabs as they were built."""
+    """Slabs, built."""
 
     traverse = staticmethod(traverse)
 
@@ -108,7 +108,7 @@ class SlabStructure(Structure):
 
     @property
     def arrays(self):
-        """Where the arrays are."""
+        """Addresses of the arrays."""
         return self._addresses
 
     @property
@@ -136,7 +136,7 @@ class SlabStructure(Structure):
         return slabs
 
     def quality(self):
-        """Figures for people."""
+        """Figures to display."""
         return {"slabs": float(self._addresses.slab_count)}
 
 

@@ -1,4 +1,4 @@
-"""Closed meshes whose chords are known, for tests of `raystream.physics`."""
+"""Closed meshes with known chords, for tests of `raystream.physics`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def sphere_mesh(center=(0.0, 0.0, 0.0), radius=1.0, level=3, *, flipped=False, *
 
 
 def joined(*meshes, **attributes):
-    """One mesh of the triangles of several."""
+    """Merge several meshes into one."""
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
     return rs.Mesh(

@@ -1,4 +1,4 @@
-"""Beer and Lambert's law over chords that are known."""
+"""The Beer-Lambert law over known chords."""
 
 from __future__ import annotations
 

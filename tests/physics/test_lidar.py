@@ -1,4 +1,4 @@
-"""Pulses against surfaces whose echoes are known."""
+"""LiDAR pulses against surfaces with known echoes."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_a_slope_is_darker():
 
 
 def test_many_surfaces_are_followed_to_the_end():
-    """More than are asked for at first."""
+    """More than are traced at first."""
     tracer = tracer_of(*(sheet(-z) for z in range(100)))
     arguments = {"transmission": 1.0 - 1e-3, "threshold": 0.0, "max_returns": 1000}
     found = rs.lidar_returns(tracer, [[0.1, 0.2, 5.0]] * 3, DOWN, **arguments)
@@ -95,7 +95,7 @@ def test_many_surfaces_are_followed_to_the_end():
 
 
 def test_a_wide_pulse_sees_both_sides_of_an_edge():
-    """Half of the beam meets a table, half the floor below."""
+    """Half of the beam hits a table, half the floor below."""
     tracer = tracer_of(sheet(2, offset=50.0), sheet(0, 1), materials=MATERIALS)
     found = rs.lidar_returns(
         tracer, [1e-9, 0, 12.0], DOWN, divergence=0.5, sub_rays=200, separation=0.5
@@ -117,7 +117,7 @@ def test_the_cone_is_as_wide_as_it_says():
 
 
 def test_energy_is_kept(rng):
-    """White surfaces that let part of the light through send back no more than came in."""
+    """White, partly transparent surfaces return no more energy than arrives."""
     tracer = rs.Tracer(rs.Scene.from_arrays(*soup(200)))
     origins = rng.normal(size=(2000, 3)) * 2
     found = rs.lidar_returns(

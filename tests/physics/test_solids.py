@@ -1,4 +1,4 @@
-"""Which meshes are closed, and which face inward."""
+"""Detection of closed meshes, and of those that face inward."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_meshes_are_looked_at_one_by_one():
 
 
 def test_what_closes_a_mesh_must_be_hit():
-    """A sliver without area cannot be: the mesh is open there, if only by a line."""
+    """A sliver without area cannot be hit: the mesh is open along a line there."""
     vertices, faces = cube()
     doubled = np.vstack([faces, [[0, 0, 1]]])  # its edges cancel each other
     assert facts(rs.Mesh(vertices, doubled)) == [(True, False)]

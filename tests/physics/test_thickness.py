@@ -1,4 +1,4 @@
-"""Chords through solids whose lengths are known; and what is not paired is reported."""
+"""Known chords through solids, and reports of unpaired crossings."""
 
 from __future__ import annotations
 

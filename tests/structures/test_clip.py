@@ -1,4 +1,4 @@
-"""Where in a box the hits of a triangle can lie: compared with the triangle's plane in float64."""
+"""Clipping boxes to a triangle's plane, compared with the plane in float64."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import pytest
 
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
-from raystream.structures.clip import tighten
+from raystream.structures.clip import clip_to_plane
 
 
 @kernel
 def tightened(corners, bound, box):
-    return tighten(address(corners), bound, address(box))
+    return clip_to_plane(address(corners), bound, address(box))
 
 
 def tighten_box(corners, bound, low, high):
-    """Whether the plane comes near enough, and the box that is left."""
+    """Whether the plane overlaps the box, and the clipped box."""
     box = np.array([low, high], np.float32)
     meets = tightened(np.array(corners, np.float32), np.float64(bound), box)
     return meets, box.tolist()
@@ -39,7 +39,7 @@ def test_a_plane_beside_a_box_is_as_near_as_the_bound_says(axis):
 
 
 def test_what_is_left_holds_all_that_is_near_the_plane(rng):
-    """The distance that counts is that in which each axis may be off by the bound."""
+    """The plane is grown by the bound along each axis."""
     near_count = left_out = 0
     for _ in range(300):
         corners = rng.normal(size=(3, 3)).astype(np.float32)

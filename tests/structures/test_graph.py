@@ -1,4 +1,4 @@
-"""The graph of sectors: where rays begin in it, how they go through it, and what that costs."""
+"""Walks through the graph of sectors: start sectors, steps and cost."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from raystream.jit.cpu import kernel
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import prepare_ray
 from raystream.machines.ray_block import blocks
-from raystream.structures.graph.graphlog import load_graph
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.locate import MAX_WALK
 from raystream.structures.graph.steps import (
@@ -25,6 +24,7 @@ from raystream.structures.graph.steps import (
     start_sector,
     walk_to,
 )
+from raystream.structures.graph.text_format import load_graph
 
 NOWHERE = np.int64(-1)
 ROW_BYTES = np.uint64(16)
@@ -33,7 +33,7 @@ SECTOR_BYTES = np.uint64(16 * SECTOR_ROWS)
 
 @kernel
 def holders(graph, sector_count, max_coordinate, rays, t, rows, counts):
-    """For each ray, a sector that holds it at t, and how many do: every sector is asked."""
+    """For each ray, a sector that contains it at t, and their number, by testing all sectors."""
     o, d = rays.origins, rays.directions
     for i in range(len(t)):
         ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
@@ -51,7 +51,7 @@ def holders(graph, sector_count, max_coordinate, rays, t, rows, counts):
 
 @kernel
 def follow(graph, max_coordinate, rays, i, most, rows, ends):
-    """The sectors of ray i, and where it leaves them; returns how many."""
+    """Write the sectors of ray i, and where it leaves them; returns their number."""
     o, d = rays.origins, rays.directions
     ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
     is_active, t_in, t_end = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
@@ -72,7 +72,7 @@ def follow(graph, max_coordinate, rays, i, most, rows, ends):
 
 
 def local_rays(structure, origins, directions):
-    """Rays of a test in the structure's frame."""
+    """A test's rays in the structure's frame."""
     batch = RayBatch(origins, directions, -np.inf, np.inf)
     (block,) = blocks(batch, structure.frame, np.zeros(len(batch), np.uint8), None)
     return block.rays
@@ -135,7 +135,7 @@ def test_all_routes_lead_to_the_one_sector_that_holds_the_ray(name, rng):
 
 
 def test_a_long_way_from_a_known_sector_is_not_walked(rng):
-    """Beyond `MAX_WALK` sectors the bins are asked, which are never so far away here."""
+    """Beyond `MAX_WALK` sectors walks start from the bins, which are nearer here."""
     structure = graph_of("closed_mesh", crossing_cost=2.0, link_cost=0.5, max_leaf_size=1)
     rays = local_rays(structure, *hard_rays(structure, rng))
     near = SECTOR_ROWS * rng.integers(0, structure.graph.sector_count, len(rays.t_min))
@@ -148,7 +148,7 @@ def test_a_long_way_from_a_known_sector_is_not_walked(rng):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_way_goes_on_and_ends(name, rng):
-    """Ends of sectors never decrease, no sector comes twice, and the last one ends the ray."""
+    """Ends of sectors never decrease, no sector is visited twice, and the last one ends the ray."""
     structure = graph_of(name, crossing_cost=2.0, link_cost=0.5, max_leaf_size=1)
     rays = local_rays(structure, *hard_rays(structure, rng))
     most = structure.graph.sector_count + 1

@@ -1,4 +1,4 @@
-"""Building graphs of sectors: boxes that tile, links, lists; and files that are not trusted."""
+"""Building graphs of sectors: tiling boxes, links, lists; and untrusted files."""
 
 import io
 
@@ -16,12 +16,12 @@ from raystream.core.triangles import Triangles
 from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
 from raystream.structures.graph.cells import find_cells
 from raystream.structures.graph.check import check_graph
-from raystream.structures.graph.graphlog import dump_graph, load_graph
 from raystream.structures.graph.layout import NODE_BIT, VOID, GraphArrays
 from raystream.structures.graph.links import link_sectors
-from raystream.structures.graph.order import fill_sectors, order_sectors
+from raystream.structures.graph.morton_order import fill_sectors, order_sectors
 from raystream.structures.graph.prune import prune
 from raystream.structures.graph.statistics import statistics
+from raystream.structures.graph.text_format import dump_graph, load_graph
 from raystream.structures.kdtree.build import MAX_REFERENCES
 from raystream.structures.kdtree.layout import KdArrays
 from raystream.structures.kdtree.split import Costs
@@ -36,7 +36,7 @@ def settings_with(
     max_depth=64,
     max_leaf_size=1,
 ):
-    """Settings with few triangles in a sector, for what `Graph`'s defaults would hide."""
+    """Settings with few triangles in a sector, to show what `Graph`'s defaults would hide."""
     return GraphSettings(
         crossing_cost, intersection_cost, link_cost, empty_bonus, max_depth, max_leaf_size
     )
@@ -50,7 +50,7 @@ def triangles_of(vertices, faces):
 
 
 def saved(arrays):
-    """Arrays as a file has them: the count is one, too."""
+    """Arrays as in a file, the count included."""
     return {name: np.asarray(array) for name, array in arrays.items()}
 
 
@@ -219,7 +219,7 @@ def prune_by(tree, costs):
 
 
 def test_splits_that_did_not_pay_are_taken_back():
-    """Three leaves, of which two list the same: together they are one, with a plane less."""
+    """Three leaves, of which two list the same triangles: these become one."""
     bits = [np.float32(position).view(np.int32) for position in (0.5, 0.75)]
     nodes = [(bits[0], 1 << 2), (0, 3 << 2 | 3), (bits[1], 3 << 2 | 1), (1, 5 << 2 | 3)]
     nodes = np.array([*nodes, (3, 2 << 2 | 3)], np.int32)
@@ -345,7 +345,7 @@ def walk_ends(arrays, rng):
 
 
 class TestCheckGraph:
-    """No file may make a walk read out of bounds, or run for ever."""
+    """No file may make a walk read out of bounds, or run forever."""
 
     TRIANGLES = triangles_of(*soup(60))
 

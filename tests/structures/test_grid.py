@@ -135,7 +135,7 @@ def test_walls_between_cells(rng):
 
 
 def test_hits_beyond_an_edge_in_another_cell(rng):
-    """Nearly in a triangle's plane, a ray may be hit where that plane is, far from the triangle.
+    """A ray almost in a triangle's plane may hit that plane, far from the triangle.
 
     So cells next to a triangle list it as well, if its plane and its box go through them.
     """
@@ -282,7 +282,7 @@ def test_progress_and_interrupts():
 
 
 def test_long_lists_make_short_calls():
-    """Else Ctrl-C would not get through."""
+    """Otherwise Ctrl-C would be delayed."""
     mesh = soup(20_000, 1, 0.02)
     assert build(*mesh, resolution=1).rays_per_call() < 300
     assert build(*mesh).rays_per_call() == 4096

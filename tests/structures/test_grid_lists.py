@@ -1,4 +1,4 @@
-"""Which cells list a triangle: compared with geometry in float64, done another way."""
+"""The cells that list a triangle, compared with another computation in float64."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def listed(lists, counts):
 
 
 def boxes_of(lattice):
-    """Low and high corners of all cells, shape (nx, ny, nz, 3); the outer ones reach out."""
+    """Low and high corners of all cells, shape (nx, ny, nz, 3); the outer ones are infinite."""
     edges = []
     for low, size, count in zip(lattice.low, lattice.size, lattice.counts, strict=True):
         planes = low + size * np.arange(count + 1.0)
@@ -39,7 +39,7 @@ def boxes_of(lattice):
 
 
 def meets(low, high, corners, growth):
-    """Which boxes, grown, meet the box and the plane of a triangle."""
+    """The boxes that, grown, overlap the box and the plane of a triangle."""
     low, high = low - growth, high + growth
     in_box = ((low <= corners.max(axis=0)) & (high >= corners.min(axis=0))).all(axis=-1)
     a, b, c = corners
@@ -119,7 +119,7 @@ def test_every_cell_that_a_triangle_enters_lists_it(levels):
 
 
 def test_a_slanted_triangle_is_not_in_all_cells_of_its_box():
-    """Its plane leaves out most of them."""
+    """Its plane culls most of them."""
     structure = grid([[0, 0, 0], [1, 0, 1], [0, 1, 1]], [[0, 1, 2]], resolution=20)
     assert len(structure.lists.references) < 0.15 * 20**3
 

@@ -1,4 +1,4 @@
-"""Triangles that move from cell to cell: the lists are those of a grid that is built anew."""
+"""Triangles that move between cells: the lists equal those of a rebuilt grid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kd-tree as a structure: options, hard rays, and four traversals that see the same leaves."""
+"""The kd-tree as a structure: options, hard rays, and four traversals of the same leaves."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ FORMS = [(traversal, layout) for layout in LAYOUTS for traversal in TRAVERSALS]
 
 
 def build(vertices, faces, **options):
-    """A tracer; of a deep tree, if no costs are given."""
+    """A tracer, by default with costs that make a deep tree."""
     options = {"intersection_cost": 12.0, **options}
     return rs.Tracer(rs.Scene.from_arrays(vertices, faces), "kdtree", **options)
 
@@ -81,7 +81,7 @@ def test_quality_of_nothing():
 
 @kernel
 def record_leaves(begin, end, tree, max_coordinate, rays, leaves, counts):
-    """Every leaf that a ray comes to if nothing stops it; and splits, leaves, climbs, jumps."""
+    """Every leaf along a ray; and counts of splits, leaves, backtracking steps and restarts."""
     stack = scratch(STACK_BYTES)
     o, d = rays.origins, rays.directions
     for i in range(np.uint64(begin), np.uint64(end)):
@@ -201,7 +201,7 @@ def test_rays_in_and_on_split_planes(traversal, rng):
 
 
 def test_hits_beyond_a_triangle_s_edges(rng):
-    """Rays almost in a triangle's plane that pass its edge: rounding accepts them anywhere.
+    """Rays almost in a triangle's plane that pass its edge: rounding accepts hits anywhere.
 
     Small triangles all around make planes between a large one's edges and its hits.
     """
@@ -264,7 +264,7 @@ def changed(path, name, change):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 3e38, 1e-40])
 def test_planes_anywhere_end_every_ray(value, tmp_path, rng):
-    """A file may hold a tree that is none; all traversals then answer alike, and end."""
+    """A file may contain an invalid tree; all traversals then agree, and end."""
     case = CASES["random_soup"](rng)
     results = []
     for traversal, layout in FORMS:

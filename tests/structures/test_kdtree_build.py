@@ -1,4 +1,4 @@
-"""Building kd-trees: what leaves list, bounded memory and depth, and files that are not trusted."""
+"""Building kd-trees: contents of leaves, bounded memory and depth, and untrusted files."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ MESHES = {
 
 
 def leaf_of(nodes, points):
-    """The leaf that each point is in."""
+    """The leaf that contains each point."""
     positions = nodes.view(np.float32)[:, 0].astype(float)
     node = np.zeros(len(points), int)
     for _ in range(MAX_DEPTH + 1):
@@ -67,7 +67,7 @@ def listed(tree, leaf):
     ("max_depth", "costs"), [(40, COSTS), (64, Costs(0.01, 1.0, 0.9)), (5, Costs(8.0, 1.0, 0.5))]
 )
 def test_a_leaf_lists_all_whose_hits_may_be_in_it(mesh, max_depth, costs, rng):
-    """Points of each triangle, and of its plane inside its box; both moved by part of the bound."""
+    """Points of each triangle, and of its plane inside its box, moved by up to the bound."""
     triangles = triangles_of(*MESHES[mesh])
     tree = build_arrays(triangles, settings(max_depth, 1, costs))
     corners = triangles.corners.astype(float)
@@ -89,7 +89,7 @@ def test_a_leaf_lists_all_whose_hits_may_be_in_it(mesh, max_depth, costs, rng):
 
 
 def test_leaves_list_few_triangles():
-    """Else listing all of them everywhere would pass."""
+    """Otherwise listing all of them everywhere would pass."""
     triangles = triangles_of(*dented_sphere(4))
     tree = build_arrays(triangles, settings())
     found = measure(tree.nodes, triangles.bounds)
@@ -224,7 +224,7 @@ def test_packed_forms_say_the_same():
 
 
 class TestCheckArrays:
-    """No file may make a traversal read out of bounds, or run for ever."""
+    """No file may make a traversal read out of bounds, or run forever."""
 
     @pytest.fixture
     def triangles(self):

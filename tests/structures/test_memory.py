@@ -1,4 +1,4 @@
-"""What structures say of their memory: the arrays at the addresses that traversals get."""
+"""The arrays of structures, at the addresses passed to traversals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The registry: where the parts of a structure are, and names that are written twice."""
+"""The registry of structures, and names that are written twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A search that goes on from structure to structure, each with some of the triangles."""
+"""A search that continues from structure to structure, each with some of the triangles."""
 
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -31,7 +31,7 @@ _NOWHERE = np.uint64(0)
 
 
 class Views(NamedTuple):
-    """Each structure's arrays, in the order in which a ray comes to them."""
+    """Each structure's arrays, in the order of the search."""
 
     kdtree: object
     grid: object
@@ -98,7 +98,7 @@ def case(request, rng):
 
 
 def answers(case, query, fill=None):
-    """What brute force finds, and what the structures together do."""
+    """The hits of brute force, and of all structures together."""
     *backends, batch = case
     for backend in backends:
         sink = Sink.of(query, len(batch))

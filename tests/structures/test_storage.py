@@ -188,7 +188,7 @@ def test_hostile_options_are_refused(scene, tmp_path, structure, old, new, words
 
 
 def test_a_cycle_deep_in_the_tree_is_found(scene, tmp_path):
-    """A child that points back would make a traversal endless."""
+    """A child that points back would make a traversal run forever."""
     rs.Tracer(scene, max_leaf_size=1).save(tmp_path / "x.npz")
 
     def cycle(nodes):
@@ -202,7 +202,7 @@ def test_a_cycle_deep_in_the_tree_is_found(scene, tmp_path):
 
 
 def test_a_node_with_two_parents_is_refused(scene, tmp_path):
-    """Doubled again and again, it would make a traversal nearly endless."""
+    """Doubled repeatedly, it would make a traversal run almost forever."""
     rs.Tracer(scene).save(tmp_path / "x.npz")
 
     def two_parents(nodes):

@@ -1,4 +1,4 @@
-"""What rays meet is counted right, and counting changes no answer."""
+"""Ray counters are correct, and counting does not change hits."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def build(vertices, faces, name, **options):
 
 
 def ask(structure, query, batch, counters=False):
-    """All arrays of an answer, the status of each ray; and the tallies."""
+    """All arrays of a result, the status of each ray, and the counters."""
     sink = Branching(structure).answer(QUERIES[query]._replace(counters=counters), batch)
     names = ("splits", "seen", "counts", "status")
     arrays = [getattr(sink, name) for name in names if hasattr(sink, name)]
@@ -230,7 +230,7 @@ def test_a_kd_tree_of_one_leaf(layout):
 
 
 def assert_traversals_agree(scene, rng):
-    """Foley 2005, section 4.1: the same leaves; and how often each traversal goes down."""
+    """Foley 2005, section 4.1: the same leaves; and how often each traversal descends."""
     options = {"structure": "kdtree", "intersection_cost": 12.0}
     trees = [
         rs.Tracer(scene, traversal=how, **options).structure

@@ -233,7 +233,24 @@ class Hits(_HitColumns):
         return f"Hits(shape={self.t.shape}, {hit_count:,} of {self.t.size:,} rays hit)"
 
 
-class MultiHits(_HitColumns):
+class RayRows:
+    """Rows of any number per ray, delimited by `ray_splits`."""
+
+    ray_splits: NDArray[np.int64]
+    status: NDArray[np.uint8]
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Number of rows of each ray, in the rays' leading shape, int64."""
+        return np.diff(self.ray_splits).reshape(self.status.shape)
+
+    @cached_property
+    def ray_id(self) -> NDArray[np.int64]:
+        """Ray of each row, shape (K,), int64."""
+        return np.repeat(np.arange(len(self.ray_splits) - 1), np.diff(self.ray_splits))
+
+
+class MultiHits(RayRows, _HitColumns):
     """All hits of each ray, by increasing distance, as rows delimited by `ray_splits`.
 
     Attributes
@@ -263,16 +280,6 @@ class MultiHits(_HitColumns):
         self.ray_splits = ray_splits
         self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
         self._triangles = triangles
-
-    @property
-    def counts(self) -> NDArray[np.int64]:
-        """Number of hits of each ray, in the rays' leading shape, int64."""
-        return np.diff(self.ray_splits).reshape(self.status.shape)
-
-    @cached_property
-    def ray_id(self) -> NDArray[np.int64]:
-        """Ray of each row, shape (K,), int64."""
-        return np.repeat(np.arange(len(self.ray_splits) - 1), np.diff(self.ray_splits))
 
     def __repr__(self) -> str:
         return f"MultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

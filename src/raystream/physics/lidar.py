@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import operator
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hits import RayRows
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
@@ -26,7 +26,7 @@ MAX_DIVERGENCE = 90.0
 _SUB_RAYS_PER_BLOCK = 1 << 18
 
 
-class LidarReturns:
+class LidarReturns(RayRows):
     """Returns of pulses, as rows delimited by `ray_splits`: a point cloud.
 
     Attributes
@@ -66,16 +66,6 @@ class LidarReturns:
         rows = np.arange(len(self.ranges)) - np.repeat(ray_splits[:-1], counts)
         self.return_number = (rows + 1).astype(np.int32)
         self.return_count = np.repeat(counts, counts).astype(np.int32)
-
-    @property
-    def counts(self) -> NDArray[np.int64]:
-        """Number of returns of each pulse, in the pulses' leading shape, int64."""
-        return np.diff(self.ray_splits).reshape(self.status.shape)
-
-    @cached_property
-    def ray_id(self) -> NDArray[np.int64]:
-        """Pulse of each row, shape (K,), int64."""
-        return np.repeat(np.arange(len(self.ray_splits) - 1), np.diff(self.ray_splits))
 
     def __repr__(self) -> str:
         return f"LidarReturns({len(self.ranges):,} returns of {len(self.ray_splits) - 1:,} pulses)"

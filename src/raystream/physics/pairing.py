@@ -12,7 +12,15 @@ from raystream.jit.cpu import device, kernel
 from raystream.kernels.ray import PAD, prepare_ray
 from raystream.kernels.ray_source import load_ray
 
-__all__ = ["NO_ROW", "Crossings", "Limits", "MeshScratch", "Pairs", "find_sides", "pair_crossings"]
+__all__ = [
+    "NO_ROW",
+    "Crossings",
+    "Limits",
+    "MeshScratch",
+    "Pairs",
+    "classify_crossings",
+    "pair_crossings",
+]
 
 #: In place of a row: the crossing is outside the ray's interval.
 NO_ROW = -1
@@ -23,8 +31,8 @@ _ROUNDING = 2.0**-23
 # Kinds of crossings.
 _ENTRY = np.uint8(0)
 _EXIT = np.uint8(1)
-_LONE_ENTRY = np.uint8(2)
-_LONE_EXIT = np.uint8(3)
+_UNPAIRED_ENTRY = np.uint8(2)
+_UNPAIRED_EXIT = np.uint8(3)
 
 
 class Crossings(NamedTuple):
@@ -107,32 +115,32 @@ class Pairs(NamedTuple):
 
     Attributes
     ----------
-    counts, lone_counts : ndarray of shape (N,), int64
+    counts, unpaired_counts : ndarray of shape (N,), int64
         Number of segments and of unpaired crossings of each ray.
     entries, exits : ndarray of shape (K,), int64
         Rows of the crossings at both ends of a segment, in order of entry; `NO_ROW` for an
         entry before the ray's interval.
-    lone : ndarray of shape (K,), int64
+    unpaired : ndarray of shape (K,), int64
         Rows of the unpaired crossings.
     """
 
     counts: NDArray[np.int64]
-    lone_counts: NDArray[np.int64]
+    unpaired_counts: NDArray[np.int64]
     entries: NDArray[np.int64]
     exits: NDArray[np.int64]
-    lone: NDArray[np.int64]
+    unpaired: NDArray[np.int64]
 
     @classmethod
     def empty(cls, ray_count: int, row_count: int) -> Pairs:
         """Allocate, not initialised."""
         rays, rows = (ray_count,), (row_count,)
-        counts, lone_counts = np.empty(rays, np.int64), np.empty(rays, np.int64)
-        entries, exits, lone = (np.empty(rows, np.int64) for _ in range(3))
-        return cls(counts, lone_counts, entries, exits, lone)
+        counts, unpaired_counts = np.empty(rays, np.int64), np.empty(rays, np.int64)
+        entries, exits, unpaired = (np.empty(rows, np.int64) for _ in range(3))
+        return cls(counts, unpaired_counts, entries, exits, unpaired)
 
 
 @kernel
-def find_sides(begin, end, source, frame, corners, mesh_splits, is_flipped, crossings):
+def classify_crossings(begin, end, source, frame, corners, mesh_splits, is_flipped, crossings):
     """Classify crossings as entries or exits, and find their meshes.
 
     Parameters
@@ -241,19 +249,19 @@ def pair_crossings(begin, end, crossings, limits, is_closed, scratch, pairs):
         first, last = crossings.splits[i], crossings.splits[i + np.uint64(1)]
         count = 0
         if last > first:
-            _put_in_order(crossings, first, last)
+            _sort_rows(crossings, first, last)
             if limits.is_whole[i]:
                 _swap_grazes(crossings, first, last, is_closed, depth, slot)
-            _find_lone(crossings, first, last, depth)
+            _mark_unpaired(crossings, first, last, depth)
             if limits.clips and limits.t_min[i] > -math.inf:
                 count = _begin_inside(crossings, first, last, is_closed, depth, slot, pairs)
-        _emit(i, crossings, first, last, count, depth, slot, pairs)
+        _write_pairs(i, crossings, first, last, count, depth, slot, pairs)
         if limits.clips:
-            _cut_off(i, crossings, first, limits.t_max[i], pairs)
+            _clip_at_t_max(i, crossings, first, limits.t_max[i], pairs)
 
 
 @device
-def _put_in_order(crossings, first, last):
+def _sort_rows(crossings, first, last):
     """Sort the rows by t; at equal t, entries before exits."""
     group = first
     while group < last:
@@ -296,7 +304,7 @@ def _swap_grazes(crossings, first, last, is_closed, depth, balance):
 
 
 @device
-def _find_lone(crossings, first, last, depth):
+def _mark_unpaired(crossings, first, last, depth):
     """Mark exits that no open entry precedes, then entries that no such exit follows."""
     kind, mesh_id, order = crossings.kind, crossings.mesh_id, crossings.order
     for at in range(first, last):
@@ -307,7 +315,7 @@ def _find_lone(crossings, first, last, depth):
         elif depth[mesh] > 0:
             depth[mesh] -= 1
         else:
-            kind[row] = _LONE_EXIT
+            kind[row] = _UNPAIRED_EXIT
     _reset(crossings, first, last, depth)
     for at in range(last - 1, first - 1, -1):
         row = order[at]
@@ -318,7 +326,7 @@ def _find_lone(crossings, first, last, depth):
             if depth[mesh] > 0:
                 depth[mesh] -= 1
             else:
-                kind[row] = _LONE_ENTRY
+                kind[row] = _UNPAIRED_ENTRY
     _reset(crossings, first, last, depth)
 
 
@@ -338,11 +346,11 @@ def _begin_inside(crossings, first, last, is_closed, depth, slot, pairs):
     kind, mesh_id = crossings.kind, crossings.mesh_id
     count = 0
     for row in range(first, last):
-        if kind[row] == _LONE_ENTRY or not is_closed[mesh_id[row]]:
+        if kind[row] == _UNPAIRED_ENTRY or not is_closed[mesh_id[row]]:
             depth[mesh_id[row]] = -1
     for row in range(first, last):
         mesh = mesh_id[row]
-        if kind[row] == _LONE_EXIT and depth[mesh] >= 0:
+        if kind[row] == _UNPAIRED_EXIT and depth[mesh] >= 0:
             kind[row] = _EXIT
             depth[mesh] += 1
             if depth[mesh] == 1:
@@ -355,9 +363,9 @@ def _begin_inside(crossings, first, last, is_closed, depth, slot, pairs):
 
 
 @device
-def _emit(i, crossings, first, last, count, depth, slot, pairs):
+def _write_pairs(i, crossings, first, last, count, depth, slot, pairs):
     """Write the outermost pairs, after `count` already begun, and unpaired crossings."""
-    lone_count = 0
+    unpaired_count = 0
     for at in range(first, last):
         row = crossings.order[at]
         kind, mesh = crossings.kind[row], crossings.mesh_id[row]
@@ -372,14 +380,14 @@ def _emit(i, crossings, first, last, count, depth, slot, pairs):
             if depth[mesh] == 0:
                 pairs.exits[first + slot[mesh]] = row
         else:
-            pairs.lone[first + lone_count] = row
-            lone_count += 1
+            pairs.unpaired[first + unpaired_count] = row
+            unpaired_count += 1
     pairs.counts[i] = count
-    pairs.lone_counts[i] = lone_count
+    pairs.unpaired_counts[i] = unpaired_count
 
 
 @device
-def _cut_off(i, crossings, first, t_max, pairs):
+def _clip_at_t_max(i, crossings, first, t_max, pairs):
     """Drop segments and unpaired crossings that begin beyond t_max."""
     kept = 0
     for k in range(first, first + pairs.counts[i]):
@@ -390,8 +398,8 @@ def _cut_off(i, crossings, first, t_max, pairs):
             kept += 1
     pairs.counts[i] = kept
     kept = 0
-    for k in range(first, first + pairs.lone_counts[i]):
-        if crossings.t[pairs.lone[k]] <= t_max:
-            pairs.lone[first + kept] = pairs.lone[k]
+    for k in range(first, first + pairs.unpaired_counts[i]):
+        if crossings.t[pairs.unpaired[k]] <= t_max:
+            pairs.unpaired[first + kept] = pairs.unpaired[k]
             kept += 1
-    pairs.lone_counts[i] = kept
+    pairs.unpaired_counts[i] = kept

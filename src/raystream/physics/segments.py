@@ -19,7 +19,7 @@ from raystream.physics.pairing import (
     Limits,
     MeshScratch,
     Pairs,
-    find_sides,
+    classify_crossings,
     pair_crossings,
 )
 from raystream.physics.solids import Solids, solids_of
@@ -172,7 +172,7 @@ class _Worker:
         limits = Limits(t_min, t_max, self._clips, np.isinf(traced_to))
 
         def body(begin: int, end: int) -> None:
-            find_sides(
+            classify_crossings(
                 begin,
                 end,
                 source,
@@ -223,14 +223,14 @@ class _Worker:
 
 
 def _unpaired(rows: slice, crossings: Crossings, pairs: Pairs) -> Unpaired:
-    used, ray = _used(crossings.splits, pairs.lone_counts)
-    lone = pairs.lone[used]
+    used, ray = _used(crossings.splits, pairs.unpaired_counts)
+    unpaired = pairs.unpaired[used]
     return Unpaired(
         ray + rows.start,
-        crossings.t[lone],
-        crossings.prim_id[lone],
-        crossings.mesh_id[lone],
-        crossings.kind[lone] & np.uint8(1),
+        crossings.t[unpaired],
+        crossings.prim_id[unpaired],
+        crossings.mesh_id[unpaired],
+        crossings.kind[unpaired] & np.uint8(1),
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hits import RayRows
 from raystream.core.memory import check_memory
 from raystream.core.rays import RayBatch, RayStatus
 from raystream.physics.solids import Solids
@@ -58,7 +59,7 @@ class Unpaired(NamedTuple):
     kind: NDArray[np.uint8]
 
 
-class Thickness:
+class Thickness(RayRows):
     """Segments of rays inside closed meshes, as rows delimited by `ray_splits`.
 
     A segment extends from where a ray enters a mesh to where it has left all of it. Segments
@@ -114,16 +115,6 @@ class Thickness:
         self.status = status
         self.mesh_is_closed, self.mesh_is_flipped = solids
         self.mesh_names, self.material_names = tuple(names[0]), tuple(names[1])
-
-    @property
-    def counts(self) -> NDArray[np.int64]:
-        """Number of segments of each ray, in the rays' leading shape, int64."""
-        return np.diff(self.ray_splits).reshape(self.status.shape)
-
-    @cached_property
-    def ray_id(self) -> NDArray[np.int64]:
-        """Ray of each segment, shape (K,), int64."""
-        return np.repeat(np.arange(len(self.ray_splits) - 1), np.diff(self.ray_splits))
 
     @cached_property
     def is_complete(self) -> NDArray[np.bool_]:

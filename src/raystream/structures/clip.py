@@ -21,7 +21,7 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 
-__all__ = ["BOUND", "BOX_BYTES", "HIGH", "WORD", "tighten"]
+__all__ = ["BOUND", "BOX_BYTES", "HIGH", "WORD", "clip_to_plane"]
 
 #: How far triangles' boxes and planes are grown, in units of the scene's largest coordinate E.
 #: Origins have coordinates of up to 5 E (`kernels.ray.FAR`), so rounded lengths are up to 6 E.
@@ -77,7 +77,7 @@ def _shrink(box, axis, start, slope, least, most):
 
 
 @device_call
-def tighten(triangle, bound, box):
+def clip_to_plane(triangle, bound, box):
     """Shrink a reference's box to its overlap with the triangle's plane.
 
     Parameters

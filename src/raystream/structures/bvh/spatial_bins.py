@@ -15,7 +15,7 @@ from raystream.jit.simd import f32x8, lane, load, maximum, scratch, store
 from raystream.structures.bvh.binary_tree import choose_bin_count
 from raystream.structures.bvh.binning import BIN_COUNT, block_count
 from raystream.structures.bvh.prim_refs import FIRST_AT, REF_BYTES, empty_box, half_area
-from raystream.structures.clip import BOUND, tighten
+from raystream.structures.clip import BOUND, clip_to_plane
 
 __all__ = [
     "EXIT_BYTES",
@@ -88,7 +88,7 @@ def _finish(part, triangle, whole, pad):
         at = axis * _LANE
         store(grown + at, np.float32(-load(np.float32, part + at) - bound))
         store(grown + _BOX_HIGH + at, np.float32(load(np.float32, part + _HIGH + at) + bound))
-    if tighten(triangle, bound, grown):
+    if clip_to_plane(triangle, bound, grown):
         for axis in range(_AXES):
             at = axis * _LANE
             low = min(load(np.float32, part + at), -load(np.float32, grown + at))

@@ -10,7 +10,7 @@ from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for
 from raystream.structures.graph.cells import split_of
 from raystream.structures.graph.layout import SECTOR_ROWS
-from raystream.structures.graph.order import Order
+from raystream.structures.graph.morton_order import Order
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["bin_corners", "choose_bin_counts", "fill_bins", "leaf_at"]

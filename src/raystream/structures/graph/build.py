@@ -32,7 +32,7 @@ from raystream.structures.graph.bins import fill_bins
 from raystream.structures.graph.cells import find_cells
 from raystream.structures.graph.layout import SECTOR_ROWS, GraphArrays
 from raystream.structures.graph.links import link_sectors
-from raystream.structures.graph.order import fill_sectors, order_sectors
+from raystream.structures.graph.morton_order import fill_sectors, order_sectors
 from raystream.structures.graph.prune import prune
 from raystream.structures.kdtree.build import build_arrays, root_box
 from raystream.structures.kdtree.layout import LEAF_AXIS

@@ -18,9 +18,9 @@ __all__ = [
     "Cells",
     "find_cells",
     "is_leaf",
-    "place_children",
-    "settle",
+    "push_rope",
     "split_of",
+    "write_children",
 ]
 
 #: Bytes of a node of the tree, and of a cell's six ropes.
@@ -68,7 +68,7 @@ def is_leaf(nodes, node):
 
 
 @device
-def settle(nodes, node, face, box):
+def push_rope(nodes, node, face, box):
     """Descend to the smallest subtree that covers the other side of a box's face.
 
     Parameters
@@ -105,7 +105,7 @@ def settle(nodes, node, face, box):
 
 
 @device
-def place_children(nodes, node, boxes, ropes):
+def write_children(nodes, node, boxes, ropes):
     """Write the boxes and ropes of a split's children, given addresses; see `Cells`."""
     axis, first, plane = split_of(nodes, node)
     for side in range(_TWO):
@@ -122,8 +122,8 @@ def place_children(nodes, node, boxes, ropes):
         for face in range(_SIX):
             other = load(np.int32, rope + face * WORD)
             if other != _NOWHERE:
-                settled = settle(nodes, np.uint64(other), face, box)
-                store(rope + face * WORD, np.int32(settled))
+                pushed = push_rope(nodes, np.uint64(other), face, box)
+                store(rope + face * WORD, np.int32(pushed))
 
 
 @kernel
@@ -132,7 +132,7 @@ def _find_cells(nodes, boxes, ropes):
     node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
     for node in range(np.uint64(len(nodes))):
         if not is_leaf(node_at, node):
-            place_children(node_at, node, box_at, rope_at)
+            write_children(node_at, node, box_at, rope_at)
 
 
 def find_cells(nodes: NDArray[np.int32], box: NDArray[np.float32]) -> Cells:

@@ -25,7 +25,7 @@ from raystream.structures.graph.layout import (
     VOID,
     GraphArrays,
 )
-from raystream.structures.saved import take
+from raystream.structures.saved import are_listed, take
 
 __all__ = ["check_graph"]
 
@@ -63,18 +63,10 @@ def _check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted):
             if not (np.isfinite(low) and np.isfinite(high) and low < high):
                 return _BAD_BOX
         first, count = np.int64(rows[row, 3]), np.int64(rows[row + 1, 3])
-        blocks = (count + 3) // 4
-        if first + blocks > block_count:
+        if first + (count + BLOCK_SIZE - 1) // BLOCK_SIZE > block_count:
             return _BAD_LIST
-        for i in range(blocks * 4):
-            prim_id = np.int64(prim_ids[first + i // 4, i % 4])
-            if i >= count:
-                if prim_id != -1:
-                    return _BAD_ID
-                continue
-            if prim_id < 0 or prim_id >= len(solid) or not solid[prim_id]:
-                return _BAD_ID
-            wanted[prim_id] = False
+        if not are_listed(prim_ids, first, count, solid, wanted):
+            return _BAD_ID
     return _FINE
 
 
@@ -273,7 +265,7 @@ def check_graph(
     numbers = rows.view(np.float32)
 
     def check_some(begin: int, end: int) -> None:
-        _complain(_check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted))
+        _raise_fault(_check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted))
 
     parallel_for(check_some, sector_count, _CHUNK)
     # In all blocks, also those of no sector: corners are looked up for each.
@@ -299,7 +291,7 @@ def _take(arrays: Mapping[str, Any]) -> GraphArrays:
     return GraphArrays(rows, count, prim_ids, bins)
 
 
-def _complain(code: int) -> None:
+def _raise_fault(code: int) -> None:
     if code != _FINE:
         raise ValueError(_FAULTS[code])
 
@@ -336,11 +328,11 @@ def _check_all_links(
     node_count = len(rows) - SECTOR_ROWS * sector_count
     sides = np.empty((node_count, 6), np.float32)
     hulls = np.empty((node_count, 6), np.float32)
-    _complain(_check_nodes(rows, numbers, sector_count, sides, hulls))
+    _raise_fault(_check_nodes(rows, numbers, sector_count, sides, hulls))
     box = _box_of(numbers[: SECTOR_ROWS * sector_count])
 
     def check_some(begin: int, end: int) -> None:
-        _complain(_check_links(begin, end, rows, numbers, sector_count, sides, box))
+        _raise_fault(_check_links(begin, end, rows, numbers, sector_count, sides, box))
 
     parallel_for(check_some, sector_count, _CHUNK)
     degrees = np.zeros(sector_count + node_count, np.uint32)

@@ -12,13 +12,20 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
-from raystream.structures.graph.cells import ROPE_BYTES, is_leaf, settle, split_of
+from raystream.structures.graph.cells import ROPE_BYTES, is_leaf, push_rope, split_of
 from raystream.structures.graph.hash_consing import RAW
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.options import MAX_DEPTH
 
-__all__ = ["PENDING_BYTES", "RopeTree", "count_behind", "fill_behind", "find_axes", "spread_marks"]
+__all__ = [
+    "PENDING_BYTES",
+    "RopeTree",
+    "count_raw_nodes",
+    "find_axes",
+    "propagate_marks",
+    "write_raw_nodes",
+]
 
 #: A pending subtree: its node, and the address of the raw link to it.
 _PENDING = np.uint64(16)
@@ -82,7 +89,7 @@ def _covers(box, cell, face, axes):
 
 
 @device
-def count_behind(leaf, tree, is_covered, pending):
+def count_raw_nodes(leaf, tree, is_covered, pending):
     """Count the raw nodes behind a leaf's faces, and mark subtrees that a face covers.
 
     Parameters
@@ -107,7 +114,7 @@ def count_behind(leaf, tree, is_covered, pending):
         top = pending + _PENDING
         while top != pending:
             top -= _PENDING
-            node = settle(tree.nodes, load(np.uint64, top), face, box)
+            node = push_rope(tree.nodes, load(np.uint64, top), face, box)
             if is_leaf(tree.nodes, node):
                 continue
             if _covers(box, tree.boxes + node * BOX_BYTES, face, _axes(tree, node)):
@@ -127,7 +134,7 @@ def _axes(tree, node):
 
 
 @device
-def spread_marks(nodes, node, is_covered):
+def propagate_marks(nodes, node, is_covered):
     """Mark what the link nodes of a marked subtree need; returns their number at its root."""
     total = _NONE
     axis, first, _ = split_of(nodes, node)
@@ -147,7 +154,7 @@ def spread_marks(nodes, node, is_covered):
 
 
 @device
-def fill_behind(leaf, tree, sectors, covered, number, raw, links, pending):
+def write_raw_nodes(leaf, tree, sectors, covered, number, raw, links, pending):
     """Write the raw nodes behind a leaf's faces, and the raw links of its faces.
 
     Parameters
@@ -177,7 +184,7 @@ def fill_behind(leaf, tree, sectors, covered, number, raw, links, pending):
         top = pending + _PENDING
         while top != pending:
             top -= _PENDING
-            node = settle(tree.nodes, load(np.uint64, top), face, box)
+            node = push_rope(tree.nodes, load(np.uint64, top), face, box)
             to = load(np.uint64, top + _HALF_ROW)
             if is_leaf(tree.nodes, node):
                 store(to, np.uint64(load(np.uint32, sectors + node * WORD)) * _ROWS)

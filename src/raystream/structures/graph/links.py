@@ -27,14 +27,14 @@ from raystream.structures.graph.cells import ROPE_BYTES, Cells, split_of
 from raystream.structures.graph.face_subtrees import (
     PENDING_BYTES,
     RopeTree,
-    count_behind,
-    fill_behind,
+    count_raw_nodes,
     find_axes,
-    spread_marks,
+    propagate_marks,
+    write_raw_nodes,
 )
 from raystream.structures.graph.hash_consing import RAW, NodeStore, put_node
 from raystream.structures.graph.layout import SECTOR_ROWS
-from raystream.structures.graph.order import SECTOR_BYTES, Order
+from raystream.structures.graph.morton_order import SECTOR_BYTES, Order
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["LINKS_AT", "RAW_LINKS", "batches", "link_sectors"]
@@ -73,15 +73,17 @@ def _count_nodes(begin, end, leaves, tree, counts, is_covered):
     """Count the raw nodes of sectors begin to end, and mark subtrees that a face covers."""
     pending = scratch(PENDING_BYTES)
     for sector in range(np.uint64(begin), np.uint64(end)):
-        counts[sector] = count_behind(np.uint64(leaves[sector]), tree, address(is_covered), pending)
+        counts[sector] = count_raw_nodes(
+            np.uint64(leaves[sector]), tree, address(is_covered), pending
+        )
 
 
 @kernel
-def _spread_all_marks(nodes, is_covered):
+def _propagate_all_marks(nodes, is_covered):
     """Mark what the link nodes of marked subtrees need; returns the number of these."""
     total = _NONE
     for node in range(np.uint64(len(nodes))):
-        total += spread_marks(address(nodes), node, address(is_covered))
+        total += propagate_marks(address(nodes), node, address(is_covered))
     return total
 
 
@@ -125,7 +127,7 @@ def _fill_nodes(begin, end, base, order, tree, covered, firsts, raw, links):
         number = np.uint64(firsts[sector]) - np.uint64(firsts[base])
         to = link_at + i * RAW_LINKS
         leaf = np.uint64(leaves[sector])
-        fill_behind(leaf, tree, sector_at, covered_at, number, raw_at, to, pending)
+        write_raw_nodes(leaf, tree, sector_at, covered_at, number, raw_at, to, pending)
 
 
 @kernel
@@ -180,7 +182,7 @@ class _Linker:
         parallel_for(body, len(leaves), _CHUNK)
         self.covered = np.empty((len(nodes), 6), np.uint32)
         shared = self.store
-        shared.reserve(int(_spread_all_marks(nodes, is_covered)))
+        shared.reserve(int(_propagate_all_marks(nodes, is_covered)))
         shared.count = int(
             _link_covered(
                 nodes,

@@ -190,7 +190,7 @@ def exit_face(line, sector):
 
 @device
 def _entry_face(line, sector):
-    """The face by which a ray comes into a sector: -inf at the first one."""
+    """The face through which a ray enters a sector; its distance is -inf in the first one."""
     t, link = _plane(sector, line.out_x ^ _HIGH, line.inv_x, line.middle_x), line.link_x
     t_y = _plane(sector, line.out_y ^ _HIGH, line.inv_y, line.middle_y)
     if t_y > t:

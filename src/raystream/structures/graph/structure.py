@@ -19,12 +19,12 @@ from raystream.kernels.local_frame import LocalRays
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
 from raystream.structures.graph.check import check_graph
-from raystream.structures.graph.graphlog import dump_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
 from raystream.structures.graph.locate import StartSectors, find_sectors
 from raystream.structures.graph.options import Graph
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
+from raystream.structures.graph.text_format import dump_graph
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
 from raystream.structures.kdtree.layout import default_depth
 
@@ -104,7 +104,7 @@ class GraphStructure(Structure):
         Parameters
         ----------
         path : str or path
-            Replaced atomically. `graphlog.load_graph` reads it.
+            Replaced atomically. `text_format.load_graph` reads it.
         """
         with atomic_write(path) as file, file.open("w", encoding="ascii", newline="\n") as text:
             dump_graph(text, self.graph, self.triangles.corners)

@@ -11,7 +11,7 @@ from raystream.jit.simd import fma, load
 
 __all__ = [
     "NO_CHILD",
-    "Cells",
+    "LatticeView",
     "cell_list",
     "cell_numbers",
     "child_of",
@@ -29,7 +29,7 @@ _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _RECORD = np.uint64(32)
 
 
-class Cells(NamedTuple):
+class LatticeView(NamedTuple):
     """A lattice for walks, with the addresses of its lists.
 
     Attributes
@@ -50,7 +50,7 @@ class Cells(NamedTuple):
 @device
 def coarse_cells(grid):
     """The first level of a grid, given as `GridAddresses`."""
-    return Cells(grid.low, grid.size, grid.counts, grid.splits, grid.references)
+    return LatticeView(grid.low, grid.size, grid.counts, grid.splits, grid.references)
 
 
 @device
@@ -87,7 +87,7 @@ def fine_cells(grid, cell, child):
     )
     size = (grid.size[0] / counts[0], grid.size[1] / counts[1], grid.size[2] / counts[2])
     splits = grid.fine_splits + (np.uint64(first) << _WORD)
-    return Cells(low, size, counts, splits, grid.fine_references)
+    return LatticeView(low, size, counts, splits, grid.fine_references)
 
 
 @device

@@ -158,7 +158,7 @@ def check_lists(
         raise ValueError("the splits do not delimit the references")
     if (splits[:-1] > splits[1:]).any():
         raise ValueError("a cell's list ends before it begins")
-    if not _are_good(splits, references, solid):
+    if not _are_valid(splits, references, solid):
         raise ValueError("a cell lists a triangle twice, or one that cannot be hit")
     return GridArrays(splits, references)
 
@@ -183,7 +183,7 @@ def check_fine(
 
 
 @kernel
-def _are_good(splits, references, solid):
+def _are_valid(splits, references, solid):
     """Whether each list is increasing, and holds solid triangles only."""
     for cell in range(len(splits) - 1):
         last = np.int64(-1)

@@ -30,7 +30,7 @@ from raystream.structures.grid.layout import (
 from raystream.structures.grid.options import Grid, check_cells
 from raystream.structures.grid.refine import refine
 from raystream.structures.grid.statistics import statistics, trace_cost
-from raystream.structures.grid.traversal import STACK_BYTES, traverse
+from raystream.structures.grid.traversal import traverse
 from raystream.structures.grid.update import move_lists
 from raystream.structures.saved import take
 
@@ -63,7 +63,6 @@ class GridStructure(Structure):
     """
 
     traverse = staticmethod(traverse)
-    stack_bytes = STACK_BYTES
     options: Grid
 
     def __init__(
@@ -111,7 +110,7 @@ class GridStructure(Structure):
 
     @cached_property
     def _steps_per_ray(self) -> int:
-        """About as many cells and triangles as a ray may meet."""
+        """About the most cells and triangles that a ray visits."""
         sizes = np.diff(self.lists.splits)
         sizes[self.fine.cells] = 0
         inner = np.diff(self.fine.lists.splits)

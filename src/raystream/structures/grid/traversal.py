@@ -13,10 +13,7 @@ from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
 from raystream.structures.grid.dda import begin_walk, cell_end, step_walk
 
-__all__ = ["STACK_BYTES", "clip_to_grid", "traverse"]
-
-#: A grid needs no stack.
-STACK_BYTES = 8
+__all__ = ["clip_to_grid", "traverse"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import device, kernel
 from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.kdtree.options import MAX_DEPTH
-from raystream.structures.saved import take
+from raystream.structures.saved import are_listed, take
 
 __all__ = [
     "LEAF_AXIS",
@@ -153,15 +153,8 @@ def _check_tree(nodes, positions, prim_ids, depths, solid, wanted):
                 return _BAD_LEAF
             if first + (number + BLOCK_SIZE - 1) // BLOCK_SIZE > block_count:
                 return _BAD_LEAF
-            for i in range(-(-number // BLOCK_SIZE) * BLOCK_SIZE):
-                prim_id = np.int64(prim_ids[first + i // BLOCK_SIZE, i % BLOCK_SIZE])
-                if i >= number:
-                    if prim_id != -1:
-                        return _BAD_ID
-                    continue
-                if prim_id < 0 or prim_id >= len(solid) or not solid[prim_id]:
-                    return _BAD_ID
-                wanted[prim_id] = False
+            if not are_listed(prim_ids, first, number, solid, wanted):
+                return _BAD_ID
             continue
         if not np.isfinite(positions[node, 0]):
             return _BAD_PLANE

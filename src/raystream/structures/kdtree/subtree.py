@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, scratch, store
-from raystream.structures.clip import BOX_BYTES, HIGH, WORD, tighten
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD, clip_to_plane
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.split import LEAF, WORK_BYTES, Costs, choose_split
@@ -22,10 +22,10 @@ __all__ = [
     "copy_box",
     "grow_subtree",
     "make_references",
-    "part_reference",
     "place_subtree",
     "room_above",
     "split_range",
+    "split_reference",
 ]
 
 _NONE = np.uint64(0)
@@ -149,7 +149,7 @@ def copy_box(to, source):
 
 
 @device
-def part_reference(box, triangle, bound, step, position, to_below, to_above):
+def split_reference(box, triangle, bound, step, position, to_below, to_above):
     """Split a reference at a plane: find its sides, and write its box on each.
 
     Parameters
@@ -157,7 +157,7 @@ def part_reference(box, triangle, bound, step, position, to_below, to_above):
     box : uint64
         Address of its box.
     triangle, bound
-        See `clip.tighten`.
+        See `clip.clip_to_plane`.
     step : uint64
         Bytes from a box's x to the plane's axis.
     position : float32
@@ -177,13 +177,13 @@ def part_reference(box, triangle, bound, step, position, to_below, to_above):
         copy_box(to_below, box)
         if is_cut:
             store(to_below + HIGH + step, position)
-            is_below = tighten(triangle, bound, to_below)
+            is_below = clip_to_plane(triangle, bound, to_below)
     if is_above:
         copy_box(to_above, box)
         if is_cut:
             store(to_above + step, position)
             # Rounding must not lose it on both sides.
-            is_above = tighten(triangle, bound, to_above) or not is_below
+            is_above = clip_to_plane(triangle, bound, to_above) or not is_below
     return is_below, is_above
 
 
@@ -210,7 +210,7 @@ def _partition(boxes, ids, begin, end, axis, position, corners, bound):
         box, prim_id = boxes + i * BOX_BYTES, load(np.int32, ids + i * WORD)
         triangle = corners + np.uint64(prim_id) * _TRIANGLE
         to_below, to_above = boxes + below * BOX_BYTES, boxes + above * BOX_BYTES
-        is_below, is_above = part_reference(
+        is_below, is_above = split_reference(
             box, triangle, bound, step, position, to_below, to_above
         )
         if is_above:

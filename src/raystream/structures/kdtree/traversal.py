@@ -59,7 +59,7 @@ _ZERO = np.float32(0.0)
 
 @device
 def _distance(line, axis, position):
-    """Where a ray meets a plane, and whether it crosses it upward."""
+    """Distance of a plane along a ray, and whether the ray crosses it upward."""
     inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
     middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
     return fma(position, inv, middle), inv > _ZERO
@@ -93,7 +93,7 @@ def initialize(tree, ray, t_min, t_max):
 
 @device
 def descend(tree, line, state, stack):
-    """Go from a split to the child that holds t_in (Foley's Down).
+    """Go from a split to the child that contains t_in (Foley's Down).
 
     Parameters
     ----------

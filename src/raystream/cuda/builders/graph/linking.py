@@ -21,15 +21,15 @@ from raystream.structures.clip import WORD
 from raystream.structures.graph.cells import NODE_BYTES, ROPE_BYTES, split_of
 from raystream.structures.graph.face_subtrees import (
     PENDING_BYTES,
-    count_behind,
-    fill_behind,
+    count_raw_nodes,
     find_axes,
-    spread_marks,
+    propagate_marks,
+    write_raw_nodes,
 )
 from raystream.structures.graph.hash_consing import RAW
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID
 from raystream.structures.graph.links import LINKS_AT, RAW_LINKS
-from raystream.structures.graph.order import SECTOR_BYTES
+from raystream.structures.graph.morton_order import SECTOR_BYTES
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["KERNELS", "Raw"]
@@ -89,14 +89,14 @@ def _find_node_axes(i, first, nodes, axes):
 def _count_raw(sector, leaves, tree, is_covered, counts):
     """Count the raw nodes of a sector, and mark subtrees that a face covers."""
     pending = scratch(PENDING_BYTES)
-    count = count_behind(_leaf_of(leaves, sector), tree, is_covered, pending)
+    count = count_raw_nodes(_leaf_of(leaves, sector), tree, is_covered, pending)
     store(counts + sector * BYTES_64, np.uint64(count))
 
 
 @kernel
 def _spread_covered(i, first, nodes, is_covered):
     """Mark what the link nodes of node first + i need, if it is covered."""
-    spread_marks(nodes, first + i, is_covered)
+    propagate_marks(nodes, first + i, is_covered)
 
 
 @device
@@ -169,7 +169,7 @@ def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
     at = firsts + sector * BYTES_64
     first, number = load(np.uint64, at), load(np.uint64, at + BYTES_64)
     leaf, to = _leaf_of(leaves, sector), links + sector * RAW_LINKS
-    fill_behind(leaf, tree, sectors, covered, first, raw.nodes, to, pending)
+    write_raw_nodes(leaf, tree, sectors, covered, first, raw.nodes, to, pending)
     highest = ZERO_U64
     while number != first:
         number -= ONE_U64

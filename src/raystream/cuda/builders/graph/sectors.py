@@ -17,9 +17,14 @@ from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, WORD
 from raystream.structures.graph.bins import leaf_at
-from raystream.structures.graph.cells import is_leaf, place_children
+from raystream.structures.graph.cells import is_leaf, write_children
 from raystream.structures.graph.layout import SECTOR_ROWS
-from raystream.structures.graph.order import CODE_BITS, SECTOR_BYTES, code_of, fill_sector
+from raystream.structures.graph.morton_order import (
+    CODE_BITS,
+    SECTOR_BYTES,
+    fill_sector,
+    morton_code,
+)
 
 __all__ = ["KERNELS", "Ordered", "number_sectors", "order_sectors"]
 
@@ -59,7 +64,7 @@ def _place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     node = first + i
     if load(np.uint8, is_in + node) == np.uint8(0) or is_leaf(nodes, node):
         return
-    place_children(nodes, node, boxes, ropes)
+    write_children(nodes, node, boxes, ropes)
     _, child = split_at(nodes, node)
     store(is_in + child, np.uint8(1))
     store(is_in + child + ONE_U64, np.uint8(1))
@@ -96,7 +101,7 @@ def _list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
     node = np.uint64(load(np.uint32, by_row + row * WORD))
     if is_leaf(nodes, node):
         to = np.uint64(load(np.uint32, before + row * WORD))
-        store(codes + to * BYTES_64, np.uint64(code_of(boxes, boxes + node * BOX_BYTES)))
+        store(codes + to * BYTES_64, np.uint64(morton_code(boxes, boxes + node * BOX_BYTES)))
         store(leaves + to * WORD, np.uint32(node))
 
 

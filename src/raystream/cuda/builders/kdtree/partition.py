@@ -19,7 +19,7 @@ from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import LEAF
-from raystream.structures.kdtree.subtree import copy_box, part_reference, room_above
+from raystream.structures.kdtree.subtree import copy_box, room_above, split_reference
 
 __all__ = ["KERNELS", "Counts", "Made"]
 
@@ -102,7 +102,7 @@ def _part(i, refs, choices, corners, bound, below, above):
         return False, False
     triangle = corners + np.uint64(load(np.int32, refs.ids + i * WORD)) * _TRIANGLE
     box = refs.boxes + i * BOX_BYTES
-    return part_reference(box, triangle, bound, axis * WORD, position, below, above)
+    return split_reference(box, triangle, bound, axis * WORD, position, below, above)
 
 
 @kernel

@@ -24,9 +24,9 @@ __all__ = [
     "CODE_BITS",
     "SECTOR_BYTES",
     "Order",
-    "code_of",
     "fill_sector",
     "fill_sectors",
+    "morton_code",
     "order_sectors",
 ]
 
@@ -75,7 +75,7 @@ def _spread(number):
 
 
 @device
-def code_of(whole, box):
+def morton_code(whole, box):
     """The Morton code of a box's centre in a whole box, both by address."""
     code = _NONE
     for axis in range(np.uint64(3)):
@@ -93,7 +93,7 @@ def _find_codes(begin, end, leaves, boxes, codes):
     """Write the Morton codes of the centres of leaves begin to end."""
     box_at = address(boxes)
     for i in range(np.uint64(begin), np.uint64(end)):
-        codes[i] = code_of(box_at, box_at + np.uint64(leaves[i]) * BOX_BYTES)
+        codes[i] = morton_code(box_at, box_at + np.uint64(leaves[i]) * BOX_BYTES)
 
 
 def order_sectors(nodes: NDArray[np.int32], cells: Cells) -> Order:
