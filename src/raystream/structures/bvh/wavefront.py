@@ -1,9 +1,9 @@
-"""Many single rays in flight: the kernel for rays that have nothing in common.
+"""Many single rays in flight: the kernel for incoherent rays.
 
-A ray that goes its own way waits for every node it loads. Here each thread keeps some rays
-in flight and advances each by one node or leaf in turn: its next node is prefetched when it
-is known and has arrived when the ray's turn comes again. Rays wait in queues by what they
-need next, so that no branch depends on a single ray.
+An incoherent ray waits for memory at every node. Here each thread keeps some rays in flight and
+advances each by one node or leaf in turn: the next node is prefetched as soon as it is known, and
+has arrived at the ray's next turn. Rays wait in queues by what they need next, so no branch depends
+on a single ray.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from raystream.structures.bvh.node_layout import (
 
 __all__ = ["trace_wavefront"]
 
-#: Rays in flight in each thread. 16 hide less of the memory's latency, 64 crowd the cache.
+#: Rays in flight per thread. 16 hide less memory latency, 64 need too much cache.
 _IN_FLIGHT = np.uint64(32)
 
 _ONE = np.uint64(1)
@@ -67,17 +67,17 @@ _MISS = np.int32(-1)
 _KEY_BITS = np.int32(~7)
 _INVALID = np.uint8(RayStatus.INVALID)
 
-#: The triangle of a ray that has no hit: no number is greater.
+#: prim_id of a ray without a hit: the greatest number.
 _NO_PRIM = np.int32(2**31 - 1)
 
-#: In a slot that has no ray.
+#: Of an empty slot.
 _NO_RAY = np.int64(-1)
 
-#: At the bottom of each stack: no key is smaller, and no node has this number.
+#: At the bottom of each stack: the smallest key, and a row that no node has.
 _BOTTOM_KEY = np.int32(-(2**31))
 _BOTTOM = np.int32(2**31 - 1)
 
-#: A ray in flight. What belongs to axes is in the order of the ray's frame: kx, ky, kz.
+#: A ray in flight. Axes are in the order of the ray's frame: kx, ky, kz.
 _SLOT = np.dtype(
     [
         ("inv", "f4", 3),
@@ -90,13 +90,13 @@ _SLOT = np.dtype(
         ("prim_id", "i4"),
         ("u", "f4"),
         ("v", "f4"),
-        ("t_key", "i4"),  # children with a larger key lie behind the nearest hit
-        ("child", "i4"),  # the node or leaf that is next
-        ("top", "u8"),  # bytes on the stack, below the next one
+        ("t_key", "i4"),  # children with a larger key are beyond the nearest hit
+        ("child", "i4"),  # next node or leaf
+        ("top", "u8"),  # bytes on the stack
         ("ray", "i8"),
         ("t_scale", "f8"),
         ("t_offset", "f8"),
-        ("planes", "u8", 3),  # rows of a node's planes that the ray meets first
+        ("planes", "u8", 3),  # rows of a node's planes that the ray enters by
         ("axes", "u8", 3),  # kx, ky, kz
         ("direction", "f4", 3),
         ("unused", "V12"),
@@ -105,7 +105,7 @@ _SLOT = np.dtype(
 _Slot = view(_SLOT)
 _SLOT_BYTES = np.uint64(_SLOT.itemsize)
 
-#: Entries of a ray's stacks, with room for the eight lanes that are always stored.
+#: Bytes of a ray's stacks, with room for the eight lanes that are always stored.
 _STACK = np.uint64(4 * (STACK_SIZE + 16))
 
 _SLOTS_BYTES = int(_IN_FLIGHT * _SLOT_BYTES)
@@ -168,7 +168,7 @@ def _finish_ray(slot, wants_any, out):
 
 @device
 def _visit_node(slot, node, keys, children, numbers):
-    """Test a node's eight boxes; returns the height of the stack with those that are entered."""
+    """Test a node's eight boxes and push those that are entered; returns the stack's height."""
     x, y, z = slot.planes
     planes = node.planes
     t_in, t_out = slab_interval(
@@ -183,8 +183,8 @@ def _visit_node(slot, node, keys, children, numbers):
         slot.far,
     )
     entered = maximum(t_in, slot.t_min) <= minimum(t_out, slot.t)
-    # Keys: entry distance, cut off at 0 since only the order of bits of positive numbers is
-    # that of the numbers, with the lane in the lowest bits. Others sink to the end.
+    # Keys: entry distance with the lane in the lowest bits, at least 0 since only the bits of
+    # positive numbers are in the numbers' order. Boxes that are missed sink to the end.
     key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | numbers
     key = sort_keys(select(entered, key, i32x8(_BOTTOM_KEY)))
     top = slot.top
@@ -195,7 +195,7 @@ def _visit_node(slot, node, keys, children, numbers):
 
 @device
 def _visit_leaf(slot, leaves, lanes_at, wants_any):
-    """Test the triangles of the leaf that is next; returns whether the ray is done."""
+    """Test the triangles of the next leaf; returns whether the ray is done."""
     child = slot.child
     at = leaf_address(leaves, child)
     end = leaf_end(at, child)
@@ -240,7 +240,7 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
                 )
                 t = minimum(maximum(t, t_in), t_out) + _ZERO
                 candidates = candidates & (t >= t_min) & (t <= nearest)
-                # Only now the weights: rays that leave a surface meet its triangle behind
+                # The barycentrics last: rays that leave a surface meet its triangle behind
                 # their origin.
                 if any_lane(candidates):
                     hit, u, v = barycentrics(sheared, False)
@@ -258,7 +258,7 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
 
 @device
 def _keep_nearest(slot, block, bits, lanes):
-    """Take the hits of these lanes, if they are before the slot's by t, then prim_id."""
+    """Keep the nearest of the slot's hit and the hits of some lanes, by t, then prim_id."""
     nearest, best = slot.t, slot.prim_id
     while bits != np.uint64(0):
         lane = count_trailing_zeros(bits)
@@ -272,7 +272,7 @@ def _keep_nearest(slot, block, bits, lanes):
 
 @device
 def _next(slot, top, keys, children, tree, prefetching):
-    """Take the nearest child off the stack that may matter; returns its number."""
+    """Pop the nearest child within the search interval; returns its link."""
     limit = slot.t_key
     top -= LANE
     while load(np.int32, keys + top) > limit:
@@ -298,7 +298,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     prefetching : bool
-        Pays off where the tree does not fit into the cache.
+        Prefetch nodes: pays off if the tree does not fit into the cache.
     out : ResultAddresses
     """
     slots = scratch(_SLOTS_BYTES)
@@ -322,7 +322,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
         _Slot(slots, k).ray = _NO_RAY
 
     while True:
-        # Step 1: finished slots write their result and take the next ray.
+        # Step 1: write the results of finished slots and start new rays in them.
         at = np.uint64(0)
         while at != done_size:
             k = load(np.uint64, done + at)
@@ -349,7 +349,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
         if inner_size == np.uint64(0) and leaf_size == np.uint64(0):
             break
 
-        # Step 2: a node for each ray that waits for one.
+        # Step 2: visit a node for each ray that waits for one.
         next_size = np.uint64(0)
         at = np.uint64(0)
         while at != inner_size:
@@ -360,7 +360,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
             node = Node(tree.nodes, np.uint64(slot.child))
             top = _visit_node(slot, node, keys, children, numbers)
             child = _next(slot, top, keys, children, tree, prefetching)
-            # Without a branch: the slot goes to the end of all queues, one of which grows.
+            # Branchless: append the slot to all queues, and lengthen one of them.
             is_leaf = np.uint64(child < np.int32(0))
             is_done = np.uint64(child == _BOTTOM)
             store(inner_next + next_size, k)
@@ -372,7 +372,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
         inner, inner_next = inner_next, inner
         inner_size = next_size
 
-        # Step 3: a leaf for each ray that waits for one.
+        # Step 3: test a leaf for each ray that waits for one.
         next_size = np.uint64(0)
         at = np.uint64(0)
         while at != leaf_size:
