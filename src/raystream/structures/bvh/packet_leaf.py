@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import any_lane, f32x16, i32x16, maximum, minimum, select, widen
+from raystream.jit.simd import any_lane, f32x16, i32x16, maximum, minimum, select
 from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, Block, BlockLanes
 from raystream.kernels.triangle_lanes import (
@@ -127,30 +127,20 @@ def _own_planes(planes, block, rays):
 
 
 @device
-def _point64(x, y, z):
-    return np.float64(x), np.float64(y), np.float64(z)
-
-
-@device
-def _points64(rows, kx, ky, kz):
-    """Points or directions of a group in float64, in the order of the frame."""
-    return widen(rows[kx]), widen(rows[ky]), widen(rows[kz])
-
-
-@device
 def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
     """Test a triangle of a block against a group; returns whether a ray has a nearer hit."""
     kx, ky, kz = rays.kx, rays.ky, rays.kz
     corners = block.corners
-    ax, ay, az = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
-    bx, by, bz = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
-    cx, cy, cz = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
-    origin, shear = group.origin, group.shear
+    a = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
+    b = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
+    c = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
+    origin = group.origin[kx], group.origin[ky], group.origin[kz]
+    direction, shear = group.direction, group.shear
     sheared = shear_vertices(
-        (f32x16(ax), f32x16(ay), f32x16(az)),
-        (f32x16(bx), f32x16(by), f32x16(bz)),
-        (f32x16(cx), f32x16(cy), f32x16(cz)),
-        (origin[kx], origin[ky], origin[kz]),
+        (f32x16(a[0]), f32x16(a[1]), f32x16(a[2])),
+        (f32x16(b[0]), f32x16(b[1]), f32x16(b[2])),
+        (f32x16(c[0]), f32x16(c[1]), f32x16(c[2])),
+        origin,
         (shear[_X], shear[_Y]),
     )
     candidates = signs_agree(sheared)
@@ -172,13 +162,7 @@ def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
         return False
     # The distance first: rays that leave a surface meet its triangle behind their origin, and
     # need no barycentrics.
-    t = plane_distance(
-        _point64(ax, ay, az),
-        _point64(bx, by, bz),
-        _point64(cx, cy, cz),
-        _points64(origin, kx, ky, kz),
-        _points64(group.direction, kx, ky, kz),
-    )
+    t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
     t = minimum(maximum(t, t_in), t_out) + _ZERO
     candidates = candidates & (t >= t_min) & (t <= nearest)
     if not any_lane(candidates):

@@ -37,7 +37,6 @@ from raystream.jit.simd import (
     scratch,
     select,
     store,
-    widen,
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes
@@ -164,37 +163,25 @@ def _axes(hot):
 
 
 @device
-def _sheared(hot, cold, block):
-    """The vertices of a block's four triangles in a ray's frame."""
+def _vertices(hot, block):
+    """The vertices of a block's four triangles, in the order of a ray's axes."""
     x, y, z = _axes(hot)
     corners = block.corners
     a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
     b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
     c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
-    return shear_vertices(a, b, c, hot.origin, (hot.sx, cold.sy))
+    return a, b, c
 
 
 @device
-def _corner64(corners, corner, x, y, z):
-    return widen(corners[corner, x]), widen(corners[corner, y]), widen(corners[corner, z])
-
-
-@device
-def _point64(x, y, z):
-    return np.float64(x), np.float64(y), np.float64(z)
+def _sheared(hot, cold, block):
+    """The vertices of a block's four triangles in a ray's frame."""
+    return shear_vertices(*_vertices(hot, block), hot.origin, (hot.sx, cold.sy))
 
 
 @device
 def _distances(hot, cold, block):
-    x, y, z = _axes(hot)
-    corners = block.corners
-    return plane_distance(
-        _corner64(corners, _FIRST, x, y, z),
-        _corner64(corners, _SECOND, x, y, z),
-        _corner64(corners, _THIRD, x, y, z),
-        _point64(*hot.origin),
-        _point64(*cold.direction),
-    )
+    return plane_distance(*_vertices(hot, block), hot.origin, cold.direction)
 
 
 @device

@@ -27,7 +27,6 @@ from raystream.jit.simd import (
     scratch,
     select,
     store,
-    widen,
 )
 from raystream.jit.views import view
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, Hits
@@ -230,14 +229,7 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
             nearest, t_min = slot.t, slot.t_min
             candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
             if any_lane(candidates):
-                d = slot.direction
-                t = plane_distance(
-                    (widen(a[0]), widen(a[1]), widen(a[2])),
-                    (widen(b[0]), widen(b[1]), widen(b[2])),
-                    (widen(c[0]), widen(c[1]), widen(c[2])),
-                    (np.float64(origin[0]), np.float64(origin[1]), np.float64(origin[2])),
-                    (np.float64(d[0]), np.float64(d[1]), np.float64(d[2])),
-                )
+                t = plane_distance(a, b, c, origin, slot.direction)
                 t = minimum(maximum(t, t_in), t_out) + _ZERO
                 candidates = candidates & (t >= t_min) & (t <= nearest)
                 # The barycentrics last: rays that leave a surface meet its triangle behind
