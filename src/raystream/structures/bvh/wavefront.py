@@ -13,7 +13,6 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
-    any_lane,
     count_trailing_zeros,
     float_as_bits,
     i32x8,
@@ -29,16 +28,10 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
-from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, Hits
+from raystream.kernels.leaf_block import AXIS, BLOCK, HITS, Block, BlockRay, HitLanes, test_block
 from raystream.kernels.ray import component, prepare_ray, world_t
 from raystream.kernels.ray_source import load_ray
-from raystream.kernels.triangle_lanes import (
-    barycentrics,
-    plane_distance,
-    shear_vertices,
-    signs_agree,
-    slab_interval,
-)
+from raystream.kernels.triangle_lanes import slab_interval
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import (
     LANE,
@@ -57,7 +50,6 @@ __all__ = ["trace_wavefront"]
 _IN_FLIGHT = np.uint64(32)
 
 _ONE = np.uint64(1)
-_FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD = np.uint64(8)
 _LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
@@ -96,7 +88,7 @@ _SLOT = np.dtype(
         ("t_scale", "f8"),
         ("t_offset", "f8"),
         ("planes", "u8", 3),  # rows of a node's planes that the ray enters by
-        ("axes", "u8", 3),  # kx, ky, kz
+        ("axes", "u8", 3),  # see `BlockRay`
         ("direction", "f4", 3),
         ("unused", "V12"),
     ]
@@ -135,7 +127,7 @@ def _start_ray(slot, keys, children, i, ray, max_coordinate):
     slot.direction = r.dx, r.dy, r.dz
     slot.shear = r.sx, r.sy, r.sz
     slot.planes = plane_row(r.kx, inv_x), plane_row(r.ky, inv_y), plane_row(r.kz, inv_z)
-    slot.axes = r.kx, r.ky, r.kz
+    slot.axes = r.kx * AXIS, r.ky * AXIS, r.kz * AXIS
     slot.t_min, slot.t, slot.t_key = ray.t_min, ray.t_max, t_key(ray.t_max)
     slot.prim_id, slot.u, slot.v = _NO_PRIM, _ZERO, _ZERO
     slot.child, slot.top = np.int32(0), LANE
@@ -198,52 +190,16 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
     child = slot.child
     at = leaf_address(leaves, child)
     end = leaf_end(at, child)
-    x, y, z = slot.axes
-    origin = slot.origin
-    sx, sy, _ = slot.shear
     while at != end:
-        block = Block(at)
-        corners = block.corners
-        a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
-        b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
-        c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
-        sheared = shear_vertices(a, b, c, origin, (sx, sy))
-        candidates = signs_agree(sheared)
-        if any_lane(candidates):
-            low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
-            low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
-            low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
-            inv = slot.inv
-            back_x, back_y, back_z = inv[0] < _ZERO, inv[1] < _ZERO, inv[2] < _ZERO
-            t_in, t_out = slab_interval(
-                select(back_x, high_x, low_x),
-                select(back_y, high_y, low_y),
-                select(back_z, high_z, low_z),
-                select(back_x, low_x, high_x),
-                select(back_y, low_y, high_y),
-                select(back_z, low_z, high_z),
-                inv,
-                slot.near,
-                slot.far,
-            )
-            nearest, t_min = slot.t, slot.t_min
-            candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-            if any_lane(candidates):
-                t = plane_distance(a, b, c, origin, slot.direction)
-                t = minimum(maximum(t, t_in), t_out) + _ZERO
-                candidates = candidates & (t >= t_min) & (t <= nearest)
-                # The barycentrics last: rays that leave a surface meet its triangle behind
-                # their origin.
-                if any_lane(candidates):
-                    hit, u, v = barycentrics(sheared, False)
-                    bits = mask_bits(candidates & hit)
-                    if bits != np.uint64(0):
-                        if wants_any:
-                            slot.prim_id = np.int32(0)
-                            return True
-                        lanes = Hits(lanes_at)
-                        lanes.t, lanes.u, lanes.v = t, u, v
-                        _keep_nearest(slot, block, bits, HitLanes(lanes_at))
+        ray = BlockRay(
+            slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
+        )
+        bits = test_block(at, ray, slot.t_min, slot.t, False, lanes_at)
+        if bits != np.uint64(0):
+            if wants_any:
+                slot.prim_id = np.int32(0)
+                return True
+            _keep_nearest(slot, Block(at), bits, HitLanes(lanes_at))
         at += BLOCK
     return False
 
