@@ -19,7 +19,6 @@ NOT_YET = (
     "src/raystream/lab",
     "src/raystream/machines",
     "src/raystream/programs",
-    "src/raystream/structures",
     "docs/api.rst",
     "docs/decisions",
     "docs/papers",

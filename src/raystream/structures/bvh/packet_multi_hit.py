@@ -13,10 +13,8 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, i32x16, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.growing_buffers import GrowingBuffers
-from raystream.kernels.hit_batch import HitBatch
-from raystream.kernels.hits import HitArrays
+from raystream.kernels.hits import HitArrays, HitBatch, Sink
 from raystream.kernels.ray import world_t
-from raystream.kernels.sink import Sink
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_hits import (
