@@ -8,7 +8,7 @@ from conftest import assert_same_bits
 from meshes import dented_sphere
 from programs.layers import layers_scene
 from raystream.machines import branching
-from raystream.structures.bvh import packet_all
+from raystream.structures.bvh import packet_multi_hit
 
 RECORD = np.dtype([("hits", "i4"), ("ids", "i8"), ("rays", "i8"), ("near", "f4"), ("far", "f4")])
 
@@ -114,7 +114,7 @@ def test_buffers_grow(way, monkeypatch):
     nearest = tracer.multi_hit(*rays, max_hits=7)
     assert expected.counts.max() == 90
     monkeypatch.setattr(branching, "FIRST_CAPACITY", 1)
-    monkeypatch.setattr(packet_all, "FIRST_CAPACITY", 16)
+    monkeypatch.setattr(packet_multi_hit, "FIRST_CAPACITY", 16)
     for most, wanted in ((None, expected), (7, nearest)):
         found = tracer.multi_hit(*rays, max_hits=most)
         assert_same_bits(found.ray_splits, wanted.ray_splits)
