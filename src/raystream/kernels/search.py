@@ -29,11 +29,14 @@ __all__ = [
     "SeenSet",
     "begin_search",
     "clear_seen",
+    "get_hit",
+    "is_before",
     "is_full",
     "is_over",
     "keep_hit",
     "mark_seen",
     "offer",
+    "put_hit",
     "sort_hits",
     "wants_any",
 ]
@@ -69,7 +72,8 @@ def _prim_id_of(out, row):
 
 
 @device
-def _put(out, row, t, u, v, prim_id):
+def put_hit(out, row, t, u, v, prim_id):
+    """Write a hit to a row."""
     at = row << _WORD
     store(out.t + at, t)
     store(out.u + at, u)
@@ -78,7 +82,8 @@ def _put(out, row, t, u, v, prim_id):
 
 
 @device
-def _get(out, row):
+def get_hit(out, row):
+    """Read the hit of a row: t, u, v, prim_id."""
     at = row << _WORD
     return (
         load(np.float32, out.t + at),
@@ -89,7 +94,8 @@ def _get(out, row):
 
 
 @device
-def _before(t, prim_id, other_t, other_prim_id):
+def is_before(t, prim_id, other_t, other_prim_id):
+    """Whether a hit is before another one."""
     return t < other_t or (t == other_t and prim_id < other_prim_id)
 
 
@@ -101,17 +107,17 @@ def _sift_down(out, first, count, hole, t, u, v, prim_id):
         if child >= count:
             break
         at = first + child
-        if child + _ONE < count and _before(
+        if child + _ONE < count and is_before(
             _t_of(out, at), _prim_id_of(out, at), _t_of(out, at + _ONE), _prim_id_of(out, at + _ONE)
         ):
             child += _ONE
             at += _ONE
-        if not _before(t, prim_id, _t_of(out, at), _prim_id_of(out, at)):
+        if not is_before(t, prim_id, _t_of(out, at), _prim_id_of(out, at)):
             break
-        t_, u_, v_, prim_id_ = _get(out, at)
-        _put(out, first + hole, t_, u_, v_, prim_id_)
+        t_, u_, v_, prim_id_ = get_hit(out, at)
+        put_hit(out, first + hole, t_, u_, v_, prim_id_)
         hole = child
-    _put(out, first + hole, t, u, v, prim_id)
+    put_hit(out, first + hole, t, u, v, prim_id)
 
 
 @device_call
@@ -138,10 +144,10 @@ def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
         Hits beyond are not wanted any more.
     """
     if count == capacity:
-        if _before(t, prim_id, _t_of(out, first), _prim_id_of(out, first)):
+        if is_before(t, prim_id, _t_of(out, first), _prim_id_of(out, first)):
             _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
         return count, _t_of(out, first)
-    _put(out, first + count, t, u, v, prim_id)
+    put_hit(out, first + count, t, u, v, prim_id)
     count += _ONE
     if count == capacity:
         _make_heap(out, first, count)
@@ -154,7 +160,7 @@ def _make_heap(out, first, count):
     hole = count >> _ONE
     while hole != np.uint64(0):
         hole -= _ONE
-        t, u, v, prim_id = _get(out, first + hole)
+        t, u, v, prim_id = get_hit(out, first + hole)
         _sift_down(out, first, count, hole, t, u, v, prim_id)
 
 
@@ -165,9 +171,9 @@ def sort_hits(out, first, count):
     last = count
     while last > _ONE:
         last -= _ONE
-        t, u, v, prim_id = _get(out, first + last)
-        t_, u_, v_, prim_id_ = _get(out, first)
-        _put(out, first + last, t_, u_, v_, prim_id_)
+        t, u, v, prim_id = get_hit(out, first + last)
+        t_, u_, v_, prim_id_ = get_hit(out, first)
+        put_hit(out, first + last, t_, u_, v_, prim_id_)
         _sift_down(out, first, last, np.uint64(0), t, u, v, prim_id)
 
 

@@ -13,6 +13,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
 from raystream.jit.views import view
+from raystream.kernels.search import get_hit, is_before, put_hit, sort_hits
 from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, world_lanes
 
 __all__ = [
@@ -95,85 +96,15 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
 
 
 @device
-def _goes_before(rows, row, t, prim_id):
-    """Whether the hit of a row is before another one."""
-    at = row * _LANE
-    other = load(np.float32, rows.t + at)
-    if other != t:
-        return other < t
-    return load(np.int32, rows.prim_id + at) < prim_id
-
-
-@device
-def _put(rows, row, t, u, v, prim_id):
-    at = row * _LANE
-    store(rows.t + at, t)
-    store(rows.u + at, u)
-    store(rows.v + at, v)
-    store(rows.prim_id + at, prim_id)
-
-
-@device
-def _take(rows, row):
-    """A hit of `Buffers.rows` or `Buffers.found`."""
-    at = row * _LANE
-    return (
-        load(np.float32, rows.t + at),
-        load(np.float32, rows.u + at),
-        load(np.float32, rows.v + at),
-        load(np.int32, rows.prim_id + at),
-    )
-
-
-@device
-def _copy(rows, to, source):
-    t, u, v, prim_id = _take(rows, source)
-    _put(rows, to, t, u, v, prim_id)
-
-
-@device_call
-def _sift_down(rows, first, count, hole, t, u, v, prim_id):
-    """Insert a hit into a max-heap, starting at an empty node."""
-    no_inline()
-    while True:
-        child = hole + hole + _U1
-        if child >= count:
-            break
-        if child + _U1 < count:
-            other_t, _, _, other_id = _take(rows, first + child + _U1)
-            if _goes_before(rows, first + child, other_t, other_id):
-                child += _U1
-        child_t, _, _, child_id = _take(rows, first + child)
-        if not (t < child_t or (t == child_t and prim_id < child_id)):
-            break
-        _copy(rows, first + hole, first + child)
-        hole = child
-    _put(rows, first + hole, t, u, v, prim_id)
-
-
-@device_call
-def _sort_long(rows, first, count):
-    no_inline()
-    hole = count // np.uint64(2)
-    while hole != _U0:
-        hole -= _U1
-        t, u, v, prim_id = _take(rows, first + hole)
-        _sift_down(rows, first, count, hole, t, u, v, prim_id)
-    last = count - _U1
-    while last != _U0:
-        t, u, v, prim_id = _take(rows, first + last)
-        _copy(rows, first + last, first)
-        _sift_down(rows, first, last, _U0, t, u, v, prim_id)
-        last -= _U1
-
-
-@device
 def _insert(rows, first, row, t, u, v, prim_id):
     """Insert a hit into the sorted rows first to row."""
-    while row > first and not _goes_before(rows, row - _U1, t, prim_id):
-        _copy(rows, row, row - _U1)
+    while row > first:
+        other_t, other_u, other_v, other_id = get_hit(rows, row - _U1)
+        if not is_before(t, prim_id, other_t, other_id):
+            break
+        put_hit(rows, row, other_t, other_u, other_v, other_id)
         row -= _U1
-    _put(rows, row, t, u, v, prim_id)
+    put_hit(rows, row, t, u, v, prim_id)
 
 
 @device_call
@@ -185,11 +116,11 @@ def _remove_duplicates(rows, first, count, to):
     no_inline()
     kept = _U0
     for k in range(count):
-        t, u, v, prim_id = _take(rows, first + k)
+        t, u, v, prim_id = get_hit(rows, first + k)
         last = to + kept - _U1
         if kept != _U0 and load(np.int32, rows.prim_id + last * _LANE) == prim_id:
             continue
-        _put(rows, to + kept, t, u, v, prim_id)
+        put_hit(rows, to + kept, t, u, v, prim_id)
         kept += _U1
     return kept
 
@@ -231,19 +162,19 @@ def sort_packet(hits, ends, used, has_duplicates):
         row += ray_count
     for k in range(count):
         ray = np.uint64(load(np.int32, rays + k * _LANE))
-        t, u, v, prim_id = _take(found, k)
+        t, u, v, prim_id = get_hit(found, k)
         row = row_ends[ray]
-        _put(rows, row, t, u, v, prim_id)
+        put_hit(rows, row, t, u, v, prim_id)
         row_ends[ray] = row + _U1
     to = used
     first = used
     for ray in range(_RAYS):
         ray_count = lengths[ray]
         if ray_count > _LONG:
-            _sort_long(rows, first, ray_count)
+            sort_hits(rows, first, ray_count)
         else:
             for k in range(_U1, ray_count):
-                t, u, v, prim_id = _take(rows, first + k)
+                t, u, v, prim_id = get_hit(rows, first + k)
                 _insert(rows, first, first + k, t, u, v, prim_id)
         if has_duplicates:
             to += _remove_duplicates(rows, first, ray_count, to)
