@@ -292,7 +292,7 @@ def test_more_hits_than_memory_are_refused(monkeypatch):
     """Nothing is cut off silently, and the system need not kill the process."""
     tracer = rs.Tracer(CASES["one_triangle"](np.random.default_rng(0)).scene)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
-    monkeypatch.setattr("raystream.kernels.hit_batch.CHECKED_HITS", 1)
+    monkeypatch.setattr("raystream.kernels.hits.CHECKED_HITS", 1)
     refused = r"multi_hit: [\d,]+ hits would take .* give max_hits"
     rays = np.full((10, 3), [0.2, 0.2, 1.0]), [0, 0, -1]
     with pytest.raises(MemoryError, match=refused):

@@ -11,7 +11,7 @@ import raystream as rs
 from batches import BATCHES
 from conftest import TRACERS, assert_same_bits, is_default
 from meshes import soup
-from raystream.structures.bvh import sorted_batch
+from raystream.structures.bvh import stream_batch
 from test_agreement import Answers, answers_of, assert_expected
 
 #: Tracers that read rays differently: one by one, by eights, as packets, as streams, in passes.
@@ -146,7 +146,7 @@ def test_rays_are_sorted_in_parts(monkeypatch, rng):
     rays["origins"][5::777] *= 1e9  # taken the long way
     expected = oracle.first_hit(**rays)
     for together in (1, 1024, 1500, count):
-        monkeypatch.setattr(sorted_batch, "SORTED_RAYS", together)
+        monkeypatch.setattr(stream_batch, "SORTED_RAYS", together)
         seen = []
         part = slice(0, 40) if together == 1 else slice(None)
         some = {name: array[part] for name, array in rays.items()}

@@ -14,7 +14,7 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import Sink
 from raystream.machines.devices import device_of
 from raystream.machines.traced_scene import TracedScene
 from raystream.programs.filters import Bound, Filter

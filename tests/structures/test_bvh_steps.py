@@ -12,12 +12,11 @@ from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
-from raystream.kernels.hits import HitArrays, hit_addresses, sort_hits
+from raystream.kernels.hits import HitArrays, Sink, hit_addresses
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame, prepare_ray
-from raystream.kernels.search import Search, SeenSet, begin_search, clear_seen, is_full
-from raystream.kernels.sink import Sink
+from raystream.kernels.search import Search, SeenSet, begin_search, clear_seen, is_full, sort_hits
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching
 from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH

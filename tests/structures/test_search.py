@@ -13,11 +13,10 @@ from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
-from raystream.kernels.hits import HitArrays
+from raystream.kernels.hits import HitArrays, Sink
 from raystream.kernels.queries import ray_queries
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.search import is_full
-from raystream.kernels.sink import Sink
 from raystream.machines import Branching
 from raystream.structures import STRUCTURES, build_structure
 from raystream.structures.brute.traversal import traverse as in_brute

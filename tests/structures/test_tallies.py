@@ -11,7 +11,7 @@ from conftest import assert_same_bits
 from meshes import soup
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.machines import Branching
 

@@ -20,9 +20,8 @@ from raystream.cuda.threads import RETRY, SeenTables
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import CudaError, Gpu
 from raystream.jit.threads import Progress
-from raystream.kernels.hits import HitAddresses, HitArrays
+from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.kernels.sink import Sink
 from raystream.machines.backend import Backend, Capabilities
 from raystream.structures import Structure
 

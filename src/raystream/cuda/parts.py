@@ -19,9 +19,9 @@ from raystream.cuda.structures import Resident
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.search import LEAST_ROOM
-from raystream.kernels.sink import Sink
 
 __all__ = [
     "GROWTH",

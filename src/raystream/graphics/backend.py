@@ -18,8 +18,8 @@ from raystream.graphics.error_scope import guarded
 from raystream.graphics.packing import MOST_HITS, unpack_rows, without_repeats
 from raystream.graphics.structures import ShaderStructure, shader_structure_of
 from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.sink import Sink
 from raystream.machines.local import LocalBackend
 from raystream.structures import Structure
 

@@ -1,29 +1,45 @@
-"""Arrays of hits, and the heap that keeps the nearest hits of a ray.
-
-Hits are ordered by t, then prim_id, so the order never depends on the traversal.
-"""
+"""Hits in memory: arrays, batches that a traversal delivers, and the sink of a query's results."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import device, device_call, kernel
-from raystream.jit.simd import address, load, store
+from raystream.core.memory import check_memory
+from raystream.core.query import Kind, Query
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address
+from raystream.jit.threads import parallel_for, thread_count
+from raystream.kernels.tally import new_tallies
 
 __all__ = [
+    "CHECKED_HITS",
+    "HitAccumulator",
     "HitAddresses",
     "HitArrays",
+    "HitBatch",
+    "HitVisitor",
+    "Sink",
     "aligned_rows",
+    "allocate_hits",
     "copy_rows",
     "count_rows",
+    "for_each_chunk",
     "hit_addresses",
-    "keep_hit",
     "place_rows",
-    "sort_hits",
 ]
+
+#: From this many hits on the free memory is checked, which takes longer than a small query.
+CHECKED_HITS = 1 << 20
+
+#: Fewest and most rays of a chunk of a result that is in memory.
+LEAST_PART, MOST_PART = 1 << 13, 1 << 17
+
+#: `ids` of consecutive rays, for kernels.
+_NO_IDS = np.empty(0, np.int64)
 
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
@@ -116,119 +132,6 @@ def hit_addresses(out):
     return HitAddresses(address(out.t), address(out.u), address(out.v), address(out.prim_id))
 
 
-@device
-def _t_of(out, row):
-    return load(np.float32, out.t + (row << _WORD))
-
-
-@device
-def _prim_id_of(out, row):
-    return load(np.int32, out.prim_id + (row << _WORD))
-
-
-@device
-def _put(out, row, t, u, v, prim_id):
-    at = row << _WORD
-    store(out.t + at, t)
-    store(out.u + at, u)
-    store(out.v + at, v)
-    store(out.prim_id + at, prim_id)
-
-
-@device
-def _get(out, row):
-    at = row << _WORD
-    return (
-        load(np.float32, out.t + at),
-        load(np.float32, out.u + at),
-        load(np.float32, out.v + at),
-        load(np.int32, out.prim_id + at),
-    )
-
-
-@device
-def _before(t, prim_id, other_t, other_prim_id):
-    return t < other_t or (t == other_t and prim_id < other_prim_id)
-
-
-@device
-def _sift_down(out, first, count, hole, t, u, v, prim_id):
-    """Insert a hit into a max-heap, starting at an empty node."""
-    while True:
-        child = hole + hole + _ONE
-        if child >= count:
-            break
-        at = first + child
-        if child + _ONE < count and _before(
-            _t_of(out, at), _prim_id_of(out, at), _t_of(out, at + _ONE), _prim_id_of(out, at + _ONE)
-        ):
-            child += _ONE
-            at += _ONE
-        if not _before(t, prim_id, _t_of(out, at), _prim_id_of(out, at)):
-            break
-        t_, u_, v_, prim_id_ = _get(out, at)
-        _put(out, first + hole, t_, u_, v_, prim_id_)
-        hole = child
-    _put(out, first + hole, t, u, v, prim_id)
-
-
-@device_call
-def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
-    """Keep a hit if it is among the `capacity` nearest ones so far.
-
-    Parameters
-    ----------
-    out : HitAddresses
-        Rows first to first + count hold the hits kept: a max-heap once there are `capacity`
-        of them, in no order before.
-    first, count, capacity : uint64
-        The ray's first row, its rows in use, and all its rows (at least 1).
-    t, u, v : float32
-    prim_id : int32
-    t_far : float32
-        Hits beyond are not wanted.
-
-    Returns
-    -------
-    count : uint64
-        Rows in use now.
-    t_far : float32
-        Hits beyond are not wanted any more.
-    """
-    if count == capacity:
-        if _before(t, prim_id, _t_of(out, first), _prim_id_of(out, first)):
-            _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
-        return count, _t_of(out, first)
-    _put(out, first + count, t, u, v, prim_id)
-    count += _ONE
-    if count == capacity:
-        _make_heap(out, first, count)
-        t_far = _t_of(out, first)
-    return count, t_far
-
-
-@device
-def _make_heap(out, first, count):
-    hole = count >> _ONE
-    while hole != np.uint64(0):
-        hole -= _ONE
-        t, u, v, prim_id = _get(out, first + hole)
-        _sift_down(out, first, count, hole, t, u, v, prim_id)
-
-
-@device_call
-def sort_hits(out, first, count):
-    """Sort rows first to first + count, in any order, by t, then prim_id."""
-    _make_heap(out, first, count)
-    last = count
-    while last > _ONE:
-        last -= _ONE
-        t, u, v, prim_id = _get(out, first + last)
-        t_, u_, v_, prim_id_ = _get(out, first)
-        _put(out, first + last, t_, u_, v_, prim_id_)
-        _sift_down(out, first, last, np.uint64(0), t, u, v, prim_id)
-
-
 @kernel
 def copy_rows(begin, end, rows, firsts, counts, starts, out):
     """Copy ``counts[i]`` rows, from row ``firsts[i]`` to row ``starts[i]`` of `out`.
@@ -292,3 +195,236 @@ def place_rows(rows, splits, ids, first, nexts, out):
             out.prim_id[to] = rows.prim_id[row]
             to += _ONE
         nexts[ray] = np.int64(to)
+
+
+class HitBatch(NamedTuple):
+    """Hits of some of the rays of a query.
+
+    Attributes
+    ----------
+    hits : HitArrays
+        With t in world direction lengths.
+    splits : ndarray of shape (n + 1,), int64, or None
+        The i-th ray's rows are splits[i] to splits[i + 1]. None if each ray has one row,
+        whose prim_id may be -1; or each hit has its own entry in `ids`.
+    ids : ndarray of shape (n,), int64, or None
+        The rays' indices in the batch; None if they are consecutive. Without splits: int32.
+    first : int
+        The first one's index, if they are consecutive.
+    """
+
+    hits: HitArrays
+    splits: NDArray[np.int64] | None
+    ids: NDArray[np.int64] | NDArray[np.int32] | None
+    first: int
+
+    def __len__(self) -> int:
+        return len(self.hits.t) if self.splits is None else len(self.splits) - 1
+
+    @property
+    def hit_count(self) -> int:
+        """Rows of all rays."""
+        if self.splits is None:
+            return len(self.hits.t)
+        return int(self.splits[-1] - self.splits[0])
+
+    @property
+    def rays(self) -> slice | NDArray[np.int64] | NDArray[np.int32]:
+        """The rays' indices in the batch, to index arrays with."""
+        return slice(self.first, self.first + len(self)) if self.ids is None else self.ids
+
+
+#: Called from several threads; the hits' memory is reused after the call.
+HitVisitor = Callable[[HitBatch], object]
+
+
+def for_each_chunk(found: HitBatch, visitor: HitVisitor) -> None:
+    """Give hits of consecutive rays, all in memory, to a visitor in chunks, on all threads."""
+
+    def body(begin: int, end: int) -> None:
+        rows = slice(begin, end)
+        if found.splits is None:
+            visitor(HitBatch(found.hits.part(rows), None, None, found.first + begin))
+        elif begin != end:
+            splits = found.splits[begin : end + 1]
+            visitor(HitBatch(found.hits, splits, None, found.first + begin))
+
+    share = -(-len(found) // (4 * thread_count()))
+    parallel_for(body, len(found), max(LEAST_PART, min(share, MOST_PART)))
+
+
+def allocate_hits(count: int) -> HitArrays:
+    """Allocate the hits of `multi_hit`; raises MemoryError if there is not enough memory."""
+    if count >= CHECKED_HITS:
+        _check_hits(count)
+    return HitArrays.empty(count)
+
+
+def _check_hits(count: int) -> None:
+    remedy = "give max_hits, or fewer rays at a time"
+    check_memory(count * 16, f"multi_hit: {count:,} hits would", remedy)
+
+
+class HitAccumulator:
+    """Copies of batches of hits, joined at the end.
+
+    Parameters
+    ----------
+    ray_count : int
+        Rays of the batch.
+    """
+
+    def __init__(self, ray_count: int) -> None:
+        self._counts = np.zeros(ray_count, np.int64)
+        self._parts: list[HitBatch] = []
+        self._in_order = False
+        self._found = 0
+        self._unchecked = CHECKED_HITS
+        count_rows(np.zeros(1, np.int64), _NO_IDS, 0, self._counts)  # compile on this thread
+
+    def take(self, found: HitBatch, again: bool = False) -> None:
+        """Copy a batch with splits; a `HitVisitor`.
+
+        Parameters
+        ----------
+        found : HitBatch
+        again : bool
+            Whether its rays had hits in earlier batches, which come first.
+        """
+        splits = found.splits
+        assert splits is not None
+        self._in_order |= again
+        begin, end = int(splits[0]), int(splits[-1])
+        if begin == end:
+            return
+        self._found += end - begin
+        if self._found >= self._unchecked:  # before the memory for `whole` runs out
+            self._unchecked = self._found + CHECKED_HITS
+            _check_hits(self._found)
+        ids = _NO_IDS if found.ids is None else found.ids.astype(np.int64)
+        part = HitBatch(found.hits.copy_of(slice(begin, end)), splits - begin, ids, found.first)
+        count_rows(part.splits, ids, part.first, self._counts)
+        self._parts.append(part)
+
+    def whole(self) -> tuple[NDArray[np.int64], HitArrays]:
+        """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
+        splits = np.zeros(len(self._counts) + 1, np.int64)
+        np.cumsum(self._counts, out=splits[1:])
+        hits = allocate_hits(int(splits[-1]))
+        nexts = splits[:-1].copy()
+
+        def body(begin: int, end: int) -> None:
+            if begin == end:  # compile
+                place_rows(hits, np.zeros(1, np.int64), _NO_IDS, 0, nexts, hits)
+            for part in self._parts[begin:end]:
+                place_rows(part.hits, part.splits, part.ids, part.first, nexts, hits)
+
+        count = len(self._parts)
+        parallel_for(body, count, count if self._in_order else 1)
+        return splits, hits
+
+
+class Sink:
+    """The results of a query: allocated before it runs, read afterwards.
+
+    The kind of the query determines which attributes exist.
+
+    Attributes
+    ----------
+    status : ndarray of shape (N,), uint8
+        A `RayStatus` per ray: VALID before the query, changed for invalid ones.
+    hits : HitArrays
+        Of `Kind.FIRST_HIT`, row i is ray i's: a miss has t = inf and prim_id = -1. Of
+        `Kind.MULTI_HIT`, all rows. World distances, in direction lengths.
+    memory : ndarray of shape (4, M), float32
+        The memory of the rows of `Kind.FIRST_HIT`, aligned to cache lines.
+    seen : ndarray of shape (N,), bool
+        Of `Kind.ANY_HIT`: whether anything is in the ray's way.
+    counts : ndarray of shape (N,), int64
+        Of `Kind.COUNT_HITS`.
+    splits : ndarray of shape (N + 1,), int64
+        Of `Kind.MULTI_HIT`: ray i owns the rows splits[i] to splits[i + 1].
+    visitor : callable
+        Of `Kind.MULTI_HIT`: if given, it takes the hits in batches, and `splits` and `hits` are
+        not set. Called from several threads.
+    records : ndarray of shape (N,) or (N, k)
+        Of `Kind.TRACE`: each ray's payload, changed in place; None if the program takes none.
+    tallies : ndarray of shape (N, 8), uint32
+        If the query counts: each ray's counts are added to its row; see `kernels.tally`.
+    """
+
+    hits: HitArrays
+    memory: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    counts: NDArray[np.int64]
+    splits: NDArray[np.int64]
+
+    __slots__ = (
+        "counts",
+        "hits",
+        "memory",
+        "records",
+        "seen",
+        "splits",
+        "status",
+        "tallies",
+        "visitor",
+    )
+
+    def __init__(
+        self,
+        status: NDArray[np.uint8],
+        *,
+        visitor: HitVisitor | None = None,
+        records: NDArray[Any] | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> None:
+        self.status = status
+        self.visitor = visitor
+        self.records = records
+        self.tallies = tallies
+
+    @classmethod
+    def of(
+        cls,
+        query: Query,
+        count: int,
+        records: NDArray[Any] | None = None,
+        status: NDArray[np.uint8] | None = None,
+    ) -> Sink:
+        """Allocate the results of a query of `count` rays; also the status unless given."""
+        sink = cls(
+            np.zeros(count, np.uint8) if status is None else status,
+            records=records,
+            tallies=new_tallies(count) if query.counters else None,
+        )
+        kind = query.kind
+        if kind is Kind.FIRST_HIT:
+            sink.memory = aligned_rows(count)
+            sink.hits = HitArrays.rows_of(sink.memory)
+        elif kind is Kind.ANY_HIT:
+            sink.seen = np.empty(count, np.bool_)
+        elif kind is Kind.COUNT_HITS:
+            sink.counts = np.empty(count, np.int64)
+        return sink
+
+    def part(self, rows: slice) -> Sink:
+        """A view of some consecutive rays; of `Kind.MULTI_HIT`, with all hits."""
+        tallies = None if self.tallies is None else self.tallies[rows]
+        part = Sink(self.status[rows], tallies=tallies)
+        if hasattr(self, "splits"):
+            part.splits, part.hits = self.splits[rows.start : rows.stop + 1], self.hits
+        elif hasattr(self, "hits"):
+            part.hits = self.hits.part(rows)
+        elif hasattr(self, "seen"):
+            part.seen = self.seen[rows]
+        elif hasattr(self, "counts"):
+            part.counts = self.counts[rows]
+        return part
+
+    def put(self, splits: NDArray[np.int64], hits: HitArrays) -> None:
+        """Store or deliver all hits of `Kind.MULTI_HIT`."""
+        if self.visitor is None:
+            self.splits, self.hits = splits, hits
+        else:
+            for_each_chunk(HitBatch(hits, splits, None, 0), self.visitor)

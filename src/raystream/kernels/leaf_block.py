@@ -1,9 +1,9 @@
 """The leaf block: four triangles side by side. Its layout, its writer and its test.
 
-The leaves of the BVH, the kd-tree and the graph are rows of blocks. Single rays are tested against
-them here and nowhere else, on the CPU and on CUDA, on both machines. The BVH's kernels for many
-rays (`structures.bvh`: wavefront, packet, stream) read the same blocks with code of their own:
-their lanes are 16 rays against one triangle, or their rays are records in memory.
+The leaves of the BVH, the kd-tree and the graph are rows of blocks. Single rays are
+tested against them here and nowhere else, on the CPU and on CUDA, on both machines. Packets and
+streams (`structures.bvh`) read the same blocks with code of their own: their lanes are 16 rays
+against one triangle, or a block is tested against many rays at once.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from raystream.jit.simd import (
     scratch,
     select,
     store,
-    widen,
 )
 from raystream.jit.threads import parallel_for
 from raystream.jit.views import view
@@ -64,6 +63,7 @@ __all__ = [
     "clear_block",
     "filled_blocks",
     "intersect_block",
+    "test_block",
     "triangle_count",
     "write_block",
     "write_corners",
@@ -111,7 +111,7 @@ _ZERO = np.float32(0.0)
 _NAN = np.float32(np.nan)
 _LANES = np.uint64(BLOCK_SIZE)
 
-# Where `_test_block` leaves u and v, after t.
+# Where `test_block` leaves u and v, after t.
 _U = np.uint64(16)
 _V = np.uint64(32)
 
@@ -268,7 +268,7 @@ def _corner(at, axis):
 
 
 @device
-def _test_block(block, ray, t_min, t_far, surfaces, lanes):
+def test_block(block, ray, t_min, t_far, surfaces, lanes):
     """Test the four triangles of a block against a ray.
 
     Parameters
@@ -318,14 +318,7 @@ def _test_block(block, ray, t_min, t_far, surfaces, lanes):
     # meets the surface's triangle behind its origin. (Single bounce, ambient occlusion and shadow
     # rays on the bunny and conference, one thread of a Zen 5: 1.03 to 1.05 times as fast; primary
     # rays: the same.)
-    d = ray.direction
-    t = plane_distance(
-        (widen(a[0]), widen(a[1]), widen(a[2])),
-        (widen(b[0]), widen(b[1]), widen(b[2])),
-        (widen(c[0]), widen(c[1]), widen(c[2])),
-        (np.float64(o[0]), np.float64(o[1]), np.float64(o[2])),
-        (np.float64(d[0]), np.float64(d[1]), np.float64(d[2])),
-    )
+    t = plane_distance(a, b, c, o, ray.direction)
     t = minimum(maximum(t, t_in), t_out) + _ZERO
     candidates = candidates & (t >= t_min) & (t <= t_far)
     if not any_lane(candidates):
@@ -356,7 +349,7 @@ def intersect_block(block, ray, search, t_in, t_out):
     Search
     """
     lanes = scratch(64)
-    bits = _test_block(block, ray, t_in, min(search.t_far, t_out), search.surfaces, lanes)
+    bits = test_block(block, ray, t_in, min(search.t_far, t_out), search.surfaces, lanes)
     while bits != _NONE:
         at = count_trailing_zeros(bits) << _WORD
         bits &= bits - _ONE

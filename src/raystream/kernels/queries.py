@@ -15,11 +15,10 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, scratch, store
-from raystream.kernels.hits import HitAddresses, hit_addresses, sort_hits
+from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray
-from raystream.kernels.search import LEAST_ROOM, SeenSet, begin_search, clear_seen
-from raystream.kernels.sink import Sink
+from raystream.kernels.search import LEAST_ROOM, SeenSet, begin_search, clear_seen, sort_hits
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
 __all__ = [

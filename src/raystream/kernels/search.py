@@ -4,6 +4,8 @@ A query loop begins a search, a structure's traversal takes and returns it, and 
 its hits to it; no other code depends on the query. A search that was begun in one structure can be
 continued in another: only `offer` changes its count and its t_far.
 
+Hits are ordered by t, then prim_id, so the order never depends on the traversal.
+
 Whether an optional member is None is known when a kernel is compiled, and code for None is left
 out. That holds for arguments only, so a function that takes the member as its argument tests it.
 """
@@ -14,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device
+from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
-from raystream.kernels.hits import HitAddresses, keep_hit
+from raystream.kernels.hits import HitAddresses
 
 __all__ = [
     "ADDED",
@@ -27,10 +29,15 @@ __all__ = [
     "SeenSet",
     "begin_search",
     "clear_seen",
+    "get_hit",
+    "is_before",
     "is_full",
     "is_over",
+    "keep_hit",
     "mark_seen",
     "offer",
+    "put_hit",
+    "sort_hits",
     "wants_any",
 ]
 
@@ -49,6 +56,128 @@ _UPPER = np.uint64(32)
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
+
+
+# The nearest hits
+
+
+@device
+def _t_of(out, row):
+    return load(np.float32, out.t + (row << _WORD))
+
+
+@device
+def _prim_id_of(out, row):
+    return load(np.int32, out.prim_id + (row << _WORD))
+
+
+@device
+def put_hit(out, row, t, u, v, prim_id):
+    """Write a hit to a row."""
+    at = row << _WORD
+    store(out.t + at, t)
+    store(out.u + at, u)
+    store(out.v + at, v)
+    store(out.prim_id + at, prim_id)
+
+
+@device
+def get_hit(out, row):
+    """Read the hit of a row: t, u, v, prim_id."""
+    at = row << _WORD
+    return (
+        load(np.float32, out.t + at),
+        load(np.float32, out.u + at),
+        load(np.float32, out.v + at),
+        load(np.int32, out.prim_id + at),
+    )
+
+
+@device
+def is_before(t, prim_id, other_t, other_prim_id):
+    """Whether a hit is before another one."""
+    return t < other_t or (t == other_t and prim_id < other_prim_id)
+
+
+@device
+def _sift_down(out, first, count, hole, t, u, v, prim_id):
+    """Insert a hit into a max-heap, starting at an empty node."""
+    while True:
+        child = hole + hole + _ONE
+        if child >= count:
+            break
+        at = first + child
+        if child + _ONE < count and is_before(
+            _t_of(out, at), _prim_id_of(out, at), _t_of(out, at + _ONE), _prim_id_of(out, at + _ONE)
+        ):
+            child += _ONE
+            at += _ONE
+        if not is_before(t, prim_id, _t_of(out, at), _prim_id_of(out, at)):
+            break
+        t_, u_, v_, prim_id_ = get_hit(out, at)
+        put_hit(out, first + hole, t_, u_, v_, prim_id_)
+        hole = child
+    put_hit(out, first + hole, t, u, v, prim_id)
+
+
+@device_call
+def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
+    """Keep a hit if it is among the `capacity` nearest ones so far.
+
+    Parameters
+    ----------
+    out : HitAddresses
+        Rows first to first + count hold the hits kept: a max-heap once there are `capacity`
+        of them, in no order before.
+    first, count, capacity : uint64
+        The ray's first row, its rows in use, and all its rows (at least 1).
+    t, u, v : float32
+    prim_id : int32
+    t_far : float32
+        Hits beyond are not wanted.
+
+    Returns
+    -------
+    count : uint64
+        Rows in use now.
+    t_far : float32
+        Hits beyond are not wanted any more.
+    """
+    if count == capacity:
+        if is_before(t, prim_id, _t_of(out, first), _prim_id_of(out, first)):
+            _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
+        return count, _t_of(out, first)
+    put_hit(out, first + count, t, u, v, prim_id)
+    count += _ONE
+    if count == capacity:
+        _make_heap(out, first, count)
+        t_far = _t_of(out, first)
+    return count, t_far
+
+
+@device
+def _make_heap(out, first, count):
+    hole = count >> _ONE
+    while hole != np.uint64(0):
+        hole -= _ONE
+        t, u, v, prim_id = get_hit(out, first + hole)
+        _sift_down(out, first, count, hole, t, u, v, prim_id)
+
+
+@device_call
+def sort_hits(out, first, count):
+    """Sort rows first to first + count, in any order, by t, then prim_id."""
+    _make_heap(out, first, count)
+    last = count
+    while last > _ONE:
+        last -= _ONE
+        t, u, v, prim_id = get_hit(out, first + last)
+        t_, u_, v_, prim_id_ = get_hit(out, first)
+        put_hit(out, first + last, t_, u_, v_, prim_id_)
+        _sift_down(out, first, last, np.uint64(0), t, u, v, prim_id)
+
+
+# Triangles seen
 
 
 class SeenSet(NamedTuple):
@@ -110,6 +239,9 @@ def mark_seen(seen, prim_id):
     store(count_at, np.int32(count))
     store(at, prim_id)
     return ADDED
+
+
+# The search
 
 
 class Search(NamedTuple):

@@ -119,21 +119,22 @@ def plane_distance(a, b, c, o, d):
 
     Parameters
     ----------
-    a, b, c, o, d : tuple of three float64 vectors or numbers
-        Corners, origin and direction, in the order of the frame; float32 values.
+    a, b, c, o, d : tuple of three float32 vectors or numbers
+        Corners, origin and direction, in the order of the frame.
 
     Returns
     -------
     float32 vector
         Not clamped; not finite for a triangle seen edge-on.
     """
-    px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    ax, ay, az = widen(a[0]), widen(a[1]), widen(a[2])
+    px, py, pz = widen(b[0]) - ax, widen(b[1]) - ay, widen(b[2]) - az
+    qx, qy, qz = widen(c[0]) - ax, widen(c[1]) - ay, widen(c[2]) - az
     nx = py * qz - pz * qy
     ny = pz * qx - px * qz
     nz = px * qy - py * qx
-    along = (a[0] - o[0]) * nx + (a[1] - o[1]) * ny + (a[2] - o[2]) * nz
-    return narrow(along / (d[0] * nx + d[1] * ny + d[2] * nz))
+    along = (ax - widen(o[0])) * nx + (ay - widen(o[1])) * ny + (az - widen(o[2])) * nz
+    return narrow(along / (widen(d[0]) * nx + widen(d[1]) * ny + widen(d[2]) * nz))
 
 
 @device

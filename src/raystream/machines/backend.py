@@ -10,8 +10,7 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress, part_of
-from raystream.kernels.hit_batch import allocate_hits
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import Sink, allocate_hits
 from raystream.programs.run import run_on_hits
 from raystream.structures import Structure
 

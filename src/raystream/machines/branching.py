@@ -10,12 +10,10 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.growing_buffers import GrowingBuffers
-from raystream.kernels.hit_batch import HitAccumulator, HitBatch, allocate_hits
-from raystream.kernels.hits import HitArrays
+from raystream.kernels.hits import HitAccumulator, HitArrays, HitBatch, Sink, allocate_hits
 from raystream.kernels.queries import Wanted, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
-from raystream.kernels.sink import Sink
 from raystream.machines.backend import Backend
 from raystream.structures import Structure
 

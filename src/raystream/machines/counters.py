@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.machines.backend import Backend
 from raystream.machines.passes import Passes

@@ -9,8 +9,8 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.sink import Sink
 from raystream.machines.backend import Backend
 from raystream.machines.ray_block import blocks
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.jit.threads import Progress, part_of
-from raystream.kernels.hits import HitAddresses
+from raystream.kernels.hits import HitAddresses, Sink
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.sink import Sink
 from raystream.kernels.tally import new_tallies
 from raystream.machines.backend import Capabilities
 from raystream.machines.local import LocalBackend

@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.hit_batch import HitAccumulator, HitBatch, for_each_chunk
-from raystream.kernels.hits import HitAddresses, HitArrays, copy_rows
+from raystream.kernels.hits import (
+    HitAccumulator,
+    HitAddresses,
+    HitArrays,
+    HitBatch,
+    copy_rows,
+    for_each_chunk,
+)
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit

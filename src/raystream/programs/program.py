@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.jit.user_loops import Loop, compile_loop
-from raystream.kernels.hit_batch import HitBatch
+from raystream.kernels.hits import HitBatch
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
 from raystream.programs.ray_subset import PendingRays
 from raystream.programs.rows import SkipsAt

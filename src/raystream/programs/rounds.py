@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from raystream.core.query import UNLIMITED
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.hit_batch import HitBatch, HitVisitor
+from raystream.kernels.hits import HitBatch, HitVisitor
 from raystream.programs.ray_subset import PendingRays, RaySubset
 
 __all__ = ["FindHits", "RunProgram", "visit"]

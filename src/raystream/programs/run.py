@@ -12,8 +12,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.hit_batch import HitVisitor
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import HitVisitor, Sink
 from raystream.programs.filters import count_filtered, filter_first, multi_filtered
 from raystream.programs.trace import trace_program
 

@@ -16,9 +16,9 @@ from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
 from raystream.kernels.queries import RayQueries, ray_queries
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.sink import Sink
 from raystream.structures.registry import StructureOptions
 
 __all__ = ["BuildReport", "Structure", "UpdateReport"]

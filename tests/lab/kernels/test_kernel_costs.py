@@ -9,8 +9,8 @@ import raystream as rs
 from conftest import TRACERS, assert_same_bits
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.sink import Sink
 from raystream.lab.kernels.bandwidth import copy_bandwidth, kernel_speeds, measure_speed
 from raystream.lab.kernels.costs import cost_of, stream_words, words_fetched, words_of
 from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only

@@ -29,8 +29,7 @@ from raystream.cuda.multipass.tree import ResidentSteps
 from raystream.cuda.parts import HostQuery, parts_of
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
-from raystream.kernels.hits import HitAddresses, HitArrays
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes
 from raystream.machines.records import RayState

@@ -23,9 +23,7 @@ from raystream.cuda.query_inputs import QueryInputs
 from raystream.cuda.rays import place_rays
 from raystream.jit.cuda import DeviceArray, StreamScope
 from raystream.jit.threads import Progress
-from raystream.kernels.hit_batch import allocate_hits
-from raystream.kernels.hits import HitAddresses, HitArrays
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import HitAddresses, HitArrays, Sink, allocate_hits
 from raystream.programs.filters import Filter
 from raystream.programs.rows import SkipsAt
 from raystream.programs.texts import Goal

@@ -17,9 +17,9 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.kernels.hits import Sink
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.sink import Sink
 from raystream.lab.kernels.snapshots import Search
 from raystream.lab.timing import repeat, seconds_of
 from raystream.machines import Branching

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.kernels.sink import Sink
+from raystream.kernels.hits import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper.maps import map_of
 from raystream.lab.stepper.structure_map import LocalSpot, Records, StructureMap

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.kernels.hits import sort_hits
-from raystream.kernels.search import Search
+from raystream.kernels.search import Search, sort_hits
 from raystream.kernels.tally import SHADINGS
 from raystream.machines.records import DONE, RayState, count_step
 

@@ -1,4 +1,4 @@
-"""Bounding volume hierarchy: boxes around boxes around triangles."""
+"""Bounding volume hierarchy."""
 
 from raystream.structures.bvh.options import Bvh
 

@@ -9,9 +9,9 @@ import numpy as np
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.kernels.sink import Sink
 from raystream.structures.bvh.coherence import choose_kernel, probe
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh

@@ -1,13 +1,13 @@
-"""Packets of 256 rays: the kernel for rays that go nearly the same way.
+"""Packets of 256 rays: the kernel for coherent rays.
 
 The bounds of a packet's origins and reciprocal directions form an interval ray: one test of
-eight boxes against it rejects the children that no ray of the packet can enter. Those left
-are tested exactly, 16 rays at a time, up to the first group that enters and down to the last
-one; these go on the stack with the child, and bound the work below ("ranged traversal"). At a
-leaf, 16 rays are tested against one triangle at a time.
+eight boxes against it culls the children that no ray of the packet can enter. The others are
+tested exactly, 16 rays at a time, from the first group up and from the last group down until one
+enters; this range of groups is pushed with the child and bounds the work below ("ranged
+traversal"). In a leaf, 16 rays are tested against one triangle at a time.
 
-The rays of a pass share an octant and the largest axis of their directions; a packet of
-several kinds takes a pass for each.
+The rays of a pass share a direction class: the octant and the largest axis of the direction. A
+packet takes a pass per class.
 
 References
 ----------
@@ -69,8 +69,8 @@ _INF = np.float32(np.inf)
 _U0, _U1, _U2 = np.uint64(0), np.uint64(1), np.uint64(2)
 _NO_LIMIT = np.int32(2**31 - 1)
 
-#: A stack entry: a child, its key, the first and the last group that enter it, and where its
-#: box is.
+#: A stack entry: a child, its key, the first and the last group that enter it, and the node and
+#: lane of its box.
 _ENTRY = np.dtype(
     [
         ("child", "i4"),
@@ -84,8 +84,8 @@ _ENTRY = np.dtype(
 _Entry = view(_ENTRY)
 _EntryWords = view([("words", "u8", 3)])
 
-#: The memory that tracing a packet needs: keys of a node's children, planes of a block's
-#: triangles, then the stack.
+#: Scratch of `trace_packet`: keys of a node's children, planes of a block's triangles; behind it
+#: the stack.
 _MEMORY = np.dtype([("keys", "i4", 8), ("planes", PLANES)])
 _Memory = view(_MEMORY)
 _Keys = view([("keys", "i4", (8, 1))])
@@ -99,13 +99,13 @@ class AxisBounds(NamedTuple):
     Attributes
     ----------
     near, far : uint64
-        The rows of a node's planes that the rays meet first and last.
+        The rows of a node's planes that the rays enter and leave by.
     low, high : float32
         Of the reciprocal directions.
     near_low, near_high, far_low, far_high : float32
-        Slab constants that go with them.
+        The slab constants for `low` and `high`.
     back : bool
-        The rays go towards lower coordinates.
+        Whether directions are negative.
     """
 
     near: np.uint64
@@ -120,7 +120,7 @@ class AxisBounds(NamedTuple):
 
 
 class RayClass(NamedTuple):
-    """The rays of a pass: those of a packet with one octant and largest axis.
+    """The rays of a pass: those of a packet with one direction class.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class RayClass(NamedTuple):
     kx, ky, kz : uint64
         Axes of their frames; see `kernels.ray.Ray`.
     t_min : float32
-        The least of all rays.
+        Minimum of all rays.
     """
 
     x: AxisBounds
@@ -142,7 +142,7 @@ class RayClass(NamedTuple):
 
 @device
 def _extremes(packet, direction_class, axis):
-    """Bounds of the rays of a direction_class along an axis."""
+    """Bounds of the rays of a class along an axis."""
     least_inv, most_inv = f32x16(_INF), f32x16(-_INF)
     least_o, most_o = f32x16(_INF), f32x16(-_INF)
     for g in range(GROUPS):
@@ -160,7 +160,7 @@ def _extremes(packet, direction_class, axis):
 
 @device
 def _slab_bounds(axis, low, high, origin_low, origin_high, pad):
-    """The interval ray's constants; its padding is twice the rays', for its own rounding."""
+    """Constants of the interval ray; twice the rays' padding covers its own rounding."""
     near = axis << _U1
     back = high < _ZERO
     if back:
@@ -195,7 +195,7 @@ def _far_of(node, b):
 
 @device
 def _ray_class(packet, direction_class, max_coordinate):
-    """Begin the pass of a direction_class: its rays become live; returns what they share."""
+    """Begin the pass of a class: activate its rays; returns their `RayClass`."""
     lx, hx, olx, ohx = _extremes(packet, direction_class, _U0)
     ly, hy, oly, ohy = _extremes(packet, direction_class, _U1)
     lz, hz, olz, ohz = _extremes(packet, direction_class, _U2)
@@ -228,7 +228,7 @@ def _enters(node, rays, t_max):
     Returns
     -------
     t_in : f32x8
-        At least so far away each box is entered.
+        Lower bounds of the distances at which the boxes are entered.
     mask : mask8
         The boxes that some ray may enter between its t_min and `t_max`.
     """
@@ -240,7 +240,7 @@ def _enters(node, rays, t_max):
 
 @device
 def _farthest(packet):
-    """The farthest t that any live ray of the packet still looks at; -inf when none is."""
+    """The farthest t that an active ray of the packet searches; -inf if none is active."""
     t = Group(packet, _U0).t_active
     for g in range(_U1, GROUPS):
         t = maximum(Group(packet, g).t_active, t)
@@ -249,7 +249,7 @@ def _farthest(packet):
 
 @device
 def _push(stack, base, top, child, key, groups, node, lane):
-    """Put a child on the stack, under those of its node that are nearer; returns the height."""
+    """Push a child below the nearer ones of its node; returns the stack's height."""
     at = top
     while at != base and _Entry(stack, at - _U1).key < key:
         _EntryWords(stack, at).words = _EntryWords(stack, at - _U1).words
@@ -263,7 +263,7 @@ def _push(stack, base, top, child, key, groups, node, lane):
 
 @device
 def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
-    """Put a node's children that some ray enters on the stack; returns its height."""
+    """Push a node's children that a ray enters; returns the stack's height."""
     t_in, entered = _enters(Node(node), rays, farthest)
     bits = mask_bits(entered)
     if bits != _U0:
@@ -282,7 +282,7 @@ def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
 
 @device
 def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits):
-    """Trace the rays of one direction_class: the pass of a packet."""
+    """Trace the rays of one class: a pass of a packet."""
     rays = _ray_class(packet, direction_class, max_coordinate)
     farthest = _farthest(packet)
     limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
@@ -301,7 +301,7 @@ def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hi
                 if farthest == -_INF:
                     break
                 limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
-        # The nearest child that some ray may still need.
+        # Pop the nearest child within the search interval.
         while top != _U0 and _Entry(stack, top - _U1).key > limit:
             top -= _U1
         if top == _U0:
@@ -320,7 +320,7 @@ def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hi
 
 @device
 def _next_class(packet):
-    """The direction_class of the first ray that has not been traced, or NO_CLASS."""
+    """The class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(GROUPS):
         bits = mask_bits(Group(packet, g).direction_class != NO_CLASS)
         if bits != _U0:
@@ -330,7 +330,7 @@ def _next_class(packet):
 
 @device
 def trace_packet(packet, tree, max_coordinate, memory, goal, hits):
-    """Trace a packet that was loaded.
+    """Trace a loaded packet.
 
     Parameters
     ----------
@@ -343,7 +343,7 @@ def trace_packet(packet, tree, max_coordinate, memory, goal, hits):
     goal : uint64
         `FIRST`, `ANY`, `COUNT` or `ALL` hits, see `packet_leaf`.
     hits : Collector
-        Of the hits, if all of them are wanted.
+        Takes the hits if the goal is `ALL`.
     """
     direction_class = _next_class(packet)
     while direction_class != NO_CLASS:

@@ -1,8 +1,8 @@
-"""All hits of a packet's rays: collected as they are found, then sorted by ray, t and prim_id.
+"""All hits of a packet's rays: collected, then sorted by ray, t and prim_id.
 
-Hits are appended 16 lanes at a time, with the number of their ray. Where their order matters,
-that is the number in the packet: when it is done, they are counted by ray, moved to their
-ray's rows, and sorted there.
+Hits are appended 16 lanes at a time, with the index of their ray. To sort them, that is the index
+in the packet: when the packet is done, hits are counted by ray, scattered to the ray's rows, and
+sorted there.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
 from raystream.jit.views import view
+from raystream.kernels.search import get_hit, is_before, put_hit, sort_hits
 from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, world_lanes
 
 __all__ = [
@@ -27,8 +28,8 @@ __all__ = [
     "sort_packet",
 ]
 
-#: Addresses of buffers: of hits as they are found, of hits in the order of rays, of those rays'
-#: numbers and of where their rows end; then the number of hits that they hold.
+#: Addresses of buffers: hits in the order of discovery, sorted hits, their rays and the ends of the
+#: rays' rows; then the capacity in hits.
 _FOUND = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8"), ("ray", "u8")])
 _ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
 BUFFERS = np.dtype(
@@ -40,16 +41,15 @@ _COLLECTOR = np.dtype(
     [
         ("buffers", "u8"),  # their address
         ("count", "u8"),  # hits
-        ("capacity", "u8"),  # hits that there is room for
-        ("in_world", "u8"),  # whether t is to be in world direction lengths
-        ("first_rays", "i4", (int(GROUPS), 1)),  # the number of each group's first ray
+        ("capacity", "u8"),  # of the buffers
+        ("in_world", "u8"),  # whether to convert t to world direction lengths
+        ("first_rays", "i4", (int(GROUPS), 1)),  # index of each group's first ray
     ]
 )
 Collector = view(_COLLECTOR)
 COLLECTOR_BYTES = _COLLECTOR.itemsize
 
-#: What sorting a packet's hits needs for its rays: the row after each one's last, and how many
-#: hits it has.
+#: Scratch of `sort_packet`: the end of each ray's rows, and the number of its hits.
 _ENDS = np.dtype([("ends", "u8", (PACKET_RAYS, 1)), ("lengths", "u8", (PACKET_RAYS, 1))])
 Ends = view(_ENDS)
 ENDS_BYTES = _ENDS.itemsize
@@ -59,19 +59,19 @@ _LANES = np.uint64(16)
 _RAYS = np.uint64(PACKET_RAYS)
 _U0, _U1 = np.uint64(0), np.uint64(1)
 
-#: Rows of more hits are sorted by a heap.
+#: Rays with more hits are sorted by a heap.
 _LONG = np.uint64(24)
 
 
 @device
 def has_room(hits):
-    """Whether no hit of the packet was left out."""
+    """Whether all hits of the packet fit."""
     return hits.count + _LANES <= hits.capacity
 
 
 @device
 def collect(hits, taken, t, u, v, prim_id, group, g):
-    """Append the hits of these lanes; without room they are only counted.
+    """Append the hits of some lanes; those that do not fit are only counted.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
     prim_id : i32x16
     group : Group
     g : uint64
-        The group's number.
+        The group's index.
     """
     if has_room(hits):
         at, found = hits.count * _LANE, Buffers(hits.buffers).found
@@ -96,119 +96,49 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
 
 
 @device
-def _goes_before(rows, row, t, prim_id):
-    """Whether the hit of a row comes before another one."""
-    at = row * _LANE
-    other = load(np.float32, rows.t + at)
-    if other != t:
-        return other < t
-    return load(np.int32, rows.prim_id + at) < prim_id
-
-
-@device
-def _put(rows, row, t, u, v, prim_id):
-    at = row * _LANE
-    store(rows.t + at, t)
-    store(rows.u + at, u)
-    store(rows.v + at, v)
-    store(rows.prim_id + at, prim_id)
-
-
-@device
-def _take(rows, row):
-    """A hit of `Buffers.rows` or `Buffers.found`."""
-    at = row * _LANE
-    return (
-        load(np.float32, rows.t + at),
-        load(np.float32, rows.u + at),
-        load(np.float32, rows.v + at),
-        load(np.int32, rows.prim_id + at),
-    )
-
-
-@device
-def _copy(rows, to, source):
-    t, u, v, prim_id = _take(rows, source)
-    _put(rows, to, t, u, v, prim_id)
-
-
-@device_call
-def _sift_down(rows, first, count, hole, t, u, v, prim_id):
-    """Put a hit into a heap whose root is its last hit, starting at an empty place."""
-    no_inline()
-    while True:
-        child = hole + hole + _U1
-        if child >= count:
-            break
-        if child + _U1 < count:
-            other_t, _, _, other_id = _take(rows, first + child + _U1)
-            if _goes_before(rows, first + child, other_t, other_id):
-                child += _U1
-        child_t, _, _, child_id = _take(rows, first + child)
-        if not (t < child_t or (t == child_t and prim_id < child_id)):
-            break
-        _copy(rows, first + hole, first + child)
-        hole = child
-    _put(rows, first + hole, t, u, v, prim_id)
-
-
-@device_call
-def _sort_long(rows, first, count):
-    no_inline()
-    hole = count // np.uint64(2)
-    while hole != _U0:
-        hole -= _U1
-        t, u, v, prim_id = _take(rows, first + hole)
-        _sift_down(rows, first, count, hole, t, u, v, prim_id)
-    last = count - _U1
-    while last != _U0:
-        t, u, v, prim_id = _take(rows, first + last)
-        _copy(rows, first + last, first)
-        _sift_down(rows, first, last, _U0, t, u, v, prim_id)
-        last -= _U1
-
-
-@device
 def _insert(rows, first, row, t, u, v, prim_id):
-    """Put a hit into its place among the sorted rows first to row."""
-    while row > first and not _goes_before(rows, row - _U1, t, prim_id):
-        _copy(rows, row, row - _U1)
+    """Insert a hit into the sorted rows first to row."""
+    while row > first:
+        other_t, other_u, other_v, other_id = get_hit(rows, row - _U1)
+        if not is_before(t, prim_id, other_t, other_id):
+            break
+        put_hit(rows, row, other_t, other_u, other_v, other_id)
         row -= _U1
-    _put(rows, row, t, u, v, prim_id)
+    put_hit(rows, row, t, u, v, prim_id)
 
 
 @device_call
 def _remove_duplicates(rows, first, count, to):
-    """Move a ray's sorted hits to row `to`, each triangle once; returns how many are left.
+    """Move a ray's sorted hits to row `to`, each triangle once; returns their number.
 
-    A triangle that is in several leaves was hit several times, with the same bits.
+    A triangle in several leaves was hit several times, with the same bits.
     """
     no_inline()
     kept = _U0
     for k in range(count):
-        t, u, v, prim_id = _take(rows, first + k)
+        t, u, v, prim_id = get_hit(rows, first + k)
         last = to + kept - _U1
         if kept != _U0 and load(np.int32, rows.prim_id + last * _LANE) == prim_id:
             continue
-        _put(rows, to + kept, t, u, v, prim_id)
+        put_hit(rows, to + kept, t, u, v, prim_id)
         kept += _U1
     return kept
 
 
 @device_call
 def sort_packet(hits, ends, used, has_duplicates):
-    """Bring a packet's hits into the order of its rays, each ray's by t, then prim_id.
+    """Sort a packet's hits by ray, t and prim_id.
 
     Parameters
     ----------
     hits : Collector
-        That had room.
+        With all hits of the packet.
     ends : Ends
-        Written: the row after each ray's last one.
+        Written: the end of each ray's rows.
     used : uint64
-        Rows in use already.
+        Rows in use before.
     has_duplicates : bool
-        Whether a triangle may have been found more than once.
+        Whether a triangle may have been hit more than once.
 
     Returns
     -------
@@ -232,19 +162,19 @@ def sort_packet(hits, ends, used, has_duplicates):
         row += ray_count
     for k in range(count):
         ray = np.uint64(load(np.int32, rays + k * _LANE))
-        t, u, v, prim_id = _take(found, k)
+        t, u, v, prim_id = get_hit(found, k)
         row = row_ends[ray]
-        _put(rows, row, t, u, v, prim_id)
+        put_hit(rows, row, t, u, v, prim_id)
         row_ends[ray] = row + _U1
     to = used
     first = used
     for ray in range(_RAYS):
         ray_count = lengths[ray]
         if ray_count > _LONG:
-            _sort_long(rows, first, ray_count)
+            sort_hits(rows, first, ray_count)
         else:
             for k in range(_U1, ray_count):
-                t, u, v, prim_id = _take(rows, first + k)
+                t, u, v, prim_id = get_hit(rows, first + k)
                 _insert(rows, first, first + k, t, u, v, prim_id)
         if has_duplicates:
             to += _remove_duplicates(rows, first, ray_count, to)

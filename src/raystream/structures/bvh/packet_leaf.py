@@ -1,4 +1,4 @@
-"""Testing groups of a packet against boxes and triangles, 16 rays at a time."""
+"""Test groups of a packet, 16 rays, against boxes and triangles."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import any_lane, f32x16, i32x16, maximum, minimum, select, widen
+from raystream.jit.simd import any_lane, f32x16, i32x16, maximum, minimum, select
 from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, Block, BlockLanes
 from raystream.kernels.triangle_lanes import (
@@ -34,13 +34,13 @@ __all__ = [
     "visit_leaf",
 ]
 
-#: What is wanted of each ray: its nearest hit; whether there is one; how many there are (in
-#: the place of its nearest triangle); or all of them.
+#: The goal for each ray: its nearest hit, any hit, the number of hits (in place of prim_id), or all
+#: hits.
 FIRST, ANY, COUNT, ALL = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
-#: Added to `COUNT` and `ALL`: at edges and vertices, the crossings of surfaces.
+#: Added to `COUNT` and `ALL`: one hit per crossing of a surface, at edges and vertices too.
 SURFACES = np.uint64(4)
 
-#: The planes of a block's four triangles' own boxes, by axis; and the same, by axis and triangle.
+#: Planes of the boxes of a block's four triangles, by axis; and the same with a lane index.
 PLANES = np.dtype([("near", "f4", (3, 4)), ("far", "f4", (3, 4))])
 _PlaneLanes = view([("near", "f4", (3, 4, 1)), ("far", "f4", (3, 4, 1))])
 
@@ -61,7 +61,7 @@ class GroupRange(NamedTuple):
 
 @device
 def box_planes(node, lane, rays):
-    """Near x, y, z and far x, y, z of a box of the node at an address, for a `RayClass`."""
+    """Near x, y, z and far x, y, z planes of a child's box, for a `RayClass`."""
     x, y, z = rays.x, rays.y, rays.z
     planes = NodeLanes(node).planes
     return (
@@ -76,7 +76,7 @@ def box_planes(node, lane, rays):
 
 @device
 def _group_interval(group, planes):
-    """Slab interval of a box, or of a triangle's own, for the 16 rays of a group."""
+    """Slab interval of a box for the 16 rays of a group."""
     near_x, near_y, near_z, far_x, far_y, far_z = planes
     return slab_interval(
         f32x16(near_x),
@@ -96,7 +96,7 @@ def group_range(packet, planes, t_min, groups):
     """The first and the last of some groups with a ray that enters a box, as a `GroupRange`."""
     first = g = groups.first
     end, step = groups.last, _U1
-    # Up to the first one, then down to the last one.
+    # Up to the first group that enters, then down to the last one.
     while True:
         group = Group(packet, g)
         t_in, t_out = _group_interval(group, planes)
@@ -108,14 +108,14 @@ def group_range(packet, planes, t_min, groups):
                     continue
             return GroupRange(first, g)
         if g == end:
-            # Going down, the first one is known to enter.
+            # On the way down, the first one is known to enter.
             return GroupRange(_U1, _U0) if step == _U1 else GroupRange(first, first)
         g += step
 
 
 @device
 def _own_planes(planes, block, rays):
-    """Near and far planes of four triangles' own boxes."""
+    """Write near and far planes of the boxes of four triangles."""
     x, y, z = rays.x, rays.y, rays.z
     near, far, corners = planes.near, planes.far, block.corners
     for axis in range(np.uint64(3)):
@@ -127,30 +127,20 @@ def _own_planes(planes, block, rays):
 
 
 @device
-def _point64(x, y, z):
-    return np.float64(x), np.float64(y), np.float64(z)
-
-
-@device
-def _points64(rows, kx, ky, kz):
-    """Points or directions of a group in float64, in the order of the frame."""
-    return widen(rows[kx]), widen(rows[ky]), widen(rows[kz])
-
-
-@device
 def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
-    """Test a block's triangle against a group; returns whether any ray has a nearer hit."""
+    """Test a triangle of a block against a group; returns whether a ray has a nearer hit."""
     kx, ky, kz = rays.kx, rays.ky, rays.kz
     corners = block.corners
-    ax, ay, az = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
-    bx, by, bz = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
-    cx, cy, cz = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
-    origin, shear = group.origin, group.shear
+    a = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
+    b = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
+    c = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
+    origin = group.origin[kx], group.origin[ky], group.origin[kz]
+    direction, shear = group.direction, group.shear
     sheared = shear_vertices(
-        (f32x16(ax), f32x16(ay), f32x16(az)),
-        (f32x16(bx), f32x16(by), f32x16(bz)),
-        (f32x16(cx), f32x16(cy), f32x16(cz)),
-        (origin[kx], origin[ky], origin[kz]),
+        (f32x16(a[0]), f32x16(a[1]), f32x16(a[2])),
+        (f32x16(b[0]), f32x16(b[1]), f32x16(b[2])),
+        (f32x16(c[0]), f32x16(c[1]), f32x16(c[2])),
+        origin,
         (shear[_X], shear[_Y]),
     )
     candidates = signs_agree(sheared)
@@ -171,14 +161,8 @@ def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
     if not any_lane(candidates):
         return False
     # The distance first: rays that leave a surface meet its triangle behind their origin, and
-    # need no weights.
-    t = plane_distance(
-        _point64(ax, ay, az),
-        _point64(bx, by, bz),
-        _point64(cx, cy, cz),
-        _points64(origin, kx, ky, kz),
-        _points64(group.direction, kx, ky, kz),
-    )
+    # need no barycentrics.
+    t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
     t = minimum(maximum(t, t_in), t_out) + _ZERO
     candidates = candidates & (t >= t_min) & (t <= nearest)
     if not any_lane(candidates):

@@ -1,4 +1,4 @@
-"""Loading a packet: 16 rays at a time into the scene's local frame, prepared for the tests."""
+"""Load a packet: 16 rays at a time, made local and prepared for the tests."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _WIDE = np.uint64(8)
 
 @device
 def _triples(base, step, are_double, first):
-    """Three numbers of each of 16 rays, as a float64 vector for each."""
+    """Three components of 16 rays, as float64 vectors."""
     at = base + first * step
     if are_double:
         if step == np.uint64(0):
@@ -85,13 +85,13 @@ def _triples(base, step, are_double, first):
 
 @device
 def load_origins(source, first):
-    """Origins of 16 rays that follow each other, in float64, world space."""
+    """Origins of 16 consecutive rays, in float64, world space."""
     return _triples(source.origins, source.origin_step, source.origins_are_double, first)
 
 
 @device
 def load_directions(source, first):
-    """Directions of 16 rays that follow each other, in float64, world space."""
+    """Directions of 16 consecutive rays, in float64, world space."""
     return _triples(source.directions, source.direction_step, source.directions_are_double, first)
 
 
@@ -105,7 +105,7 @@ def _numbers(base, step, first):
 
 @device_call
 def _patch(lanes, lane, status, source, i, frame):
-    """Bring one ray into a lane of a group by the slow path."""
+    """Load one ray into a lane of a group by the slow path."""
     no_inline()
     ray = load_ray(source, i, frame)
     origin, direction = lanes.origin, lanes.direction
@@ -119,7 +119,7 @@ def _patch(lanes, lane, status, source, i, frame):
 
 @device
 def _load_group(group, source, first, frame, status):
-    """Load 16 rays into the local frame; returns whether one of them took the slow path."""
+    """Load 16 rays and make them local; returns whether one of them took the slow path."""
     rays = load_origins(source, first) + load_directions(source, first)
     t_min = _numbers(source.t_min, source.t_min_step, first)
     t_max = _numbers(source.t_max, source.t_max_step, first)
@@ -128,13 +128,13 @@ def _load_group(group, source, first, frame, status):
 
 @device
 def _group_to_local(group, rays, t_min, t_max, source, first, frame, status):
-    """Bring 16 rays into the local frame; returns whether one of them took the slow path."""
+    """Make 16 rays local; returns whether one of them took the slow path."""
     wx, wy, wz, dx, dy, dz = rays
     ox = narrow((wx - frame.center[0]) * frame.scale)
     oy = narrow((wy - frame.center[1]) * frame.scale)
     oz = narrow((wz - frame.center[2]) * frame.scale)
 
-    # See `ray_source.load_ray` for why these lanes, and only these, may take the fast path.
+    # The condition for the fast path is that of `ray_source.load_ray`.
     largest = maximum(maximum(absolute(dx), absolute(dy)), absolute(dz))
     exponent = float_as_bits(largest) >> MANTISSA_BITS
     power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
@@ -177,7 +177,7 @@ def _group_to_local(group, rays, t_min, t_max, source, first, frame, status):
 
 @device_call
 def _load_few(lanes, source, first, count, frame, status):
-    """Load fewer than 16 rays one by one; the other lanes repeat the first one, unlit."""
+    """Load fewer than 16 rays one by one; the other lanes repeat the last one, inactive."""
     no_inline()
     for lane in range(_LANES):
         _patch(lanes, lane, status, source, first + min(lane, count - _U1), frame)
@@ -187,7 +187,7 @@ def _load_few(lanes, source, first, count, frame, status):
 
 @device
 def _prepare_group(group, max_coordinate):
-    """`kernels.ray.prepare_ray` of a group, and its kinds."""
+    """`kernels.ray.prepare_ray` of a group, and its direction classes."""
     ox, oy, oz = three(group.origin)
     dx, dy, dz = three(group.direction)
     ax, ay, az = absolute(dx), absolute(dy), absolute(dz)
@@ -215,7 +215,7 @@ def _prepare_group(group, max_coordinate):
     shear[_X] = select(is_z, dx, select(is_y, dz, dy)) * sz
     shear[_Y] = select(is_z, dy, select(is_y, dx, dz)) * sz
     shear[_Z] = sz
-    # Kind: 4 * octant + largest axis; a ray that cannot hit anything has none.
+    # Class: 4 * octant + largest axis; NO_CLASS for a ray that cannot hit anything.
     sign_bits = np.int32(31)
     octant = (
         ((float_as_bits(dx) >> sign_bits) & np.int32(4))
@@ -231,9 +231,9 @@ def _prepare_group(group, max_coordinate):
 
 @device
 def load_group(group, first, count, source, frame, status):
-    """Load and prepare `count` rays from `first` on as a group; the other lanes cannot hit.
+    """Load and prepare `count` rays from `first` on as a group; the other lanes are inactive.
 
-    Returns whether any ray took the slow path: `slow_t_scale` and `slow_t_offset` hold.
+    Returns whether any ray took the slow path: then `slow_t_scale` and `slow_t_offset` are valid.
     """
     is_slow = True
     if count == _LANES:
@@ -253,7 +253,7 @@ def load_group(group, first, count, source, frame, status):
 
 @device
 def load_rays(group, rays, t_min, t_max, source, frame, status):
-    """Load and prepare 16 rays that were read already, as `load_group` does.
+    """Prepare 16 rays that have been read, like `load_group`.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
         Origins and directions, world space.
     t_min, t_max : f32x16
     source : RaySource
-        Where the first of them lies, for those that take the slow path.
+        Begins with these rays, for those that take the slow path.
     frame : SceneFrame
     status : uint64
         Address of 16 statuses.
@@ -287,7 +287,7 @@ def load_packet(packet, number, source):
     Returns
     -------
     uint64
-        Bits of the groups with a ray that took the slow path: `store_packet` must know.
+        Bits of the groups with a ray that took the slow path, for `store_packet`.
     """
     slow_groups = _U0
     for g in range(GROUPS):

@@ -1,4 +1,4 @@
-"""All hits of packets, however many: in buffers that grow, in order or as they are found."""
+"""Multi-hit by packets: all hits, in growing buffers, sorted or in the order of discovery."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, i32x16, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.growing_buffers import GrowingBuffers
-from raystream.kernels.hit_batch import HitBatch
-from raystream.kernels.hits import HitArrays
+from raystream.kernels.hits import HitArrays, HitBatch, Sink
 from raystream.kernels.ray import world_t
-from raystream.kernels.sink import Sink
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_hits import (
@@ -48,31 +46,31 @@ _LANES = np.uint64(16)
 _LANE = np.uint64(4)
 _WORD = np.uint64(8)
 
-#: Packets that one call gets at most: 16,384 rays. With half as many, programs take 10 to 20 %
-#: longer, and with twice as many no less.
+#: Most packets per call: 16,384 rays. With half as many, programs take 10 to 20 % longer, and with
+#: twice as many no less.
 PACKETS_PER_CALL = 64
 
-#: The same for counting, which leaves nothing to do between two calls.
+#: The same for counting, which has no work between two calls.
 COUNTED_PER_CALL = 32
 
-#: Hits that a buffer holds at first.
+#: Initial capacity of a buffer, in hits.
 FIRST_CAPACITY = 1 << 16
 
 
 class PacketBuffers(NamedTuple):
-    """Memory of one call.
+    """Buffers of one call.
 
     Attributes
     ----------
     found : ndarray of shape (5, capacity), float32
-        Hits as they are found: t, u, v, and as int32 prim_id and the ray.
+        Hits in the order of discovery: t, u, v, and as int32 prim_id and ray.
     rows : HitArrays
-        Hits in order.
+        Sorted hits.
     ray_ids, splits : ndarray, int64
-        The rays in the order of `rows`, and where their rows end.
+        The rays in the order of `rows`, and the ends of their rows.
     capacity : int
     addresses : ndarray, uint64
-        Of all of them, and the capacity: `packet_hits.BUFFERS`.
+        All of these, and the capacity: `packet_hits.BUFFERS`.
     """
 
     found: NDArray[np.float32]
@@ -84,7 +82,7 @@ class PacketBuffers(NamedTuple):
 
     @classmethod
     def of(cls, capacity: int) -> PacketBuffers:
-        """Room for so many hits."""
+        """Buffers for a number of hits."""
         remedy = "give max_hits, or fewer rays at a time"
         check_memory(capacity * 36, f"multi_hit: a buffer of {capacity:,} hits would", remedy)
         rays = PACKETS_PER_CALL * PACKET_RAYS
@@ -94,13 +92,13 @@ class PacketBuffers(NamedTuple):
         return cls(found, rows, ids, splits, capacity, np.array([*addresses, capacity], np.uint64))
 
     def found_hits(self, count: int) -> HitBatch:
-        """The hits as they were found."""
+        """The hits in the order of discovery."""
         t, u, v, prim_bits, ray_bits = self.found[:, :count]
         hits = HitArrays(t, u, v, prim_bits.view(np.int32))
         return HitBatch(hits, None, ray_bits.view(np.int32), 0)
 
     def sorted_hits(self, ray_count: int) -> HitBatch:
-        """The hits in order."""
+        """The sorted hits."""
         return HitBatch(self.rows, self.splits[: ray_count + 1], self.ray_ids[:ray_count], 0)
 
 
@@ -112,17 +110,17 @@ def visit_all(
     has_duplicates: bool,
     progress: Progress | None,
 ) -> None:
-    """Give all hits of the rays of a batch to the sink's visitor, in parts.
+    """Deliver all hits of the rays of a batch to the sink's visitor, in parts.
 
     Parameters
     ----------
     has_duplicates : bool
-        Whether a triangle may be in several leaves: hits are then in order anyway.
+        Whether a triangle may be in several leaves: hits are then always sorted.
     progress : callable, optional
         Called with (packets done, packets).
     """
     goal = ALL + SURFACES if query.surfaces else ALL
-    # As they are found, hits have their rays as 32 bits.
+    # Unsorted hits have 32-bit ray indices.
     sorts = query.is_ordered or has_duplicates or int(source.order.ray_count) >= 2**31
     nowhere = _U0
     visitor = sink.visitor
@@ -165,12 +163,12 @@ def count_all(
 
 @kernel
 def _collect_packets(begin, end, tree, source, goal, sorts, has_duplicates, buffers, counts):
-    """Collect or count the hits of packets begin to end, until the buffers are full.
+    """Collect or count the hits of packets begin to end, until a packet's hits do not fit.
 
     Returns
     -------
     reached, used, ray_count : int
-        The first packet that was not traced to its end; hits, and rays that were sorted.
+        The first unfinished packet; hits in the buffers, and rays if they are sorted.
     """
     packet = scratch(PACKET_BYTES)
     memory = scratch(TRACE_BYTES)
@@ -232,7 +230,7 @@ def _t_transform_of(lanes, lane, is_slow):
 
 @device
 def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_count):
-    """Write a sorted packet's distances, and its rays and where their rows end."""
+    """Convert a sorted packet's distances; write its rays and the ends of their rows."""
     t, ids, splits = buffers.rows.t, buffers.ray_ids, buffers.splits
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
@@ -252,7 +250,7 @@ def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_cou
 
 @device
 def _number_rays(hits, number, order, is_final):
-    """Have hits collected with their rays' indices in the batch, or in the packet."""
+    """Set the indices that hits are collected with: rays in the batch or in the packet."""
     hits.in_world = _U1 if is_final else _U0
     for g in range(GROUPS):
         first = g * _LANES
@@ -263,7 +261,7 @@ def _number_rays(hits, number, order, is_final):
 
 @device
 def _finish_found(packet, number, order, slow_groups, begin, end, buffers):
-    """Write distances, and rays' indices in the batch, of a packet with rays of the slow path."""
+    """Convert distances and ray indices of a packet with rays that took the slow path."""
     t, rays = buffers.found.t, buffers.found.ray
     for row in range(begin, end):
         ray = np.uint64(load(np.int32, rays + row * _LANE))

@@ -1,8 +1,7 @@
-"""The rays of a packet in memory, which rays of a batch form one, and writing their results.
+"""The rays of a packet: their layout in memory, their order in a batch, and their results.
 
-A packet is 256 rays: a tile of 16 x 16 pixels of an image-shaped batch, or 256 rays in a
-row. It lies on the stack, group after group of 16 rays; a group has a vector for each number
-of its rays.
+A packet is 256 rays: a tile of 16 x 16 pixels of an image-shaped batch, or 256 consecutive rays.
+It is on the stack, in groups of 16 rays; a group has a vector for each attribute of its rays.
 """
 
 from __future__ import annotations
@@ -45,14 +44,13 @@ __all__ = [
     "world_lanes",
 ]
 
-#: Rays of a packet: wider ones share more nodes and fill the first-level cache.
+#: Rays of a packet: larger ones share more nodes, but fill the L1 cache.
 PACKET_RAYS = 256
 
 GROUPS = np.uint64(PACKET_RAYS // 16)
 
-#: A group. Axes are in world order, but for the shear's. (One array of each number for all of
-#: the packet would be 1024 bytes apart from the next: loads would wait for stores to other
-#: arrays at the same place in a page.)
+#: A group. Axes are in world order, except for the shear's. (Arrays over the whole packet would be
+#: 1024 bytes apart: loads would wait for stores to other arrays at the same page offset.)
 _FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
     ("inv", "f4", (3, 16)),
     ("near", "f4", (3, 16)),
@@ -61,7 +59,7 @@ _FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
     ("shear", "f4", (3, 16)),
     ("t_min", "f4", (16,)),
     ("t", "f4", (16,)),  # t_max, then the nearest hit's
-    ("t_active", "f4", (16,)),  # the same for the rays of the pass, -inf for others
+    ("t_active", "f4", (16,)),  # the same for active rays, -inf for others
     ("prim_id", "i4", (16,)),
     ("u", "f4", (16,)),
     ("v", "f4", (16,)),
@@ -74,7 +72,7 @@ _FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
 ]
 GROUP = np.dtype(_FIELDS)
 Group = view(GROUP)
-#: The same, ray by ray.
+#: The same with a lane index.
 GroupLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _FIELDS])
 
 PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
@@ -100,7 +98,7 @@ class PacketOrder(NamedTuple):
     Attributes
     ----------
     width, height : int
-        Of an image-shaped batch; a width of 0 means rays in a row.
+        Of an image-shaped batch; 0 for consecutive rays.
     ray_count : int
         Of the batch.
     """
@@ -111,7 +109,7 @@ class PacketOrder(NamedTuple):
 
     @classmethod
     def of(cls, shape: tuple[int, ...]) -> PacketOrder:
-        """The packets of rays of a leading shape; its last two dimensions are an image's."""
+        """The packets of rays of a shape, whose last two dimensions are an image's."""
         count = math.prod(shape)
         is_image = len(shape) >= 2 and shape[-1] >= int(_SIDE)
         width, height = (shape[-1], count // shape[-1]) if is_image else (0, 0)
@@ -147,7 +145,7 @@ class PacketSource(NamedTuple):
 
 @device
 def group_rows(order, packet, group):
-    """The rays of a group: number of the first one, and how many follow each other."""
+    """The rays of a group: index of the first one, and their number."""
     if order.width == _U0:
         first = packet * np.uint64(PACKET_RAYS) + group * _LANES
         return first, min(order.ray_count - min(first, order.ray_count), _LANES)
@@ -161,28 +159,28 @@ def group_rows(order, packet, group):
 
 @device
 def world_lanes(t, t_scale):
-    """Distances of a group without rays that took the slow path, in world direction lengths."""
+    """Distances in world direction lengths, for a group without slow-path rays."""
     # A distance beyond float32 is still a hit: only a miss is infinite.
     return minimum(maximum(t * t_scale, f32x16(-_LARGEST)), f32x16(_LARGEST))
 
 
 @device
 def three(rows):
-    """The vectors of a field that has one for each axis."""
+    """The three vectors of a field with one per axis."""
     return rows[_X], rows[_Y], rows[_Z]
 
 
 @device
 def _reported(group):
-    """World distances of a group without rays that took the slow path; inf for a miss."""
+    """Reported distances of a group without slow-path rays; inf for a miss."""
     t = world_lanes(group.t, group.t_scale)
     return select(group.prim_id == NO_PRIM, f32x16(_INF), t)
 
 
 @device
 def _put(at, vector):
-    # A tile's rows are far apart and each fills a cache line: fetching it first would take as
-    # long as tracing an easy ray.
+    # A tile's rows are far apart and each fills a cache line: reading it first would take as long
+    # as tracing a simple ray.
     if at & _LINE_BITS == np.uint64(0):
         store_nontemporal(at, vector)
     else:
@@ -234,7 +232,7 @@ def store_packet(packet, number, order, slow_groups, wants_any, out):
     packet, number, order
         See `load_packet`.
     slow_groups : uint64
-        What it returned.
+        The result of `load_packet`.
     wants_any : bool
     out : ResultAddresses
     """

@@ -20,9 +20,8 @@ from raystream.jit.simd import (
     f32x8,
     float_as_bits,
     i32x8,
-    lanes_from_bits,
+    lane_numbers,
     load,
-    mask8,
     mask_bits,
     maximum,
     minimum,
@@ -63,22 +62,8 @@ _NO_KEY = np.int32(-1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _AXIS_SHIFT = np.uint64(4)  # `kernels.leaf_block.AXIS`
 
-# The lanes whose numbers have bit 0, 1 and 2 set.
-_ODD = np.uint64(0b10101010)
-_SECOND_PAIRS = np.uint64(0b11001100)
-_UPPER = np.uint64(0b11110000)
-
 #: A half of a stack is a multiple of this many bytes, so that both are whole cache lines.
 _HALF_LINE = 32
-
-
-@device
-def _lane_numbers():
-    """0 to 7, a constant to the compiler."""
-    none = i32x8(np.int32(0))
-    low = select(lanes_from_bits(mask8, _ODD), i32x8(np.int32(1)), none)
-    middle = select(lanes_from_bits(mask8, _SECOND_PAIRS), i32x8(np.int32(2)), none)
-    return low | middle | select(lanes_from_bits(mask8, _UPPER), i32x8(np.int32(4)), none)
 
 
 @device
@@ -189,7 +174,7 @@ def visit(tree, child, line, t_min, t_far, stack, half, top):
     )
     entered = maximum(t_in, t_min) <= minimum(t_out, t_far)
     # Only the bits of positive numbers are in the numbers' order.
-    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | _lane_numbers()
+    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
     key = sort_keys(select(entered, key, i32x8(_NO_KEY)))
     store(stack + top, key)
     store(stack + half + top, permute(load(i32x8, node + CHILDREN), key))

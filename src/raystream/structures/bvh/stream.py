@@ -1,12 +1,11 @@
-"""Streams of rays of one octant: the kernel for rays that go different ways.
+"""Streams of rays of one octant: the kernel for large incoherent batches.
 
-A stream of some hundred rays goes down the tree together, as a list of ray numbers. At a node
-the eight boxes are loaded once; each ray of the list is tested against them at once, and goes
-on the lists of the children that it enters, which are visited from the nearest to the
-farthest. No ray has a stack or an order of its own: against one ray at a time, the sorting,
-the stack and the branches that cannot be foreseen are gone, and a node that is far away in
-memory is waited for once. At a leaf each ray of the list is tested against four triangles at
-once.
+A stream of some hundred rays traverses the tree together, as a list of ray indices. At a node
+the eight boxes are loaded once; each ray of the list is tested against all of them, and appended to
+the lists of the children that it enters, which are visited from the nearest to the farthest. Rays
+have no stack or order of their own: compared with single rays, there is no sorting or stack per
+ray, there are no unpredictable branches, and a node's memory latency is paid once. In a leaf each
+ray of the list is tested against four triangles at once.
 
 References
 ----------
@@ -38,7 +37,6 @@ from raystream.jit.simd import (
     scratch,
     select,
     store,
-    widen,
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes
@@ -74,8 +72,8 @@ from raystream.structures.bvh.stream_rays import (
 
 __all__ = ["trace_streams"]
 
-#: Least distances and keys of a node's children, and hits of a block; and the children's, child
-#: by child.
+#: Entry distances and keys of a node's children, and hits of a block; and the former with a lane
+#: index.
 _SMALL = np.dtype([("t_in", "f4", 8), ("keys", "i4", 8), ("hits", HITS)])
 _Small = view(_SMALL)
 _SmallLanes = view([("t_in", "f4", (8, 1)), ("keys", "i4", (8, 1))])
@@ -94,22 +92,22 @@ _CAPACITY = np.uint64(STREAM_RAYS)
 _OCTANTS = np.uint64(8)
 _HIT_BYTES = 4 * STREAM_RAYS + 64
 
-#: A stack entry: a child, the length and the address of its list of rays, the distance at which
-#: the first of them enters it, and how many hits there were when the entry was made.
+#: A stack entry: a child, the length and the address of its list of rays, the least distance at
+#: which one enters it, and the number of hits when it was pushed.
 _ENTRY = np.dtype(
     [("child", "i4"), ("count", "u4"), ("rays", "u8"), ("t_in", "f4"), ("hit_count", "u4")]
 )
 _Entry = view(_ENTRY)
 _STACK_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
 
-#: Bytes of all lists: on each level of the tree a list and those of its eight children, each
-#: with room for the 16 lanes that are always stored.
+#: Bytes of all lists: a list and its eight children's on each level of the tree, each with room for
+#: the 16 lanes that are always stored.
 _LIST_BYTES = 4 * (MAX_DEPTH + 1) * 9 * (STREAM_RAYS + 16)
 
 
 @device
 def _still_wanted(rays, count, hot, t_in):
-    """Drop the rays of a list that have a hit before `t_in`; returns how many are left."""
+    """Remove the rays of a list with a hit before `t_in`; returns its new length."""
     kept = _U0
     for j in range(count):
         ray = load(np.uint32, rays + j * LANE)
@@ -122,8 +120,8 @@ def _still_wanted(rays, count, hot, t_in):
 def _visit_node(node, rays, count, hot, x, y, z, hits):
     """Test the rays of a list against a node's eight boxes.
 
-    Writes the children that each ray enters as bits to `hits`; returns the least distances at
-    which each child is entered. `x`, `y`, `z` are the rows of the planes that are met first.
+    Writes the children that each ray enters as bits to `hits`; returns the least distance at which
+    each child is entered. `x`, `y`, `z` are the rows of the planes that rays enter by.
     """
     planes = node.planes
     low_x, high_x = planes[x], planes[x ^ _U1]
@@ -138,14 +136,14 @@ def _visit_node(node, rays, count, hot, x, y, z, hits):
         entered = maximum(t_in, ray.t_min) <= minimum(t_out, ray.t)
         least = select(entered, minimum(t_in, least), least)
         store(hits + j * LANE, np.uint32(mask_bits(entered)))
-    # `_make_list` reads 16 at a time: what lies behind the list must enter nothing.
+    # `_make_list` reads 16 at a time: bits behind the list must be 0.
     store(hits + count * LANE, i32x16(np.int32(0)))
     return least
 
 
 @device
 def _make_list(to, rays, hits, count, lane):
-    """Write the rays of a list that enter a child; returns how many there are."""
+    """Write the rays of a list that enter a child; returns their number."""
     bit = i32x16(np.int32(_U1 << lane))
     zero = i32x16(np.int32(0))
     written = _U0
@@ -165,44 +163,32 @@ def _axes(hot):
 
 
 @device
-def _sheared(hot, cold, block):
-    """The corners of a block's four triangles in a ray's frame."""
+def _vertices(hot, block):
+    """The vertices of a block's four triangles, in the order of a ray's axes."""
     x, y, z = _axes(hot)
     corners = block.corners
     a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
     b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
     c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
-    return shear_vertices(a, b, c, hot.origin, (hot.sx, cold.sy))
+    return a, b, c
 
 
 @device
-def _corner64(corners, corner, x, y, z):
-    return widen(corners[corner, x]), widen(corners[corner, y]), widen(corners[corner, z])
-
-
-@device
-def _point64(x, y, z):
-    return np.float64(x), np.float64(y), np.float64(z)
+def _sheared(hot, cold, block):
+    """The vertices of a block's four triangles in a ray's frame."""
+    return shear_vertices(*_vertices(hot, block), hot.origin, (hot.sx, cold.sy))
 
 
 @device
 def _distances(hot, cold, block):
-    x, y, z = _axes(hot)
-    corners = block.corners
-    return plane_distance(
-        _corner64(corners, _FIRST, x, y, z),
-        _corner64(corners, _SECOND, x, y, z),
-        _corner64(corners, _THIRD, x, y, z),
-        _point64(*hot.origin),
-        _point64(*cold.direction),
-    )
+    return plane_distance(*_vertices(hot, block), hot.origin, cold.direction)
 
 
 @device
 def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
-    """Test the rays of a list against a block of triangles; returns how many have a hit."""
-    # Step 1: the rays whose edge functions agree in sign, written without a branch. (With one
-    # for each ray, those that the processor foresees wrongly cost half the time of a leaf.)
+    """Test the rays of a list against a block of triangles; returns the number of hits."""
+    # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one per
+    # ray, mispredictions would take half the time of a leaf.)
     candidate_count = _U0
     for j in range(count):
         number = load(np.uint32, rays + j * LANE)
@@ -212,7 +198,7 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
     if candidate_count == _U0:
         return _U0
 
-    # Step 2: exactly.
+    # Step 2: test these exactly.
     hit_count = _U0
     back_x, back_y, back_z = backward
     low_x, high_x = _extent(block, _X)
@@ -240,7 +226,7 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
         candidates = signs_agree(sheared) & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
         if any_lane(candidates):
             # The distance first: rays that leave a surface meet its triangle behind their
-            # origin, and need no weights.
+            # origin, and need no barycentrics.
             t = minimum(maximum(_distances(hot, cold, block), t_in), t_out) + _ZERO
             candidates = candidates & (t >= t_min) & (t <= nearest)
             if not any_lane(candidates):
@@ -267,7 +253,7 @@ def _extent(block, axis):
 
 @device
 def _keep_nearest(hot, cold, block, bits, lanes):
-    """Take the hits of these lanes, if they are before the ray's by t, then prim_id."""
+    """Keep the nearest of the ray's hit and the hits of some lanes, by t, then prim_id."""
     nearest, best = hot.t, cold.prim_id
     while bits != _U0:
         lane = count_trailing_zeros(bits)
@@ -281,7 +267,7 @@ def _keep_nearest(hot, cold, block, bits, lanes):
 
 @device
 def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any):
-    """Take a stream of rays through the tree."""
+    """Trace the rays of a stream."""
     back_x, back_y, back_z = octant & _U1, (octant >> _U1) & _U1, octant >> _U2
     backward = back_x != _U0, back_y != _U0, back_z != _U0
     x, y, z = back_x, _U2 | back_y, _U4 | back_z
@@ -316,7 +302,7 @@ def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_
         entered = t_in < _INF
         if not any_lane(entered):
             continue
-        # Lists of the children, the farthest first: the nearest ends up on the stack's top.
+        # Push the children with their lists, the farthest first.
         key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
         small.t_in, small.keys = t_in, sort_keys(select(entered, key, i32x8(_LEAST_KEY)))
         children = NodeLanes(tree.nodes, number).children
@@ -344,11 +330,11 @@ def trace_streams(begin, end, tree, frame, source, rays, wants_any, out):
     frame : SceneFrame
     source : RaySource
     rays : SortedRays
-        By octant; their rows are written.
+        By octant. Nearest hits are written to their rows.
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     out : ResultAddresses
-        Written, but for nearest hits.
+        Written, except for nearest hits.
     """
     memory = np.empty(STREAM_BYTES + _LIST_BYTES + 64, np.uint8)
     stream = stream_rays((address(memory) + np.uint64(63)) & ~np.uint64(63))

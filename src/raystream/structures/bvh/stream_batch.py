@@ -1,4 +1,4 @@
-"""Batches whose rays are sorted before they are traced, and their results put back in order."""
+"""Trace a batch by streams: sort the rays, trace them, and restore the order of the results."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ __all__ = ["SORTED_RAYS", "trace_sorted"]
 #: results leave the cache: 0.9 to 1 times as fast; a quarter of them, the same.
 SORTED_RAYS = 1 << 18
 
-#: Sorted rays that a call gets: whole streams, at most so many that the threads
-#: finish together and Ctrl-C is noticed.
+#: Sorted rays per call: whole streams, but few enough that the threads finish together and Ctrl-C
+#: is noticed.
 _LEAST_TRACED = 1024
 _MOST_TRACED = 8192
 
@@ -58,7 +58,7 @@ def trace_sorted(
     frame : SceneFrame
     count : int
     source : RaySource
-        Of so many rays, packed.
+        Packed.
     wants_any : bool
     results : ResultAddresses
     progress : callable, optional
@@ -80,7 +80,7 @@ def trace_sorted(
 
 
 class _Memory:
-    """What sorted rays need besides their batch: 6 to 22 bytes a ray."""
+    """Memory for sorted rays: 6 to 22 bytes per ray."""
 
     def __init__(self, count: int, wants_any: bool) -> None:
         padded = count + int(_LANES)
@@ -93,7 +93,7 @@ class _Memory:
         self._octant_ends = self._piece(64)
 
     def _piece(self, byte_count: int) -> np.uint64:
-        """Address of so many bytes, a multiple of 64."""
+        """Address of a new array of bytes, a multiple of 64."""
         array = np.empty(byte_count + 64, np.uint8)
         self._arrays.append(array)
         start = array.ctypes.data
@@ -124,7 +124,7 @@ def _write_all(rays: SortedRays, count: int, results: ResultAddresses) -> None:
 
 @kernel
 def write_rows(begin, end, rays, out):
-    """Write results that lie in rows, for the numbers begin to end.
+    """Write the results of rays begin to end from their rows.
 
     Parameters
     ----------

@@ -1,10 +1,9 @@
-"""The order in which sorted rays are traced: by octant, then by where they start.
+"""Sort rays for streams: by octant, then by the cell of their origin.
 
-Rays that start near each other and go the same way meet the same nodes. Many rays at once are
-sorted by a key of 12 bits, the octant of the direction and a cell of 8 x 8 x 8 in the scene's
-bounds: their keys are counted, which gives each key its place, and then their numbers are
-written there. The rays themselves are copied when they join a stream; they are asked for long
-before, so that nothing waits for them.
+Rays with near origins and similar directions visit the same nodes. They are sorted by a key of 12
+bits, the octant of the direction and a cell of 8 x 8 x 8 in the scene's bounds, by counting: the
+counts of all keys give each key's place, then the rays' indices are scattered. The rays themselves
+are copied when they join a stream, and prefetched long before.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ __all__ = [
 #: Different keys.
 KEY_COUNT = 8 * 512
 
-#: Rays that are counted together: enough to be worth the numbers of `KEY_COUNT` keys.
+#: Rays per chunk: enough to be worth counters for `KEY_COUNT` keys.
 SORTED_CHUNK = 16384
 
 _U0 = np.uint64(0)
@@ -77,7 +76,7 @@ _LONG = np.uint64(64)
 #: Bytes of the copies of 16 rays.
 COPIES_BYTES = 16 * 64
 
-#: How many rays before it is copied a ray is asked for.
+#: Prefetch distance, in rays.
 _DISTANCE = np.uint64(32)
 
 _THREE = np.uint64(3)
@@ -91,13 +90,13 @@ class SortedRays(NamedTuple):
     Attributes
     ----------
     first, ray_count : uint64
-        Which rays: number 0 is the batch's ray `first`.
+        The range of the batch that is sorted: index 0 is its ray `first`.
     numbers : uint64
-        Address of their numbers in that order, uint32.
+        Address of the sorted indices, uint32.
     octant_ends : uint64
-        Address of eight uint64: how many rays there are up to each octant's last one.
+        Address of eight uint64: the end of each octant in the sorted order.
     rows : uint64
-        Address of a row (t, u, v, prim_id) for each number, if the nearest hits are wanted.
+        Address of a row (t, u, v, prim_id) per index, for nearest hits.
     """
 
     first: np.uint64
@@ -109,30 +108,30 @@ class SortedRays(NamedTuple):
 
 @device
 def number_at(rays, place):
-    """The number of the sorted ray at a place."""
+    """The index of the ray at a place of the sorted order."""
     return np.uint64(load(np.uint32, rays.numbers + place * LANE))
 
 
 @device
 def write_row(rays, number, t, u, v, prim_id):
-    """Write the nearest hit of a ray, or a miss, where results wait for their order."""
+    """Write the nearest hit of a ray, or a miss, to its row."""
     row = _Row(rays.rows, number)
     row.t, row.u, row.v, row.prim_id = t, u, v, prim_id
 
 
 @device
 def _cell(x, low, high):
-    """Which eighth of the scene along an axis."""
+    """Cell along an axis, 0 to 7."""
     extent = high - low
     scale = np.float32(8.0) / extent if extent > _ZERO else _ZERO
-    # In this order a NaN becomes 0.
+    # In this order NaN becomes 0.
     inside = minimum(maximum((x - low) * scale, f32x16(_ZERO)), f32x16(_LAST_CELL))
     return i32x16(inside)
 
 
 @device
 def _spread(cell):
-    """The three bits of a cell's number, three places apart."""
+    """Spread the three bits of a cell's index for a Morton code."""
     two, four = np.int32(2), np.int32(4)
     return (cell & np.int32(1)) | ((cell & two) << two) | ((cell & four) << four)
 
@@ -171,7 +170,7 @@ def _copy_number(to, to_double, source, is_double):
 
 @device
 def _copy_ray(to, source, ray):
-    """Copy a ray into a record, which has float64 numbers if the ray has any."""
+    """Copy a ray to a record, in float64 if the origin or the direction is."""
     is_double = source.origins_are_double or source.directions_are_double
     size = _WIDE if is_double else LANE
     origin = source.origins + ray * source.origin_step
@@ -195,7 +194,7 @@ def _copy_ray(to, source, ray):
 
 @device
 def copies_at(records, is_double):
-    """Copies of rays as a source of rays."""
+    """The `RaySource` of copied rays."""
     step = _LONG if is_double else _SHORT
     size = _WIDE if is_double else LANE
     directions = records + _THREE * size
@@ -207,7 +206,7 @@ def copies_at(records, is_double):
 
 @device
 def copy_sixteen(copies, source, rays, place, count):
-    """Copy 16 sorted rays next to each other, and ask for those that come later.
+    """Copy 16 sorted rays side by side, and prefetch later ones.
 
     Parameters
     ----------
@@ -216,7 +215,7 @@ def copy_sixteen(copies, source, rays, place, count):
     source : RaySource
     rays : SortedRays
     place : uint64
-        Of the first of them.
+        Of the first one.
     count : uint64
         If there are fewer, the last one is repeated.
 
@@ -263,7 +262,7 @@ def _as_f32(bits):
 
 @kernel
 def count_keys(begin, end, first, count, source, frame, keys, counts):
-    """Find the keys of the rays of some chunks, and how many of each chunk have each key.
+    """Compute the keys of the rays of some chunks, and count each chunk's rays by key.
 
     Parameters
     ----------
@@ -272,7 +271,7 @@ def count_keys(begin, end, first, count, source, frame, keys, counts):
     first, count : int
         The rays of the batch that are sorted.
     source : RaySource
-        Rays that follow each other lie next to each other.
+        Packed.
     frame : SceneFrame
     keys : int
         Address of a uint16 for each ray, and 16 more: written.
@@ -296,7 +295,7 @@ def count_keys(begin, end, first, count, source, frame, keys, counts):
             if left == _LANES:
                 rays = load_origins(source, ray) + load_directions(source, ray)
             else:
-                # Nothing may be read behind the last ray.
+                # Do not read behind the last ray.
                 for k in range(_LANES):
                     _copy_ray(few + k * size, source, ray + min(k, left - _U1))
                 rays, _, _ = load_copies(few, is_double)
@@ -311,7 +310,7 @@ def count_keys(begin, end, first, count, source, frame, keys, counts):
 
 @kernel
 def place_keys(chunk_count, counts, octant_ends):
-    """Turn the counts of all chunks into the places of their first rays.
+    """Prefix sum: replace the counts of all chunks by the places of their first rays.
 
     Parameters
     ----------
@@ -319,7 +318,7 @@ def place_keys(chunk_count, counts, octant_ends):
     counts : int
         See `count_keys`.
     octant_ends : int
-        Address of eight uint64: written, where each octant's rays end.
+        Address of eight uint64: written, the end of each octant.
     """
     place = _U0
     per_octant = _KEYS // _WIDE
@@ -335,14 +334,14 @@ def place_keys(chunk_count, counts, octant_ends):
 
 @kernel
 def place_rays(begin, end, count, keys, counts, numbers):
-    """Write the numbers of the rays of some chunks to their places.
+    """Scatter the indices of the rays of some chunks to their places.
 
     Parameters
     ----------
     begin, end, count, keys, counts
-        See `count_keys`; the counts are spent.
+        See `count_keys`; the counts are overwritten.
     numbers : int
-        Address of a uint32 for each ray: written, which one of the batch it is, less the first.
+        Address of a uint32 per ray: written, the index relative to the first.
     """
     one = np.uint32(1)
     for chunk in range(np.uint64(begin), np.uint64(end)):

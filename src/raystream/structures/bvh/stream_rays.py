@@ -1,7 +1,7 @@
-"""The rays of a stream: records that are filled from the batch and emptied to results.
+"""The rays of a stream: records that are filled from the batch, and written to results.
 
-A ray has two records. What nodes want is one cache line; what only leaves and results want is
-half of another, elsewhere.
+A ray has two records: a cache line with what nodes need, and half of one with what only leaves and
+results need.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ __all__ = [
     "write_results",
 ]
 
-#: Most rays of a stream. Twice or four times as many are traced 0.9 to 1.1 times as fast.
+#: Most rays of a stream. Twice or four times as many: 0.9 to 1.1 times as fast.
 STREAM_RAYS = 1024
 
-#: What nodes want of a ray. Axes in world order, but for the origin's, which are the frame's.
+#: A ray for nodes. Axes are in world order, except for the origin's, which are the frame's.
 _HOT = np.dtype(
     [
         ("inv", "f4", 3),
@@ -57,7 +57,7 @@ _HOT = np.dtype(
 )
 Hot = view(_HOT)
 
-#: What only leaves and results want of it.
+#: The rest of it, for leaves and results.
 _COLD = np.dtype(
     [
         ("direction", "f4", 3),  # in the order of the frame
@@ -70,7 +70,7 @@ _COLD = np.dtype(
 )
 Cold = view(_COLD)
 
-#: Behind them, in groups with a ray that took the slow path.
+#: Valid in groups with a ray that took the slow path.
 _SLOW = np.dtype([("t_scale", "f8"), ("t_offset", "f8")])
 _Slow = view(_SLOW)
 
@@ -80,7 +80,7 @@ _COLD_AT = np.uint64(STREAM_RAYS * _HOT.itemsize)
 _SLOW_AT = np.uint64(STREAM_RAYS * (_HOT.itemsize + _COLD.itemsize))
 _FLAGS_AT = np.uint64(STREAM_RAYS * (_HOT.itemsize + _COLD.itemsize + _SLOW.itemsize))
 
-#: Bytes of all that belongs to the rays of a stream.
+#: Bytes of the rays of a stream.
 STREAM_BYTES = int(_FLAGS_AT) + STREAM_RAYS // 16 + 64
 
 #: The scratch of `fill`: a group, the statuses and the copies of its rays.
@@ -113,13 +113,13 @@ _AXES_Z = _packed(0, 1, 2)
 
 
 class StreamRays(NamedTuple):
-    """Where the rays of a stream are.
+    """The rays of a stream in memory.
 
     Attributes
     ----------
     hot, cold, slow, flags : uint64
-        Addresses: of the records, of what the slow path leaves, and of a uint8 for each group
-        that says whether a ray of it took that way.
+        Addresses: of the records, of the slow path's t transforms, and of a uint8 per group, which
+        is 1 if a ray of it took the slow path.
     """
 
     hot: np.uint64
@@ -130,13 +130,13 @@ class StreamRays(NamedTuple):
 
 @device
 def stream_rays(memory):
-    """The parts of `STREAM_BYTES` of memory."""
+    """The `StreamRays` in `STREAM_BYTES` of memory."""
     return StreamRays(memory, memory + _COLD_AT, memory + _SLOW_AT, memory + _FLAGS_AT)
 
 
 @device
 def _in_frame(is_y, is_z, x, y, z):
-    """Coordinates in the order of the frames, whose last axis is y, z or else x."""
+    """Coordinates in the order of the frames, whose last axis is y, z or x."""
     return (
         select(is_z, x, select(is_y, z, y)),
         select(is_z, y, select(is_y, x, z)),
@@ -146,7 +146,7 @@ def _in_frame(is_y, is_z, x, y, z):
 
 @device
 def _write_records(hot, cold, group):
-    """Turn a prepared group into 16 records."""
+    """Write a prepared group as 16 records."""
     kinds = group.direction_class & np.int32(3)
     is_y, is_z = kinds == np.int32(1), kinds == np.int32(2)
     ox, oy, oz = vectors(group.origin)

@@ -14,8 +14,8 @@ from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.kernels.sink import Sink
 from raystream.structures.base import BuildReport, Structure, UpdateReport
 from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.engine import (

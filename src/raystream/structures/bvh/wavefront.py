@@ -1,9 +1,9 @@
-"""Many single rays in flight: the kernel for rays that have nothing in common.
+"""Many single rays in flight: the kernel for incoherent rays.
 
-A ray that goes its own way waits for every node it loads. Here each thread keeps some rays
-in flight and advances each by one node or leaf in turn: its next node is prefetched when it
-is known and has arrived when the ray's turn comes again. Rays wait in queues by what they
-need next, so that no branch depends on a single ray.
+An incoherent ray waits for memory at every node. Here each thread keeps some rays in flight and
+advances each by one node or leaf in turn: the next node is prefetched as soon as it is known, and
+has arrived at the ray's next turn. Rays wait in queues by what they need next, so no branch depends
+on a single ray.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
-    any_lane,
     count_trailing_zeros,
     float_as_bits,
     i32x8,
@@ -27,19 +26,12 @@ from raystream.jit.simd import (
     scratch,
     select,
     store,
-    widen,
 )
 from raystream.jit.views import view
-from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, Hits
+from raystream.kernels.leaf_block import AXIS, BLOCK, HITS, Block, BlockRay, HitLanes, test_block
 from raystream.kernels.ray import component, prepare_ray, world_t
 from raystream.kernels.ray_source import load_ray
-from raystream.kernels.triangle_lanes import (
-    barycentrics,
-    plane_distance,
-    shear_vertices,
-    signs_agree,
-    slab_interval,
-)
+from raystream.kernels.triangle_lanes import slab_interval
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import (
     LANE,
@@ -54,11 +46,10 @@ from raystream.structures.bvh.node_layout import (
 
 __all__ = ["trace_wavefront"]
 
-#: Rays in flight in each thread. 16 hide less of the memory's latency, 64 crowd the cache.
+#: Rays in flight per thread. 16 hide less memory latency, 64 need too much cache.
 _IN_FLIGHT = np.uint64(32)
 
 _ONE = np.uint64(1)
-_FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD = np.uint64(8)
 _LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
@@ -67,17 +58,17 @@ _MISS = np.int32(-1)
 _KEY_BITS = np.int32(~7)
 _INVALID = np.uint8(RayStatus.INVALID)
 
-#: The triangle of a ray that has no hit: no number is greater.
+#: prim_id of a ray without a hit: the greatest number.
 _NO_PRIM = np.int32(2**31 - 1)
 
-#: In a slot that has no ray.
+#: Of an empty slot.
 _NO_RAY = np.int64(-1)
 
-#: At the bottom of each stack: no key is smaller, and no node has this number.
+#: At the bottom of each stack: the smallest key, and a row that no node has.
 _BOTTOM_KEY = np.int32(-(2**31))
 _BOTTOM = np.int32(2**31 - 1)
 
-#: A ray in flight. What belongs to axes is in the order of the ray's frame: kx, ky, kz.
+#: A ray in flight. Axes are in the order of the ray's frame: kx, ky, kz.
 _SLOT = np.dtype(
     [
         ("inv", "f4", 3),
@@ -90,14 +81,14 @@ _SLOT = np.dtype(
         ("prim_id", "i4"),
         ("u", "f4"),
         ("v", "f4"),
-        ("t_key", "i4"),  # children with a larger key lie behind the nearest hit
-        ("child", "i4"),  # the node or leaf that is next
-        ("top", "u8"),  # bytes on the stack, below the next one
+        ("t_key", "i4"),  # children with a larger key are beyond the nearest hit
+        ("child", "i4"),  # next node or leaf
+        ("top", "u8"),  # bytes on the stack
         ("ray", "i8"),
         ("t_scale", "f8"),
         ("t_offset", "f8"),
-        ("planes", "u8", 3),  # rows of a node's planes that the ray meets first
-        ("axes", "u8", 3),  # kx, ky, kz
+        ("planes", "u8", 3),  # rows of a node's planes that the ray enters by
+        ("axes", "u8", 3),  # see `BlockRay`
         ("direction", "f4", 3),
         ("unused", "V12"),
     ]
@@ -105,7 +96,7 @@ _SLOT = np.dtype(
 _Slot = view(_SLOT)
 _SLOT_BYTES = np.uint64(_SLOT.itemsize)
 
-#: Entries of a ray's stacks, with room for the eight lanes that are always stored.
+#: Bytes of a ray's stacks, with room for the eight lanes that are always stored.
 _STACK = np.uint64(4 * (STACK_SIZE + 16))
 
 _SLOTS_BYTES = int(_IN_FLIGHT * _SLOT_BYTES)
@@ -136,7 +127,7 @@ def _start_ray(slot, keys, children, i, ray, max_coordinate):
     slot.direction = r.dx, r.dy, r.dz
     slot.shear = r.sx, r.sy, r.sz
     slot.planes = plane_row(r.kx, inv_x), plane_row(r.ky, inv_y), plane_row(r.kz, inv_z)
-    slot.axes = r.kx, r.ky, r.kz
+    slot.axes = r.kx * AXIS, r.ky * AXIS, r.kz * AXIS
     slot.t_min, slot.t, slot.t_key = ray.t_min, ray.t_max, t_key(ray.t_max)
     slot.prim_id, slot.u, slot.v = _NO_PRIM, _ZERO, _ZERO
     slot.child, slot.top = np.int32(0), LANE
@@ -168,7 +159,7 @@ def _finish_ray(slot, wants_any, out):
 
 @device
 def _visit_node(slot, node, keys, children, numbers):
-    """Test a node's eight boxes; returns the height of the stack with those that are entered."""
+    """Test a node's eight boxes and push those that are entered; returns the stack's height."""
     x, y, z = slot.planes
     planes = node.planes
     t_in, t_out = slab_interval(
@@ -183,8 +174,8 @@ def _visit_node(slot, node, keys, children, numbers):
         slot.far,
     )
     entered = maximum(t_in, slot.t_min) <= minimum(t_out, slot.t)
-    # Keys: entry distance, cut off at 0 since only the order of bits of positive numbers is
-    # that of the numbers, with the lane in the lowest bits. Others sink to the end.
+    # Keys: entry distance with the lane in the lowest bits, at least 0 since only the bits of
+    # positive numbers are in the numbers' order. Boxes that are missed sink to the end.
     key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | numbers
     key = sort_keys(select(entered, key, i32x8(_BOTTOM_KEY)))
     top = slot.top
@@ -195,70 +186,27 @@ def _visit_node(slot, node, keys, children, numbers):
 
 @device
 def _visit_leaf(slot, leaves, lanes_at, wants_any):
-    """Test the triangles of the leaf that is next; returns whether the ray is done."""
+    """Test the triangles of the next leaf; returns whether the ray is done."""
     child = slot.child
     at = leaf_address(leaves, child)
     end = leaf_end(at, child)
-    x, y, z = slot.axes
-    origin = slot.origin
-    sx, sy, _ = slot.shear
     while at != end:
-        block = Block(at)
-        corners = block.corners
-        a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
-        b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
-        c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
-        sheared = shear_vertices(a, b, c, origin, (sx, sy))
-        candidates = signs_agree(sheared)
-        if any_lane(candidates):
-            low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
-            low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
-            low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
-            inv = slot.inv
-            back_x, back_y, back_z = inv[0] < _ZERO, inv[1] < _ZERO, inv[2] < _ZERO
-            t_in, t_out = slab_interval(
-                select(back_x, high_x, low_x),
-                select(back_y, high_y, low_y),
-                select(back_z, high_z, low_z),
-                select(back_x, low_x, high_x),
-                select(back_y, low_y, high_y),
-                select(back_z, low_z, high_z),
-                inv,
-                slot.near,
-                slot.far,
-            )
-            nearest, t_min = slot.t, slot.t_min
-            candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-            if any_lane(candidates):
-                d = slot.direction
-                t = plane_distance(
-                    (widen(a[0]), widen(a[1]), widen(a[2])),
-                    (widen(b[0]), widen(b[1]), widen(b[2])),
-                    (widen(c[0]), widen(c[1]), widen(c[2])),
-                    (np.float64(origin[0]), np.float64(origin[1]), np.float64(origin[2])),
-                    (np.float64(d[0]), np.float64(d[1]), np.float64(d[2])),
-                )
-                t = minimum(maximum(t, t_in), t_out) + _ZERO
-                candidates = candidates & (t >= t_min) & (t <= nearest)
-                # Only now the weights: rays that leave a surface meet its triangle behind
-                # their origin.
-                if any_lane(candidates):
-                    hit, u, v = barycentrics(sheared, False)
-                    bits = mask_bits(candidates & hit)
-                    if bits != np.uint64(0):
-                        if wants_any:
-                            slot.prim_id = np.int32(0)
-                            return True
-                        lanes = Hits(lanes_at)
-                        lanes.t, lanes.u, lanes.v = t, u, v
-                        _keep_nearest(slot, block, bits, HitLanes(lanes_at))
+        ray = BlockRay(
+            slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
+        )
+        bits = test_block(at, ray, slot.t_min, slot.t, False, lanes_at)
+        if bits != np.uint64(0):
+            if wants_any:
+                slot.prim_id = np.int32(0)
+                return True
+            _keep_nearest(slot, Block(at), bits, HitLanes(lanes_at))
         at += BLOCK
     return False
 
 
 @device
 def _keep_nearest(slot, block, bits, lanes):
-    """Take the hits of these lanes, if they are before the slot's by t, then prim_id."""
+    """Keep the nearest of the slot's hit and the hits of some lanes, by t, then prim_id."""
     nearest, best = slot.t, slot.prim_id
     while bits != np.uint64(0):
         lane = count_trailing_zeros(bits)
@@ -272,7 +220,7 @@ def _keep_nearest(slot, block, bits, lanes):
 
 @device
 def _next(slot, top, keys, children, tree, prefetching):
-    """Take the nearest child off the stack that may matter; returns its number."""
+    """Pop the nearest child within the search interval; returns its link."""
     limit = slot.t_key
     top -= LANE
     while load(np.int32, keys + top) > limit:
@@ -298,7 +246,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     prefetching : bool
-        Pays off where the tree does not fit into the cache.
+        Prefetch nodes: pays off if the tree does not fit into the cache.
     out : ResultAddresses
     """
     slots = scratch(_SLOTS_BYTES)
@@ -322,7 +270,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
         _Slot(slots, k).ray = _NO_RAY
 
     while True:
-        # Step 1: finished slots write their result and take the next ray.
+        # Step 1: write the results of finished slots and start new rays in them.
         at = np.uint64(0)
         while at != done_size:
             k = load(np.uint64, done + at)
@@ -349,7 +297,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
         if inner_size == np.uint64(0) and leaf_size == np.uint64(0):
             break
 
-        # Step 2: a node for each ray that waits for one.
+        # Step 2: visit a node for each ray that waits for one.
         next_size = np.uint64(0)
         at = np.uint64(0)
         while at != inner_size:
@@ -360,7 +308,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
             node = Node(tree.nodes, np.uint64(slot.child))
             top = _visit_node(slot, node, keys, children, numbers)
             child = _next(slot, top, keys, children, tree, prefetching)
-            # Without a branch: the slot goes to the end of all queues, one of which grows.
+            # Branchless: append the slot to all queues, and lengthen one of them.
             is_leaf = np.uint64(child < np.int32(0))
             is_done = np.uint64(child == _BOTTOM)
             store(inner_next + next_size, k)
@@ -372,7 +320,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
         inner, inner_next = inner_next, inner
         inner_size = next_size
 
-        # Step 3: a leaf for each ray that waits for one.
+        # Step 3: test a leaf for each ray that waits for one.
         next_size = np.uint64(0)
         at = np.uint64(0)
         while at != leaf_size:

@@ -5,8 +5,17 @@ import pytest
 
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
-from raystream.kernels.hits import HitArrays, hit_addresses, keep_hit, sort_hits
-from raystream.kernels.search import ADDED, FULL, SEEN, SeenSet, clear_seen, mark_seen
+from raystream.kernels.hits import HitArrays, hit_addresses
+from raystream.kernels.search import (
+    ADDED,
+    FULL,
+    SEEN,
+    SeenSet,
+    clear_seen,
+    keep_hit,
+    mark_seen,
+    sort_hits,
+)
 
 
 @kernel
