@@ -14,7 +14,7 @@ from meshes import icosphere
 from raystream.jit.cpu import kernel
 from raystream.rendering.environment import axes_of, mean_radiance, row_heights, texels_of
 from raystream.rendering.shading.punctual_lights import punctual_lights_of
-from raystream.rendering.shading.sky import map_sample, relative_pdf, sky_of, sky_toward
+from raystream.rendering.shading.sky import relative_pdf, sample_image, sky_of, sky_radiance
 from z_test import assert_equal_means, assert_mean, mean_of
 
 UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0), "x": (-3.0, 0.0, 0.0), "any": (1.0, 2.0, -0.5)}
@@ -123,7 +123,7 @@ def test_a_mirror_shows_the_sky(mode):
 @kernel
 def sample_map(sky, points, directions, densities):
     for i in range(len(points)):
-        toward, densities[i, 0] = map_sample(sky, points[i, 0], points[i, 1])
+        toward, densities[i, 0] = sample_image(sky, points[i, 0], points[i, 1])
         for k in range(3):
             directions[i, k] = toward[k]
         densities[i, 1] = relative_pdf(sky, toward[0], toward[1], toward[2])
@@ -133,7 +133,7 @@ def sample_map(sky, points, directions, densities):
 def look(lights, directions, seen):
     for i in range(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        seen[i, 0], seen[i, 1], seen[i, 2] = sky_toward(lights, x, y, z)
+        seen[i, 0], seen[i, 1], seen[i, 2] = sky_radiance(lights, x, y, z)
 
 
 @kernel

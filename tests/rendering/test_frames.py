@@ -59,7 +59,7 @@ def test_cameras_of_ones_own_move() -> None:
 @pytest.mark.parametrize(
     ("options", "kind", "reason"),
     [
-        ({"camera": CAMERA}, ValueError, "nothing moves"),
+        ({"camera": CAMERA}, ValueError, "is static"),
         ({"mode": "oil"}, ValueError, "mode: expected"),
         ({"checkpoint": "a"}, TypeError, "checkpoint: only for a single image"),
         ({"frames": 48, "camera": TRACK}, ValueError, "got 48"),

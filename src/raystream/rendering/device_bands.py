@@ -29,5 +29,5 @@ class DeviceBands(Protocol):
     def trace(
         self, stages: Sequence[Callable[..., Any]], rows: range, sample: int
     ) -> NDArray[np.float32]:
-        """Take one sample of each pixel of some rows; see `Integrator.trace`."""
+        """Render one sample of each pixel of some rows; see `Integrator.trace`."""
         ...

@@ -53,7 +53,7 @@ MAX_BOUNCES = 1000
 
 @dataclass(frozen=True)
 class RenderContext:
-    """What the stages of one image share: scene, camera, sampler and options.
+    """Scene, camera, sampler and options that the stages of one image share.
 
     Attributes
     ----------
@@ -230,7 +230,7 @@ class Integrator:
     def trace(
         self, context: RenderContext, rows: range, sample: int, aovs: AovBuffers | None = None
     ) -> NDArray[np.float32]:
-        """Take one sample of each pixel of some rows.
+        """Render one sample of each pixel of some rows.
 
         Parameters
         ----------

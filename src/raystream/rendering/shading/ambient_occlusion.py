@@ -42,7 +42,7 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 class OcclusionOptions(NamedTuple):
-    """What rays are sent from each hit.
+    """Number and length of the rays.
 
     Attributes
     ----------

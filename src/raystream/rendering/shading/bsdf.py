@@ -19,7 +19,7 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
-from raystream.rendering.shading.microfacet import LEAST_ALPHA, PLASTIC, rough_reflected
+from raystream.rendering.shading.microfacet import LEAST_ALPHA, PLASTIC, eval_rough_reflection
 from raystream.rendering.shading.points import material_color, material_number
 from raystream.rendering.shading.tables import (
     COLUMNS,
@@ -37,9 +37,9 @@ __all__ = [
     "Bounce",
     "Lobes",
     "emitted",
+    "eval_reflection",
     "fresnel",
     "lobes_at",
-    "reflected",
     "refracted",
 ]
 
@@ -264,7 +264,7 @@ def refracted(back, normal, ior):
 
 
 @device_call
-def reflected(lobes, point, back, toward):
+def eval_reflection(lobes, point, back, toward):
     """Evaluate diffuse and glossy reflection, with the densities of their samples.
 
     Parameters
@@ -291,7 +291,7 @@ def reflected(lobes, point, back, toward):
     color, specular_pdf = scaled(lobes.diffuse, diffuse_pdf), cosine * _NULL
     is_rough = lobes.alpha > _NULL
     if any_lane(is_rough & is_lit):
-        rough, pdf = rough_reflected(
+        rough, pdf = eval_rough_reflection(
             lobes.diffuse, lobes.specular, lobes.alpha, normal, back, toward
         )
         is_rough &= is_lit

@@ -141,7 +141,7 @@ def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
 def _far_lights(
     scene: Scene,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Rows of points and of suns, and the sky's radiance without an image."""
+    """Rows of point and of directional lights, and the sky's constant radiance."""
     frame = scene.triangles
     scale = float(frame.scale)
     points, suns, sky = np.empty((0, 7)), np.empty((0, 6)), np.array(scene.background, np.float64)

@@ -31,7 +31,7 @@ from raystream.rendering.sampling.warp import sphere, triangle
 from raystream.rendering.shading.discrete_distribution import sample_discrete_lanes
 from raystream.rendering.shading.points import offset_at
 from raystream.rendering.shading.rows import floats_at
-from raystream.rendering.shading.sky_lanes import map_sample_lanes, sky_toward_lanes
+from raystream.rendering.shading.sky_lanes import sample_image_lanes, sky_radiance_lanes
 from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
 
 __all__ = ["LightSample", "sample_light", "triangle_pdf"]
@@ -105,9 +105,9 @@ def _from_sky(lights, is_sky, share, u, v):
     """Sample the sky: directions, densities, and radiance over density."""
     toward, pdf = sphere(u, v), narrow(share * _INV_FOUR_PI)
     if lights.sky.image != _NONE:
-        toward, relative = map_sample_lanes(lights.sky, u, v, is_sky)
+        toward, relative = sample_image_lanes(lights.sky, u, v, is_sky)
         pdf = pdf * relative
-    color = sky_toward_lanes(lights, toward, is_sky)
+    color = sky_radiance_lanes(lights, toward, is_sky)
     return toward, pdf, scaled(color, _WHOLE / pdf)
 
 

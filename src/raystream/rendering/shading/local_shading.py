@@ -13,11 +13,11 @@ from raystream.jit.simd import (
     maximum,
     square_root,
 )
-from raystream.rendering.shading.bsdf import emitted, lobes_at, reflected
+from raystream.rendering.shading.bsdf import emitted, eval_reflection, lobes_at
 from raystream.rendering.shading.points import surface_points
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.rows import vector_at
-from raystream.rendering.shading.sky_lanes import sky_toward_lanes
+from raystream.rendering.shading.sky_lanes import sky_radiance_lanes
 from raystream.rendering.shading.streams import add_lights, batch_addresses, block_rows
 from raystream.rendering.shading.vectors import added, chosen, dot, scaled, times
 
@@ -50,7 +50,7 @@ def _begin(first, batch, lights):
     prim = gather(np.int32, batch.hits.prim_id, row)
     is_missed = is_path & (prim < _0)
     if any_lane(is_missed):
-        color = sky_toward_lanes(lights, toward, is_missed)
+        color = sky_radiance_lanes(lights, toward, is_missed)
         _add(batch, row, pixel, color, is_missed)
     return row, pixel, prim, toward, is_path & (prim >= _0)
 
@@ -64,7 +64,7 @@ def _points(tables, hits, row, prim, toward, is_hit):
 
 @device
 def _add(batch, row, pixel, color, mask):
-    """Add what paths see to their pixels, times their weights."""
+    """Add radiance to pixels, times the paths' weights."""
     add_lights(batch.radiance, pixel, times(vector_at(batch.paths.colors, row), color), mask)
 
 
@@ -93,7 +93,7 @@ def unshadowed_block(first, batch, tables, lights):
     color = chosen(point.is_front, glow, color)
     for number in range(lights.light_count):
         found = incident_light(tables, lights, number, point)
-        share, _, _ = reflected(lobes, point, back, found.toward)
+        share, _, _ = eval_reflection(lobes, point, back, found.toward)
         more = added(color, times(share, found.color), _WHOLE)
         color = chosen(found.is_valid, more, color)
     _add(batch, row, pixel, color, is_hit)

@@ -22,7 +22,13 @@ from raystream.rendering.sampling.ggx import visible_normal
 from raystream.rendering.sampling.warp import basis
 from raystream.rendering.shading.vectors import dot, mirrored
 
-__all__ = ["LEAST_ALPHA", "PLASTIC", "mirrored_share", "rough_direction", "rough_reflected"]
+__all__ = [
+    "LEAST_ALPHA",
+    "PLASTIC",
+    "eval_rough_reflection",
+    "rough_direction",
+    "schlick",
+]
 
 #: Reflectance of non-metals at normal incidence (an index of refraction of 1.5).
 PLASTIC = np.float32(0.04)
@@ -36,7 +42,7 @@ _PI, _INV_PI = np.float32(math.pi), np.float32(1.0 / math.pi)
 
 
 @device
-def mirrored_share(color, cosine):
+def schlick(color, cosine):
     """Schlick's approximation: reflectance at an angle, from that at normal incidence."""
     rest = _WHOLE - minimum(maximum(cosine, _NULL), _WHOLE)
     grazing = rest * rest * rest * rest * rest
@@ -48,7 +54,7 @@ def mirrored_share(color, cosine):
 
 
 @device_call
-def rough_reflected(diffuse, mirror, alpha, normal, back, toward):
+def eval_rough_reflection(diffuse, mirror, alpha, normal, back, toward):
     """Evaluate the reflection, with the density of `rough_direction`.
 
     Parameters
@@ -81,7 +87,7 @@ def rough_reflected(diffuse, mirror, alpha, normal, back, toward):
     view_length = square_root(view * view * (_WHOLE - square) + square)
     light_length = square_root(cosine * cosine * (_WHOLE - square) + square)
     faces = density * cosine * _HALF / (view * light_length + cosine * view_length)
-    share = mirrored_share(mirror, dot(back, half))
+    share = schlick(mirror, dot(back, half))
     even = select(is_sound, cosine * _INV_PI, _NULL)
     color = (
         share[0] * faces + (_WHOLE - share[0]) * diffuse[0] * even,

@@ -33,13 +33,13 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.sampling.sampler import draw_lanes, draw_pair_lanes
 from raystream.rendering.shading.absorption import transmittance
-from raystream.rendering.shading.bsdf import emitted, lobes_at, reflected
+from raystream.rendering.shading.bsdf import emitted, eval_reflection, lobes_at
 from raystream.rendering.shading.lights import sample_light, triangle_pdf
-from raystream.rendering.shading.points import spawned, surface_points
+from raystream.rendering.shading.points import spawn_origin, surface_points
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.scatter import reflection_pdf, scatter
 from raystream.rendering.shading.shadow_rays import put_shadow_rays
-from raystream.rendering.shading.sky_lanes import sky_pdf_lanes, sky_toward_lanes
+from raystream.rendering.shading.sky_lanes import sky_pdf_lanes, sky_radiance_lanes
 from raystream.rendering.shading.streams import (
     StreamCursor,
     add_lights,
@@ -69,7 +69,7 @@ _MOST_CHANCE = np.float32(0.95)
 
 
 class PathOptions(NamedTuple):
-    """How paths are followed.
+    """Options of path tracing.
 
     Attributes
     ----------
@@ -105,11 +105,11 @@ def _clamped(light, most):
 
 
 @device
-def _emission(tables, lights, rules, point, back, distance, pdf, weights, mask):
+def _emission(tables, lights, options, point, back, distance, pdf, weights, mask):
     """Light of rays that hit the front of an emitter, and the lanes where there is any."""
     color = emitted(tables, point)
     mask &= point.is_front & (color[0] + color[1] + color[2] > _NULL)
-    if rules.samples_lights and any_lane(mask):
+    if options.samples_lights and any_lane(mask):
         distance = widen(distance) * (1.0 / tables.inverse_scale)
         cosine = dot(back, (point.gx, point.gy, point.gz))
         other = select(pdf < _INF, triangle_pdf(lights, point, distance, cosine), _NULL)
@@ -124,7 +124,7 @@ def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights
     u, v = draw_pair_lanes(sampler, pixel, sample, dimension)
     choice = draw_lanes(sampler, pixel, sample, dimension + 2)
     found = sample_light(tables, lights, point, choice, u, v)
-    color, diffuse_pdf, specular_pdf = reflected(lobes, point, back, found.toward)
+    color, diffuse_pdf, specular_pdf = eval_reflection(lobes, point, back, found.toward)
     mask &= found.is_valid & (color[0] + color[1] + color[2] > _NULL)
     other = reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf)
     share = select(found.pdf < _INF, _mis_weight(found.pdf, other), _WHOLE)
@@ -133,7 +133,7 @@ def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights
 
 
 @device
-def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward, rays):
+def shade_path_block(first, batch, tables, lights, sample, bounce, options, onward, rays):
     """Shade 16 paths at the surfaces that their rays hit.
 
     Parameters
@@ -142,7 +142,7 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward
         The first of them; lanes beyond the last path are inactive.
     batch : ShadingBatch
         Of addresses.
-    tables, lights, sample, bounce, rules
+    tables, lights, sample, bounce, options
         See `shade_paths`.
     onward, rays : StreamCursor
         Of `Paths` and `ShadowRays`.
@@ -156,8 +156,8 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward
     sampler, dimension = sample.sampler, _FIRST_DIMENSION + _DIMENSIONS * bounce
     samples = u32x16(as_uint32(sample.number))
     # The first surface's light is what it emits, samples, or finds with the next ray.
-    most_found = rules.clamp if bounce > _1 else _INF
-    most_sampled = rules.clamp if bounce > _0 else _INF
+    most_found = options.clamp if bounce > _1 else _INF
+    most_sampled = options.clamp if bounce > _0 else _INF
     row, is_path = block_rows(first, batch)
     pixels = gather(np.int64, paths.pixels, row)
     pixel, key = as_int32(pixels - batch.first_pixel), as_uint32(pixels)
@@ -169,9 +169,9 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward
     is_missed = is_path & (prim < _0)
     if any_lane(is_missed):
         share = f32x16(_WHOLE)
-        if rules.samples_lights:
+        if options.samples_lights:
             share = _mis_weight(pdf, sky_pdf_lanes(lights, (dx, dy, dz), is_missed))
-        color = sky_toward_lanes(lights, (dx, dy, dz), is_missed)
+        color = sky_radiance_lanes(lights, (dx, dy, dz), is_missed)
         color = scaled(times(weights, color), share)
         add_lights(radiance, pixel, _clamped(color, most_found), is_missed)
     if not any_lane(is_hit):
@@ -184,14 +184,14 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward
     distance = gather(np.float32, hits.t, row) * length
     if tables.kinds & ABSORBS and any_lane(is_hit & ~point.is_front):
         weights = times(weights, transmittance(tables, point, distance))
-    light, is_lit = _emission(tables, lights, rules, point, back, distance, pdf, weights, is_hit)
+    light, is_lit = _emission(tables, lights, options, point, back, distance, pdf, weights, is_hit)
     if any_lane(is_lit):
         add_lights(radiance, pixel, _clamped(light, most_found), is_lit)
-    if bounce >= rules.max_bounces:
+    if bounce >= options.max_bounces:
         return onward, rays
 
     lobes = lobes_at(tables, point)
-    if rules.samples_lights and not lights.is_dark:
+    if options.samples_lights and not lights.is_dark:
         numbers = key, samples, dimension
         found, light, is_lit = _light_sampled(
             tables, lights, sampler, numbers, point, lobes, back, weights, is_hit
@@ -205,17 +205,17 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward
     weights = times(weights, ray.weight)
     brightest = largest(weights[0], weights[1], weights[2])
     continues = is_hit & ray.is_valid & (brightest > _NULL)
-    if bounce >= rules.roulette_bounce:
+    if bounce >= options.roulette_bounce:
         chance = minimum(brightest, _MOST_CHANCE)
         continues &= draw_lanes(sampler, key, samples, dimension + 7) < chance
         weights = scaled(weights, _WHOLE / chance)
-    origins = spawned(tables, point, ray.direction)
+    origins = spawn_origin(tables, point, ray.direction)
     onward = append_rows(onward, continues, pixels, origins, ray.direction, weights, ray.pdf)
     return onward, rays
 
 
 @kernel
-def shade_paths(batch, tables, lights, sample, bounce, rules, onward, rays):
+def shade_paths(batch, tables, lights, sample, bounce, options, onward, rays):
     """Shade paths at the surfaces that their rays hit, 16 at a time.
 
     Parameters
@@ -227,7 +227,7 @@ def shade_paths(batch, tables, lights, sample, bounce, rules, onward, rays):
     sample : PixelSample
     bounce : int
         Surfaces that have scattered the paths before.
-    rules : PathOptions
+    options : PathOptions
     onward : Paths
         Room for as many, with slack (`streams.SLACK`); paths that continue are written. It may
         be the batch's.
@@ -244,6 +244,6 @@ def shade_paths(batch, tables, lights, sample, bounce, rules, onward, rays):
     ray_end = StreamCursor(addresses_of(rays), np.uint64(0))
     for first in range(0, batch.path_count, _LANES):
         path_end, ray_end = shade_path_block(
-            first, places, tables, lights, sample, bounce, rules, path_end, ray_end
+            first, places, tables, lights, sample, bounce, options, path_end, ray_end
         )
     return np.int64(path_end.row), np.int64(ray_end.row)

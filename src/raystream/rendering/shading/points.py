@@ -36,7 +36,7 @@ __all__ = [
     "material_number",
     "material_of",
     "offset_at",
-    "spawned",
+    "spawn_origin",
     "surface_point",
     "surface_points",
     "world_position",
@@ -322,7 +322,7 @@ def world_position(tables, x, y, z):
 
 
 @device
-def spawned(tables, point, toward):
+def spawn_origin(tables, point, toward):
     """The origin of a ray that leaves a point, world space; see `Hits.spawn`."""
     is_below = point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < _NULL
     away = select(is_below, -point.offset, point.offset)

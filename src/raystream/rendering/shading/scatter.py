@@ -7,8 +7,8 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, minimum, select
 from raystream.rendering.sampling.warp import cosine_hemisphere, power_cosine, to_world
-from raystream.rendering.shading.bsdf import Bounce, fresnel, reflected, refracted
-from raystream.rendering.shading.microfacet import mirrored_share, rough_direction
+from raystream.rendering.shading.bsdf import Bounce, eval_reflection, fresnel, refracted
+from raystream.rendering.shading.microfacet import rough_direction, schlick
 from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
 
 __all__ = ["reflection_pdf", "scatter"]
@@ -34,7 +34,7 @@ def _shares(lobes, back, normal):
     diffuse, specular = _mean(lobes.diffuse), _mean(lobes.specular)
     is_rough = lobes.alpha > _NULL
     if any_lane(is_rough):
-        rough = _mean(mirrored_share(lobes.specular, dot(back, normal)))
+        rough = _mean(schlick(lobes.specular, dot(back, normal)))
         diffuse = select(is_rough, diffuse * (_WHOLE - rough), diffuse)
         specular = select(is_rough, rough, specular)
     mirror, through = _mean(lobes.reflection), _mean(lobes.transmission)
@@ -52,7 +52,7 @@ def _shares(lobes, back, normal):
 
 @device
 def reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf):
-    """Density of `scatter` for a direction, from the densities that `reflected` returns."""
+    """Density of `scatter` for a direction, from the densities that `eval_reflection` returns."""
     diffuse, specular, _, _, _ = _shares(lobes, back, (point.nx, point.ny, point.nz))
     return diffuse * diffuse_pdf + specular * specular_pdf
 
@@ -101,7 +101,7 @@ def scatter(lobes, point, back, choice, u, v):
     is_specular = (choice >= diffuse) & (choice < scattered)
     if any_lane(is_specular):
         toward = _shining(toward, is_specular, lobes, normal, back, u, v)
-    color, diffuse_pdf, specular_pdf = reflected(lobes, point, back, toward)
+    color, diffuse_pdf, specular_pdf = eval_reflection(lobes, point, back, toward)
     pdf = diffuse * diffuse_pdf + specular * specular_pdf
     is_valid = (choice < scattered) & (pdf > _NULL)
     weight = scaled(color, _WHOLE / pdf)

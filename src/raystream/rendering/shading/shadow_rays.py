@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, as_int32, f32x16, gather, load, narrow, select
-from raystream.rendering.shading.points import spawned, world_position
+from raystream.rendering.shading.points import spawn_origin, world_position
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.streams import (
     add_light,
@@ -75,7 +75,7 @@ def put_shadow_ray(rays, pixel, tables, point, found, light):
     light : tuple of three float64
         Added to the pixel if nothing blocks the ray.
     """
-    x, y, z = spawned(tables, point, found.toward)
+    x, y, z = spawn_origin(tables, point, found.toward)
     toward, t_max = found.toward, _INF
     if not found.is_far:
         px, py, pz = world_position(tables, found.target[0], found.target[1], found.target[2])
@@ -99,7 +99,7 @@ def put_shadow_rays(rays, mask, pixels, tables, point, found, light):
     light : tuple of three f32x16
         Added to the pixels if nothing blocks the rays.
     """
-    x, y, z = spawned(tables, point, found.toward)
+    x, y, z = spawn_origin(tables, point, found.toward)
     px, py, pz = world_position(tables, found.target[0], found.target[1], found.target[2])
     toward = (
         select(found.is_far, found.toward[0], narrow(px - x)),

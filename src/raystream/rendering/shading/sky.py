@@ -29,12 +29,12 @@ from raystream.scene.scene import Scene
 __all__ = [
     "Sky",
     "background_of",
-    "map_color",
-    "map_sample",
+    "image_radiance",
     "relative_pdf",
+    "sample_image",
     "sky_of",
     "sky_pdf",
-    "sky_toward",
+    "sky_radiance",
 ]
 
 _NONE = np.uint64(0)
@@ -205,7 +205,7 @@ def _mixed(a, b, share):
 
 
 @device_call
-def map_color(sky, x, y, z):
+def image_radiance(sky, x, y, z):
     """The sky's radiance where it has an image."""
     image = sky.image
     width, height = np.int64(_long(image, _NONE)), np.int64(_long(image, _HEIGHT))
@@ -238,7 +238,7 @@ def _slice(row, height):
 
 @device_call
 def relative_pdf(sky, x, y, z):
-    """Density over solid angle of `map_sample` at a direction of any length, times 4 pi."""
+    """Density over solid angle of `sample_image` at a direction of any length, times 4 pi."""
     image = sky.image
     width, height = _long(image, _NONE), _long(image, _HEIGHT)
     across, down = _place(image, x, y, z)
@@ -255,7 +255,7 @@ def _share(ends, k):
 
 
 @device_call
-def map_sample(sky, u, v):
+def sample_image(sky, u, v):
     """Sample a direction of a sky that has an image, by its light.
 
     Parameters
@@ -306,7 +306,7 @@ def _combined(image, k, right, up, middle):
 
 
 @device
-def sky_toward(lights, x, y, z):
+def sky_radiance(lights, x, y, z):
     """Radiance of the sky in a direction.
 
     Parameters
@@ -321,7 +321,7 @@ def sky_toward(lights, x, y, z):
     """
     if lights.sky.image == _NONE:
         return lights.sky.color
-    return map_color(lights.sky, x, y, z)
+    return image_radiance(lights.sky, x, y, z)
 
 
 @device

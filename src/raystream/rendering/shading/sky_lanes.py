@@ -19,9 +19,9 @@ from raystream.jit.simd import (
     store,
     widen,
 )
-from raystream.rendering.shading.sky import map_color, map_sample, relative_pdf
+from raystream.rendering.shading.sky import image_radiance, relative_pdf, sample_image
 
-__all__ = ["map_sample_lanes", "sky_pdf_lanes", "sky_toward_lanes"]
+__all__ = ["sample_image_lanes", "sky_pdf_lanes", "sky_radiance_lanes"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -57,21 +57,21 @@ def _rows(rows):
 
 
 @device
-def sky_toward_lanes(lights, toward, mask):
-    """`sky_toward` for 16 directions, of `f32x16`; undefined where the mask is not set."""
+def sky_radiance_lanes(lights, toward, mask):
+    """`sky_radiance` for 16 directions, of `f32x16`; undefined where the mask is not set."""
     if lights.sky.image == _NONE:
         return _colors(lights.sky.color)
-    return _map_colors(lights.sky, toward, mask)
+    return _image_radiances(lights.sky, toward, mask)
 
 
 @device_call
-def _map_colors(sky, toward, mask):
+def _image_radiances(sky, toward, mask):
     rows, bits = scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
         i = count_trailing_zeros(bits)
         bits &= bits - _ONE
         x, y, z = _wide(toward, i)
-        _put(rows, i, map_color(sky, x, y, z))
+        _put(rows, i, image_radiance(sky, x, y, z))
     return _rows(rows)
 
 
@@ -96,13 +96,13 @@ def _relative_pdfs(sky, toward, mask):
 
 
 @device_call
-def map_sample_lanes(sky, u, v, mask):
-    """`map_sample` for 16 pairs of numbers, `f32x16`; undefined where the mask is not set."""
+def sample_image_lanes(sky, u, v, mask):
+    """`sample_image` for 16 pairs of numbers, `f32x16`; undefined where the mask is not set."""
     rows, densities, bits = scratch(_ROWS), scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
         i = count_trailing_zeros(bits)
         bits &= bits - _ONE
-        toward, density = map_sample(sky, widen(lane(u, i)), widen(lane(v, i)))
+        toward, density = sample_image(sky, widen(lane(u, i)), widen(lane(v, i)))
         _put(rows, i, toward)
         store(densities + i * _WORD, np.float32(density))
     return _rows(rows), load(f32x16, densities)

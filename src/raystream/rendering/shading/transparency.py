@@ -8,7 +8,7 @@ from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.rendering.shading.bsdf import lobes_at
 from raystream.rendering.shading.points import surface_point
-from raystream.rendering.shading.sky import sky_toward
+from raystream.rendering.shading.sky import sky_radiance
 from raystream.rendering.shading.streams import add_light, addresses_of, direction_of, weights_of
 
 __all__ = ["composite_hits"]
@@ -48,5 +48,5 @@ def composite_hits(paths, splits, rows, tables, opacity, lights, first_pixel, ra
             shade = passed * (1.0 - here) * facing
             add_light(base, pixel, weights, color, shade)
             passed *= here
-        behind = sky_toward(lights, dx, dy, dz)
+        behind = sky_radiance(lights, dx, dy, dz)
         add_light(base, pixel, weights, behind, passed)

@@ -14,11 +14,11 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import gather
 from raystream.rendering.shading.absorption import transmittance
-from raystream.rendering.shading.bsdf import emitted, fresnel, lobes_at, reflected, refracted
-from raystream.rendering.shading.points import spawned, surface_point
+from raystream.rendering.shading.bsdf import emitted, eval_reflection, fresnel, lobes_at, refracted
+from raystream.rendering.shading.points import spawn_origin, surface_point
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.shadow_rays import put_shadow_ray
-from raystream.rendering.shading.sky import sky_toward
+from raystream.rendering.shading.sky import sky_radiance
 from raystream.rendering.shading.streams import (
     StreamCursor,
     add_light,
@@ -40,7 +40,7 @@ def _continue(onward, pixel, tables, point, toward, weights, color, min_weight):
     weight = weights[0] * color[0], weights[1] * color[1], weights[2] * color[2]
     if not max(weight[0], weight[1], weight[2]) > min_weight:
         return onward
-    origin = spawned(tables, point, toward)
+    origin = spawn_origin(tables, point, toward)
     return put_row(onward, pixel, origin, toward, weight, np.inf)
 
 
@@ -51,7 +51,7 @@ def _sample_all_lights(rays, pixel, tables, lights, lobes, point, back, weights)
         found = incident_light(tables, lights, number, point)
         if not found.is_valid:
             continue
-        color, _, _ = reflected(lobes, point, back, found.toward)
+        color, _, _ = eval_reflection(lobes, point, back, found.toward)
         if color[0] + color[1] + color[2] <= 0.0:
             continue
         light = (
@@ -88,7 +88,7 @@ def shade_whitted_path(i, batch, tables, lights, continues, min_weight, onward, 
     dx, dy, dz, length = direction_of(paths, i)
     prim_id = gather(np.int32, hits.prim_id, i)
     if prim_id < 0:
-        add_light(radiance, pixel, weights, sky_toward(lights, dx, dy, dz), 1.0)
+        add_light(radiance, pixel, weights, sky_radiance(lights, dx, dy, dz), 1.0)
         return onward, rays
     back = -dx / length, -dy / length, -dz / length
     u, v = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
