@@ -25,6 +25,7 @@ def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     nodes = records.NodesAt(NULL, NULL, NULL, np.int64(1))
     number = np.float64(0.0)
     frame = records.KeyFrame((number, number, number), number, NULL)
+    listed = clusters.ClusterList(NULL, NULL)
 
     def at(count: int) -> tuple[np.uint64, ...]:
         return (NULL,) * count
@@ -39,9 +40,9 @@ def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         (linear.KERNELS.clear, at(1)),
         (linear.KERNELS.climb, (NULL, nodes, *at(2))),
         (clusters.KERNELS.begin_cluster, (nodes, NULL)),
-        (clusters.KERNELS.find_match, (*at(3), False, NULL)),
-        (clusters.KERNELS.count_places, at(3)),
-        (clusters.KERNELS.merge, (*at(5), nodes, *at(3))),
+        (clusters.KERNELS.find_match, (listed, NULL, False, NULL)),
+        (clusters.KERNELS.count_places, (listed, *at(2))),
+        (clusters.KERNELS.merge, (listed, *at(3), nodes, NULL, listed)),
         (wide.KERNELS.count_lanes, (NULL, nodes, *at(2))),
         (wide.KERNELS.give_rows, (*at(3), nodes, *at(4))),
         (wide.KERNELS.write_node, (nodes, *at(6))),
