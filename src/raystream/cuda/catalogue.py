@@ -14,7 +14,7 @@ from raystream.cuda.multipass.catalogue import multipass_catalogue_of
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.programs.catalogue import program_catalogue
 from raystream.cuda.ray_order import MAKE_KEY
-from raystream.cuda.rendering.catalogue import rendering_catalogue
+from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import kernels_of
 from raystream.cuda.threads import SeenTables
@@ -124,7 +124,7 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
     programs = program_catalogue(scene.triangles)
     listed |= {("programs", name): one for name, one in programs.items()}
     listed |= {("builds", name): one for name, one in build_catalogue().items()}
-    listed |= {("rendering", name): one for name, one in rendering_catalogue(scene).items()}
+    listed |= {("rendering", name): one for name, one in rendering_kernels(scene).items()}
     made: dict[tuple[str, str], Compiler] = {
         key: partial(kernel.compiled, arguments) for key, (kernel, arguments) in listed.items()
     }
