@@ -47,12 +47,12 @@ class ClusterList(NamedTuple):
     ----------
     boxes : uint64
         Of their boxes and rows in the tree, as `bvh.prim_refs`.
-    count : uint64
+    cluster_count : uint64
         Of their number, uint64.
     """
 
     boxes: np.uint64
-    count: np.uint64
+    cluster_count: np.uint64
 
 
 @kernel
@@ -70,7 +70,7 @@ def _find_match(i, clusters, radius, by_place, matches):
     Of equal ones it is the one whose place differs in lower bits: so the pairs are in one order
     for all, the first of which is always made, and equal triangles pair up.
     """
-    count = load(np.uint64, clusters.count)
+    count = load(np.uint64, clusters.cluster_count)
     if i >= count:
         return
     match = i
@@ -94,7 +94,7 @@ def _find_match(i, clusters, radius, by_place, matches):
 def _count_places(i, clusters, matches, places):
     """Whether cluster i keeps a place (1), and makes a node (2**32), as the first of a pair."""
     place = ZERO_U64
-    if i < load(np.uint64, clusters.count):
+    if i < load(np.uint64, clusters.cluster_count):
         match = np.uint64(load(np.uint32, matches + (i << SHIFT_32)))
         is_pair = match != i and np.uint64(load(np.uint32, matches + (match << SHIFT_32))) == i
         if not is_pair:
@@ -107,11 +107,11 @@ def _count_places(i, clusters, matches, places):
 @kernel
 def _merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
     """Write cluster i, or the node that it makes with its match, at its offset in the scan."""
-    count = load(np.uint64, clusters.count)
+    count = load(np.uint64, clusters.cluster_count)
     own = load(np.uint64, places + (i << SHIFT_64))
     after = load(np.uint64, places + ((i + ONE_U64) << SHIFT_64))
     if i + ONE_U64 == bound:
-        store(to.count, after & LOW_32)
+        store(to.cluster_count, after & LOW_32)
     if i >= count or own == after:
         return
     at = clusters.boxes + i * np.uint64(REF_BYTES)

@@ -132,7 +132,7 @@ class RayStreams:
         streams = (self._streams[name].address for name in ("ray", "wanted", "found"))
         rows = NULL if self._rows is None else self._rows.address
         own = self._state.address, self._world.address
-        return RayStreamAddresses(rows, self._capacity, *streams, *own)
+        return RayStreamAddresses._make((rows, self._capacity, *streams, *own))
 
     @property
     def kernels(self) -> tuple[StepKernel, ...]:

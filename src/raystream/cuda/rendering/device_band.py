@@ -160,8 +160,8 @@ class DeviceBand:
         self.scene, self._staging, self._rows = scene, staging, rows
         width = scene.context.width
         self.count = len(rows) * width
-        self.sample = np.int64(sample)
-        self.first_pixel = np.int64(rows.start * width)
+        self.sample: Any = np.int64(sample)  # typed as kernels take it
+        self.first_pixel: Any = np.int64(rows.start * width)
         self._radiance = staging.cleared("light", (self.count, 3), np.float32)
         self.radiance = self._radiance.address
         self.empty = staging.empty

@@ -42,7 +42,7 @@ def rendering_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, .
     scene : Scene
         Any scene.
     """
-    number = np.int64(1)
+    number: Any = np.int64(1)
     stream = StreamAddresses(*[NULL] * 5)
     slots = SlotAddresses(stream, NULL, ONE_U64)
     batch = ShadingBatch(number, stream, HitAddresses(*[NULL] * 4), number, NULL)

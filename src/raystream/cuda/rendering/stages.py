@@ -96,7 +96,7 @@ def _spawn_ambient_rays(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     ray_count = int(context.options["rays"])
     slots, rays = band.shadow_rays(ray_count)
     sample = PixelSample(plain(sampler_of(context)), band.sample)
-    options = OcclusionOptions(np.int64(ray_count), distance_of(context))
+    options = plain(OcclusionOptions(ray_count, distance_of(context)))
     shared = band.batch(stream), band.scene.table("tables"), sample, options
     band.run(SPAWN_AO_RAYS, stream.count, *shared, slots.addresses)
     return _only_shadow_rays(stream, band, slots, rays)
