@@ -1,4 +1,4 @@
-"""All kernels of the machine with arguments of the right types: to be compiled without a device."""
+"""The kernels of the multipass machine with example arguments, to compile them without a device."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from raystream.machines.steps import steps_of
 from raystream.scene.scene import Scene
 from raystream.structures import build_structure
 
-__all__ = ["multipass_catalogue_of"]
+__all__ = ["multipass_kernels"]
 
 
-def multipass_catalogue_of(
+def multipass_kernels(
     name: str, scene: Scene, **options: Any
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """The kernels for a structure, and arguments that are good for their types alone.
+    """The kernels for a structure, with arguments that are valid for their types only.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The kernels that build trees and graphs of sectors, with arguments of the right types."""
+"""The kernels of the graph builder with example arguments, to compile them without a device."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from raystream.structures.graph.face_subtrees import RopeTree
 from raystream.structures.graph.prune import Chosen
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["graph_catalogue"]
+__all__ = ["graph_kernels"]
 
 _COSTS = Costs(*(np.float64(0.0),) * 4)
 
 
-def graph_catalogue() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
-    """Kernels, and arguments that are good for their types alone."""
+def graph_kernels() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
+    """Kernels, with arguments that are valid for their types only."""
     return [*_of_trees(), *_of_sectors(), *_of_links()]
 
 
