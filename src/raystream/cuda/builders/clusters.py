@@ -1,4 +1,4 @@
-"""A BVH of clusters: neighbours on the curve that fit together best become one, again and again.
+"""A BVH by locally ordered clustering: best neighbours on a curve merge, round by round.
 
 References
 ----------

@@ -1,8 +1,7 @@
 """The binary layout: nodes of 64 bytes, each with the boxes of its two children.
 
-The CPU's builder forgets its binary tree. Here each wide node becomes a binary tree of its own
-again, of least surface area among all that have its children as leaves: found over all subsets of
-them.
+The CPU's builder discards its binary tree. Here each wide node becomes a binary tree again, with
+the least surface area of all trees over its children, found by searching their subsets.
 
 References
 ----------
@@ -39,7 +38,7 @@ STACK_BYTES = 4 * _LEVELS * (MAX_DEPTH + 1)
 
 
 class BinaryAddresses(NamedTuple):
-    """What the traversal reads; whoever calls it keeps the arrays alive.
+    """Addresses that the traversal reads; the caller keeps the arrays alive.
 
     Attributes
     ----------

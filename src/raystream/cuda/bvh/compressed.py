@@ -47,7 +47,7 @@ STACK_BYTES = 8 * (MAX_DEPTH + 2)
 
 
 class CompressedAddresses(NamedTuple):
-    """What the traversal reads; whoever calls it keeps the arrays alive.
+    """Addresses that the traversal reads; the caller keeps the arrays alive.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Children of the CPU's wide nodes, listed: what both layouts are made of."""
+"""The children of the CPU's wide nodes, listed as input of the other layouts."""
 
 from __future__ import annotations
 

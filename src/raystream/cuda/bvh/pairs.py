@@ -1,4 +1,4 @@
-"""Binary trees within wide nodes: which children go together, and the nodes written."""
+"""Binary trees within wide nodes: the choice of pairs, and the binary nodes written."""
 
 from __future__ import annotations
 

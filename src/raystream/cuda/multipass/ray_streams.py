@@ -1,4 +1,4 @@
-"""The rays of a query in a GPU's memory: their streams, and what is done to them."""
+"""RayStreams: the rays of a query in GPU memory, between passes."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Taking back splits that did not pay, level by level from the leaves up.
+"""Pruning of splits that did not pay, level by level from the leaves up.
 
-The CPU goes over the nodes one after the other, and stops to join leaves when its memory for new
-lists is full. Here all are joined that pay; then a scan of the new lists' sizes in the CPU's order
-says from where on there was none left, and where that is so, it is done again up to there.
+The CPU visits nodes one by one, and stops joining leaves when its memory for new lists is full.
+Here all leaves are joined that pay; if a scan of the new lists' sizes, in the CPU's order, exceeds
+that memory, the pass is repeated with the nodes that fit.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
     Returns
     -------
     Lists
-        Those of leaves that are none any more do not matter.
+        Lists of leaves that were joined are not used.
 
     Raises
     ------

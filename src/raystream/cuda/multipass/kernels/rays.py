@@ -1,4 +1,4 @@
-"""Before the first pass and after the last: rays into streams, hits out of them; and compaction."""
+"""Kernels before and after the passes, which set up and finish rays, and their compaction."""
 
 from __future__ import annotations
 
