@@ -367,9 +367,9 @@ _KERNELS = (
     ],
 )
 def test_every_kernel_compiles(name):
-    from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
+    from raystream.cuda.builders.precompile import block_kernels, build_kernels
 
-    ranges, blocks = build_catalogue(), block_catalogue()
+    ranges, blocks = build_kernels(), block_kernels()
     assert {*ranges, *blocks} == {*_KERNELS}
     if name in blocks:
         ptx = blocks[name].compiled(CAPABILITIES[0]).ptx

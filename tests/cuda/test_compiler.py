@@ -21,7 +21,7 @@ if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
 from raystream.cuda.catalogue import ARRAY_KERNELS, catalogue_of
-from raystream.cuda.rendering.catalogue import rendering_catalogue
+from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.structures import STRUCTURES
 
 QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
@@ -94,23 +94,30 @@ def test_every_kernel_over_arrays_compiles(name):
 @pytest.mark.parametrize(
     "name",
     [
-        "keep",
-        "add",
+        "compact",
+        "add unblocked",
         *(
             pytest.param(name, marks=pytest.mark.exhaustive)
-            for name in ("begin", "follow", "light", "view", "ask lights", "look around")
+            for name in (
+                "generate camera rays",
+                "shade paths",
+                "shade unshadowed",
+                "shade facing ratio",
+                "sample all lights",
+                "spawn AO rays",
+            )
         ),
     ],
 )
 def test_every_kernel_of_renderers_compiles(scene, name):
-    made, arguments = rendering_catalogue(scene)[name]
+    made, arguments = rendering_kernels(scene)[name]
     compiled = made.compiled(arguments, CAPABILITIES[0])
     assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
     assert ".extern .func" not in compiled.ptx
     assert "fma.rn.f32" not in compiled.ptx
     # NVIDIA's sines, arcs and powers have float64 fused on purpose, and begin with a guess.
     ours = compiled.ptx
-    if name not in ("begin", "look around", "keep", "add"):
+    if name not in ("generate camera rays", "spawn AO rays", "compact", "add unblocked"):
         ours = re.sub(r"rcp\.approx\.ftz\.f64|fma\.rn\.f64", "", ours)
     assert not re.search(r"\.(ftz|approx|full)\b|fma\.rn\.f64", ours)
     # One path to a thread: what is in local memory is a few lanes, and not 16 of everything.

@@ -13,7 +13,6 @@ import raystream as rs
 from conftest import CUDA_TRACERS, assert_same_bits
 from meshes import sticks
 from raystream.cuda.multipass import loops
-from raystream.cuda.multipass.catalogue import multipass_catalogue_of
 from raystream.cuda.multipass.control import (
     begin_control,
     read_active,
@@ -21,6 +20,7 @@ from raystream.cuda.multipass.control import (
     rules_of,
 )
 from raystream.cuda.multipass.kernels.choose import decide
+from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.jit.cuda import CAPABILITIES, CudaError, is_simulated
 from raystream.jit.cuda.arguments import flat
 from raystream.kernels.tally import COLUMNS
@@ -236,7 +236,7 @@ _USUAL = [
 @pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
 @pytest.mark.parametrize("name", _USUAL)
 def test_passes_compile_without_a_device(name):
-    catalogue = multipass_catalogue_of(name, rs.load("cornell"))
+    catalogue = multipass_kernels(name, rs.load("cornell"))
     for kernel in ("pass", "counting pass"):
         assert "match.any.sync" in check(*catalogue[kernel]).ptx
 
@@ -250,7 +250,7 @@ def test_passes_compile_without_a_device(name):
     ],
 )
 def test_what_surrounds_passes_compiles_without_a_device(name):
-    check(*multipass_catalogue_of("kdtree", rs.load("cornell"))[name])
+    check(*multipass_kernels("kdtree", rs.load("cornell"))[name])
 
 
 @pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
@@ -259,7 +259,7 @@ def test_loops_of_the_device_link_without_one():
 
     from raystream.jit.cuda.compiler import SET_CONDITION, link
 
-    loop = check(*multipass_catalogue_of("kdtree", rs.load("cornell"))["decide in loop"])
+    loop = check(*multipass_kernels("kdtree", rs.load("cornell"))["decide in loop"])
     assert SET_CONDITION in loop.ptx
     linked = link(ObjectCode.from_ptx(loop.ptx.encode(), name=loop.entry), CAPABILITIES[0])
     assert linked.code_type == "cubin"

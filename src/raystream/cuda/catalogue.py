@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
+from raystream.cuda.builders.precompile import block_kernels, build_kernels
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
-from raystream.cuda.multipass.catalogue import multipass_catalogue_of
+from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.programs.catalogue import program_catalogue
 from raystream.cuda.ray_order import MAKE_KEY
-from raystream.cuda.rendering.catalogue import rendering_catalogue
+from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import kernels_of
 from raystream.cuda.threads import SeenTables
@@ -116,16 +116,16 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
         for query, one in catalogue_of(name, scene, **options).items()
     }
     for name in names_with("multipass"):
-        for kernel, one in multipass_catalogue_of(name, scene).items():
+        for kernel, one in multipass_kernels(name, scene).items():
             group = f"{name}, passes" if kernel.endswith("pass") else "passes"
             listed[group, kernel] = one
     del listed["passes", "decide in loop"]
     listed |= {("arrays", name): one for name, one in ARRAY_KERNELS.items()}
     programs = program_catalogue(scene.triangles)
     listed |= {("programs", name): one for name, one in programs.items()}
-    listed |= {("builds", name): one for name, one in build_catalogue().items()}
-    listed |= {("rendering", name): one for name, one in rendering_catalogue(scene).items()}
+    listed |= {("builds", name): one for name, one in build_kernels().items()}
+    listed |= {("rendering", name): one for name, one in rendering_kernels(scene).items()}
     made: dict[tuple[str, str], Compiler] = {
         key: partial(kernel.compiled, arguments) for key, (kernel, arguments) in listed.items()
     }
-    return made | {("builds", name): one.compiled for name, one in block_catalogue().items()}
+    return made | {("builds", name): one.compiled for name, one in block_kernels().items()}

@@ -80,7 +80,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
     ) -> tuple[Structure, UpdateReport]:
-        """Refit the tree to moved triangles, or build it anew, on the device; see `Bvh.updated`."""
+        """Refit the tree to moved triangles, or rebuild it, on the device; see `Bvh.updated`."""
         del progress
         started = time.perf_counter()
         old_cost = self.cost_when_built

@@ -1,4 +1,4 @@
-"""A BVH of clusters: neighbours on the curve that fit together best become one, again and again.
+"""A BVH by locally ordered clustering: best neighbours on a curve merge, round by round.
 
 References
 ----------
@@ -13,14 +13,22 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.records import Nodes, join
-from raystream.jit.constants import BITS_32, INF_F32, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
+from raystream.jit.constants import (
+    BITS_32,
+    INF_F32,
+    LOW_32,
+    ONE_U64,
+    SHIFT_32,
+    SHIFT_64,
+    ZERO_U64,
+)
 from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import f32x8, load, maximum, store
 from raystream.structures.bvh.prim_refs import FIRST_AT, REF_BYTES, half_area
 
-__all__ = ["KERNELS", "RADIUS", "merge_clusters"]
+__all__ = ["KERNELS", "RADIUS", "ClusterList", "merge_clusters"]
 
 #: Clusters before and after each one among which it finds its match. With 16 and 32 trees are not
 #: better, and there are more rounds.
@@ -32,35 +40,50 @@ RADIUS = 8
 _ROUNDS, _LEAST_SHARE = 4, 0.25
 
 
+class ClusterList(NamedTuple):
+    """Clusters on a device: addresses.
+
+    Attributes
+    ----------
+    boxes : uint64
+        Of their boxes and rows in the tree, as `bvh.prim_refs`.
+    cluster_count : uint64
+        Of their number, uint64.
+    """
+
+    boxes: np.uint64
+    cluster_count: np.uint64
+
+
 @kernel
-def _begin_cluster(i, nodes, clusters):
+def _begin_cluster(i, nodes, boxes):
     """Make a cluster of leaf i."""
-    at = clusters + i * np.uint64(REF_BYTES)
+    at = boxes + i * np.uint64(REF_BYTES)
     store(at, load(f32x8, nodes.boxes + i * np.uint64(REF_BYTES)))
     store(at + np.uint64(FIRST_AT), np.int32(i))
 
 
 @kernel
-def _find_match(i, count_at, clusters, radius, by_place, matches):
+def _find_match(i, clusters, radius, by_place, matches):
     """Find the cluster near cluster i with which the box is smallest.
 
     Of equal ones it is the one whose place differs in lower bits: so the pairs are in one order
     for all, the first of which is always made, and equal triangles pair up.
     """
-    count = load(np.uint64, count_at)
+    count = load(np.uint64, clusters.cluster_count)
     if i >= count:
         return
     match = i
     if by_place:
         match = i ^ ONE_U64 if (i ^ ONE_U64) < count else i
     else:
-        own = load(f32x8, clusters + i * np.uint64(REF_BYTES))
+        own = load(f32x8, clusters.boxes + i * np.uint64(REF_BYTES))
         least = INF_F32
         first = i - min(i, radius)
         last = min(i + radius, count - ONE_U64)
         for j in range(first, last + ONE_U64):
             if j != i:
-                other = load(f32x8, clusters + j * np.uint64(REF_BYTES))
+                other = load(f32x8, clusters.boxes + j * np.uint64(REF_BYTES))
                 area = half_area(maximum(own, other))
                 if area < least or match == i or (area == least and (i ^ j) < (i ^ match)):
                     match, least = j, area
@@ -68,10 +91,10 @@ def _find_match(i, count_at, clusters, radius, by_place, matches):
 
 
 @kernel
-def _count_places(i, count_at, matches, places):
+def _count_places(i, clusters, matches, places):
     """Whether cluster i keeps a place (1), and makes a node (2**32), as the first of a pair."""
     place = ZERO_U64
-    if i < load(np.uint64, count_at):
+    if i < load(np.uint64, clusters.cluster_count):
         match = np.uint64(load(np.uint32, matches + (i << SHIFT_32)))
         is_pair = match != i and np.uint64(load(np.uint32, matches + (match << SHIFT_32))) == i
         if not is_pair:
@@ -82,25 +105,25 @@ def _count_places(i, count_at, matches, places):
 
 
 @kernel
-def _merge(i, count_at, bound, leaf_count, matches, places, nodes, clusters, to, to_count_at):
-    """Write cluster i, or the node that it makes with its match, where the scan says."""
-    count = load(np.uint64, count_at)
+def _merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
+    """Write cluster i, or the node that it makes with its match, at its offset in the scan."""
+    count = load(np.uint64, clusters.cluster_count)
     own = load(np.uint64, places + (i << SHIFT_64))
     after = load(np.uint64, places + ((i + ONE_U64) << SHIFT_64))
     if i + ONE_U64 == bound:
-        store(to_count_at, after & np.uint64(0xFFFFFFFF))
+        store(to.cluster_count, after & LOW_32)
     if i >= count or own == after:
         return
-    at = clusters + i * np.uint64(REF_BYTES)
-    new = to + (own & np.uint64(0xFFFFFFFF)) * np.uint64(REF_BYTES)
+    at = clusters.boxes + i * np.uint64(REF_BYTES)
+    new = to.boxes + (own & LOW_32) * np.uint64(REF_BYTES)
     row = np.uint64(load(np.int32, at + np.uint64(FIRST_AT)))
     if (own >> BITS_32) == (after >> BITS_32):
         store(new, load(f32x8, at))
         store(new + np.uint64(FIRST_AT), np.int32(row))
         return
     match = np.uint64(load(np.uint32, matches + (i << SHIFT_32)))
-    other_at = clusters + match * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
-    # So many nodes were made before this round as there are fewer clusters than leaves.
+    other_at = clusters.boxes + match * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
+    # Each node made before this round left one cluster less.
     made = leaf_count + (leaf_count - count) + (own >> BITS_32)
     join(nodes, made, row, np.uint64(load(np.int32, other_at)))
     store(new, load(f32x8, nodes.boxes + made * np.uint64(REF_BYTES)))
@@ -146,36 +169,29 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
         If there is no memory for it: 80 bytes for each leaf.
     """
     bound = nodes.leaf_count
-    clusters, to = (gpu.empty("clusters", (bound, REF_BYTES), np.uint8) for _ in range(2))
+    boxes = [gpu.empty("clusters", (bound, REF_BYTES), np.uint8) for _ in range(2)]
+    counts = [gpu.upload("number of clusters", np.array([bound], np.uint64)) for _ in range(2)]
     matches = gpu.empty("matches", bound, np.uint32)
     places = gpu.empty("places", bound + 1, np.uint64)
-    counts, to_counts = (_number(gpu, bound) for _ in range(2))
-    scan = Scan(gpu, bound)
-    KERNELS.begin_cluster.launch(gpu, bound, (nodes.at, clusters.address))
+    leaf_count, scan = np.uint64(bound), Scan(gpu, bound)
+    KERNELS.begin_cluster.launch(gpu, bound, (nodes.at, boxes[0].address))
     by_place = False
     while bound > 1:
         for _ in range(_ROUNDS):
-            at = counts.address
-            searched = clusters.address, np.uint64(radius), by_place
-            KERNELS.find_match.launch(gpu, bound, (at, *searched, matches.address))
-            KERNELS.count_places.launch(gpu, bound, (at, matches.address, places.address))
-            scan.run(places.address, bound, places.address, np.uint64)
-            read = (
-                at,
-                np.uint64(bound),
-                np.uint64(nodes.leaf_count),
-                matches.address,
-                places.address,
+            clusters, to = (
+                ClusterList(box.address, count.address)
+                for box, count in zip(boxes, counts, strict=True)
             )
-            written = to.address, to_counts.address
-            KERNELS.merge.launch(gpu, bound, (*read, nodes.at, clusters.address, *written))
-            clusters, to, counts, to_counts = to, clusters, to_counts, counts
+            given = clusters, np.uint64(radius), by_place, matches.address
+            KERNELS.find_match.launch(gpu, bound, given)
+            KERNELS.count_places.launch(gpu, bound, (clusters, matches.address, places.address))
+            scan.run(places.address, bound, places.address, np.uint64)
+            found = np.uint64(bound), matches.address, places.address
+            KERNELS.merge.launch(gpu, bound, (clusters, *found, nodes.at, leaf_count, to))
+            boxes.reverse()
+            counts.reverse()
             by_place = False
-        left = int(counts.host()[0])
+        left = int(counts[0].host()[0])
         by_place = left > (1.0 - _LEAST_SHARE) * bound
         bound = left
     return max(0, 2 * nodes.leaf_count - 2)
-
-
-def _number(gpu: Gpu, number: int) -> DeviceArray:
-    return gpu.upload("number of clusters", np.array([number], np.uint64))

@@ -109,7 +109,7 @@ def _climb(i, count, nodes, parents, visits):
         parent = np.uint64(load(np.uint32, parents + (row << SHIFT_32)))
         fence()
         if atomic_add(visits + (parent << SHIFT_32), np.uint32(1)) == np.uint32(0):
-            return  # whoever comes from the other child writes it
+            return  # the thread from the other child writes it
         fence()
         row = count + parent
         link = Link(nodes.links, row)

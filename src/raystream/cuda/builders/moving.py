@@ -45,7 +45,7 @@ def _extent(node, lane, axis):
 
 @kernel
 def _add_costs(i, thread_count, node_count, nodes, costs):
-    """Add up the areas of the children of every so many nodes; of a leaf, for each block."""
+    """Sum the areas of the children of each `thread_count`-th node; of a leaf, for each block."""
     total = 0.0
     row = i
     while row < node_count:

@@ -80,7 +80,7 @@ class Nodes(NamedTuple):
 
     @classmethod
     def allocate(cls, gpu: Gpu, count: int, max_leaf_size: int) -> Nodes:
-        """Make room for a tree of so many leaves.
+        """Allocate a tree of `count` leaves.
 
         Raises
         ------

@@ -1,8 +1,7 @@
 """The binary layout: nodes of 64 bytes, each with the boxes of its two children.
 
-The CPU's builder forgets its binary tree. Here each wide node becomes a binary tree of its own
-again, of least surface area among all that have its children as leaves: found over all subsets of
-them.
+The CPU's builder discards its binary tree. Here each wide node becomes a binary tree again, with
+the least surface area of all trees over its children, found by searching their subsets.
 
 References
 ----------
@@ -39,7 +38,7 @@ STACK_BYTES = 4 * _LEVELS * (MAX_DEPTH + 1)
 
 
 class BinaryAddresses(NamedTuple):
-    """What the traversal reads; whoever calls it keeps the arrays alive.
+    """Addresses that the traversal reads; the caller keeps the arrays alive.
 
     Attributes
     ----------
@@ -72,11 +71,10 @@ def unfold(tree: BvhArrays) -> tuple[type[BinaryAddresses], dict[str, NDArray[np
     If the trees of least area are too deep for the stack, those of least area among the balanced
     ones are taken.
     """
-    entries = list_entries(tree)
-    words = entries.view(np.int32)
-    child_counts = np.count_nonzero(words[:, :, LINK], axis=1)
+    wide = list_entries(tree)
+    child_counts = np.count_nonzero(wide.words[:, :, LINK], axis=1)
     first_nodes = _starts(np.maximum(child_counts - 1, 1))
-    first_triangles = _starts(words[:, :, COUNT].sum(axis=1, dtype=np.int64))
+    first_triangles = _starts(wide.words[:, :, COUNT].sum(axis=1, dtype=np.int64))
     nodes = aligned_array(int(first_nodes[-1]), NODE_FLOATS)
     nodes[:] = 0.0
     links = nodes.view(np.int32)
@@ -85,9 +83,9 @@ def unfold(tree: BvhArrays) -> tuple[type[BinaryAddresses], dict[str, NDArray[np
         parallel_for(
             lambda begin, end, is_balanced=is_balanced: write_pairs(  # type: ignore[misc]
                 *(begin, end, is_balanced, first_nodes, first_triangles),
-                *(entries, words, tree.leaves, nodes, links, triangles),
+                *(wide, nodes, links, triangles),
             ),
-            len(entries),
+            len(wide.entries),
             CHUNK,
         )
         if depth_of(links, np.zeros(len(nodes), np.int32)) * 4 <= STACK_BYTES:

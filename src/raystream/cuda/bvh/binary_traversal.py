@@ -1,7 +1,7 @@
-"""One ray through the binary layout: while there are nodes, then while there are leaves.
+"""Single-ray traversal of the binary layout: a while-while loop over nodes and leaves.
 
-The threads of a warp stay together where all of them visit nodes, or all test triangles. So a
-thread goes on through nodes until it comes to a leaf, and through leaves until it comes to a node.
+The threads of a warp converge where all of them visit nodes, or all test triangles. So a thread
+visits nodes until it reaches a leaf, and leaves until it reaches a node.
 
 References
 ----------
@@ -56,7 +56,7 @@ def traverse(tree, ray, search, stack):
 
 @device
 def _visit(at, ray, t_min, t_far, stack, top):
-    """Go on to the nearer child of a node that the ray enters; the other one waits.
+    """Descend to the nearer child that the ray enters; the other one is pushed.
 
     Parameters
     ----------

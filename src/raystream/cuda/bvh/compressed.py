@@ -47,7 +47,7 @@ STACK_BYTES = 8 * (MAX_DEPTH + 2)
 
 
 class CompressedAddresses(NamedTuple):
-    """What the traversal reads; whoever calls it keeps the arrays alive.
+    """Addresses that the traversal reads; the caller keeps the arrays alive.
 
     Attributes
     ----------
@@ -75,8 +75,8 @@ def compress(tree: BvhArrays) -> tuple[type[CompressedAddresses], dict[str, NDAr
     arrays : dict
         ``nodes`` of shape (R, 20), uint32, and ``triangles`` of shape (T, 12), float32.
     """
-    entries = list_entries(tree)
-    words = entries.view(np.int32)
+    wide = list_entries(tree)
+    entries, words, _ = wide
     parallel_for(lambda begin, end: assign_slots(begin, end, entries, words), len(entries), CHUNK)
     is_large = (words[:, :, LINK] < 0) & (words[:, :, COUNT] > LEAF_SIZE)
     most = len(entries) + int(np.count_nonzero(is_large))
@@ -88,9 +88,7 @@ def compress(tree: BvhArrays) -> tuple[type[CompressedAddresses], dict[str, NDAr
     nodes[:] = 0
     triangles = aligned_array(triangle_count, TRIANGLE_FLOATS)
     parallel_for(
-        lambda begin, end: write_nodes(
-            begin, end, sources, bases, entries, words, tree.leaves, nodes, floats, triangles
-        ),
+        lambda begin, end: write_nodes(begin, end, sources, bases, wide, nodes, floats, triangles),
         node_count,
         CHUNK,
     )

@@ -145,17 +145,21 @@ def _visit(at, ray, turned, search):
     hits, pending = _visit_four(
         lane(links, 2),
         ZERO_U32,
-        _ordered(back_x, lane(planes, 0), lane(more, 2)),
-        _ordered(back_y, lane(planes, 2), lane(rest, 0)),
-        _ordered(back_z, lane(more, 0), lane(rest, 2)),
+        (
+            _ordered(back_x, lane(planes, 0), lane(more, 2)),
+            _ordered(back_y, lane(planes, 2), lane(rest, 0)),
+            _ordered(back_z, lane(more, 0), lane(rest, 2)),
+        ),
         *(axes, turned, search, hits, pending),
     )
     hits, pending = _visit_four(
         lane(links, 3),
         np.uint32(4),
-        _ordered(back_x, lane(planes, 1), lane(more, 3)),
-        _ordered(back_y, lane(planes, 3), lane(rest, 1)),
-        _ordered(back_z, lane(more, 1), lane(rest, 3)),
+        (
+            _ordered(back_x, lane(planes, 1), lane(more, 3)),
+            _ordered(back_y, lane(planes, 3), lane(rest, 1)),
+            _ordered(back_z, lane(more, 1), lane(rest, 3)),
+        ),
         *(axes, turned, search, hits, pending),
     )
     inner = np.uint32(exponents >> np.uint32(24))
@@ -178,8 +182,12 @@ def _ordered(is_back, low, high):
 
 
 @device
-def _visit_four(kinds, first, x, y, z, axes, turned, search, hits, pending):
-    """Test the boxes of four slots, from number `first` on; returns `hits` and `pending`."""
+def _visit_four(kinds, first, planes, axes, turned, search, hits, pending):
+    """Test the boxes of four slots, beginning with `first`; returns `hits` and `pending`.
+
+    `planes` are bytes of near and far planes, for each axis.
+    """
+    x, y, z = planes
     for k in range(np.uint32(4)):
         shift = np.uint32(k << np.uint32(3))
         kind = np.uint32(np.uint32(kinds >> shift) & _BYTE)

@@ -1,6 +1,8 @@
-"""Children of the CPU's wide nodes, listed: what both layouts are made of."""
+"""The children of the CPU's wide nodes, listed as input of the other layouts."""
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from raystream.jit.threads import parallel_for
 from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 
-__all__ = ["CHUNK", "COUNT", "HIGH", "LINK", "LOW", "list_entries"]
+__all__ = ["CHUNK", "COUNT", "HIGH", "LINK", "LOW", "WideEntries", "list_entries"]
 
 #: Where in an entry's eight numbers are its box, and as the bits of an int32 its link (as in
 #: `BvhArrays`; 0 if there is no child) and how many triangles a leaf has.
@@ -20,18 +22,26 @@ LOW, LINK, HIGH, COUNT = 0, 3, 4, 7
 CHUNK = 4096
 
 
-def list_entries(tree: BvhArrays) -> NDArray[np.float32]:
+class WideEntries(NamedTuple):
+    """The children of wide nodes, and the leaves of their tree.
+
+    Attributes
+    ----------
+    entries, words : ndarray of shape (M, 8, 8), float32 and int32
+        The same memory; see `LOW`.
+    leaves : ndarray
+        The CPU's leaf blocks.
+    """
+
+    entries: NDArray[np.float32]
+    words: NDArray[np.int32]
+    leaves: NDArray[Any]
+
+
+def list_entries(tree: BvhArrays) -> WideEntries:
     """List the children of each wide node that a ray may enter, without gaps.
 
-    Parameters
-    ----------
-    tree : BvhArrays
-
-    Returns
-    -------
-    ndarray of shape (M, 8, 8), float32
-        See `LOW`. A child with an empty box, or a leaf whose triangles cannot be hit, is left
-        out.
+    Children with an empty box, and leaves whose triangles cannot be hit, are left out.
     """
     entries = np.zeros((len(tree.nodes), WIDTH, 8), np.float32)
     words = entries.view(np.int32)
@@ -42,7 +52,7 @@ def list_entries(tree: BvhArrays) -> NDArray[np.float32]:
         len(entries),
         CHUNK,
     )
-    return entries
+    return WideEntries(entries, words, tree.leaves)
 
 
 @kernel

@@ -1,14 +1,13 @@
-"""The rays of a warp through the binary layout together: a packet.
+"""Packet traversal of the binary layout: the rays of a warp together.
 
-All of them visit the same nodes: a node is entered if any of them enters it, first that child which
-most of them want first, and a leaf's triangles are tested by all. So a node is read once for the
-warp, and no thread waits for another one's loop; but each ray goes wherever one of them has to.
-Rays that are alike lose little by it, others much.
+All rays visit the same nodes: a node is entered if any ray enters it, beginning with the child that
+most rays prefer, and a leaf's triangles are tested by all. So a node is read once per warp, and no
+thread waits for another one's loop, but each ray visits the nodes of all. Coherent rays lose little
+by that, others much.
 
-Whatever order nodes come in, the hits are the same. Each vote decides for all, so that they stay
-together: nothing but votes, and what all have read alike, decides where the search goes. What the
-paper has once for a packet, in shared memory, each thread has in its own: the stack, whose numbers
-are the same for all.
+The hits do not depend on the order of nodes. Only votes, and values that all threads have read
+alike, decide where the traversal goes, so that the threads stay converged. Instead of the paper's
+stack per packet, in shared memory, each thread has its own, with the same contents.
 
 References
 ----------
@@ -71,7 +70,7 @@ def traverse(tree, ray, search, stack):
 
 @device
 def _visit(at, ray, t_min, t_far, is_searching, voters, stack, top):
-    """Go on to a child of a node that some ray enters; see `binary_traversal`.
+    """Descend to a child that some ray enters; see `binary_traversal`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Binary trees within wide nodes: which children go together, and the nodes written."""
+"""Binary trees within wide nodes: the choice of pairs, and the binary nodes written."""
 
 from __future__ import annotations
 
@@ -97,17 +97,7 @@ def _put_child(nodes, links, node, side, box, link):
 
 @kernel
 def write_pairs(
-    begin,
-    end,
-    is_balanced,
-    first_nodes,
-    first_triangles,
-    entries,
-    words,
-    leaves,
-    nodes,
-    links,
-    triangles,
+    begin, end, is_balanced, first_nodes, first_triangles, wide, nodes, links, triangles
 ):
     """Write the binary nodes of some wide ones, and the triangles of their leaves.
 
@@ -119,15 +109,13 @@ def write_pairs(
         Whether trees may have no more levels than needed.
     first_nodes, first_triangles : ndarray of shape (M + 1,), int64
         Where each wide node's begin.
-    entries, words : ndarray of shape (M, 8, 8), float32 and int32
-        See `entries.list_entries`.
-    leaves : ndarray
-        The CPU's leaf blocks.
+    wide : WideEntries
     nodes, links : ndarray of shape (R, 16), float32 and int32
         The same memory; written.
     triangles : ndarray of shape (T, 12), float32
         Written.
     """
+    entries, words, leaves = wide
     leaf_at, triangle_at = address(leaves), address(triangles)
     boxes = np.empty((_SETS, 6), np.float32)
     costs, choices = np.empty(_SETS, np.float64), np.empty(_SETS, np.uint64)

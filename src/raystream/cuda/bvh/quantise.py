@@ -139,7 +139,7 @@ def _write_boxes(own, count, floats, nodes, row):
 
 
 @kernel
-def write_nodes(begin, end, sources, bases, entries, words, leaves, nodes, floats, triangles):
+def write_nodes(begin, end, sources, bases, wide, nodes, floats, triangles):
     """Write some nodes, and the triangles of their leaves.
 
     Parameters
@@ -148,14 +148,14 @@ def write_nodes(begin, end, sources, bases, entries, words, leaves, nodes, float
         Rows of `nodes`.
     sources, bases
         See `number_nodes`.
-    entries, words : ndarray of shape (M, 8, 8), float32 and int32
-    leaves : ndarray
-        The CPU's leaf blocks.
+    wide : WideEntries
+        Entries in their slots.
     nodes, floats : ndarray of shape (R, 20), uint32 and float32
         The same memory, zero; written.
     triangles : ndarray of shape (T, 12), float32
         Written.
     """
+    entries, words, leaves = wide
     leaf_at, triangle_at = address(leaves), address(triangles)
     own = np.empty((WIDTH, 8), np.float32)
     count = np.empty(WIDTH, np.int32)  # -1 for a node

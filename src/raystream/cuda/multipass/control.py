@@ -114,7 +114,7 @@ def rules_of(kernels: Sequence[StepKernel], scheduler: str, share: float, compac
 
 
 def begin_control(kernels: Sequence[StepKernel], count: int) -> NDArray[np.uint32]:
-    """The words, when so many rays wait for the first kernel."""
+    """The words when `count` rays wait for the first kernel."""
     words = np.zeros(int(LOG) // 4 + 3 * MOST_PASSES, np.uint32)
     words[int(CHOSEN) // 4] = words[int(LATEST) // 4] = NO_KERNEL
     words[int(LENGTH) // 4] = count
@@ -135,7 +135,7 @@ def pass_count(words: NDArray[np.uint32]) -> int:
 
 
 def read_passes(words: NDArray[np.uint32], known: int) -> list[Ran]:
-    """The passes after so many that are known, of which there are at most `MOST_PASSES`."""
+    """The passes after the `known` ones, at most `MOST_PASSES`."""
     log = words[int(LOG) // 4 :].reshape(-1, 3)
     latest = range(known, pass_count(words))
     return [Ran(*log[number % MOST_PASSES].tolist()) for number in latest]

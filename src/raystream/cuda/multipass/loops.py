@@ -29,7 +29,7 @@ class Loop(Protocol):
     """Runs passes over some rays."""
 
     def run(self, most: int) -> NDArray[np.uint32]:
-        """Run up to so many passes; returns the words of `control` after them."""
+        """Run at most `most` passes; returns the words of `control` after them."""
         ...
 
     def renew(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.choices import Multipass as MultipassOptions
 from raystream.core.rays import RayBatch
 from raystream.cuda.branching import Branching
 from raystream.cuda.multipass.control import (
@@ -33,12 +34,7 @@ from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes
 from raystream.machines.records import RayState
-from raystream.machines.schedulers import (
-    DEFAULT_THRESHOLD,
-    SCHEDULERS,
-    Scheduler,
-    make_scheduler,
-)
+from raystream.machines.schedulers import SCHEDULERS
 from raystream.machines.steps import steps_of
 from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams import Pass
@@ -46,10 +42,10 @@ from raystream.structures import Structure
 
 __all__ = ["MAX_PASSES", "Multipass"]
 
-#: Most passes of some rays.
+#: Default maximum number of passes.
 MAX_PASSES = 1 << 20
 
-#: Rays that are traced together, and memory for their streams.
+#: Default maximum number of rays traced together, and of bytes for their streams.
 _RAYS_AT_ONCE = 1 << 21
 _MOST_BYTES = 1 << 31
 
@@ -59,37 +55,31 @@ _ONE_EACH = Wanted(NULL, np.uint64(1))
 class Multipass(Branching):
     """Runs each step of a traversal over all rays that wait for it, on a GPU.
 
-    As `machines.Multipass`, with the same kernels, states, schedulers and passes. But the device
-    counts the rays that wait and chooses (`control`), and the host looks at times whether any ray
-    is left.
+    As `machines.multipass.MultipassBackend`, with the same kernels, states, schedulers and passes.
+    But the device counts the waiting rays and chooses the kernel (`control`), and the host checks
+    only now and then whether rays are active.
 
     Parameters
     ----------
     structure : Structure
         Built on the CPU; its arrays are copied to the device.
     gpu : Gpu
-    scheduler : {"threshold", "naive", "most-work", "double"}
-        How the next kernel is chosen; see `machines.schedulers`. Objects choose on the CPU alone.
-    threshold : float
-        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
-        intersection.
-    traversal_steps, intersections : int
-        Steps and triangles (in trees: blocks of up to four) that a ray does in one pass.
-    compaction : bool
-        Shade the rays whose search has ended, and drop them from the streams, whenever they are
-        half of them. Passes count as on the CPU; threads for rays that were dropped are begun until
-        the host looks.
+    loop : str
+        One of `loops.LOOPS`.
     max_passes : int
-        Most passes of the rays that are traced together.
+        Maximum number of passes for rays that are traced together.
     rays_at_once : int
-        Most rays that are traced together.
+        Maximum number of rays that are traced together.
+    **options
+        See `core.choices.Multipass`. Scheduler objects are supported on the CPU only. With
+        compaction, threads for removed rays run until the host compacts the streams.
 
     Raises
     ------
     CudaError
         If there is no memory for the structure. When tracing: if rays are left after `max_passes`.
     ValueError, TypeError
-        If an option is out of range, or the structure has no kernels.
+        If an option is out of range, or the structure is not supported.
     """
 
     capabilities = Capabilities(device_arrays=True, passes=True)
@@ -99,32 +89,29 @@ class Multipass(Branching):
         structure: Structure,
         gpu: Gpu,
         *,
-        scheduler: str | Scheduler = "threshold",
-        threshold: float = DEFAULT_THRESHOLD,
-        traversal_steps: int = 1,
-        intersections: int = 1,
-        compaction: bool = False,
         loop: str = "batches",
         max_passes: int = MAX_PASSES,
         rays_at_once: int = _RAYS_AT_ONCE,
+        **options: Any,
     ) -> None:
-        make_scheduler(scheduler, threshold)  # whatever is wrong is said here
+        given = MultipassOptions(**options)
+        scheduler = given.scheduler
         if not isinstance(scheduler, str):
             known = ", ".join(map(repr, SCHEDULERS))
             raise TypeError(
-                f"scheduler: the device knows {known}; {scheduler!r:.60} needs device='cpu'"
+                f"scheduler: the device supports {known}; {scheduler!r:.60} needs device='cpu'"
             )
         if loop not in list(LOOPS):
             raise ValueError(f"loop: expected one of {', '.join(map(repr, LOOPS))}, got {loop!r}")
         steps = steps_of(structure)
         self.loop = loop
-        self.traversal_steps = _at_least_one("traversal_steps", traversal_steps)
-        self.intersections = _at_least_one("intersections", intersections)
+        self.traversal_steps = given.traversal_steps
+        self.intersections = given.intersections
         self.max_passes = _at_least_one("max_passes", max_passes)
-        self.compaction = bool(compaction)
+        self.compaction = given.compaction
         self.passes: Passes | None = None
-        self._rules = rules_of(steps.kernels, scheduler, threshold, self.compaction)
-        # The steps are those of the CPU's own layout.
+        self._rules = rules_of(steps.kernels, scheduler, given.threshold, self.compaction)
+        # The steps traverse the CPU's layout.
         own = {"kernel": "wide"} if structure.name == "bvh" else {}
         super().__init__(structure, gpu, rays_at_once=rays_at_once, **own)
         self._steps = ResidentSteps(structure, self._resident)
@@ -144,11 +131,7 @@ class Multipass(Branching):
             memory, hits = _hits_of(self.gpu, part.count)
             goal = HitGoal(False, True, _ONE_EACH, hits=hits)
             streams = self._run_all(self._steps.usual, part, goal, job)
-            FINISH.launch(
-                self.gpu,
-                part.count,
-                (streams.capacity, streams.found, streams.world, hits),
-            )
+            FINISH.launch(self.gpu, part.count, (streams.addresses, hits))
             _copy(memory, out.part(part.rows))
             _finish(part, job)
 
@@ -187,14 +170,7 @@ class Multipass(Branching):
             each = Wanted(own.address, NULL)
             goal = HitGoal(job.query.surfaces, True, each, want_any, hits)
             streams = self._run_all(steps, part, goal, job)
-            FINISH_MANY.launch(
-                self.gpu,
-                part.count,
-                (
-                    *(NULL, streams.capacity, streams.found, streams.state),
-                    *(streams.world, goal.wanted, hits),
-                ),
-            )
+            FINISH_MANY.launch(self.gpu, part.count, (streams.addresses, goal.wanted, hits))
             counts, overflown = streams.counts(), streams.overflown()
             counts[capacity == 0] = 0
             counts[overflown] = capacity[overflown]

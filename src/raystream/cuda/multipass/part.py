@@ -1,4 +1,4 @@
-"""Rays of a batch on a device, for as many passes as they take."""
+"""PassPart: a part of a batch's rays on a device, traced to the end in passes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The pass: one kernel for all steps of a structure's traversal, of which one runs at a time.
+"""The pass: one kernel with all steps of a structure's traversal, one of which runs per launch.
 
-Which one is in the device's memory: all threads go the same way, and the host need not know. So a
-pass is one launch, and not one for each kernel that might be next.
+The number of that step is in device memory: all threads take the same branch, and the host need not
+know it. So a pass is one launch, rather than one for each kernel that might be next.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rays of a query in a GPU's memory: their streams, and what is done to them."""
+"""RayStreams: the rays of a query in GPU memory, between passes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from raystream.cuda.multipass.kernels.rays import (
     CHUNK,
     COUNT_KEPT,
     KEEP,
+    RayStreamAddresses,
     Wanted,
 )
 from raystream.cuda.multipass.part import PassPart
@@ -93,10 +94,10 @@ class RayStreams:
         limits: tuple[int, int],
         max_coordinate: np.float32,
     ) -> None:
-        self._gpu, self._steps, self._wish = gpu, steps, goal
+        self._gpu, self._steps, self._goal = gpu, steps, goal
         count = part.count
         self._count = count
-        self.capacity = np.uint64(capacity_of(count))
+        self._capacity = np.uint64(capacity_of(count))
         self._columns = columns_of(steps)
         self._streams = {
             name: columns.empty(gpu, f"stream {name!r}", count)
@@ -104,7 +105,7 @@ class RayStreams:
         }
         # Rays that want nothing have ended.
         self._state = gpu.upload("states", np.full(count, RayState.DONE, np.uint8))
-        self._world = gpu.empty("factors", 2 * int(self.capacity), np.float64)
+        self._world = gpu.empty("factors", 2 * int(self._capacity), np.float64)
         self._runs = None
         if part.tallies is not None:
             self._runs = gpu.upload("runs", new_tallies(count))
@@ -126,24 +127,12 @@ class RayStreams:
         self._begin(part)
 
     @property
-    def world(self) -> np.uint64:
-        """Address of what turns local distances into the caller's, two float64 columns."""
-        return self._world.address
-
-    @property
-    def state(self) -> np.uint64:
-        """Address of the rays' states."""
-        return self._state.address
-
-    @property
-    def found(self) -> np.uint64:
-        """Address of the stream ``found``."""
-        return self._streams["found"].address
-
-    @property
-    def rows(self) -> np.uint64:
-        """Address of the numbers of the rays that passes look at; 0 if they look at all."""
-        return NULL if self._rows is None else self._rows.address
+    def addresses(self) -> RayStreamAddresses:
+        """The streams, for kernels."""
+        streams = (self._streams[name].address for name in ("ray", "wanted", "found"))
+        rows = NULL if self._rows is None else self._rows.address
+        own = self._state.address, self._world.address
+        return RayStreamAddresses._make((rows, self._capacity, *streams, *own))
 
     @property
     def kernels(self) -> tuple[StepKernel, ...]:
@@ -166,9 +155,9 @@ class RayStreams:
 
     @property
     def _pass(self) -> Launch:
-        streams = (self._streams[name].address for name in STREAMS)
-        first = self._control.address, self.rows, self.capacity
-        arguments = *first, *streams, self.state, self._steps.tree, self._query
+        streams, own = (self._streams[name].address for name in STREAMS), self.addresses
+        first = self._control.address, own.rows, own.capacity
+        arguments = *first, *streams, own.state, self._steps.tree, self._query
         return Launch(pass_of(self._steps), self.length, arguments)
 
     def tell(self, words: NDArray[np.uint32]) -> None:
@@ -190,8 +179,8 @@ class RayStreams:
         chunk_count = -(-self.length // int(CHUNK))
         sums = self._gpu.empty("sums", chunk_count + 1, np.uint32)
         kept = self._gpu.empty("rows", kept_count, np.uint32)
-        length = np.uint64(self.length)
-        shared = self.rows, length, self.state, sums.address
+        own, length = self.addresses, np.uint64(self.length)
+        shared = own.rows, length, own.state, sums.address
         COUNT_KEPT.launch(self._gpu, chunk_count, shared)
         scan = Scan(self._gpu, chunk_count)
         scan.run(sums.address, chunk_count, sums.address, np.uint32)
@@ -217,6 +206,5 @@ class RayStreams:
         return np.flatnonzero(self._state.host() == RayState.OVERFLOWED)
 
     def _begin(self, part: PassPart) -> None:
-        streams = (self._streams[name].address for name in ("ray", "wanted", "found"))
-        own = self.rows, self.capacity, *streams, self.state, self.world, self._wish.wanted
-        BEGIN.launch(self._gpu, self.length, (part.source, part.frame, *own, part.status))
+        own = self.addresses, self._goal.wanted, part.status
+        BEGIN.launch(self._gpu, self.length, (part.source, part.frame, *own))

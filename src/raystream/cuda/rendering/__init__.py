@@ -1,5 +1,5 @@
-"""Renderers on CUDA: stages of kernels over paths that stay in the device's memory."""
+"""Renderers on CUDA: stages as kernels over paths in device memory."""
 
-from raystream.cuda.rendering.bands import CudaBands
+from raystream.cuda.rendering.cuda_bands import CudaBands
 
 __all__ = ["CudaBands"]

@@ -1,4 +1,4 @@
-"""Columns of paths, of rays to lights and of hits in a GPU's memory."""
+"""Columns of paths, shadow rays and hits in GPU memory."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from raystream.rendering.shading.streams import StreamAddresses
 
 __all__ = ["HitColumns", "StreamColumns"]
 
-#: Makes an array: (name, shape, dtype).
+#: Allocates an array: (name, shape, dtype).
 Empty = Callable[[str, Any, Any], DeviceArray]
 
-#: Bytes from an origin, a direction and a number to the next.
+#: Strides of origins, directions and numbers in bytes.
 _ORIGIN, _DIRECTION, _NUMBER = np.uint64(24), np.uint64(12), np.uint64(4)
 
 
 class StreamColumns:
-    """Room for a stream of either kind, see `rendering.shading.streams`.
+    """Memory for `Paths` or `ShadowRays`; see `rendering.shading.streams`.
 
     Parameters
     ----------
     empty : callable
-        Makes its memory.
+        Allocates an array.
     count : int
         Rows.
 
@@ -51,7 +51,7 @@ class StreamColumns:
     def copied(
         cls, upload: Callable[[str, NDArray[Any]], DeviceArray], stream: tuple[NDArray[Any], ...]
     ) -> StreamColumns:
-        """Those of a stream on the host."""
+        """Copy a stream from the host."""
         given = iter(stream)
 
         def copied(name: str, _shape: Any, _dtype: Any) -> DeviceArray:
@@ -60,14 +60,14 @@ class StreamColumns:
         return cls(copied, len(stream[0]))
 
     def source(self, t_min: np.uint64, t_max: np.uint64, has_ends: bool) -> RaySource:
-        """Its rays as queries take them.
+        """Its rays as a source for queries.
 
         Parameters
         ----------
         t_min, t_max : uint64
-            Addresses of the usual limits.
+            Addresses of the default limits.
         has_ends : bool
-            Whether the numbers are the rays' ends.
+            Whether its numbers are the rays' ``t_max``.
         """
         origins, directions, ends = self.addresses[1], self.addresses[2], self.addresses[4]
         none = np.uint64(0)
@@ -76,12 +76,12 @@ class StreamColumns:
 
 
 class HitColumns:
-    """Room for hits of as many rays.
+    """Memory for the nearest hits of rays.
 
     Parameters
     ----------
     empty : callable
-        Makes its memory.
+        Allocates an array.
     count : int
 
     Attributes

@@ -1,183 +1,171 @@
-"""What a thread does for one path: the CPU's shading, with vectors of one lane.
+"""Kernels that shade one path per thread: the CPU's shading, with vectors of one lane.
 
-Each thread writes to rows of its own. Those that were written are then moved together, in their
-order, by a scan of their counts.
+Each thread writes to slots of its own, which are then compacted, in order, by a scan of their
+counts.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from raystream.jit.constants import BYTES_32, BYTES_64, INF_F32, ONE_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, single_lane, store
-from raystream.rendering.sampling.sampler import PixelSample
-from raystream.rendering.shading.ambient_occlusion import OcclusionOptions, spawn_path_ao_rays
+from raystream.rendering.shading.ambient_occlusion import spawn_path_ao_rays
 from raystream.rendering.shading.camera_rays import camera_ray_block
 from raystream.rendering.shading.local_shading import facing_ratio_block, unshadowed_block
 from raystream.rendering.shading.paths import shade_path_block
 from raystream.rendering.shading.rows import SINGLE_ROWS
 from raystream.rendering.shading.shadow_rays import add_if_unblocked
-from raystream.rendering.shading.streams import ShadingBatch, StreamCursor
+from raystream.rendering.shading.streams import StreamAddresses, StreamCursor
 from raystream.rendering.shading.whitted import shade_whitted_path
 
-__all__ = ["ADD", "ASK_LIGHTS", "BEGIN", "FOLLOW", "KEEP", "LIGHT", "LOOK_AROUND", "VIEW"]
+__all__ = [
+    "ADD_UNBLOCKED",
+    "COMPACT",
+    "GENERATE_CAMERA_RAYS",
+    "SAMPLE_ALL_LIGHTS",
+    "SHADE_FACING_RATIO",
+    "SHADE_PATHS",
+    "SHADE_UNSHADOWED",
+    "SPAWN_AO_RAYS",
+    "SlotAddresses",
+]
 
-_NONE, _ONE = np.uint64(0), np.uint64(1)
-_WHOLE, _INF = np.float32(1.0), np.float32(np.inf)
+#: Bytes of three numbers.
+_3_X_32, _3_X_64 = np.uint64(12), np.uint64(24)
 
-# Bytes: of a number, of a long one, and of three.
-_WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np.uint64(24)
+_camera_lane = single_lane(camera_ray_block)
+_ao_lane = single_lane(spawn_path_ao_rays, SINGLE_ROWS)
+_path_lane = single_lane(shade_path_block, SINGLE_ROWS)
+_unshadowed_lane = single_lane(unshadowed_block)
+_facing_ratio_lane = single_lane(facing_ratio_block)
 
-_begin_path = single_lane(camera_ray_block)
-_look_from = single_lane(spawn_path_ao_rays, SINGLE_ROWS)
-_follow_path = single_lane(shade_path_block, SINGLE_ROWS)
-_light_path = single_lane(unshadowed_block)
-_view_path = single_lane(facing_ratio_block)
+
+class SlotAddresses(NamedTuple):
+    """Rows that threads write independently: thread i from row ``i * per_thread``.
+
+    Attributes
+    ----------
+    columns : StreamAddresses
+    counts : uint64
+        Address of the number of rows that each thread wrote, uint32.
+    per_thread : uint64
+        Maximum of these numbers.
+    """
+
+    columns: StreamAddresses
+    counts: np.uint64
+    per_thread: np.uint64
+
+
+@device
+def _begin_slots(slots, i):
+    return StreamCursor(slots.columns, i * slots.per_thread)
+
+
+@device
+def _end_slots(slots, i, end):
+    store(slots.counts + i * BYTES_32, np.uint32(end.row - i * slots.per_thread))
 
 
 @kernel
-def _begin(i, view, first_row, sampler, sample, paths):
+def _generate_camera_rays(i, view, first_row, sample, paths):
     width = np.uint64(view.width)
     row, column = np.int64(i // width), np.int64(i % width)
-    _begin_path(view, first_row, row, column, sampler, sample, paths)
-    store(paths.numbers + i * _WORD, _INF)
+    _camera_lane(view, first_row, row, column, sample.sampler, sample.number, paths)
+    store(paths.numbers + i * BYTES_32, INF_F32)
     for k in range(3):
-        store(paths.colors + i * _3_WORDS + np.uint64(k) * _WORD, _WHOLE)
+        store(paths.colors + i * _3_X_32 + np.uint64(k) * BYTES_32, ONE_F32)
 
 
 @kernel
-def _follow(
-    i,
-    count,
-    paths,
-    hits,
-    tables,
-    lights,
-    sampler,
-    sample,
-    bounce,
-    rules,
-    first_pixel,
-    radiance,
-    onward,
-    goes_on,
-    rays,
-    is_asked,
-):
-    path_end, ray_end = _follow_path(
-        i,
-        ShadingBatch(count, paths, hits, first_pixel, radiance),
-        tables,
-        lights,
-        PixelSample(sampler, sample),
-        bounce,
-        rules,
-        StreamCursor(onward, i),
-        StreamCursor(rays, i),
-    )
-    store(goes_on + i * _WORD, np.uint32(path_end.row - i))
-    store(is_asked + i * _WORD, np.uint32(ray_end.row - i))
+def _shade_paths(i, batch, tables, lights, sample, bounce, options, onward, rays):
+    starts = _begin_slots(onward, i), _begin_slots(rays, i)
+    path_end, ray_end = _path_lane(i, batch, tables, lights, sample, bounce, options, *starts)
+    _end_slots(onward, i, path_end)
+    _end_slots(rays, i, ray_end)
+
+
+@kernel
+def _shade_unshadowed(i, batch, tables, lights):
+    _unshadowed_lane(i, batch, tables, lights)
+
+
+@kernel
+def _shade_facing_ratio(i, batch, tables, lights):
+    _facing_ratio_lane(i, batch, tables, lights)
+
+
+@kernel
+def _sample_all_lights(i, batch, tables, lights, rays):
+    none = StreamCursor(batch.paths, ZERO_U64)
+    start = _begin_slots(rays, i)
+    _, ray_end = shade_whitted_path(i, batch, tables, lights, False, 0.0, none, start)
+    _end_slots(rays, i, ray_end)
+
+
+@kernel
+def _spawn_ao_rays(i, batch, tables, sample, options, rays):
+    _end_slots(rays, i, _ao_lane(i, batch, tables, sample, options, _begin_slots(rays, i)))
+
+
+@device
+def _row(rows, i):
+    return np.uint64(load(np.uint32, rows + i * BYTES_32))
 
 
 @device
 def _copy_three(source, to):
     for k in range(3):
-        at = np.uint64(k) * _WORD
+        at = np.uint64(k) * BYTES_32
         store(to + at, load(np.float32, source + at))
 
 
 @kernel
-def _light(i, paths, hits, tables, lights, first_pixel, radiance):
-    _light_path(i, ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance), tables, lights)
-
-
-@kernel
-def _view(i, paths, hits, tables, lights, first_pixel, radiance):
-    _view_path(i, ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance), tables, lights)
-
-
-@kernel
-def _ask_lights(i, paths, hits, tables, lights, first_pixel, radiance, per_thread, rays, is_asked):
-    first = i * per_thread
-    batch = ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance)
-    none, ray_end = StreamCursor(paths, _NONE), StreamCursor(rays, first)
-    _, ray_end = shade_whitted_path(i, batch, tables, lights, False, 0.0, none, ray_end)
-    store(is_asked + i * _WORD, np.uint32(ray_end.row - first))
-
-
-@kernel
-def _look_around(
-    i,
-    paths,
-    hits,
-    tables,
-    sampler,
-    sample,
-    count,
-    distance,
-    first_pixel,
-    radiance,
-    rays,
-    is_asked,
-):
-    first = i * np.uint64(count)
-    ray_end = _look_from(
-        i,
-        ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance),
-        tables,
-        PixelSample(sampler, sample),
-        OcclusionOptions(count, distance),
-        StreamCursor(rays, first),
-    )
-    store(is_asked + i * _WORD, np.uint32(ray_end.row - first))
-
-
-@device
-def _row(rows, i):
-    return np.uint64(load(np.uint32, rows + i * _WORD))
-
-
-@kernel
-def _keep(slot, per_thread, rows, given, kept):
-    i = slot // per_thread
-    row = _row(rows, i) + slot - i * per_thread
-    if row >= _row(rows, i + _ONE):
+def _compact(slot, slots, to):
+    i = slot // slots.per_thread
+    row = _row(slots.counts, i) + slot - i * slots.per_thread
+    if row >= _row(slots.counts, i + ONE_U64):
         return
-    store(kept.pixels + row * _LONG, load(np.int64, given.pixels + slot * _LONG))
+    given = slots.columns
+    store(to.pixels + row * BYTES_64, load(np.int64, given.pixels + slot * BYTES_64))
     for k in range(3):
-        at = np.uint64(k) * _LONG
-        origin = load(np.float64, given.origins + slot * _3_LONGS + at)
-        store(kept.origins + row * _3_LONGS + at, origin)
-    _copy_three(given.directions + slot * _3_WORDS, kept.directions + row * _3_WORDS)
-    _copy_three(given.colors + slot * _3_WORDS, kept.colors + row * _3_WORDS)
-    store(kept.numbers + row * _WORD, load(np.float32, given.numbers + slot * _WORD))
+        at = np.uint64(k) * BYTES_64
+        origin = load(np.float64, given.origins + slot * _3_X_64 + at)
+        store(to.origins + row * _3_X_64 + at, origin)
+    _copy_three(given.directions + slot * _3_X_32, to.directions + row * _3_X_32)
+    _copy_three(given.colors + slot * _3_X_32, to.colors + row * _3_X_32)
+    store(to.numbers + row * BYTES_32, load(np.float32, given.numbers + slot * BYTES_32))
 
 
 @kernel
-def _add(i, rows, rays, blocked, first_pixel, radiance):
-    for row in range(_row(rows, i), _row(rows, i + _ONE)):
+def _add_unblocked(i, rows, rays, blocked, first_pixel, radiance):
+    for row in range(_row(rows, i), _row(rows, i + ONE_U64)):
         add_if_unblocked(row, rays, blocked, first_pixel, radiance)
 
 
-#: Begins path i of a band: ``(view, first_row, sampler, sample, paths)``.
-BEGIN = RangeKernel(_begin)
+#: Begins path i of a band: ``(view, first_row, sample, paths)``.
+GENERATE_CAMERA_RAYS = RangeKernel(_generate_camera_rays)
 
-#: Shades path i, see `shade_path_block`, and counts the rows that it wrote to `onward` and to
-#: `rays`: two uint32.
-FOLLOW = RangeKernel(_follow)
+#: Shades path i, see `shade_path_block`; writes to two `SlotAddresses`.
+SHADE_PATHS = RangeKernel(_shade_paths)
 
-#: Lights the surface that path i meets, or shows it in grey.
-LIGHT, VIEW = RangeKernel(_light), RangeKernel(_view)
+#: Shade the hit of path i, by all lights without shadows, or by its facing ratio.
+SHADE_UNSHADOWED = RangeKernel(_shade_unshadowed)
+SHADE_FACING_RATIO = RangeKernel(_shade_facing_ratio)
 
-#: Lights the surface that path i meets, by rays to lights, and how many these are.
-ASK_LIGHTS = RangeKernel(_ask_lights)
+#: Shades the hit of path i by all lights; writes shadow rays to `SlotAddresses`.
+SAMPLE_ALL_LIGHTS = RangeKernel(_sample_all_lights)
 
-#: Sends rays from the surface that path i meets, and how many these are.
-LOOK_AROUND = RangeKernel(_look_around)
+#: Spawns ambient occlusion rays from the hit of path i, to `SlotAddresses`.
+SPAWN_AO_RAYS = RangeKernel(_spawn_ao_rays)
 
-#: Moves what a thread wrote to a slot to where the scan of the threads' counts says.
-KEEP = RangeKernel(_keep)
+#: Moves the row of a slot to a stream; ``slots.counts`` are the scanned counts.
+COMPACT = RangeKernel(_compact)
 
-#: Adds what the rays of path i bring, one after the other.
-ADD = RangeKernel(_add)
+#: Adds the light of path i's unblocked shadow rays, in order.
+ADD_UNBLOCKED = RangeKernel(_add_unblocked)

@@ -1,7 +1,7 @@
-"""Stages of renderers on a device: as in `rendering.integrator`, over streams that stay there.
+"""Stages of renderers on a device: those of `rendering.integrator`, over streams in its memory.
 
-The host learns after each surface how many paths go on, and how many rays to lights there are, two
-numbers; and in the end the radiance.
+After each surface the host reads two numbers, of continuing paths and of shadow rays; at the end it
+reads the radiance.
 """
 
 from __future__ import annotations
@@ -9,18 +9,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from raystream.cuda.rendering.band import DeviceBand, DeviceStream
-from raystream.cuda.rendering.kernels import ADD, ASK_LIGHTS, FOLLOW, LIGHT, LOOK_AROUND, VIEW
+from raystream.cuda.rendering.columns import StreamColumns
+from raystream.cuda.rendering.device_band import DeviceBand, DeviceStream, ShadowStream
+from raystream.cuda.rendering.kernels import (
+    ADD_UNBLOCKED,
+    SAMPLE_ALL_LIGHTS,
+    SHADE_FACING_RATIO,
+    SHADE_PATHS,
+    SHADE_UNSHADOWED,
+    SPAWN_AO_RAYS,
+)
+from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
 from raystream.rendering.ao import distance_of, sampler_of, spawn_ambient_rays
 from raystream.rendering.integrator import PathStage, find_surfaces, trace_shadow_rays
 from raystream.rendering.path import shade_surfaces
 from raystream.rendering.raycast import shade_by_lights
+from raystream.rendering.sampling.sampler import PixelSample
+from raystream.rendering.shading.ambient_occlusion import OcclusionOptions
 from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 
@@ -32,126 +42,98 @@ DeviceStage = Callable[[DeviceStream, DeviceBand], DeviceStream]
 def _find_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     """Trace the paths' rays."""
     to = band.hits.addresses._asdict()
-    band.ask(band.scene.kernels.first_hit, stream.paths, stream.count, False, **to)
+    band.trace(band.scene.kernels.first_hit, stream.paths, stream.count, False, **to)
     return replace(stream, hits=band.hits)
 
 
-def _meet_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
-    """Add light that surfaces emit, ask for that of lights, and scatter the paths."""
-    scene, rules = band.scene, plain(band.scene.setting.options["rules"])
-    onward, (asked, rays) = band.onward, band.room_for_rays(1)
+def _shade_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
+    """Add emitted light, sample lights, and scatter the paths."""
+    scene, options = band.scene, plain(band.scene.context.options["rules"])
+    onward, (slots, rays) = band.onward, band.shadow_rays(1)
     band.run(
-        FOLLOW,
+        SHADE_PATHS,
         stream.count,
-        np.int64(stream.count),
-        *_met(stream),
+        band.batch(stream),
         scene.table("tables"),
         scene.table("lights"),
-        scene.sampler,
-        band.sample,
+        PixelSample(scene.sampler, band.sample),
         np.int64(stream.bounce),
-        rules,
-        band.first_pixel,
-        band.radiance,
+        options,
         onward.addresses,
-        onward.counts,
-        asked.addresses,
-        asked.counts,
+        slots.addresses,
     )
-    if stream.bounce >= rules.max_bounces:  # nothing goes on
+    if stream.bounce >= options.max_bounces:  # the paths end
         return DeviceStream(stream.paths, 0)
-    path_count = onward.gather(stream.count, stream.paths)
-    ray_count = asked.gather(stream.count, rays)
+    path_count = onward.compact(stream.count, stream.paths)
+    ray_count = slots.compact(stream.count, rays)
     band.wait()
-    return DeviceStream(
-        stream.paths,
-        path_count(),
-        stream.bounce + 1,
-        asked=(asked, rays),
-        asked_count=stream.count,
-        ray_count=ray_count(),
-    )
+    shadows = ShadowStream(slots, rays, stream.count, ray_count())
+    return DeviceStream(stream.paths, path_count(), stream.bounce + 1, shadows=shadows)
 
 
-def _met(stream: DeviceStream) -> tuple[Any, Any]:
-    """Addresses of paths, and of what they meet."""
-    assert stream.hits is not None
-    return stream.paths.addresses, stream.hits.addresses
-
-
-def _shading(kernel: RangeKernel) -> DeviceStage:
+def _local_stage(kernel: RangeKernel) -> DeviceStage:
     """A stage that shades first surfaces, whose paths then end."""
 
     def shade(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
         tables = band.scene.table("tables"), band.scene.table("punctual")
-        band.run(kernel, stream.count, *_met(stream), *tables, band.first_pixel, band.radiance)
+        band.run(kernel, stream.count, band.batch(stream), *tables)
         return DeviceStream(stream.paths, 0)
 
     return shade
 
 
-def _ask_every_light(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
-    """Light first surfaces, by rays that are to be tested; the paths end."""
-    each = lights_per_pixel(band.scene.setting)
-    asked, rays = band.room_for_rays(each)
+def _sample_all_lights(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
+    """Send shadow rays from first surfaces to all lights; the paths end."""
+    slots, rays = band.shadow_rays(lights_per_pixel(band.scene.context))
     tables = band.scene.table("tables"), band.scene.table("punctual")
-    shared = *_met(stream), *tables, band.first_pixel, band.radiance
-    own = np.uint64(each), asked.addresses, asked.counts
-    band.run(ASK_LIGHTS, stream.count, *shared, *own)
-    ray_count = asked.gather(stream.count, rays)
+    band.run(SAMPLE_ALL_LIGHTS, stream.count, band.batch(stream), *tables, slots.addresses)
+    return _only_shadow_rays(stream, band, slots, rays)
+
+
+def _spawn_ambient_rays(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
+    """Send ambient occlusion rays from first surfaces; the paths end."""
+    context = band.scene.context
+    ray_count = int(context.options["rays"])
+    slots, rays = band.shadow_rays(ray_count)
+    sample = PixelSample(plain(sampler_of(context)), band.sample)
+    options = plain(OcclusionOptions(ray_count, distance_of(context)))
+    shared = band.batch(stream), band.scene.table("tables"), sample, options
+    band.run(SPAWN_AO_RAYS, stream.count, *shared, slots.addresses)
+    return _only_shadow_rays(stream, band, slots, rays)
+
+
+def _only_shadow_rays(
+    stream: DeviceStream, band: DeviceBand, slots: Slots, rays: StreamColumns
+) -> DeviceStream:
+    """Compact shadow rays, of paths that end."""
+    ray_count = slots.compact(stream.count, rays)
     band.wait()
-    return DeviceStream(
-        stream.paths, 0, asked=(asked, rays), asked_count=stream.count, ray_count=ray_count()
-    )
+    shadows = ShadowStream(slots, rays, stream.count, ray_count())
+    return DeviceStream(stream.paths, 0, shadows=shadows)
 
 
-def _ask_around(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
-    """Send rays from first surfaces; the paths end."""
-    setting = band.scene.setting
-    each = int(setting.options["rays"])
-    asked, rays = band.room_for_rays(each)
-    band.run(
-        LOOK_AROUND,
-        stream.count,
-        *_met(stream),
-        band.scene.table("tables"),
-        plain(sampler_of(setting)),
-        band.sample,
-        np.int64(each),
-        distance_of(setting),
-        band.first_pixel,
-        band.radiance,
-        asked.addresses,
-        asked.counts,
-    )
-    ray_count = asked.gather(stream.count, rays)
-    band.wait()
-    return DeviceStream(
-        stream.paths, 0, asked=(asked, rays), asked_count=stream.count, ray_count=ray_count()
-    )
-
-
-def _reach_lights(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
-    """Add what the lights send where nothing is in the way."""
-    if stream.asked is not None and stream.ray_count:
-        slots, rays = stream.asked
-        blocked = band.empty("answers", stream.ray_count, np.uint8)
+def _trace_shadow_rays(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
+    """Add the light of unblocked shadow rays."""
+    shadows = stream.shadows
+    if shadows is not None and shadows.ray_count:
+        rays, counts = shadows.rays, shadows.slots.addresses.counts
+        blocked = band.empty("answers", shadows.ray_count, np.uint8)
         any_hit = band.scene.kernels.any_hit
-        band.ask(any_hit, rays, stream.ray_count, True, seen=blocked.address)
+        band.trace(any_hit, rays, shadows.ray_count, True, seen=blocked.address)
         to = rays.addresses, blocked.address, band.first_pixel, band.radiance
-        band.run(ADD, stream.asked_count, slots.counts, *to)
-    return replace(stream, asked=None, asked_count=0, ray_count=0)
+        band.run(ADD_UNBLOCKED, shadows.thread_count, counts, *to)
+    return replace(stream, shadows=None)
 
 
-#: What is done on a device in place of a renderer's stage.
+#: Stages on a device, by the renderers' stages.
 STAGES: MappingProxyType[PathStage, DeviceStage] = MappingProxyType(
     {
         find_surfaces: _find_surfaces,
-        shade_surfaces: _meet_surfaces,
-        shade_by_lights: _shading(LIGHT),
-        shade_by_facing_ratio: _shading(VIEW),
-        sample_all_lights: _ask_every_light,
-        spawn_ambient_rays: _ask_around,
-        trace_shadow_rays: _reach_lights,
+        shade_surfaces: _shade_surfaces,
+        shade_by_lights: _local_stage(SHADE_UNSHADOWED),
+        shade_by_facing_ratio: _local_stage(SHADE_FACING_RATIO),
+        sample_all_lights: _sample_all_lights,
+        spawn_ambient_rays: _spawn_ambient_rays,
+        trace_shadow_rays: _trace_shadow_rays,
     }
 )

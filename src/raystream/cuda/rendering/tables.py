@@ -1,4 +1,4 @@
-"""Tables of a scene in a GPU's memory: what they point to is copied, and addresses changed."""
+"""Tables of a scene in GPU memory: arrays are copied, and their addresses replaced."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from raystream.rendering.shading.keep_alive import AddressRow, kept_arrays
 
 __all__ = ["TableMemory", "plain"]
 
-#: How names of numbers end that are no addresses.
+#: Suffix of uint64 fields that are not addresses.
 _COUNT = "_count"
 
 
 class _Region(NamedTuple):
-    """An array of the host's."""
+    """A host array."""
 
     begin: int
     array: NDArray[Any]
@@ -29,18 +29,18 @@ class _Region(NamedTuple):
 
 
 class TableMemory:
-    """Copies what tables need to a device, each array once.
+    """Copies the arrays of tables to a device, each once.
 
     Parameters
     ----------
     gpu : Gpu
     kept : object
-        What the tables' makers gave to be kept.
+        Objects that keep the tables' arrays alive.
 
     Attributes
     ----------
     arrays : dict
-        What was copied, by the host's address: to be kept as long as the tables are used.
+        Copies by host address, to be kept as long as the tables are used.
     """
 
     def __init__(self, gpu: Gpu, kept: object) -> None:
@@ -53,16 +53,16 @@ class TableMemory:
                 self._regions.append(_Region(array.ctypes.data, array, places))
 
     def placed(self, tables: Any) -> Any:
-        """A named tuple of tables with addresses on the device, and numbers as kernels take them.
+        """Replace the addresses in a named tuple of tables, and convert its integers to int64.
 
-        Fields of type uint64 are addresses, or 0 for none, unless their names end in ``_count``.
+        Fields of type uint64 are addresses, or 0, unless their names end in ``_count``.
 
         Raises
         ------
         CudaError
-            If there is no memory for what they point to.
+            If there is no memory for the arrays.
         LookupError
-            If one points to nothing that is kept.
+            If an address is not in a kept array.
         """
         return tables._make(
             self._value(name, value) for name, value in zip(tables._fields, tables, strict=True)
@@ -100,7 +100,7 @@ class TableMemory:
 
 
 def plain(value: Any) -> Any:
-    """Numbers in (named) tuples as kernels take them: whole ones as int64."""
+    """Convert Python integers in nested (named) tuples to int64, as kernels expect."""
     if isinstance(value, tuple):
         kind: Any = type(value)
         made = map(plain, value)

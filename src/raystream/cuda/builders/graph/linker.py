@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.builders.graph.linking import KERNELS, Raw
+from raystream.cuda.builders.graph.linking import KERNELS, CandidateOrder, Raw
 from raystream.cuda.builders.graph.sectors import Ordered
 from raystream.cuda.builders.graph.sharing import LinkTable
 from raystream.cuda.builders.kdtree.grow import GrownTree
@@ -135,14 +135,12 @@ class _Linker:
 
     def _link_covered(self, before: DeviceArray, row_count: int, table: LinkTable) -> None:
         nodes, sectors = self.tree.nodes, self.ordered.sectors.address
-        order = self.ordered.rows.address, np.uint64(row_count), before.address
-        to = self.covered.address, table.at
-        marks = self.is_covered.address
+        order = CandidateOrder(self.ordered.rows.address, np.uint64(row_count), before.address)
+        marks, to = self.is_covered.address, (order, self.covered.address, table.at)
         for first, end in reversed(self.levels):
             begin, count = np.uint64(first), end - first
-            given = begin, nodes, sectors, marks, *order, *to
-            KERNELS.put_covered.launch(self.gpu, count, given)
-            KERNELS.share_covered.launch(self.gpu, count, (begin, nodes, marks, *order, *to))
+            KERNELS.put_covered.launch(self.gpu, count, (begin, nodes, sectors, marks, *to))
+            KERNELS.share_covered.launch(self.gpu, count, (begin, nodes, marks, *to))
 
     def _fill(
         self, raw_count: int, ends: NDArray[np.uint64], first: int

@@ -32,7 +32,7 @@ from raystream.structures.graph.links import LINKS_AT, RAW_LINKS
 from raystream.structures.graph.morton_order import SECTOR_BYTES
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["KERNELS", "Raw"]
+__all__ = ["KERNELS", "CandidateOrder", "Raw"]
 
 _SIX = np.uint64(6)
 _ROW = np.uint64(16)
@@ -67,6 +67,23 @@ class Raw(NamedTuple):
     tops: np.uint64
     ends: np.uint64
     first: np.uint64
+
+
+class CandidateOrder(NamedTuple):
+    """The CPU's order of the link nodes of covered subtrees.
+
+    Attributes
+    ----------
+    rows : uint64
+        Address of the nodes' rows, uint32.
+    row_count : uint64
+    before : uint64
+        Address of the number of link nodes before each row and face, uint32.
+    """
+
+    rows: np.uint64
+    row_count: np.uint64
+    before: np.uint64
 
 
 @device
@@ -116,14 +133,14 @@ def _mark_covered(i, nodes, by_row, row_count, is_covered, marks):
 
 
 @device
-def _candidate(node, face, rows, row_count, before):
-    row = np.uint64(load(np.uint32, rows + node * WORD))
-    at = (row_count - ONE_U64 - row) * _SIX + face
-    return np.uint64(load(np.uint32, before + at * WORD))
+def _candidate(node, face, order):
+    row = np.uint64(load(np.uint32, order.rows + node * WORD))
+    at = (order.row_count - ONE_U64 - row) * _SIX + face
+    return np.uint64(load(np.uint32, order.before + at * WORD))
 
 
 @kernel
-def _put_covered(i, first, nodes, sectors, is_covered, rows, row_count, before, covered, table):
+def _put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
     """Write the links to node first + i where they are no new nodes, and the contents of those."""
     node = first + i
     axis, child, _ = split_of(nodes, node)
@@ -140,18 +157,18 @@ def _put_covered(i, first, nodes, sectors, is_covered, rows, row_count, before, 
         elif face >> ONE_U64 == axis:
             store(to, load(np.uint32, above if face & ONE_U64 == ZERO_U64 else below))
         else:
-            candidate = _candidate(node, face, rows, row_count, before)
+            candidate = _candidate(node, face, order)
             less, more = np.uint64(load(np.uint32, below)), np.uint64(load(np.uint32, above))
             put_candidate(table, candidate, plane_bits, axis, less, more)
 
 
 @kernel
-def _share_covered(i, first, nodes, is_covered, rows, row_count, before, covered, table):
+def _share_covered(i, first, nodes, is_covered, order, covered, table):
     """Find the slots of the link nodes of node first + i."""
     node = first + i
     for face in range(_SIX):
         if _makes_node(nodes, node, face, is_covered):
-            slot = share_slot(table, _candidate(node, face, rows, row_count, before))
+            slot = share_slot(table, _candidate(node, face, order))
             store(covered + node * ROPE_BYTES + face * WORD, np.uint32(LINK | slot))
 
 

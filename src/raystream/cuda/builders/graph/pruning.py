@@ -1,8 +1,8 @@
-"""Taking back splits that did not pay, level by level from the leaves up.
+"""Pruning of splits that did not pay, level by level from the leaves up.
 
-The CPU goes over the nodes one after the other, and stops to join leaves when its memory for new
-lists is full. Here all are joined that pay; then a scan of the new lists' sizes in the CPU's order
-says from where on there was none left, and where that is so, it is done again up to there.
+The CPU visits nodes one by one, and stops joining leaves when its memory for new lists is full.
+Here all leaves are joined that pay; if a scan of the new lists' sizes, in the CPU's order, exceeds
+that memory, the pass is repeated with the nodes that fit.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from raystream.structures.graph.prune import (
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["KERNELS", "Lists", "prune"]
+__all__ = ["KERNELS", "ListBudget", "Lists", "prune"]
 
 _LEAF = np.uint64(LEAF_AXIS)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -53,6 +53,27 @@ class Lists(NamedTuple):
     sizes: DeviceArray
 
 
+class ListBudget(NamedTuple):
+    """Memory for the lists of joined leaves.
+
+    Attributes
+    ----------
+    rows : uint64
+        Address of the CPU's rows of the nodes, uint32.
+    sizes : uint64
+        Address of the new lists' sizes by those rows, uint64.
+    total : uint64
+        Once sizes are scanned, their sum; else 0.
+    room : uint64
+        Maximum of the sum.
+    """
+
+    rows: np.uint64
+    sizes: np.uint64
+    total: np.uint64
+    room: np.uint64
+
+
 @kernel
 def _place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     """Copy a leaf's list to its place in `ids`."""
@@ -67,23 +88,22 @@ def _place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
 
 
 @kernel
-def _weigh(i, first, nodes, boxes, costs, chosen, rows, sizes, total, room):
+def _weigh(i, first, nodes, boxes, costs, chosen, budget):
     """Make a leaf of node first + i if that pays; its children have been weighed.
 
-    `sizes` is where the sizes of new lists are written by the CPU's rows. Once they are scanned,
-    `total` is their sum, and lists are made only as long as those from their row on have room.
+    Once the sizes of new lists are scanned, only those whose rows and later ones fit are made.
     """
     node = first + i
     axis, _ = split_at(nodes, node)
     if axis == _LEAF:
         return
-    at = sizes + np.uint64(load(np.uint32, rows + node * WORD)) * BYTES_64
+    at = budget.sizes + np.uint64(load(np.uint32, budget.rows + node * WORD)) * BYTES_64
     free = _ALL
-    if total > ZERO_U64 and total - load(np.uint64, at) > room:
+    if budget.total > ZERO_U64 and budget.total - load(np.uint64, at) > budget.room:
         free = ZERO_U64
     pending, union = scratch(PENDING_BYTES), scratch(UNION_BYTES)
     size = weigh_split(node, nodes, boxes, costs, chosen, free, pending, union)
-    if total == ZERO_U64:
+    if budget.total == ZERO_U64:
         store(at, size)
 
 
@@ -125,7 +145,7 @@ def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
     Returns
     -------
     Lists
-        Those of leaves that are none any more do not matter.
+        Lists of leaves that were joined are not used.
 
     Raises
     ------
@@ -147,9 +167,10 @@ def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
     def weigh_all(total: int) -> None:
         places = tree.ids.address, numbers.places.address, ids.address
         KERNELS.place_list.launch(gpu, count, (nodes, boxes, *places, typed, chosen))
-        limits = numbers.rows.address, used.address, np.uint64(total), np.uint64(room)
+        rows, sizes = numbers.rows.address, used.address
+        budget = ListBudget(rows, sizes, np.uint64(total), np.uint64(room))
         for first, end in reversed(levels):
-            given = np.uint64(first), nodes, boxes, typed, chosen, *limits
+            given = np.uint64(first), nodes, boxes, typed, chosen, budget
             KERNELS.weigh.launch(gpu, end - first, given)
 
     weigh_all(0)

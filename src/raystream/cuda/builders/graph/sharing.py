@@ -148,7 +148,7 @@ class LinkTable:
     Raises
     ------
     ValueError
-        If links could not reach so many.
+        If there are more rows than links can reach.
     CudaError
         If there is no memory for it: 28 to 36 bytes for each candidate.
     """

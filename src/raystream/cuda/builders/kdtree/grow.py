@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.kdtree import partition, planes
-from raystream.cuda.builders.kdtree.partition import Counts, Made
+from raystream.cuda.builders.kdtree.partition import Counts, GrownTriangles, Made
 from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, References, Tried
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.cuda.scan import Scan
@@ -221,7 +221,8 @@ class _Grower:
         splits = gpu.pooled("splits", cell_count + 1, np.uint64)
         counts = Counts(parts.address, splits.address)
         kernels.confirm.launch(gpu, cell_count, (cells.at, choices, counts))
-        given = choices, self.corners.address, np.float64(self.bound), counts
+        triangles = GrownTriangles(self.corners.address, np.float64(self.bound))
+        given = choices, triangles, counts
         kernels.count_parts.launch(gpu, count, (lists.at, *given))
         found, split = _scanned(gpu, parts), _scanned(gpu, splits)
         after = _Cells.allocate(gpu, 2 * (split >> 32))

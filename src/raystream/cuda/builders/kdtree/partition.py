@@ -21,7 +21,7 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import LEAF
 from raystream.structures.kdtree.subtree import copy_box, room_above, split_reference
 
-__all__ = ["KERNELS", "Counts", "Made"]
+__all__ = ["KERNELS", "Counts", "GrownTriangles", "Made"]
 
 _NODE = np.uint64(8)
 _TRIANGLE = np.uint64(36)
@@ -61,6 +61,21 @@ class Made(NamedTuple):
     ids: np.uint64
 
 
+class GrownTriangles(NamedTuple):
+    """Triangles, and how far lists grow them.
+
+    Attributes
+    ----------
+    corners : uint64
+        Address of their corners.
+    bound : float64
+        See `structures.clip`.
+    """
+
+    corners: np.uint64
+    bound: np.float64
+
+
 @device
 def _choice(choices, cell):
     """Axis, and position of the plane."""
@@ -94,22 +109,22 @@ def _confirm(cell, level, choices, counts):
 
 
 @device
-def _part(i, refs, choices, corners, bound, below, above):
+def _part(i, refs, choices, triangles, below, above):
     """On which sides of its cell's plane reference i is; writes its boxes there."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     axis, position = _choice(choices, cell)
     if axis == LEAF:
         return False, False
-    triangle = corners + np.uint64(load(np.int32, refs.ids + i * WORD)) * _TRIANGLE
+    triangle = triangles.corners + np.uint64(load(np.int32, refs.ids + i * WORD)) * _TRIANGLE
     box = refs.boxes + i * BOX_BYTES
-    return split_reference(box, triangle, bound, axis * WORD, position, below, above)
+    return split_reference(box, triangle, triangles.bound, axis * WORD, position, below, above)
 
 
 @kernel
-def _count_parts(i, refs, choices, corners, bound, counts):
+def _count_parts(i, refs, choices, triangles, counts):
     """Count the parts of reference i."""
     below, above = scratch(24), scratch(24)
-    is_below, is_above = _part(i, refs, choices, corners, bound, below, above)
+    is_below, is_above = _part(i, refs, choices, triangles, below, above)
     found = ONE_U64 << BITS_32 if is_below else ZERO_U64
     found += ONE_U64 if is_above else ZERO_U64
     store(counts.parts + i * BYTES_64, found)
@@ -170,8 +185,8 @@ def _put_reference(parts, to, cell, box, prim_id):
 
 
 @kernel
-def _place_parts(i, refs, level, choices, corners, bound, counts, made, first_id, parts):
-    """Write the parts of reference i where they go; that of a leaf to its list."""
+def _place_parts(i, refs, level, choices, triangles, counts, made, first_id, parts):
+    """Write the parts of reference i to their cells' ranges; in a leaf, to its list."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     prim_id = load(np.int32, refs.ids + i * WORD)
     before = load(np.uint64, counts.cells + cell * BYTES_64)
@@ -182,7 +197,7 @@ def _place_parts(i, refs, level, choices, corners, bound, counts, made, first_id
         store(made.ids + to * WORD, prim_id)
         return
     below, above = scratch(24), scratch(24)
-    is_below, is_above = _part(i, refs, choices, corners, bound, below, above)
+    is_below, is_above = _part(i, refs, choices, triangles, below, above)
     begin, end = cell_range(level, cell)
     own_below, own_above = _before(counts, i)
     child = (before >> BITS_32) << ONE_U64

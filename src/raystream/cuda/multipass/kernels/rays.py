@@ -1,4 +1,4 @@
-"""Before the first pass and after the last: rays into streams, hits out of them; and compaction."""
+"""Kernels before and after the passes, which set up and finish rays, and their compaction."""
 
 from __future__ import annotations
 
@@ -16,7 +16,16 @@ from raystream.kernels.ray import world_t
 from raystream.kernels.ray_source import load_ray
 from raystream.machines.records import RayState
 
-__all__ = ["BEGIN", "CHUNK", "COUNT_KEPT", "FINISH", "FINISH_MANY", "KEEP", "Wanted"]
+__all__ = [
+    "BEGIN",
+    "CHUNK",
+    "COUNT_KEPT",
+    "FINISH",
+    "FINISH_MANY",
+    "KEEP",
+    "RayStreamAddresses",
+    "Wanted",
+]
 
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
@@ -44,9 +53,31 @@ class Wanted(NamedTuple):
     limit: np.uint64
 
 
+class RayStreamAddresses(NamedTuple):
+    """Streams of rays: addresses, and their capacity in records; see `machines.records`.
+
+    Attributes
+    ----------
+    rows : uint64
+        Of the numbers of the active rays, uint32; 0 if all are active.
+    capacity : uint64
+    ray, wanted, found, state : uint64
+    world : uint64
+        Of what turns local distances into the caller's, two columns of float64.
+    """
+
+    rows: np.uint64
+    capacity: np.uint64
+    ray: np.uint64
+    wanted: np.uint64
+    found: np.uint64
+    state: np.uint64
+    world: np.uint64
+
+
 @device
 def _rows_of(wanted, i):
-    """The first of the rows that ray i wants, and how many."""
+    """The first row of hits that ray i wants, and their number."""
     if wanted.splits == NULL:
         return i, wanted.limit
     first = np.uint64(load(np.int64, wanted.splits + (i << SHIFT_64)))
@@ -54,8 +85,9 @@ def _rows_of(wanted, i):
 
 
 @kernel
-def _begin(i, source, frame, rows, capacity, ray, wanted, found, state, world, wish, status):
-    """Turn a ray of the caller's into records of `machines.records`, see `cuda.columns`."""
+def _begin(i, source, frame, streams, wish, status):
+    """Turn a caller's ray into records of `machines.records`, see `cuda.columns`."""
+    rows, capacity, ray, wanted, found, state, world = streams
     row = row_of(rows, i)
     given = load_ray(source, row, frame)
     if given.status != _VALID:
@@ -84,36 +116,36 @@ def _begin(i, source, frame, rows, capacity, ray, wanted, found, state, world, w
 
 
 @device
-def _to_world(at, world, capacity, row):
-    """Turn the t at an address into one of the caller's ray."""
-    factor = load(np.float64, world + (row << SHIFT_64))
-    offset = load(np.float64, world + (capacity << SHIFT_64) + (row << SHIFT_64))
+def _to_world(at, streams, row):
+    """Turn the t at an address into the caller's."""
+    world = streams.world + (row << SHIFT_64)
+    factor = load(np.float64, world)
+    offset = load(np.float64, world + (streams.capacity << SHIFT_64))
     store(at, world_t(load(np.float32, at), factor, offset))
 
 
 @kernel
-def _finish(i, capacity, found, world, hits):
+def _finish(i, streams, hits):
     """Write a miss, or turn the hit's t into the caller's."""
     at = i << SHIFT_32
-    if load(np.uint32, found + at) == np.uint32(0):
+    if load(np.uint32, streams.found + at) == np.uint32(0):
         store(hits.t + at, INF_F32)
         store(hits.u + at, ZERO_F32)
         store(hits.v + at, ZERO_F32)
         store(hits.prim_id + at, _MISS)
     else:
-        _to_world(hits.t + at, world, capacity, i)
+        _to_world(hits.t + at, streams, i)
 
 
 @kernel
-def _finish_many(i, rows, capacity, found, state, world, wish, hits):
+def _finish_many(i, streams, wish, hits):
     """Turn a ray's distances into the caller's."""
-    row = row_of(rows, i)
-    if load(np.uint8, state + row) == _OVERFLOWED:
+    if load(np.uint8, streams.state + i) == _OVERFLOWED:
         return  # it is traced again
-    first, most = _rows_of(wish, row)
-    count = min(np.uint64(load(np.uint32, found + (row << SHIFT_32))), most)
+    first, most = _rows_of(wish, i)
+    count = min(np.uint64(load(np.uint32, streams.found + (i << SHIFT_32))), most)
     for k in range(first, first + count):
-        _to_world(hits.t + (k << SHIFT_32), world, capacity, row)
+        _to_world(hits.t + (k << SHIFT_32), streams, i)
 
 
 @device

@@ -1,4 +1,4 @@
-"""DeviceBand: rows of a picture in one sample, whose paths are in a GPU's memory."""
+"""DeviceBand: rows of one sample of an image, with paths in GPU memory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from raystream.cuda.device_rays import usual_limits
 from raystream.cuda.ray_order import sort_rays
 from raystream.cuda.rendering.columns import HitColumns, StreamColumns
-from raystream.cuda.rendering.kernels import BEGIN
+from raystream.cuda.rendering.kernels import GENERATE_CAMERA_RAYS
 from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.rendering.integrator import RenderContext, camera_paths
+from raystream.rendering.sampling.sampler import PixelSample
 from raystream.rendering.shading.camera_rays import view_of
+from raystream.rendering.shading.streams import ShadingBatch
 
 if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStream
@@ -28,11 +30,11 @@ if TYPE_CHECKING:
     from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.ray import SceneFrame
 
-__all__ = ["DeviceBand", "DeviceScene", "DeviceStream"]
+__all__ = ["DeviceBand", "DeviceStream", "RenderScene", "ShadowStream"]
 
 
-class DeviceScene:
-    """What a device knows of a picture.
+class RenderScene:
+    """A scene and a renderer's tables on a device.
 
     Parameters
     ----------
@@ -43,13 +45,13 @@ class DeviceScene:
     frame : SceneFrame
     is_sorted : bool
         Whether the kernels take rays in the order of their keys.
-    setting : RenderContext
+    context : RenderContext
 
     Attributes
     ----------
     sampler : Sampler
     view : View or None
-        None of cameras whose paths begin on the host.
+        None for cameras whose paths begin on the host.
     """
 
     def __init__(
@@ -59,68 +61,83 @@ class DeviceScene:
         resident: Resident,
         frame: SceneFrame,
         is_sorted: bool,
-        setting: RenderContext,
+        context: RenderContext,
     ) -> None:
         self.gpu, self.kernels, self.resident, self.frame = gpu, kernels, resident, frame
         self.is_sorted = is_sorted
-        self.setting = setting
-        self.sampler: Any = plain(setting.sampler)
+        self.context = context
+        self.sampler: Any = plain(context.sampler)
         self.view: Any = None
-        if setting.camera.projection == "perspective":
-            self.view = plain(view_of(setting.camera, setting.width, setting.height))
-        self._memory = TableMemory(gpu, setting.kept)
+        if context.camera.projection == "perspective":
+            self.view = plain(view_of(context.camera, context.width, context.height))
+        self._memory = TableMemory(gpu, context.kept)
         self._placed: dict[str, Any] = {}
         self._lock = threading.Lock()
 
     def table(self, name: str) -> Any:
-        """The setting's ``tables``, ``lights`` or ``punctual``, copied when first asked for.
+        """The context's ``tables``, ``lights`` or ``punctual``, copied on first use.
 
         Raises
         ------
         CudaError
-            If there is no memory for what they point to.
+            If there is no memory for them.
         """
         with self._lock:
             if name not in self._placed:
-                self._placed[name] = self._memory.placed(getattr(self.setting, name))
-                self.gpu.wait()  # for whom staging streams do not
+                self._placed[name] = self._memory.placed(getattr(self.context, name))
+                self.gpu.wait()  # staging streams do not wait for the default stream
             return self._placed[name]
 
 
 @dataclass(frozen=True)
+class ShadowStream:
+    """Shadow rays to be traced.
+
+    Attributes
+    ----------
+    slots : Slots
+        Where threads wrote them.
+    rays : StreamColumns
+        The rays, compacted.
+    thread_count, ray_count : int
+        Threads that wrote rays, and rays.
+    """
+
+    slots: Slots
+    rays: StreamColumns
+    thread_count: int
+    ray_count: int
+
+
+@dataclass(frozen=True)
 class DeviceStream:
-    """Paths on their way; see `rendering.integrator.PathStream`.
+    """Active paths; see `rendering.integrator.PathStream`.
 
     Attributes
     ----------
     paths : StreamColumns
     count : int
-        Of these.
+        Of paths.
     bounce : int
     hits : HitColumns, optional
-    asked : tuple of Slots and StreamColumns, optional
-        Rays to lights that are to be tested: where they were written, and where they are.
-    asked_count, ray_count : int
-        Threads that wrote them, and how many there are.
+    shadows : ShadowStream, optional
     """
 
     paths: StreamColumns
     count: int
     bounce: int = 0
     hits: HitColumns | None = None
-    asked: tuple[Slots, StreamColumns] | None = None
-    asked_count: int = 0
-    ray_count: int = 0
+    shadows: ShadowStream | None = None
 
 
 class DeviceBand:
-    """Rows of a picture in one sample, with memory for their paths.
+    """Rows of one sample of an image, with memory for their paths.
 
     Parameters
     ----------
-    scene : DeviceScene
+    scene : RenderScene
     staging : StagingStream
-        In whose stream all is done.
+        Where kernels are launched.
     rows : range
     sample : int
 
@@ -129,7 +146,7 @@ class DeviceBand:
     count : int
         Pixels.
     radiance : uint64
-        Address of their light, to which stages add.
+        Address of their radiance, to which stages add.
 
     Raises
     ------
@@ -138,46 +155,53 @@ class DeviceBand:
     """
 
     def __init__(
-        self, scene: DeviceScene, staging: StagingStream, rows: range, sample: int
+        self, scene: RenderScene, staging: StagingStream, rows: range, sample: int
     ) -> None:
         self.scene, self._staging, self._rows = scene, staging, rows
-        width = scene.setting.width
+        width = scene.context.width
         self.count = len(rows) * width
-        self.sample = np.int64(sample)
-        self.first_pixel = np.int64(rows.start * width)
+        self.sample: Any = np.int64(sample)  # typed as kernels take it
+        self.first_pixel: Any = np.int64(rows.start * width)
         self._radiance = staging.cleared("light", (self.count, 3), np.float32)
         self.radiance = self._radiance.address
         self.empty = staging.empty
-        self._room: tuple[Slots, StreamColumns] | None = None
+        self._shadow_rays: tuple[Slots, StreamColumns] | None = None
         limits = usual_limits(scene.gpu)
         self._limits = limits[0.0].address, limits[np.inf].address
 
     @cached_property
     def hits(self) -> HitColumns:
-        """Room for the paths' hits."""
+        """Memory for the paths' hits."""
         return HitColumns(self.empty, self.count)
 
     @cached_property
     def onward(self) -> Slots:
-        """Room for paths that threads send on."""
+        """Slots for paths that continue."""
         return Slots(self.scene.gpu, self._staging, self.count, 1)
 
-    def room_for_rays(self, each: int) -> tuple[Slots, StreamColumns]:
-        """Room for rays to lights: where threads write them, so many each, and without gaps."""
-        if self._room is None:
-            slots = Slots(self.scene.gpu, self._staging, self.count, each)
-            self._room = slots, StreamColumns(self.empty, slots.most)
-        return self._room
+    def shadow_rays(self, per_thread: int) -> tuple[Slots, StreamColumns]:
+        """Slots for shadow rays, at most `per_thread` per path, and columns to compact them to."""
+        if self._shadow_rays is None:
+            slots = Slots(self.scene.gpu, self._staging, self.count, per_thread)
+            self._shadow_rays = slots, StreamColumns(self.empty, slots.row_count)
+        return self._shadow_rays
+
+    def batch(self, stream: DeviceStream) -> ShadingBatch:
+        """The paths with their hits, for shading kernels."""
+        assert stream.hits is not None
+        count: Any = np.int64(stream.count)
+        places = stream.paths.addresses, stream.hits.addresses
+        return ShadingBatch(count, *places, self.first_pixel, self.radiance)
 
     def run(self, kernel: RangeKernel, count: int, *arguments: Any) -> None:
-        """Begin to run a kernel."""
+        """Launch a kernel asynchronously."""
         kernel.launch(self.scene.gpu, count, arguments, self._staging.stream.native)
 
-    def ask(
+    def trace(
         self, kernel: RangeKernel, rays: StreamColumns, count: int, has_ends: bool, **to: np.uint64
     ) -> None:
-        """Begin a query for rays; `to` says where the answers go."""
-        status = self.empty("status", count, np.uint8)  # nobody reads it
+        """Launch a query for rays; `to` are the addresses of its results."""
+        status = self.empty("status", count, np.uint8)  # not read
         places = dict.fromkeys(ResultAddresses._fields, NULL) | to
         places["status"] = status.address
         source = rays.source(*self._limits, has_ends)
@@ -191,26 +215,25 @@ class DeviceBand:
         self.run(kernel, count, order.address, *shared)
 
     def wait(self) -> None:
-        """Wait until all that was begun is done."""
+        """Wait until all launches are done."""
         self._staging.finish()
 
     def camera_paths(self) -> DeviceStream:
         """Begin a path at each pixel; see `rendering.integrator.camera_paths`."""
-        scene, setting = self.scene, self.scene.setting
+        scene, context = self.scene, self.scene.context
         if scene.view is None:
-            size = setting.width, setting.height
+            size = context.width, context.height
             paths = camera_paths(
-                setting.camera, size, setting.sampler, self._rows, int(self.sample)
+                context.camera, size, context.sampler, self._rows, int(self.sample)
             )
             return DeviceStream(StreamColumns.copied(self._staging.upload, paths), self.count)
         columns = StreamColumns(self.empty, self.count)
-        first_row = np.int64(self._rows.start)
-        numbers = scene.sampler, self.sample
-        self.run(BEGIN, self.count, scene.view, first_row, *numbers, columns.addresses)
+        first_row, sample = np.int64(self._rows.start), PixelSample(scene.sampler, self.sample)
+        self.run(GENERATE_CAMERA_RAYS, self.count, scene.view, first_row, sample, columns.addresses)
         return DeviceStream(columns, self.count)
 
     def read(self) -> NDArray[np.float32]:
-        """The light, when all is done."""
+        """Wait for all launches, and read the radiance."""
         light = self._staging.download(self._radiance)
         self.wait()
         return light.copy()

@@ -1,4 +1,4 @@
-"""All kernels of the machine with arguments of the right types: to be compiled without a device."""
+"""The kernels of the multipass machine with example arguments, to compile them without a device."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from raystream.machines.steps import steps_of
 from raystream.scene.scene import Scene
 from raystream.structures import build_structure
 
-__all__ = ["multipass_catalogue_of"]
+__all__ = ["multipass_kernels"]
 
 
-def multipass_catalogue_of(
+def multipass_kernels(
     name: str, scene: Scene, **options: Any
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """The kernels for a structure, and arguments that are good for their types alone.
+    """The kernels for a structure, with arguments that are valid for their types only.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def multipass_catalogue_of(
     steps = steps_of(structure)
     source = RaySource(NULL, NULL, False, NULL, NULL, False, NULL, NULL, NULL, NULL)
     hits = HitAddresses(NULL, NULL, NULL, NULL)
-    wanted = rays.Wanted(NULL, NULL)
+    wanted, streams = rays.Wanted(NULL, NULL), rays.RayStreamAddresses(*(NULL,) * 7)
     query = StepArguments(np.float32(1.0), True, True, hits, *(NULL,) * 6)
     rules = rules_of(steps.kernels, "threshold", DEFAULT_THRESHOLD, compacts=False)
     return {
@@ -54,9 +54,9 @@ def multipass_catalogue_of(
         "counting pass": (pass_of(steps), (*(NULL,) * 8, steps.tree, query._replace(hits=None))),
         "decide": (DECIDE, (NULL, rules)),
         "decide in loop": (DECIDE_IN_LOOP, (NULL, rules, NULL)),
-        "begin": (rays.BEGIN, (source, structure.frame, *(NULL,) * 7, wanted, NULL)),
-        "finish": (rays.FINISH, (NULL, NULL, NULL, hits)),
-        "finish many": (rays.FINISH_MANY, (*(NULL,) * 5, wanted, hits)),
+        "begin": (rays.BEGIN, (source, structure.frame, streams, wanted, NULL)),
+        "finish": (rays.FINISH, (streams, hits)),
+        "finish many": (rays.FINISH_MANY, (streams, wanted, hits)),
         "count kept": (rays.COUNT_KEPT, (NULL,) * 4),
         "keep": (rays.KEEP, (NULL,) * 5),
     }

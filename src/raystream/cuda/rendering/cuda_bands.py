@@ -1,4 +1,4 @@
-"""CudaBands: samples of a picture's rows, taken where the rays are."""
+"""CudaBands: samples of rows of an image, rendered on a device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.rendering.band import DeviceBand, DeviceScene
+from raystream.cuda.rendering.device_band import DeviceBand, RenderScene
 from raystream.cuda.rendering.stages import STAGES
 from raystream.jit.cuda import Gpu
 from raystream.rendering.whitted import sample_all_lights
@@ -23,60 +23,60 @@ if TYPE_CHECKING:
 
 __all__ = ["CudaBands"]
 
-#: Most pixels whose paths are on the device together: about 300 bytes each.
-MOST_PIXELS = 1 << 20
+#: Maximum number of pixels in flight, at about 300 bytes each.
+MAX_PIXELS = 1 << 20
 
 
 class CudaBands:
-    """Takes samples on a device; see `rendering.device_bands.DeviceBands`.
+    """Renders samples on a device; see `rendering.device_bands.DeviceBands`.
 
     Parameters
     ----------
-    setting : RenderContext
-        Of the picture. What shading reads of the scene is copied when the first sample is taken.
+    context : RenderContext
+        Its tables are copied to the device for the first sample.
     gpu : Gpu
     kernels : ThreadQueries
     resident : Resident
     frame : SceneFrame
     staging_streams : StagingStreams
         The machine's.
-    most_pixels : int
-        Most of them whose paths are on the device together.
+    max_pixels : int
+        Maximum number of pixels in flight.
     is_sorted : bool
         Whether the kernels take rays in the order of their keys, see `cuda.ray_order`.
     """
 
     def __init__(
         self,
-        setting: RenderContext,
+        context: RenderContext,
         gpu: Gpu,
         kernels: ThreadQueries,
         resident: Resident,
         frame: SceneFrame,
         staging_streams: StagingStreams,
-        most_pixels: int,
+        max_pixels: int,
         *,
         is_sorted: bool = False,
     ) -> None:
-        self.pixels_at_once = min(most_pixels, MOST_PIXELS)
-        self._setting, self._staging_streams = setting, staging_streams
+        self.pixels_at_once = min(max_pixels, MAX_PIXELS)
+        self._context, self._staging_streams = context, staging_streams
         self._queries = gpu, kernels, resident, frame, is_sorted
         self._lock = threading.Lock()
-        self._scene: DeviceScene | None = None
+        self._scene: RenderScene | None = None
 
     def takes(self, stages: Sequence[PathStage]) -> bool:
-        """Whether there is a stage on the device for each of a renderer's.
+        """Whether the device supports all stages of a renderer.
 
-        Of those that light surfaces by every light it is only so without further bounces: then no
-        two threads have one pixel.
+        Sampling all lights is supported without further bounces, so that no two threads share a
+        pixel.
         """
-        setting = self._setting
-        if sample_all_lights in stages and setting.options.get("max_bounces", 0) > 0:
+        context = self._context
+        if sample_all_lights in stages and context.options.get("max_bounces", 0) > 0:
             return False
-        return setting.opacity is None and all(stage in STAGES for stage in stages)
+        return context.opacity is None and all(stage in STAGES for stage in stages)
 
     def trace(self, stages: Sequence[PathStage], rows: range, sample: int) -> NDArray[np.float32]:
-        """Take one sample of each pixel of some rows.
+        """Render one sample of each pixel of some rows.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class CudaBands:
         """
         with self._lock:
             if self._scene is None:
-                self._scene = DeviceScene(*self._queries, self._setting)
+                self._scene = RenderScene(*self._queries, self._context)
             scene = self._scene
         with self._staging_streams.taken(1) as (staging,):
             staging.begin()

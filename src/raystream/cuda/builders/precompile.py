@@ -1,4 +1,4 @@
-"""All kernels that build, with arguments of the right types: to be compiled where no device is."""
+"""The kernels of builders with example arguments, to compile them without a device."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders import clusters, linear, lists, moving, records, wide
-from raystream.cuda.builders.graph.catalogue import graph_catalogue
+from raystream.cuda.builders.graph.precompile import graph_kernels
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.cuda.block_kernel import BlockKernel
@@ -15,16 +15,17 @@ from raystream.jit.cuda.radix_sort import sort_kernels
 from raystream.jit.cuda.scan import scan_kernels
 from raystream.structures.grid.lattice import Lattice
 
-__all__ = ["block_catalogue", "build_catalogue"]
+__all__ = ["block_kernels", "build_kernels"]
 
 
-def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """Kernels by name, and arguments that are good for their types alone."""
+def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
+    """Kernels by name, with arguments that are valid for their types only."""
     one = (1.0, 1.0, 1.0)
     lattice = lists.as_numbers(Lattice(one, one, one, (1, 1, 1), 1.0))
     nodes = records.NodesAt(NULL, NULL, NULL, np.int64(1))
     number = np.float64(0.0)
     frame = records.KeyFrame((number, number, number), number, NULL)
+    listed = clusters.ClusterList(NULL, NULL)
 
     def at(count: int) -> tuple[np.uint64, ...]:
         return (NULL,) * count
@@ -39,21 +40,21 @@ def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         (linear.KERNELS.clear, at(1)),
         (linear.KERNELS.climb, (NULL, nodes, *at(2))),
         (clusters.KERNELS.begin_cluster, (nodes, NULL)),
-        (clusters.KERNELS.find_match, (*at(3), False, NULL)),
-        (clusters.KERNELS.count_places, at(3)),
-        (clusters.KERNELS.merge, (*at(5), nodes, *at(3))),
+        (clusters.KERNELS.find_match, (listed, NULL, False, NULL)),
+        (clusters.KERNELS.count_places, (listed, *at(2))),
+        (clusters.KERNELS.merge, (listed, *at(3), nodes, NULL, listed)),
         (wide.KERNELS.count_lanes, (NULL, nodes, *at(2))),
         (wide.KERNELS.give_rows, (*at(3), nodes, *at(4))),
         (wide.KERNELS.write_node, (nodes, *at(6))),
         (moving.KERNELS.move_leaves, at(4)),
         (moving.KERNELS.move_nodes, at(2)),
         (moving.KERNELS.add_costs, at(4)),
-        *graph_catalogue(),
+        *graph_kernels(),
     ]
     return {kernel.name.strip("_"): (kernel, arguments) for kernel, arguments in chosen}
 
 
-def block_catalogue() -> dict[str, BlockKernel]:
+def block_kernels() -> dict[str, BlockKernel]:
     """The kernels of scans and sorts, by name and the bits of their numbers."""
     made = {}
     for dtype in ("uint32", "uint64"):

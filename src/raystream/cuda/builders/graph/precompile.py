@@ -1,4 +1,4 @@
-"""The kernels that build trees and graphs of sectors, with arguments of the right types."""
+"""The kernels of the graph builder with example arguments, to compile them without a device."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from raystream.structures.graph.face_subtrees import RopeTree
 from raystream.structures.graph.prune import Chosen
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["graph_catalogue"]
+__all__ = ["graph_kernels"]
 
 _COSTS = Costs(*(np.float64(0.0),) * 4)
 
 
-def graph_catalogue() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
-    """Kernels, and arguments that are good for their types alone."""
+def graph_kernels() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
+    """Kernels, with arguments that are valid for their types only."""
     return [*_of_trees(), *_of_sectors(), *_of_links()]
 
 
@@ -37,18 +37,18 @@ def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
         partition.Made(*_at(3)),
     )
     numbering = rows.Numbering(*_at(5))
-    bound = np.float64(0.0)
+    grown = partition.GrownTriangles(NULL, np.float64(0.0))
     return [
         (planes.KERNELS.try_planes, (refs, level, _COSTS, NULL, tried)),
         (planes.KERNELS.choose_plane, (level, _COSTS, NULL, tried, choices)),
         (partition.KERNELS.make_reference, (*_at(2), np.float32(0.0), refs)),
         (partition.KERNELS.count_cut, (refs, choices)),
         (partition.KERNELS.confirm, (level, choices, counts)),
-        (partition.KERNELS.count_parts, (refs, choices, NULL, bound, counts)),
+        (partition.KERNELS.count_parts, (refs, choices, grown, counts)),
         (partition.KERNELS.make_cells, (level, choices, counts, made, *_at(2), level)),
         (
             partition.KERNELS.place_parts,
-            (refs, level, choices, NULL, bound, counts, made, NULL, refs),
+            (refs, level, choices, grown, counts, made, NULL, refs),
         ),
         (rows.KERNELS.count_below, (*_at(2), numbering)),
         (rows.KERNELS.mark_large, (*_at(3), numbering, *_at(2))),
@@ -63,7 +63,7 @@ def _of_sectors() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     chosen = Chosen(*_at(4))
     return [
         (pruning.KERNELS.place_list, (*_at(5), _COSTS, chosen)),
-        (pruning.KERNELS.weigh, (*_at(3), _COSTS, chosen, *_at(4))),
+        (pruning.KERNELS.weigh, (*_at(3), _COSTS, chosen, pruning.ListBudget(*_at(4)))),
         (pruning.KERNELS.cut, (NULL, chosen)),
         (sectors.KERNELS.place_cells, _at(7)),
         (sectors.KERNELS.place_nodes, _at(6)),
@@ -78,13 +78,14 @@ def _of_sectors() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
 
 def _of_links() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     tree, raw, table = RopeTree(*_at(4)), linking.Raw(*_at(5)), sharing.Table(*_at(6))
+    order = linking.CandidateOrder(*_at(3))
     return [
         (linking.KERNELS.find_node_axes, _at(3)),
         (linking.KERNELS.count_raw, (NULL, tree, *_at(2))),
         (linking.KERNELS.spread_covered, _at(3)),
         (linking.KERNELS.mark_covered, _at(5)),
-        (linking.KERNELS.put_covered, (*_at(8), table)),
-        (linking.KERNELS.share_covered, (*_at(7), table)),
+        (linking.KERNELS.put_covered, (*_at(4), order, NULL, table)),
+        (linking.KERNELS.share_covered, (*_at(3), order, NULL, table)),
         (linking.KERNELS.fill_raw, (NULL, tree, *_at(3), raw, NULL)),
         (linking.KERNELS.put_raw, (*_at(2), raw, table)),
         (linking.KERNELS.share_raw, (NULL, raw, table)),
