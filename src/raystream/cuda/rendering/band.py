@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.device_rays import usual_limits
 from raystream.cuda.ray_order import sort_rays
+from raystream.cuda.rays import usual_limits
 from raystream.cuda.rendering.columns import HitColumns, StreamColumns
 from raystream.cuda.rendering.kernels import BEGIN
 from raystream.cuda.rendering.slots import Slots
@@ -23,9 +23,9 @@ from raystream.rendering.integrator import RenderContext, camera_paths
 from raystream.rendering.shading.camera_rays import view_of
 
 if TYPE_CHECKING:
+    from raystream.cuda.query_kernels import QueryKernels
     from raystream.cuda.staging import StagingStream
     from raystream.cuda.structures import Resident
-    from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.ray import SceneFrame
 
 __all__ = ["DeviceBand", "DeviceScene", "DeviceStream"]
@@ -37,7 +37,7 @@ class DeviceScene:
     Parameters
     ----------
     gpu : Gpu
-    kernels : ThreadQueries
+    kernels : QueryKernels
     resident : Resident
         The structure.
     frame : SceneFrame
@@ -55,7 +55,7 @@ class DeviceScene:
     def __init__(
         self,
         gpu: Gpu,
-        kernels: ThreadQueries,
+        kernels: QueryKernels,
         resident: Resident,
         frame: SceneFrame,
         is_sorted: bool,
