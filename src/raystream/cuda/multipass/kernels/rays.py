@@ -55,7 +55,7 @@ def _rows_of(wanted, i):
 
 @kernel
 def _begin(i, source, frame, rows, capacity, ray, wanted, found, state, world, wish, status):
-    """Turn a ray of the caller's into records of `machines.records`, see `cuda.columns`."""
+    """Turn a ray of the caller's into records of `machines.records`, see `cuda.soa`."""
     row = row_of(rows, i)
     given = load_ray(source, row, frame)
     if given.status != _VALID:
