@@ -1,12 +1,12 @@
-"""The CUDA device: rays traced by NVIDIA's GPUs, with the CPU's own device functions.
+"""The CUDA device: traces rays on NVIDIA GPUs with the device functions of the CPU.
 
-``pip install raystream[cuda]``. Structures are built on the CPU, and the arrays that their
-traversals read are copied to the GPU; ``build="device"`` builds them there.
+``pip install raystream[cuda]``. Structures are built on the CPU and copied to the GPU, or built
+there with ``build="device"``.
 """
 
 from raystream.core.choices import Cuda
 from raystream.cuda.building import build_structure
-from raystream.cuda.machines import CUDA_MACHINES
+from raystream.cuda.registry import CUDA_MACHINES
 from raystream.machines.devices import register_device
 
 __all__ = ["CUDA_MACHINES"]
