@@ -22,7 +22,7 @@ import raystream as rs
 from raystream.bench.ray_sets import make_ray_sets
 from raystream.core.rays import RayBatch
 from raystream.cuda.bvh.kernels import lay_out
-from raystream.cuda.catalogue import catalogue_of
+from raystream.cuda.precompile import catalogue_of
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import CAPABILITIES
 from raystream.kernels.hits import HitArrays

@@ -3,7 +3,7 @@
     python benchmarks/cuda_registers.py
     python benchmarks/cuda_registers.py --capability 9.0 --structure grid --json registers.json
 
-Compiles every kernel of `raystream.cuda.catalogue` to PTX for compute capabilities 7.5, 8.0 and
+Compiles every kernel of `raystream.cuda.precompile` to PTX for compute capabilities 7.5, 8.0 and
 9.0, and each PTX with ``ptxas -v``: from PATH, or from NVIDIA's wheels, which come with
 ``pip install raystream[cuda]``. The stack is a thread's local memory; what is spilled is in it.
 Warps are how many of a multiprocessor's the registers leave room for, of 32 (7.5) or 64.
@@ -99,7 +99,7 @@ def main():
         sys.exit("NUMBA_ENABLE_CUDASIM: the simulator has no compiler; unset it")
 
     import raystream as rs
-    from raystream.cuda.catalogue import whole_catalogue
+    from raystream.cuda.precompile import whole_catalogue
 
     wanted = arguments.capability or [".".join(map(str, one)) for one in CAPABILITIES]
     rows = []

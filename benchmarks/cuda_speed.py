@@ -64,12 +64,12 @@ def launches():
 
     Yields those of all, and of those that sort rays.
     """
-    from raystream.cuda import parts
+    from raystream.cuda import launch as ray_launch
     from raystream.jit.cuda import Gpu
 
     launch, events, seconds, sorting = Gpu.launch, [], [], []
     taken = inspect.signature(launch)
-    sort_rays, sorts = parts.sort_rays, []
+    sort_rays, sorts = ray_launch.sort_rays, []
 
     def noted(*arguments, **named):
         begin = len(events)
@@ -90,11 +90,11 @@ def launches():
         launch(gpu, *arguments, **named)
         events.append((gpu, begin, record()))
 
-    Gpu.launch, parts.sort_rays = timed, noted
+    Gpu.launch, ray_launch.sort_rays = timed, noted
     try:
         yield seconds, sorting
     finally:
-        Gpu.launch, parts.sort_rays = launch, sort_rays
+        Gpu.launch, ray_launch.sort_rays = launch, sort_rays
     for gpu, begin, end in events:
         with gpu.doing("reading an event"):
             end.sync()

@@ -93,6 +93,11 @@ class Driver:
         ctypes.memmove(to, source, byte_count)
         return (0,)
 
+    def cuMemsetD8Async(self, address, value, byte_count, _stream):  # noqa: N802
+        self.may("clear")
+        ctypes.memset(address, value, byte_count)
+        return (0,)
+
     def load(self, _ptx, name):
         self.may("load")
         return SimpleNamespace(get_kernel=lambda _entry: name)

@@ -161,7 +161,7 @@ class Event(float):
 
 def test_launches_are_timed(monkeypatch):
     need("numba_cuda")
-    from raystream.cuda import parts
+    from raystream.cuda import launch
     from raystream.jit.cuda import Gpu
 
     monkeypatch.setitem(sys.modules, "cuda.core", SimpleNamespace(EventOptions=dict))
@@ -172,11 +172,11 @@ def test_launches_are_timed(monkeypatch):
     gpu = SimpleNamespace(
         doing=lambda _: contextlib.nullcontext(), _legacy=SimpleNamespace(native=legacy)
     )
-    monkeypatch.setattr(parts, "sort_rays", lambda gpu: gpu.launch(gpu, [3], stream=legacy))
+    monkeypatch.setattr(launch, "sort_rays", lambda gpu: gpu.launch(gpu, [3], stream=legacy))
     gpu.launch = lambda *arguments, **named: Gpu.launch(*arguments, **named)
     with script("cuda_speed").launches() as (seconds, sorting):
         Gpu.launch(gpu, [1])
-        parts.sort_rays(gpu)
+        launch.sort_rays(gpu)
         Gpu.launch(gpu, [2], stream=other)
         assert (legacy.count, other.count) == (4, 2)
     assert seconds == [0.25e-3] * 3

@@ -167,7 +167,7 @@ GPUS = [
 
 
 def test_gpus_of_cuda_are_listed(run, monkeypatch):
-    monkeypatch.setattr("raystream.cuda.machines.list_gpus", lambda: (GPUS, (12, 9)))
+    monkeypatch.setattr("raystream.cuda.devices.list_gpus", lambda: (GPUS, (12, 9)))
     cuda = run("info", "--devices", "--json").figures["cuda"]
     assert (cuda["driver"], cuda["error"]) == ("12.9", None)
     assert list(cuda["gpus"][0].values()) == [0, "Fast", "9.0", 85 * 10**9, None]

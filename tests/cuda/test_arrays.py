@@ -16,9 +16,9 @@ need("numba_cuda")
 
 import raystream as rs
 from conftest import assert_same_bits
-from raystream.cuda import tables
+from raystream.cuda import launch
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
-from raystream.cuda.scan import add_up, is_any
+from raystream.cuda.scan import note_value, prefix_sum
 from raystream.jit.cuda import (
     CudaError,
     CudaStream,
@@ -217,8 +217,8 @@ def test_other_layouts_are_packed_on_the_device(gpu, tracer, oracle, rays, launc
 
 def test_all_queries_have_brute_forces_bits(gpu, case, oracle, rays, monkeypatch):
     """Also where tables of triangles seen are too small at first, and serve a few rays each."""
-    monkeypatch.setattr(tables, "LEAST_ROOM", np.uint64(2))
-    monkeypatch.setattr(tables, "TABLE_BYTES", 100)
+    monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(2))
+    monkeypatch.setattr(launch, "TABLE_BYTES", 100)
     for options in ({"structure": "brute"}, TWICE):
         tracer = rs.Tracer(case.scene, device="cuda", **options)
         assert tracer.structure.has_duplicates == (options is TWICE)
@@ -402,9 +402,9 @@ def test_counters_are_for_the_host(gpu, case, rays):
 def test_sums_run_over_any_length(gpu, rng, length):
     counts = rng.integers(0, 1 << 40, length)
     with StreamScope(gpu, gpu.stream) as work:
-        there, splits = work.placed("counts", counts), work.empty("splits", length + 1, np.int64)
-        add_up(work, there, splits)
+        there = work.placed("counts", counts)
+        splits = prefix_sum(work, there)
         if length < 1000:
-            assert not is_any(work, there, -1)
-            assert not length or is_any(work, there, int(counts[-1]))
+            for value in (-1, *counts[-1:]):
+                assert work.read(note_value(work, there, value)) == [value in counts]
     assert splits.host().tolist() == [0, *np.cumsum(counts)]

@@ -25,8 +25,8 @@ from raystream.cuda.bvh.compressed import LEAF_SIZE, compress
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.bvh.pairs import depth_of
 from raystream.cuda.bvh.slots import assign_slots
+from raystream.cuda.query_kernels import RowAddresses, SeenTables
 from raystream.cuda.structures import kernels_of
-from raystream.cuda.threads import SeenTables
 from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures import build_structure
@@ -226,6 +226,7 @@ def traced(structure, layout, case, splits):
     tables = SeenTables(address(table), np.uint64(4096 if structure.has_duplicates else 0))
     to = ResultAddresses(*map(address, first), NOWHERE, address(status))
     rows = HitAddresses(*map(address, many))
+    to_rows = RowAddresses(address(splits), rows, address(found))
     shared = source, structure.frame, tree, None
     for i in map(np.uint64, range(len(batch))):
         kernels.first_hit.function(i, *shared, to)
@@ -234,7 +235,7 @@ def traced(structure, layout, case, splits):
             memory=tables.memory - (tables.room + np.uint64(1)) * np.uint64(4) * i
         )
         more = own if structure.has_duplicates else tables
-        kernels.multi_hit.function(i, *shared, more, False, address(splits), rows, address(found))
+        kernels.multi_hit.function(i, *shared, more, False, to_rows)
     np.testing.assert_array_equal(found, np.diff(splits))
     return first, many
 

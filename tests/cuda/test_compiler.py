@@ -20,7 +20,7 @@ from raystream.jit.simd import load, store
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
-from raystream.cuda.catalogue import ARRAY_KERNELS, catalogue_of
+from raystream.cuda.precompile import ARRAY_KERNELS, catalogue_of
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.structures import STRUCTURES
 

@@ -16,7 +16,7 @@ need("numba_cuda")
 
 import raystream as rs
 from raystream.core.rays import RayBatch
-from raystream.cuda import threads
+from raystream.cuda import query_kernels
 from raystream.cuda.bvh import packet_traversal
 from raystream.cuda.bvh.binary import STACK_BYTES
 from raystream.cuda.bvh.kernels import lay_out
@@ -106,8 +106,8 @@ def emulated():
         code = getattr(packet_traversal, name).py_func.__code__
         names[name] = device(FunctionType(code, names, f"emulated_{name}"))
     with pytest.MonkeyPatch.context() as patch:  # nothing of it is kept on disk
-        patch.setattr(threads, "kernel", numba.njit(**FLAGS))
-        queries = threads.thread_queries(names["traverse"], STACK_BYTES, has_duplicates=True)
+        patch.setattr(query_kernels, "kernel", numba.njit(**FLAGS))
+        queries = query_kernels.make_kernels(names["traverse"], STACK_BYTES, has_duplicates=True)
     return SimpleNamespace(queries=queries, warp=warp, callback=callback)
 
 
@@ -202,12 +202,13 @@ def test_all_hits_of_a_warp(emulated, structure, room):
     rays = rays_of(oracle.any_hit(case.origins, case.directions))
     shared, _tallies, _kept = shared_by(structure, rays)
     memory = np.zeros((RAYS, room + 1), np.int32)
-    tables = threads.SeenTables(address(memory), np.uint64(room))
+    tables = query_kernels.SeenTables(address(memory), np.uint64(room))
     counts, status = np.zeros(RAYS, np.int64), np.zeros(RAYS, np.uint8)
-    more = tables, False, np.uint64(2**32), address(status), address(counts)
+    to_counts = query_kernels.CountAddresses(address(status), address(counts))
+    more = tables, False, np.uint64(2**32), to_counts
     run(emulated, "count_hits", (*shared, *more))
     expected = oracle.multi_hit(rays.origins, rays.directions)
-    is_full = counts == threads.RETRY
+    is_full = counts == query_kernels.RETRY
     assert np.array_equal(counts[~is_full], expected.counts[~is_full])
     assert is_full.any() == (room == 16)
     if is_full.any():
@@ -216,7 +217,8 @@ def test_all_hits_of_a_warp(emulated, structure, room):
     splits = expected.ray_splits.astype(np.int64)
     hits, found = HitArrays.empty(int(splits[-1])), np.zeros(RAYS, np.int64)
     assert (np.diff(splits) > 0).all()
-    more = tables, False, address(splits), HitAddresses(*map(address, hits)), address(found)
+    rows = address(splits), HitAddresses(*map(address, hits)), address(found)
+    more = tables, False, query_kernels.RowAddresses(*rows)
     run(emulated, "multi_hit", (*shared, *more))
     for column in ("t", "u", "v", "prim_id"):
         assert getattr(hits, column).tobytes() == getattr(expected, column).tobytes()

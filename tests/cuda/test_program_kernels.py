@@ -22,8 +22,8 @@ if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
 from raystream.cuda.programs import reason_against
-from raystream.cuda.programs.catalogue import program_catalogue
 from raystream.cuda.programs.device_program import DeviceProgram
+from raystream.cuda.programs.precompile import program_catalogue
 from raystream.cuda.programs.records import aligned_dtype, is_aligned
 
 PACKED = np.dtype([("flag", "i1"), ("at", "f4", (3,)), ("last", [("t", "f8"), ("mesh", "i2")])])

@@ -14,8 +14,8 @@ need("numba_cuda")
 import raystream as rs
 from conftest import CUDA_TRACERS, assert_same_bits
 from programs.layers import layers_rays, layers_scene
-from raystream.cuda import tables
-from raystream.cuda.programs import search
+from raystream.cuda import launch
+from raystream.cuda.programs import rounds
 from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.jit.cuda import is_simulated
 from raystream.jit.cuda.arguments import kind_of
@@ -90,10 +90,10 @@ def fail(hit):
 def is_tight(request, monkeypatch):
     """Whether rays have room for one hit at first, and there are few rows and small tables."""
     is_tight = request.param == "a few hits at a time"
-    monkeypatch.setattr(search, "FIRST_ROOM", 1 if is_tight else 1000)
+    monkeypatch.setattr(rounds, "FIRST_ROOM", 1 if is_tight else 1000)
     if is_tight:
-        monkeypatch.setattr(search, "ROWS_AT_ONCE", 60)
-        monkeypatch.setattr(tables, "LEAST_ROOM", np.uint64(2))
+        monkeypatch.setattr(rounds, "HITS_AT_ONCE", 60)
+        monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(2))
     return is_tight
 
 

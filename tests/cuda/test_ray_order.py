@@ -13,7 +13,7 @@ import raystream as rs
 from cases import CASES
 from conftest import assert_same_bits
 from raystream.core.rays import RayBatch
-from raystream.cuda import parts, ray_order
+from raystream.cuda import launch, ray_order
 from raystream.cuda.rays import place_rays
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import PersistentKernel, RangeKernel, is_simulated
@@ -233,15 +233,15 @@ def test_rays_in_arrays_on_the_device(gpu, simple_sort, rays):
         return sort_rays(gpu, source, count, *more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("raystream.cuda.query_inputs.sort_rays", note)
+        patch.setattr("raystream.cuda.launch.sort_rays", note)
         hits, expected = tracer.first_hit(*placed).host(), oracle.first_hit(*on_host)
         for column in ("t", "u", "v", "prim_id", "status"):
             assert_same_bits(getattr(hits, column), getattr(expected, column))
         assert sorts == [RAYS]
         assert_same_bits(tracer.any_hit(*placed).host(), oracle.any_hit(*on_host))
         sorts.clear()
-        patch.setattr("raystream.cuda.tables.TABLE_BYTES", 10 * (4 * 32 + 4))
-        patch.setattr("raystream.cuda.tables.LEAST_ROOM", np.uint64(32))
+        patch.setattr("raystream.cuda.launch.TABLE_BYTES", 10 * (4 * 32 + 4))
+        patch.setattr("raystream.cuda.launch.LEAST_ROOM", np.uint64(32))
         many, expected = tracer.multi_hit(*placed).host(), oracle.multi_hit(*on_host)
         for column in ("ray_splits", "t", "u", "v", "prim_id", "status"):
             assert_same_bits(getattr(many, column), getattr(expected, column))
@@ -262,7 +262,7 @@ def test_counters_are_the_rays_own(gpu, simple_sort, rays):
 
 
 def test_parts_that_are_traced_again_are_sorted_again(gpu, simple_sort, rays, monkeypatch):
-    monkeypatch.setattr(parts, "LEAST_ROOM", np.uint64(2))
+    monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(2))
     scene = case_of("random_soup").scene
     tracer = rs.Tracer(scene, "bvh", "cuda", quality="high", order="sorted")
     found, expected = tracer.count_hits(*rays), rs.Tracer(scene, "brute").count_hits(*rays)

@@ -99,7 +99,7 @@ def _graphics() -> dict[str, Any]:
 
 def _cuda() -> dict[str, Any]:
     from raystream.core.errors import RaystreamError
-    from raystream.cuda.machines import list_gpus
+    from raystream.cuda.devices import list_gpus
 
     try:
         found, driver = list_gpus()

@@ -6,7 +6,7 @@ traversals read are copied to the GPU; ``build="device"`` builds them there.
 
 from raystream.core.choices import Cuda
 from raystream.cuda.building import build_structure
-from raystream.cuda.machines import CUDA_MACHINES
+from raystream.cuda.registry import CUDA_MACHINES
 from raystream.machines.devices import register_device
 
 __all__ = ["CUDA_MACHINES"]

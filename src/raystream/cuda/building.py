@@ -7,7 +7,7 @@ import inspect
 from raystream import structures
 from raystream.core.choices import Cuda
 from raystream.core.triangles import Triangles
-from raystream.cuda.machines import open_device
+from raystream.cuda.devices import open_device
 from raystream.jit.threads import Progress
 from raystream.structures import Structure, StructureOptions, form_of, names_with
 

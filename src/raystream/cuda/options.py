@@ -6,7 +6,19 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ["LAUNCHES", "ORDERS", "check_names"]
+from raystream.machines import MULTIPASS_OPTIONS
+
+__all__ = ["LAUNCHES", "OPTIONS", "ORDERS", "check_names"]
+
+_SHARED = ("gpu", "rays_at_once")
+
+#: Options of each machine.
+OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "branching": (*_SHARED, "kernel", "launch", "order"),
+        "multipass": (*_SHARED, *MULTIPASS_OPTIONS, "loop", "max_passes"),
+    }
+)
 
 #: How threads get their rays: each one of a range, or whenever a warp is done with the last ones.
 LAUNCHES = ("range", "persistent")

@@ -9,7 +9,7 @@ from raystream.jit.cuda import DeviceArray, RangeKernel, StreamScope
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, store
 
-__all__ = ["NOTE", "add_up", "is_any"]
+__all__ = ["NOTE", "note_value", "prefix_sum"]
 
 _LONG = np.uint64(3)  # a number's eight bytes, as a shift
 
@@ -24,28 +24,31 @@ def _note(i, counts, wanted, noted):
 NOTE = RangeKernel(_note)
 
 
-def add_up(work: StreamScope, counts: DeviceArray, splits: DeviceArray) -> None:
-    """Write the sums of the first 0, 1, ... N numbers.
+def prefix_sum(work: StreamScope, counts: DeviceArray) -> DeviceArray:
+    """Sum the first 0, 1, ... N numbers.
 
     Parameters
     ----------
     work : StreamScope
     counts : DeviceArray of shape (N,), int64
-    splits : DeviceArray of shape (N + 1,), int64
-        Written.
+
+    Returns
+    -------
+    DeviceArray of shape (N + 1,), int64
     """
     count = len(counts)
+    splits = work.ready("splits", count + 1, np.int64)
     if count == 0:
-        work.follow()
         work.gpu.clear(splits, work.stream)
-        return
-    scan = Scan(work.gpu, count, empty=work.empty)
-    work.follow()
-    scan.run(counts.address, count, splits.address, np.int64, work.stream.native)
+        return splits
+    with work.nested() as scope:
+        scan = Scan(work.gpu, count, empty=scope.ready)
+        scan.run(counts.address, count, splits.address, np.int64, work.stream.native)
+    return splits
 
 
-def is_any(work: StreamScope, counts: DeviceArray, value: int) -> bool:
-    """Whether a value is among int64 numbers; this waits for the device."""
+def note_value(work: StreamScope, counts: DeviceArray, value: int) -> DeviceArray:
+    """Set an int64 to 1 if a value is among int64 numbers, else to 0."""
     noted = work.cleared("note", 1, np.int64)
     work.launch(NOTE, counts.size, (counts.address, np.int64(value), noted.address))
-    return bool(work.read(noted)[0])
+    return noted

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cuda import CudaError, CudaStream, DeviceArray, Gpu
+from raystream.jit.cuda import CudaError, CudaStream, DeviceArray, Gpu, StreamScope
 
-__all__ = ["LANE_COUNT", "StagingStream", "StagingStreams"]
+__all__ = ["STREAM_COUNT", "StagedScope", "StagingStream", "StagingStreams"]
 
 #: One copies in or out while the other traces.
-LANE_COUNT = 2
+STREAM_COUNT = 2
 
 #: Pieces of pinned memory begin at multiples of so many bytes.
 _ALIGNMENT = 64
@@ -34,7 +34,7 @@ class StagingStream:
     """
 
     def __init__(self, gpu: Gpu) -> None:
-        self._gpu = gpu
+        self._gpu = self.gpu = gpu
         with gpu.doing("making a stream"):
             self.stream = CudaStream.make(gpu, is_blocking=False)
         self._pieces: list[NDArray[np.uint8]] = []
@@ -116,6 +116,35 @@ class StagingStream:
         return piece[first : first + byte_count].view(dtype).reshape(shape)
 
 
+class StagedScope(StreamScope):
+    """A scope in a staging stream, in whose order memory is allocated and freed.
+
+    Parameters
+    ----------
+    staging : StagingStream
+    """
+
+    def __init__(self, staging: StagingStream) -> None:
+        super().__init__(staging.gpu, staging.stream)
+        self._staging = staging
+
+    def nested(self) -> StagedScope:
+        """A scope in the same stream whose memory is freed earlier."""
+        return StagedScope(self._staging)
+
+    def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
+        """Make an array, not initialised."""
+        made = self._staging.empty(name, shape, dtype)
+        self._memory.append(made)
+        return made
+
+    def placed(self, name: str, array: NDArray[Any]) -> DeviceArray:
+        """Begin to copy an array of the host to the device; it may be changed at once."""
+        made = self._staging.upload(name, array)
+        self._memory.append(made)
+        return made
+
+
 class StagingStreams:
     """The streams of a machine, kept from query to query.
 
@@ -130,7 +159,7 @@ class StagingStreams:
         self._lock = threading.Lock()
 
     @contextmanager
-    def taken(self, count: int = LANE_COUNT) -> Iterator[list[StagingStream]]:
+    def taken(self, count: int = STREAM_COUNT) -> Iterator[list[StagingStream]]:
         """StagingStreams for one query: queries in other threads have others.
 
         However it ends, they are empty then.

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 from raystream.cuda.bvh.kernels import LAYOUTS, kernel_of, lay_out
 from raystream.cuda.options import check_names
+from raystream.cuda.query_kernels import QueryKernels, make_kernels
 from raystream.cuda.ray_order import in_order
-from raystream.cuda.threads import ThreadQueries, thread_queries
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu, PersistentKernel, RangeKernel
 from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
@@ -29,7 +29,7 @@ _Launcher = Callable[[Callable[..., Any]], RangeKernel]
 
 def kernels_of(
     name: str, kernel: str = "auto", launch: str = "range", order: str = "given"
-) -> ThreadQueries:
+) -> QueryKernels:
     """The kernels of a structure.
 
     Parameters
@@ -59,7 +59,7 @@ def kernels_of(
 
 
 @cache
-def _made(name: str, kernel: str | None, launch: str, order: str) -> ThreadQueries:
+def _made(name: str, kernel: str | None, launch: str, order: str) -> QueryKernels:
     made, plain = structure_class(name), _LAUNCHERS[launch]
     traverse, stack_bytes = made.traverse, made.stack_bytes
     if kernel is not None:
@@ -67,7 +67,7 @@ def _made(name: str, kernel: str | None, launch: str, order: str) -> ThreadQueri
     launcher: _Launcher = plain
     if order == "sorted":
         launcher = lambda function: plain(in_order(function))  # noqa: E731
-    return thread_queries(traverse, stack_bytes, launcher, has_duplicates=made.can_have_duplicates)
+    return make_kernels(traverse, stack_bytes, launcher, has_duplicates=made.can_have_duplicates)
 
 
 class Resident(NamedTuple):

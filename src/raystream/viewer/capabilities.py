@@ -72,7 +72,7 @@ def _no_graphics() -> str | None:
 
 def _no_cuda() -> str | None:
     try:
-        from raystream.cuda.machines import list_gpus
+        from raystream.cuda.devices import list_gpus
 
         gpus, _ = list_gpus()
     except (RaystreamError, ImportError, OSError) as error:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import Multipass as MultipassOptions
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.cuda.branching import Branching
+from raystream.cuda.backend import CudaBackend
 from raystream.cuda.multipass.control import (
     Ran,
     read_active,
@@ -23,13 +24,14 @@ from raystream.cuda.multipass.control import (
 )
 from raystream.cuda.multipass.kernels.rays import FINISH, FINISH_MANY, Wanted
 from raystream.cuda.multipass.loops import LOOPS
-from raystream.cuda.multipass.part import PassPart
+from raystream.cuda.multipass.part import HostQuery, PassPart
 from raystream.cuda.multipass.passes import columns_of
 from raystream.cuda.multipass.ray_streams import HitGoal, RayStreams, ray_bytes
 from raystream.cuda.multipass.tree import ResidentSteps
-from raystream.cuda.parts import HostQuery, parts_of
+from raystream.cuda.rays import split_rows
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
+from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes
@@ -52,7 +54,7 @@ _MOST_BYTES = 1 << 31
 _ONE_EACH = Wanted(NULL, np.uint64(1))
 
 
-class Multipass(Branching):
+class Multipass(CudaBackend):
     """Runs each step of a traversal over all rays that wait for it, on a GPU.
 
     As `machines.multipass.MultipassBackend`, with the same kernels, states, schedulers and passes.
@@ -114,13 +116,31 @@ class Multipass(Branching):
         # The steps traverse the CPU's layout.
         own = {"kernel": "wide"} if structure.name == "bvh" else {}
         super().__init__(structure, gpu, rays_at_once=rays_at_once, **own)
-        self._steps = ResidentSteps(structure, self._resident)
+        self._steps = ResidentSteps(structure, self._scene.resident)
 
     def recording(self, passes: Passes) -> Multipass:
         """The same machine, which adds its passes to a record."""
         machine = copy.copy(self)
         machine.passes = passes
         return machine
+
+    def run(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> None:
+        """Answer a query of rays in host memory; see `Backend.run`."""
+        frame = self.structure.frame
+        if query.kind is Kind.MULTI_HIT:
+            filled, half = self.room_for_hits(query, rays, sink, progress)
+            self._multi_hit(HostQuery(query, rays, frame, filled, half))
+            sink.put(filled.splits, filled.hits)
+            return
+        job = HostQuery(query, rays, frame, sink, progress)
+        if query.kind is Kind.FIRST_HIT:
+            self._first_hit(job)
+        elif query.kind is Kind.ANY_HIT:
+            self._any_hit(job)
+        else:
+            self._count_hits(job)
 
     # Programs run on the CPU, at hits that the passes found.
     run_program = Backend.run_program
@@ -202,7 +222,7 @@ class Multipass(Branching):
         """As many rays at a time as there is memory for."""
         byte_count = min(_MOST_BYTES, self.gpu.byte_count // 4)
         most = max(1, min(self.rays_at_once, byte_count // ray_bytes(steps)))
-        for rows in parts_of(slice(0, len(job.batch)), most, splits):
+        for rows in split_rows(slice(0, len(job.batch)), most, splits):
             yield PassPart(job, rows, self.gpu)
 
     def _run_all(self, steps: Steps, part: PassPart, goal: HitGoal, job: HostQuery) -> RayStreams:

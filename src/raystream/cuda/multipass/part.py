@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.parts import HostQuery
+from raystream.core.query import Query
+from raystream.core.rays import RayBatch
 from raystream.cuda.rays import place_rays
 from raystream.jit.cuda import Gpu
+from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
+from raystream.kernels.ray import SceneFrame
 
-__all__ = ["PassPart"]
+__all__ = ["HostQuery", "PassPart"]
+
+
+class HostQuery(NamedTuple):
+    """A query of rays in host memory.
+
+    Attributes
+    ----------
+    query : Query
+    batch : RayBatch
+    frame : SceneFrame
+    sink : Sink
+        Its status and tallies are written part by part.
+    progress : callable or None
+    """
+
+    query: Query
+    batch: RayBatch
+    frame: SceneFrame
+    sink: Sink
+    progress: Progress | None
 
 
 class PassPart:

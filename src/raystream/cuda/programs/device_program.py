@@ -14,6 +14,7 @@ from raystream.jit.from_source import kernel_from_source
 from raystream.jit.intrinsics import record_at
 from raystream.jit.user_loops import as_device
 from raystream.kernels.hits import HitAddresses
+from raystream.programs.filters import Filter
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
 from raystream.programs.program import check_function
 from raystream.programs.rows import SkipsAt
@@ -78,6 +79,7 @@ class DeviceProgram:
     ) -> None:
         self.name = check_function(function, goal, constants is not None)
         self._goal, self._skips, self._record = goal, skips, record
+        self._has_host_addresses = False
         self._constants = () if constants is None else (_numbers(constants),)
         names, lines = text_of(
             goal,
@@ -89,6 +91,17 @@ class DeviceProgram:
         head = f"def run_program(i, {', '.join(names)}):"
         text = "\n".join([head, *(f"    {line}" for line in lines), "    return"]) + "\n"
         self.kernel = _kernel(text, function, goal, record)
+
+    @classmethod
+    def of(cls, on_hit: Any, goal: Goal, record: Record | None = None) -> DeviceProgram:
+        """The program of a query: its filter, or the function itself with the goal ``"trace"``."""
+        if not isinstance(on_hit, Filter):
+            return cls(on_hit, goal, record=record)
+        bound = on_hit.bound
+        constants = None if bound is None else bound.constants
+        program = cls(on_hit.function, goal, skips=on_hit.skipped is not None, constants=constants)
+        program._has_host_addresses = bound is not None and bound.kept is not None
+        return program
 
     def arguments(
         self,
@@ -124,6 +137,8 @@ class DeviceProgram:
 
     def reason_on(self, capability: tuple[int, int]) -> str | None:
         """The same for any device of a capability; needs none."""
+        if self._has_host_addresses:
+            return "its constants are addresses of the host's"
         if self._record is not None and not is_aligned(self._record[0]):
             return "the fields of its payload are not aligned"
         return self.kernel.reason_against(self.typical(), capability)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,13 +55,18 @@ class PlacedPayload:
         dtype, width = self.record
         return dtype.itemsize * width
 
-    def finish(self, work: StreamScope) -> None:
-        """Copy records back to the host, if they are the host's."""
-        if self.host is None or self.placed is None:
-            return
-        self.host[...] = work.read(self.placed)
-        if not np.shares_memory(self.result, self.host):
-            self.result[...] = self.host.reshape(self.result.shape)
+    @property
+    def copied(self) -> tuple[DeviceArray, ...]:
+        """The copy of the host's records, if they are on the host."""
+        return () if self.placed is None else (self.placed,)
+
+    def finish(self, copies: Sequence[NDArray[Any]]) -> None:
+        """Write a copy of `copied` to the records on the host."""
+        for records in copies:
+            assert self.host is not None
+            self.host[...] = records
+            if not np.shares_memory(self.result, self.host):
+                self.result[...] = self.host.reshape(self.result.shape)
 
 
 def place_payload(work: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:

@@ -15,9 +15,9 @@ from raystream.jit.cuda import Gpu
 from raystream.rendering.whitted import sample_all_lights
 
 if TYPE_CHECKING:
+    from raystream.cuda.query_kernels import QueryKernels
     from raystream.cuda.staging import StagingStreams
     from raystream.cuda.structures import Resident
-    from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.ray import SceneFrame
     from raystream.rendering.integrator import PathStage, RenderContext
 
@@ -35,7 +35,7 @@ class CudaBands:
     context : RenderContext
         Its tables are copied to the device for the first sample.
     gpu : Gpu
-    kernels : ThreadQueries
+    kernels : QueryKernels
     resident : Resident
     frame : SceneFrame
     staging_streams : StagingStreams
@@ -50,7 +50,7 @@ class CudaBands:
         self,
         context: RenderContext,
         gpu: Gpu,
-        kernels: ThreadQueries,
+        kernels: QueryKernels,
         resident: Resident,
         frame: SceneFrame,
         staging_streams: StagingStreams,

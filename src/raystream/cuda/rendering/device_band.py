@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.device_rays import usual_limits
 from raystream.cuda.ray_order import sort_rays
+from raystream.cuda.rays import usual_limits
 from raystream.cuda.rendering.columns import HitColumns, StreamColumns
 from raystream.cuda.rendering.kernels import GENERATE_CAMERA_RAYS
 from raystream.cuda.rendering.slots import Slots
@@ -25,9 +25,9 @@ from raystream.rendering.shading.camera_rays import view_of
 from raystream.rendering.shading.streams import ShadingBatch
 
 if TYPE_CHECKING:
+    from raystream.cuda.query_kernels import QueryKernels
     from raystream.cuda.staging import StagingStream
     from raystream.cuda.structures import Resident
-    from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.ray import SceneFrame
 
 __all__ = ["DeviceBand", "DeviceStream", "RenderScene", "ShadowStream"]
@@ -39,7 +39,7 @@ class RenderScene:
     Parameters
     ----------
     gpu : Gpu
-    kernels : ThreadQueries
+    kernels : QueryKernels
     resident : Resident
         The structure.
     frame : SceneFrame
@@ -57,7 +57,7 @@ class RenderScene:
     def __init__(
         self,
         gpu: Gpu,
-        kernels: ThreadQueries,
+        kernels: QueryKernels,
         resident: Resident,
         frame: SceneFrame,
         is_sorted: bool,

@@ -51,6 +51,10 @@ class StreamScope:
             if error is None:
                 raise
 
+    def nested(self) -> StreamScope:
+        """A scope in the same stream whose memory is freed earlier."""
+        return StreamScope(self.gpu, self.stream)
+
     def keep(self, *objects: Any) -> None:
         """Keep objects alive until all launches are done."""
         self._kept.extend(objects)

@@ -12,12 +12,12 @@ from raystream.cuda.builders.precompile import block_kernels, build_kernels
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
-from raystream.cuda.programs.catalogue import program_catalogue
+from raystream.cuda.programs.precompile import program_catalogue
+from raystream.cuda.query_kernels import CountAddresses, RowAddresses, SeenTables
 from raystream.cuda.ray_order import MAKE_KEY
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import kernels_of
-from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import SceneFrame
@@ -65,7 +65,7 @@ def catalogue_of(
     counters : bool
         Whether rays are counted.
     kernel, launch, order : str
-        See `Branching`.
+        See `CudaBackend`.
     **options
         Of the structure.
 
@@ -84,8 +84,8 @@ def catalogue_of(
     more: dict[str, tuple[Any, ...]] = {
         "first_hit": (ResultAddresses(*[_AT] * 6),),
         "any_hit": (ResultAddresses(*[_AT] * 6),),
-        "count_hits": (tables, True, _AT, _AT, _AT),
-        "multi_hit": (tables, True, _AT, hits, _AT),
+        "count_hits": (tables, True, _AT, CountAddresses(_AT, _AT)),
+        "multi_hit": (tables, True, RowAddresses(_AT, hits, _AT)),
     }
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
 

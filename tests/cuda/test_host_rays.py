@@ -11,7 +11,8 @@ need("numba_cuda")
 
 import raystream as rs
 from conftest import assert_same_bits
-from raystream.cuda import parts
+from raystream.cuda import launch
+from raystream.jit.cuda import RangeKernel
 from test_agreement import case_of
 
 #: A simulated thread takes a tenth of a millisecond.
@@ -53,16 +54,25 @@ def test_invalid_rays_have_a_status_where_no_hit_is_wanted(gpu, case, oracle, ra
 
 
 def test_parts_whose_tables_are_too_small_are_traced_again(gpu, case, oracle, rays, monkeypatch):
-    monkeypatch.setattr(parts, "LEAST_ROOM", np.uint64(2))
-    monkeypatch.setattr(parts, "TABLE_BYTES", 300)
+    monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(2))
+    monkeypatch.setattr(launch, "TABLE_BYTES", 300)
     tracer = rs.Tracer(case.scene, device="cuda", rays_at_once=14, **TWICE)
     steps: list[tuple[int, int]] = []
+    sizes, launch_kernel = [], RangeKernel.launch
+
+    def note(self, gpu, count, arguments, stream=None):
+        sizes.append((self.name, count))
+        launch_kernel(self, gpu, count, arguments, stream)
+
+    monkeypatch.setattr(RangeKernel, "launch", note)
     many = tracer.multi_hit(*rays, progress=lambda *done: steps.append(done))
     assert_same(many, oracle.multi_hit(*rays), "ray_splits", *COLUMNS)
     assert steps == sorted(steps)
     assert steps[-1] == (2 * RAYS, 2 * RAYS)
-    # Tables for 7 rays a part, then for 4, then for one: so parts were divided.
-    assert len(steps) > 2 * -(-RAYS // 7)
+    assert len(steps) == 2 * -(-RAYS // 7)
+    # There are tables for 7 rays of a part, then for 4 together, then for one.
+    for query in ("count_hits", "multi_hit"):
+        assert {(query, 7), (query, 4), (query, 1)} <= set(sizes)
 
 
 def test_an_interrupt_leaves_nothing_behind(gpu, case, oracle, rays):

@@ -19,7 +19,14 @@ from raystream.kernels.queries import Goal, RayScene, finish_first, finish_rows,
 from raystream.kernels.search import SeenSet, clear_seen
 from raystream.kernels.tally import ROW, SHADINGS, add_to
 
-__all__ = ["RETRY", "SeenTables", "ThreadQueries", "thread_queries"]
+__all__ = [
+    "RETRY",
+    "CountAddresses",
+    "QueryKernels",
+    "RowAddresses",
+    "SeenTables",
+    "make_kernels",
+]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -46,8 +53,40 @@ class SeenTables(NamedTuple):
     room: np.uint64
 
 
-class ThreadQueries(NamedTuple):
-    """Kernels over rays; `thread_queries` makes them for a structure."""
+class CountAddresses(NamedTuple):
+    """Where the counts of hits go: addresses of the first ray's.
+
+    Attributes
+    ----------
+    status : uint64
+        A byte per ray, a `RayStatus`; written for invalid rays only.
+    counts : uint64
+        An int64 per ray.
+    """
+
+    status: np.uint64
+    counts: np.uint64
+
+
+class RowAddresses(NamedTuple):
+    """Where the hits of each ray go.
+
+    Attributes
+    ----------
+    splits : uint64
+        Address of int64: ray i owns the rows splits[i] to splits[i + 1].
+    hits : HitAddresses
+    found : uint64
+        Address of an int64 per ray: the hits that were found, or `RETRY`.
+    """
+
+    splits: np.uint64
+    hits: HitAddresses
+    found: np.uint64
+
+
+class QueryKernels(NamedTuple):
+    """Kernels over rays; `make_kernels` makes them for a structure."""
 
     first_hit: RangeKernel
     any_hit: RangeKernel
@@ -77,13 +116,13 @@ def _no_set(_tables, _i):
     return None
 
 
-def thread_queries(
+def make_kernels(
     traverse: Callable[..., Any],
     stack_bytes: int,
     launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
     *,
     has_duplicates: bool = False,
-) -> ThreadQueries:
+) -> QueryKernels:
     """Make the kernels of a structure.
 
     Parameters
@@ -99,7 +138,7 @@ def thread_queries(
 
     Returns
     -------
-    ThreadQueries
+    QueryKernels
         Each for ``(source, frame, tree, tallies, ...)``: rays of the caller's, the scene's frame,
         the structure's arrays, and the address of tallies or None.
     """
@@ -128,35 +167,35 @@ def thread_queries(
         store(out.seen + i, np.uint8(search.hit_count != _NONE))
 
     @kernel
-    def count_hits(i, source, frame, tree, tallies, tables, surfaces, limit, status, counts):
+    def count_hits(i, source, frame, tree, tallies, tables, surfaces, limit, out):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        scene = RayScene(source, frame, tree, stack, status)
+        scene = RayScene(source, frame, tree, stack, out.status)
         goal = Goal(limit, None, _NONE, surfaces, seen_of(tables, i), _tally_at(tallies, i))
         search, _ = search_ray(i, scene, goal)
         count = np.int64(RETRY) if search.has_overflowed else np.int64(search.hit_count)
-        store(counts + (i << _LONG), count)
+        store(out.counts + (i << _LONG), count)
 
     @kernel
-    def multi_hit(i, source, frame, tree, tallies, tables, surfaces, splits, out, found):
-        first = np.uint64(load(np.int64, splits + (i << _LONG)))
-        capacity = np.uint64(load(np.int64, splits + ((i + _ONE) << _LONG))) - first
-        store(found + (i << _LONG), np.int64(0))
+    def multi_hit(i, source, frame, tree, tallies, tables, surfaces, out):
+        first = np.uint64(load(np.int64, out.splits + (i << _LONG)))
+        capacity = np.uint64(load(np.int64, out.splits + ((i + _ONE) << _LONG))) - first
+        store(out.found + (i << _LONG), np.int64(0))
         if capacity == _NONE:
             return
         stack = scratch(stack_bytes)
         store(stack, _NONE)
         tally = _tally_at(tallies, i)
         scene = RayScene(source, frame, tree, stack, None)
-        goal = Goal(capacity, out, first, surfaces, seen_of(tables, i), tally)
+        goal = Goal(capacity, out.hits, first, surfaces, seen_of(tables, i), tally)
         search, ray = search_ray(i, scene, goal)
         if search.has_overflowed:
-            store(found + (i << _LONG), np.int64(RETRY))
+            store(out.found + (i << _LONG), np.int64(RETRY))
             return
-        store(found + (i << _LONG), np.int64(search.hit_count))
+        store(out.found + (i << _LONG), np.int64(search.hit_count))
         add_to(tally, SHADINGS, search.hit_count)
-        finish_rows(out, first, search.hit_count, ray, True)
+        finish_rows(out.hits, first, search.hit_count, ray, True)
 
-    return ThreadQueries(
+    return QueryKernels(
         launcher(first_hit), launcher(any_hit), launcher(count_hits), launcher(multi_hit)
     )

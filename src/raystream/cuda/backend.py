@@ -1,0 +1,145 @@
+"""The branching machine on CUDA: a thread takes a ray from start to end."""
+
+from __future__ import annotations
+
+import operator
+from typing import TYPE_CHECKING, Any
+
+from raystream.core.query import Kind, Query
+from raystream.core.rays import RayArrays, RayBatch
+from raystream.cuda.host_rays import trace_from_host
+from raystream.cuda.launch import DeviceScene
+from raystream.cuda.programs.device_program import DeviceProgram
+from raystream.cuda.programs.payload import record_of
+from raystream.cuda.queries import QUERIES, trace_on_device
+from raystream.cuda.rays import usual_limits
+from raystream.cuda.staging import StagingStreams
+from raystream.cuda.structures import kernel_for, kernels_of, place
+from raystream.cuda.triangles import DeviceTriangles
+from raystream.jit.cuda import Gpu
+from raystream.jit.threads import Progress
+from raystream.kernels.hits import HitAccumulator, Sink
+from raystream.machines.backend import Backend, Capabilities
+from raystream.structures import Structure
+
+if TYPE_CHECKING:
+    from raystream.cuda.rendering import CudaBands
+    from raystream.rendering.integrator import RenderContext
+
+__all__ = ["CudaBackend"]
+
+#: Rays of the host's that are on the device together.
+RAYS_AT_ONCE = 1 << 20
+
+
+class CudaBackend(Backend):
+    """Traces rays on a GPU, one a thread, with the CPU's traversals.
+
+    Parameters
+    ----------
+    structure : Structure
+        Built on the CPU; what its traversal reads is copied to the device.
+    gpu : Gpu
+    rays_at_once : int
+        Most rays of the host's that are on the device together: half of them are traced while
+        the others are copied. Rays in arrays on the device are traced all together.
+    kernel : {"auto", "compressed", "binary", "packet", "wide"}
+        Of a BVH: how it is laid out on the device, and traced.
+    launch : {"range", "persistent"}
+        How threads get their rays: each has one; or as many as the device runs at once stay, and
+        warps fetch more rays.
+    order : {"given", "sorted"}
+        Which rays the threads of a warp take: those that follow each other, or those that are
+        alike, for which the device sorts them first; see `ray_order`. Answers come in the order
+        of the rays.
+
+    Raises
+    ------
+    CudaError
+        If there are no kernels for the structure, or no memory for it.
+    ValueError
+        If an option is out of range.
+    TypeError
+        If `kernel` is given for a structure that is no BVH.
+    """
+
+    capabilities = Capabilities(device_arrays=True, shading=True)
+
+    def __init__(
+        self,
+        structure: Structure,
+        gpu: Gpu,
+        *,
+        rays_at_once: int = RAYS_AT_ONCE,
+        kernel: str = "auto",
+        launch: str = "range",
+        order: str = "given",
+    ) -> None:
+        self.structure = structure
+        self.gpu = gpu
+        self.rays_at_once = operator.index(rays_at_once)
+        if self.rays_at_once < 1:
+            raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
+        kernel = kernel_for(structure, gpu, kernel)
+        kernels = kernels_of(structure.name, kernel, launch, order)
+        self._scene = DeviceScene(
+            gpu,
+            kernels,
+            place(structure, gpu, kernel),
+            structure.frame,
+            structure.triangles,
+            structure.has_duplicates,
+            order == "sorted",
+            DeviceTriangles(gpu, structure.triangles),
+        )
+        self._staging_streams = StagingStreams(gpu)
+        usual_limits(gpu)  # now, so that no query waits for them
+
+    def run(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> None:
+        """Answer a query of rays in host memory; see `Backend.run`."""
+        query = query._replace(on_hit=None)
+        if query.kind is not Kind.MULTI_HIT:
+            self._trace(query, rays, sink, progress)
+            return
+        filled, half = self.room_for_hits(query, rays, sink, progress)
+        self._trace(query, rays, filled, half)
+        sink.put(filled.splits, filled.hits)
+
+    def run_program(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> bool:
+        """Answer a query with its filter or program on the device, if it can run there."""
+        goal, record = QUERIES[query.kind].goal, record_of(sink.records)
+        if DeviceProgram.of(query.on_hit, goal, record).reason_against(self.gpu):
+            return False
+        if query.kind is not Kind.MULTI_HIT:
+            self._trace(query, rays, sink, progress)
+            return True
+        hits = HitAccumulator(len(rays))
+        self._trace(query, rays, Sink(sink.status, visitor=hits.take), progress)
+        sink.put(*hits.whole())
+        return True
+
+    def answer_on_device(
+        self,
+        query: Query,
+        rays: RayArrays,
+        progress: Progress | None = None,
+        payload: Any = None,
+    ) -> Any:
+        """Answer a query of rays in device memory; see `trace_on_device`."""
+        return trace_on_device(self._scene, query, rays, progress, payload)
+
+    def bands_on_device(self, context: RenderContext) -> CudaBands | None:
+        """What takes samples of an image on the device; see `Tracer.bands_on_device`."""
+        from raystream.cuda.rendering import CudaBands
+
+        gpu, kernels, resident, frame, *_ = scene = self._scene
+        own = gpu, kernels, resident, frame, self._staging_streams
+        return CudaBands(context, *own, self.rays_at_once, is_sorted=scene.is_sorted)
+
+    def _trace(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
+        own = self._scene, self._staging_streams, self.rays_at_once
+        trace_from_host(*own, query, rays, sink, progress)

@@ -1,0 +1,53 @@
+"""The GPUs of this machine, by number; ``numba-cuda`` is imported when they are first used."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from raystream.core.errors import RaystreamError
+
+if TYPE_CHECKING:
+    from raystream.jit.cuda import Gpu, GpuFacts
+
+__all__ = ["list_gpus", "open_device"]
+
+
+@contextlib.contextmanager
+def _needing_package() -> Iterator[None]:
+    try:
+        yield
+    except ImportError as error:
+        raise RaystreamError(
+            "device 'cuda': needs numba-cuda; pip install 'raystream[cuda]', or use device='cpu' "
+            "or 'graphics'"
+        ) from error
+
+
+def open_device(number: Any = 0) -> Gpu:
+    """A GPU by its number.
+
+    Raises
+    ------
+    RaystreamError
+        If there is none, or numba-cuda is missing.
+    TypeError
+        If it is no integer.
+    """
+    with _needing_package():
+        from raystream.jit.cuda import open_gpu
+    return open_gpu(number)
+
+
+def list_gpus() -> tuple[list[GpuFacts], tuple[int, int] | None]:
+    """All GPUs, and the version of CUDA that the driver is for, None in the simulator.
+
+    Raises
+    ------
+    RaystreamError
+        If there is none, or no driver, or ``numba-cuda`` is not installed.
+    """
+    with _needing_package():
+        from raystream.jit.cuda import driver_version, gpu_facts
+    return gpu_facts(), driver_version()

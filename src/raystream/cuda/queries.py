@@ -1,0 +1,421 @@
+"""The queries on CUDA: the kernels that each kind launches, and its answers on the device.
+
+They serve rays in device memory (`trace_on_device`) and parts of a batch in host memory
+(`host_rays.trace_from_host`) alike, with or without a filter.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.query import Kind, Query
+from raystream.core.rays import RayArrays
+from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
+from raystream.cuda.launch import DeviceScene, RayLauncher, Steps, resume
+from raystream.cuda.programs.payload import place_payload
+from raystream.cuda.programs.rounds import ProgramRounds
+from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
+from raystream.cuda.query_kernels import CountAddresses, RowAddresses
+from raystream.cuda.rays import moved, place_device_rays
+from raystream.cuda.scan import prefix_sum
+from raystream.jit.constants import NULL
+from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
+from raystream.jit.threads import Progress
+from raystream.kernels.hits import HitAddresses, HitArrays, HitBatch, Sink
+from raystream.kernels.ray_source import ResultAddresses
+from raystream.programs.texts import Goal
+
+__all__ = ["QUERIES", "DeviceQuery", "trace_on_device"]
+
+#: Rows of hits begin at multiples of this many numbers, as separate arrays would: 256 bytes.
+_ROW_ALIGNMENT = 64
+
+
+class HitColumns(NamedTuple):
+    """Hits on a device: four rows t, u, v and prim_id of one array.
+
+    Attributes
+    ----------
+    block : DeviceArray of shape (4, M), float32
+        With M >= `hit_count`; prim_id are the bits of the last row.
+    hit_count : int
+    """
+
+    block: DeviceArray
+    hit_count: int
+
+    @classmethod
+    def empty(cls, work: StreamScope, count: int) -> HitColumns:
+        """Allocate rows, not initialised."""
+        length = -(-count // _ROW_ALIGNMENT) * _ROW_ALIGNMENT
+        return cls(work.empty("hits", (4, length), np.float32), count)
+
+    @property
+    def addresses(self) -> HitAddresses:
+        """Where kernels write."""
+        return HitAddresses.of_rows(self.block.address, self.block.shape[1])
+
+    def columns(
+        self, shape: tuple[int, ...]
+    ) -> tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray]:
+        """The rows as arrays of their own."""
+        length = self.block.shape[1]
+        t, u, v, bits = (
+            self.block.part(k * length, self.hit_count).shaped(shape) for k in range(4)
+        )
+        return t, u, v, bits.shaped(shape, np.int32)
+
+    def copy_rows(self, copy: NDArray[np.float32], out: HitArrays) -> None:
+        """Write a copy of the block to arrays on the host."""
+        for column, values in zip(out, HitArrays.rows_of(copy[:, : self.hit_count]), strict=True):
+            column[:] = values
+
+
+class DeviceQuery(ABC):
+    """A query of rays on a device.
+
+    Parameters
+    ----------
+    query : Query
+        A filter's skipped triangles are those of these rays, as the caller gave them.
+    rays : RayLauncher
+    payload : array, dtype or None
+        For `Kind.TRACE`, see `place_payload`.
+    splits : ndarray of shape (N + 1,), int64, optional
+        For `Kind.MULTI_HIT`, if the hits have been counted: ray i owns rows splits[i] to
+        splits[i + 1] of the sink.
+
+    Attributes
+    ----------
+    goal : str
+        Of a filter's or program's kernel.
+    pass_count : int
+        Steps per ray that progress reports.
+    status : DeviceArray of shape (N,), uint8
+        A `RayStatus` for each ray.
+    """
+
+    goal: ClassVar[Goal]
+    pass_count: ClassVar[int] = 1
+    status: DeviceArray
+
+    def __init__(
+        self,
+        query: Query,
+        rays: RayLauncher,
+        *,
+        payload: Any = None,
+        splits: NDArray[np.int64] | None = None,
+    ) -> None:
+        self.query, self.rays = query, rays
+        self.work, self.scene = rays.work, rays.scene
+        self._payload, self._splits = payload, splits
+
+    @abstractmethod
+    def launch(self) -> Steps[None]:
+        """Launch the kernels.
+
+        Raises
+        ------
+        TypeError
+            If the filter or program does not run on the device.
+        CudaError
+            If there is no memory for the answers.
+        """
+
+    @property
+    @abstractmethod
+    def outputs(self) -> tuple[DeviceArray, ...]:
+        """The answers on the device."""
+
+    @abstractmethod
+    def result(self) -> Any:
+        """The answers as the tracer returns them for rays in device memory."""
+
+    @abstractmethod
+    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
+        """Write copies of `outputs` to the rows of a sink."""
+
+    def _cleared(self, name: str, dtype: Any) -> DeviceArray:
+        return self.work.cleared(name, len(self.rays), dtype)
+
+    def _shaped(self, array: DeviceArray) -> DeviceArray:
+        return array.shaped(self.rays.rays.shape)
+
+    def _program(self) -> ProgramRounds | None:
+        """The rounds of the filter, if the query has one."""
+        if self.query.on_hit is None or self.query.limit == 0:
+            return None
+        return ProgramRounds.of(self.rays, self.query, self.goal)
+
+    def _count(self, limit: int) -> Steps[DeviceArray]:
+        """Count the hits of each ray, at most `limit`, and write the status."""
+        counts = self.work.empty("counts", len(self.rays), np.int64)
+
+        def arguments(first: int) -> tuple[Any, ...]:
+            status = moved(self.status.address, first, 1)
+            to = CountAddresses(status, moved(counts.address, first, 8))
+            return bool(self.query.surfaces), np.uint64(limit), to
+
+        kernel = self.scene.kernels.count_hits
+        yield from self.rays.launch_with_tables(kernel, counts, arguments)
+        return counts
+
+
+class FirstHit(DeviceQuery):
+    """The nearest hit of each ray."""
+
+    goal = "first"
+
+    def launch(self) -> Steps[None]:
+        program = self._program()
+        self.hits = HitColumns.empty(self.work, len(self.rays))
+        self.status = self._cleared("status", np.uint8)
+        to = ResultAddresses(*self.hits.addresses, NULL, self.status.address)
+        self.rays.launch(self.scene.kernels.first_hit, to)
+        if program is not None:
+            yield from program.replace_rejected(self.hits.addresses)
+
+    @property
+    def outputs(self) -> tuple[DeviceArray, ...]:
+        return self.hits.block, self.status
+
+    def result(self) -> DeviceHits:
+        columns = self.hits.columns(self.rays.rays.shape)
+        return DeviceHits(*columns, self._shaped(self.status), self.scene.triangles)
+
+    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
+        self.hits.copy_rows(copies[0], sink.hits.part(rows))
+        sink.status[rows] = copies[1]
+
+
+class AnyHit(DeviceQuery):
+    """Whether each ray hits anything; with a filter, whether it has a nearest hit."""
+
+    goal = "first"
+
+    def launch(self) -> Steps[None]:
+        if self.query.on_hit is None:
+            self.seen = self.work.empty("answers", len(self.rays), np.bool_)
+            self.status = self._cleared("status", np.uint8)
+            nowhere = NULL, NULL, NULL, NULL
+            to = ResultAddresses(*nowhere, self.seen.address, self.status.address)
+            self.rays.launch(self.scene.kernels.any_hit, to)
+            return
+        nearest = FirstHit(self.query, self.rays)
+        yield from nearest.launch()
+        self.status = nearest.status
+        self.seen = self.work.empty("answers", len(self.rays), np.bool_)
+        to_seen = nearest.hits.addresses.prim_id, self.seen.address
+        self.work.launch(IS_HIT, len(self.rays), to_seen)
+
+    @property
+    def outputs(self) -> tuple[DeviceArray, ...]:
+        return self.seen, self.status
+
+    def result(self) -> DeviceArray:
+        return self._shaped(self.seen)
+
+    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
+        sink.seen[rows], sink.status[rows] = copies
+
+
+class CountHits(DeviceQuery):
+    """The number of hits of each ray."""
+
+    goal = "count"
+
+    def launch(self) -> Steps[None]:
+        program = self._program()
+        self.status = self._cleared("status", np.uint8)
+        if program is None:
+            self.counts = yield from self._count(self.query.limit)
+        else:
+            self.counts = self._cleared("counts", np.int64)
+            yield from program.count_into(self.counts)
+
+    @property
+    def outputs(self) -> tuple[DeviceArray, ...]:
+        return self.counts, self.status
+
+    def result(self) -> DeviceArray:
+        return self._shaped(self.counts)
+
+    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
+        sink.counts[rows], sink.status[rows] = copies
+
+
+class MultiHit(DeviceQuery):
+    """The nearest `limit` hits of each ray, by t, then prim_id."""
+
+    goal = "keep"
+    pass_count = 2
+
+    def launch(self) -> Steps[None]:
+        if self._splits is not None:
+            yield from self._launch_counted(self._splits)
+            return
+        program, limit = self._program(), self.query.limit
+        self.status = self._cleared("status", np.uint8)
+        if program is None:
+            # Also of rays that want no hits: it finds the invalid ones.
+            counts = yield from self._count(max(limit, 1))
+            if limit == 0:
+                self.work.gpu.clear(counts, self.work.stream)
+        else:
+            arguments = self.rays.rays.source, self.scene.frame, self.status.address
+            self.work.launch(NOTE_INVALID, len(self.rays), arguments)
+            counts = yield from program.count_kept(limit)
+        self.splits = prefix_sum(self.work, counts)
+        (total,) = yield (self.splits.part(len(self.rays), 1),)
+        self.rays.report(1, self.pass_count)
+        self.hits = HitColumns.empty(self.work, int(total[0]))
+        if not total[0]:
+            return
+        if program is None:
+            yield from self._write()
+        else:
+            yield from program.keep_rows(limit, self.splits, self.hits.addresses)
+
+    def _launch_counted(self, splits: NDArray[np.int64]) -> Steps[None]:
+        """Find hits that have been counted."""
+        self.splits = self.work.placed("splits", splits - splits[0])
+        self.hits = HitColumns.empty(self.work, int(splits[-1] - splits[0]))
+        yield from self._write()
+
+    def _write(self) -> Steps[None]:
+        """Write the hits of each ray to its rows."""
+        self.found = self.work.empty("counts", len(self.rays), np.int64)
+
+        def arguments(first: int) -> tuple[Any, ...]:
+            splits, found = (
+                moved(self.splits.address, first, 8),
+                moved(self.found.address, first, 8),
+            )
+            return bool(self.query.surfaces), RowAddresses(splits, self.hits.addresses, found)
+
+        kernel = self.scene.kernels.multi_hit
+        yield from self.rays.launch_with_tables(kernel, self.found, arguments)
+
+    @property
+    def outputs(self) -> tuple[DeviceArray, ...]:
+        if self._splits is not None:
+            return self.hits.block, self.found
+        return self.hits.block, self.splits, self.status
+
+    def result(self) -> DeviceMultiHits:
+        columns = self.hits.columns((self.hits.hit_count,))
+        return DeviceMultiHits(
+            self.splits, *columns, self._shaped(self.status), self.scene.triangles
+        )
+
+    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
+        if self._splits is not None:
+            block, found = copies
+            if not np.array_equal(found, np.diff(self._splits)):
+                raise CudaError(
+                    f"device 'cuda': {self.scene.gpu.name} found fewer hits than it had counted"
+                )
+            own = slice(int(self._splits[0]), int(self._splits[-1]))
+            self.hits.copy_rows(block, sink.hits.part(own))
+            return
+        block, splits, sink.status[rows] = copies
+        assert sink.visitor is not None
+        hits = HitArrays.rows_of(block[:, : self.hits.hit_count])
+        sink.visitor(HitBatch(hits, splits, None, rows.start))
+
+
+class Trace(DeviceQuery):
+    """A program at the hits of each ray, with a payload."""
+
+    goal = "trace"
+
+    def launch(self) -> Steps[None]:
+        self._placed = place_payload(self.work, self._payload, self.rays.rays.shape)
+        record = self._placed.record
+        program = ProgramRounds.of(self.rays, self.query, self.goal, record)
+        yield from program.trace(self._placed.address, self._placed.record_bytes)
+
+    @property
+    def outputs(self) -> tuple[DeviceArray, ...]:
+        return self._placed.copied
+
+    def result(self) -> Any:
+        self._placed.finish([self.work.read(one) for one in self.outputs])
+        return self._placed.result
+
+    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:  # noqa: ARG002
+        self._placed.finish(copies)
+
+
+#: The queries by kind.
+QUERIES: Mapping[Kind, type[DeviceQuery]] = MappingProxyType(
+    {
+        Kind.FIRST_HIT: FirstHit,
+        Kind.ANY_HIT: AnyHit,
+        Kind.COUNT_HITS: CountHits,
+        Kind.MULTI_HIT: MultiHit,
+        Kind.TRACE: Trace,
+    }
+)
+
+
+def trace_on_device(
+    scene: DeviceScene,
+    query: Query,
+    arrays: RayArrays,
+    progress: Progress | None = None,
+    payload: Any = None,
+) -> Any:
+    """Answer a query of rays in device memory, in the caller's stream.
+
+    Parameters
+    ----------
+    scene : DeviceScene
+    query : Query
+    arrays : RayArrays
+        See `place_device_rays`.
+    progress : callable, optional
+        Called when kernels have been launched, which the device may not have finished.
+    payload : array, dtype or None
+        For `Kind.TRACE`: an array on the device is changed in place, a NumPy array is copied
+        there and back, a dtype allocates zeros on the device.
+
+    Returns
+    -------
+    DeviceHits, DeviceArray, DeviceMultiHits, array or None
+        On the device, unless the payload is a NumPy array.
+
+    Raises
+    ------
+    ValueError, TypeError, CudaError
+        See `place_device_rays` and `place_payload`; or if the filter or program does not run on
+        the device.
+
+    Notes
+    -----
+    First and any hit return before the device is done; and so does counting, unless the structure
+    lists triangles twice: then 8 bytes are read to learn whether the tables were large enough.
+    Multi-hit reads the number of hits. Filters and programs wait after each round.
+    """
+
+    def report(done: int, passes: int) -> None:
+        if progress:
+            progress(done * len(rays), passes * len(rays))
+
+    given = arrays._asdict()
+    with StreamScope(scene.gpu, stream_of(scene.gpu, given)) as work:
+        rays = RayLauncher(scene, work, place_device_rays(work, **given), report=report)
+        task = QUERIES[query.kind](query, rays, payload=payload)
+        steps, copies = task.launch(), None
+        while (wanted := resume(steps, copies)) is not None:
+            copies = [work.read(one) for one in wanted]
+        result = task.result()
+    report(task.pass_count, task.pass_count)
+    return result

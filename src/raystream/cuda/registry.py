@@ -1,0 +1,54 @@
+"""The machines of the CUDA device, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from raystream.cuda.bvh.kernels import kernel_of
+from raystream.cuda.devices import open_device
+from raystream.cuda.options import OPTIONS, check_names
+from raystream.machines.backend import Backend
+from raystream.machines.devices import Machines
+from raystream.structures import Structure
+
+__all__ = ["CUDA_MACHINES"]
+
+
+class _CudaMachines:
+    names: tuple[str, ...] = tuple(OPTIONS)
+
+    def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of a tracer's options that are a machine's.
+
+        The device is opened, too: where there is none, no structure need be built to say so.
+        """
+        if machine not in OPTIONS:
+            known = ", ".join(map(repr, OPTIONS))
+            raise ValueError(f"machine: expected one of {known} on device 'cuda', got {machine!r}")
+        own = {name: value for name, value in options.items() if name in OPTIONS[machine]}
+        for name in options:
+            homes = [one for one, names in OPTIONS.items() if name in names]
+            if homes and machine not in homes:
+                raise TypeError(
+                    f"{machine}: has no option {name!r}; it is one of machine={homes[0]!r}"
+                )
+        kernel_of("bvh", own.get("kernel", "auto"))  # whether there is one of that name
+        check_names(own)
+        open_device(own.get("gpu", 0))
+        return own
+
+    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
+        """Make a machine for a structure that was built on the CPU."""
+        rest = dict(options)
+        gpu = open_device(rest.pop("gpu", 0))
+        if machine == "multipass":
+            from raystream.cuda.multipass import Multipass
+
+            return Multipass(structure, gpu, **rest)
+        from raystream.cuda.backend import CudaBackend
+
+        return CudaBackend(structure, gpu, **rest)
+
+
+CUDA_MACHINES: Machines = _CudaMachines()
