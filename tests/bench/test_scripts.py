@@ -263,11 +263,11 @@ compiling
 "Grid Size","Device","CC","Section Name","Metric Name","Metric Unit","Metric Value"
 "1","4711","python3.11","here","first_hit(a, ""b"")","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
 "Command line profiler metrics","gpu__time_duration.sum","nsecond","1,234,500"
-"0","4711","python3.11","here","first_hit_in_order","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
+"0","4711","python3.11","here","first_hit_reordered","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
 "Command line profiler metrics","l1tex__t_sector_hit_rate.pct","%","81.25"
-"0","4711","python3.11","here","first_hit_in_order","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
+"0","4711","python3.11","here","first_hit_reordered","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
 "Command line profiler metrics","dram__throughput.avg.pct_of_peak_sustained_elapsed","%","n/a"
-"0","4711","python3.11","here","first_hit_in_order","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
+"0","4711","python3.11","here","first_hit_reordered","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
 "Command line profiler metrics","another.sum","","7"
 ==PROF== Disconnected from process 4711
 """
@@ -276,7 +276,7 @@ compiling
 def test_counters_are_read_from_ncu():
     counters = script("cuda_counters")
     first, second = counters.launches_of(COUNTED)
-    assert first == {"kernel": "first_hit_in_order", "L1 hits %": 81.25, "DRAM %": None}
+    assert first == {"kernel": "first_hit_reordered", "L1 hits %": 81.25, "DRAM %": None}
     assert second == {"kernel": 'first_hit(a, "b")', "microseconds": 1234.5}
     assert counters.launches_of(COUNTED[: COUNTED.index('"ID"')]) == []
     assert counters.line_of("a way", first).split() == ["a", "way", *"---", "81.2", "-", "-"]
@@ -325,7 +325,7 @@ def test_counters_of_a_tool(check, monkeypatch, tmp_path, capsys, is_allowed):
     said = capsys.readouterr().out
     if is_allowed:  # two launches where there are nine ways: by their names
         assert [one["way"] for one in check.results["counters"]["launches"]] == [
-            *("first_hit_in_order", 'first_hit(a, "b")'),
+            *("first_hit_reordered", 'first_hit(a, "b")'),
         ]
         assert "81.2" in said
     else:

@@ -22,7 +22,7 @@ from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
 from ptx.memory import room_for
 from raystream.jit.cpu import kernel
-from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated, open_gpu, opening
+from raystream.jit.cuda import CAPABILITIES, RangeKernel, devices, is_simulated, open_gpu
 from raystream.jit.views import view
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
@@ -45,7 +45,7 @@ def driver(monkeypatch):
     made.count = NUMBER + 1
     fake_driver.install(monkeypatch, made)
     yield made
-    opening._opened.cache_clear()
+    devices._opened.cache_clear()
 
 
 def few_of(case):

@@ -169,7 +169,7 @@ def _count(i, to):
 def test_threads_take_the_numbers_of_the_order(gpu, launcher):
     order = gpu.upload("order", np.array([5, 1, 7, 40], np.uint32))
     out = gpu.upload("out", np.zeros(64, np.int32))
-    launcher(ray_order.in_order(_count)).launch(gpu, 3, (order.address, out.address))
+    launcher(ray_order.reordered(_count)).launch(gpu, 3, (order.address, out.address))
     gpu.wait()
     assert np.flatnonzero(out.host()).tolist() == [1, 5, 7]
 

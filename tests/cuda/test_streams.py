@@ -126,7 +126,7 @@ def test_kernels_are_steps_of_chains(gpu):
 def test_what_cannot_be_done_is_said(gpu):
     memory = StreamMemory(gpu)
     made, _ = kernel_of(np.random.default_rng(5))
-    with pytest.raises(TypeError, match="does not count what is gathered"):
+    with pytest.raises(TypeError, match="does not count gather reads"):
         memory.kernel(made).execute(counters=Counters())
     with pytest.raises(TypeError, match="no complex numbers"):
         memory.write(Stream(np.zeros(3, np.complex64)))

@@ -1,7 +1,7 @@
-"""The CUDA device: rays traced by NVIDIA's GPUs, with the CPU's own device functions.
+"""The CUDA device: traces rays on NVIDIA GPUs with the device functions of the CPU.
 
-``pip install raystream[cuda]``. Structures are built on the CPU, and the arrays that their
-traversals read are copied to the GPU; ``build="device"`` builds them there.
+``pip install raystream[cuda]``. Structures are built on the CPU and copied to the GPU, or built
+there with ``build="device"``.
 """
 
 from raystream.core.choices import Cuda

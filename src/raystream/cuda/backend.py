@@ -1,4 +1,4 @@
-"""The branching machine on CUDA: a thread takes a ray from start to end."""
+"""CudaBackend: the branching machine on CUDA, which traces one ray per thread."""
 
 from __future__ import annotations
 
@@ -28,39 +28,37 @@ if TYPE_CHECKING:
 
 __all__ = ["CudaBackend"]
 
-#: Rays of the host's that are on the device together.
+#: Most rays from the host that are on the device together.
 RAYS_AT_ONCE = 1 << 20
 
 
 class CudaBackend(Backend):
-    """Traces rays on a GPU, one a thread, with the CPU's traversals.
+    """Traces rays on a GPU, one per thread, with the CPU's traversals.
 
     Parameters
     ----------
     structure : Structure
-        Built on the CPU; what its traversal reads is copied to the device.
+        The arrays of its traversal are copied to the device.
     gpu : Gpu
     rays_at_once : int
-        Most rays of the host's that are on the device together: half of them are traced while
-        the others are copied. Rays in arrays on the device are traced all together.
+        Most rays from the host that are on the device together: half of them are traced while
+        the others are copied. Rays in device arrays are traced all together.
     kernel : {"auto", "compressed", "binary", "packet", "wide"}
-        Of a BVH: how it is laid out on the device, and traced.
+        For a BVH: its layout on the device and its traversal.
     launch : {"range", "persistent"}
-        How threads get their rays: each has one; or as many as the device runs at once stay, and
-        warps fetch more rays.
+        One thread per ray, or persistent threads, whose warps fetch rays until none is left.
     order : {"given", "sorted"}
-        Which rays the threads of a warp take: those that follow each other, or those that are
-        alike, for which the device sorts them first; see `ray_order`. Answers come in the order
-        of the rays.
+        Trace rays in the given order, or sort them first so that the rays of a warp are similar;
+        see `ray_order`. Answers come in the order of the rays.
 
     Raises
     ------
     CudaError
-        If there are no kernels for the structure, or no memory for it.
+        If the structure has no kernels, or there is not enough memory.
     ValueError
         If an option is out of range.
     TypeError
-        If `kernel` is given for a structure that is no BVH.
+        If `kernel` is given for a structure other than a BVH.
     """
 
     capabilities = Capabilities(device_arrays=True, shading=True)
@@ -133,7 +131,7 @@ class CudaBackend(Backend):
         return trace_on_device(self._scene, query, rays, progress, payload)
 
     def bands_on_device(self, context: RenderContext) -> CudaBands | None:
-        """What takes samples of an image on the device; see `Tracer.bands_on_device`."""
+        """Render samples of an image on the device; see `Tracer.bands_on_device`."""
         from raystream.cuda.rendering import CudaBands
 
         gpu, kernels, resident, frame, *_ = scene = self._scene

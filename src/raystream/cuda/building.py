@@ -1,4 +1,4 @@
-"""Who builds a structure for the CUDA device: the CPU, or the device itself."""
+"""Builds structures for the CUDA device, on the CPU or on the GPU."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def build_structure(
     structure : StructureOptions
     triangles : Triangles
     progress : callable, optional
-        Called with (triangles placed, triangles); once, at the end, by the device.
+        Called with (triangles placed, triangles); by the GPU once, at the end.
     device : Cuda, optional
-        Says who builds it. A device keeps what it built; the host gets a copy when it needs one.
+        With ``build="device"`` the GPU builds it; the host copies the arrays when it needs them.
 
     Raises
     ------
     ValueError
-        If the device cannot build it with these options.
+        If the GPU does not build the structure, or not with these options.
     TypeError
-        If it is built in one way, and a method is given.
+        If a method is given for a structure with a single one.
     CudaError
-        If the device has no memory for it.
+        If the GPU runs out of memory.
     """
     device = device or Cuda()
     if device.build == "host":

@@ -1,4 +1,4 @@
-"""DeviceHits and DeviceMultiHits: what the queries return for rays that are on the device."""
+"""DeviceHits and DeviceMultiHits: results of the queries for rays in device memory."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["DeviceHits", "DeviceMultiHits"]
 class DeviceHits:
     """The nearest hit of each ray, in the rays' leading shape S, on the rays' device.
 
-    The arrays belong to this object; libraries that view them keep them. They may be filled
-    later than the query returned: they order that by the streams that they are handed on with,
-    and whoever reads addresses follows the stream of ``__cuda_array_interface__``.
+    Libraries that view the arrays keep them alive. The device may fill them after the query
+    returns: libraries synchronise through the stream of DLPack or ``__cuda_array_interface__``,
+    and code that reads addresses has to wait for the latter.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class DeviceHits:
         self._triangles = triangles
 
     def host(self) -> Hits:
-        """The same as NumPy arrays; this waits for the device.
+        """Copy the hits to NumPy arrays; this waits for the device.
 
         Raises
         ------
@@ -55,9 +55,9 @@ class DeviceHits:
 
 
 class DeviceMultiHits:
-    """Many hits of each ray, by increasing distance, on the rays' device.
+    """The hits of each ray by increasing distance, on the rays' device.
 
-    See `DeviceHits` for whose the arrays are.
+    For the lifetime of the arrays see `DeviceHits`.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class DeviceMultiHits:
         self._triangles = triangles
 
     def host(self) -> MultiHits:
-        """The same as NumPy arrays; this waits for the device.
+        """Copy the hits to NumPy arrays; this waits for the device.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The GPUs of this machine, by number; ``numba-cuda`` is imported when they are first used."""
+"""Opens and lists GPUs; imports ``numba-cuda`` when they are first used."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def _needing_package() -> Iterator[None]:
 
 
 def open_device(number: Any = 0) -> Gpu:
-    """A GPU by its number.
+    """Open a GPU by its number.
 
     Raises
     ------
     RaystreamError
-        If there is none, or numba-cuda is missing.
+        If it does not exist, or numba-cuda is not installed.
     TypeError
-        If it is no integer.
+        If the number is not an integer.
     """
     with _needing_package():
         from raystream.jit.cuda import open_gpu
@@ -41,12 +41,12 @@ def open_device(number: Any = 0) -> Gpu:
 
 
 def list_gpus() -> tuple[list[GpuFacts], tuple[int, int] | None]:
-    """All GPUs, and the version of CUDA that the driver is for, None in the simulator.
+    """List the GPUs, and the CUDA version of the driver; None in the simulator.
 
     Raises
     ------
     RaystreamError
-        If there is none, or no driver, or ``numba-cuda`` is not installed.
+        If there is no GPU or driver, or ``numba-cuda`` is not installed.
     """
     with _needing_package():
         from raystream.jit.cuda import driver_version, gpu_facts

@@ -77,17 +77,17 @@ def trace_from_host(
 
 
 def _trace_part(
-    scene: DeviceScene, work: StagedScope, query: Query, batch: RayBatch, rows: slice, sink: Sink
+    scene: DeviceScene, scope: StagedScope, query: Query, batch: RayBatch, rows: slice, sink: Sink
 ) -> Steps[None]:
     """Copy some rays to the device, trace them, and copy the answers to the sink."""
     tallies = splits = None
     if sink.tallies is not None:
         shape = rows.stop - rows.start, sink.tallies.shape[1]
-        tallies = work.cleared("tallies", shape, np.uint32)
+        tallies = scope.cleared("tallies", shape, np.uint32)
     if hasattr(sink, "splits"):
         splits = sink.splits[rows.start : rows.stop + 1]
-    placed = place_rays(batch, rows, work.placed)
-    rays = RayLauncher(scene, work, placed, rows.start, tallies)
+    placed = place_rays(batch, rows, scope.placed)
+    rays = RayLauncher(scene, scope, placed, rows.start, tallies)
     payload = None if sink.records is None else sink.records[rows]
     chosen = query.on_hit
     if getattr(chosen, "skipped", None) is not None:

@@ -31,7 +31,7 @@ Steps = Generator[tuple[DeviceArray, ...], list[NDArray[Any]], _Result]
 #: Most bytes of the tables of triangles seen.
 TABLE_BYTES = 1 << 28
 
-#: Growth of the tables when one was too small.
+#: Growth of the tables after one was too small.
 GROWTH = 8
 
 _NO_TABLES = SeenTables(np.uint64(0), np.uint64(0))
@@ -78,7 +78,7 @@ class RayLauncher:
     Parameters
     ----------
     scene : DeviceScene
-    work : StreamScope
+    scope : StreamScope
         Holds the memory of the query.
     rays : DeviceRays
     first : int
@@ -92,13 +92,13 @@ class RayLauncher:
     def __init__(
         self,
         scene: DeviceScene,
-        work: StreamScope,
+        scope: StreamScope,
         rays: DeviceRays,
         first: int = 0,
         tallies: DeviceArray | None = None,
         report: Callable[[int, int], None] = lambda *_: None,
     ) -> None:
-        self.scene, self.work, self.rays, self.first = scene, work, rays, first
+        self.scene, self.scope, self.rays, self.first = scene, scope, rays, first
         self.report = report
         self._tallies = tallies
         self._orders: dict[tuple[int, int], DeviceArray] = {}
@@ -108,7 +108,7 @@ class RayLauncher:
 
     def launch(self, kernel: RangeKernel, *arguments: Any) -> None:
         """Launch a kernel of `QueryKernels` for each ray; does not wait."""
-        self._launch(self.work, kernel, 0, len(self), arguments)
+        self._launch(self.scope, kernel, 0, len(self), arguments)
 
     def launch_with_tables(
         self,
@@ -117,7 +117,7 @@ class RayLauncher:
         arguments_at: Callable[[int], tuple[Any, ...]],
         start: int = 0,
     ) -> Steps[None]:
-        """Launch a kernel that notes the triangles seen, until every ray's table is large enough.
+        """Launch a kernel that needs tables of triangles seen, until all of them are large enough.
 
         Parameters
         ----------
@@ -131,29 +131,29 @@ class RayLauncher:
         """
         if not self.scene.has_duplicates:
             arguments = _NO_TABLES, *arguments_at(0)
-            self._launch(self.work, kernel, start, len(counts), arguments)
+            self._launch(self.scope, kernel, start, len(counts), arguments)
             return
         room = int(LEAST_ROOM)
         while True:
             most = min(max(TABLE_BYTES // (4 * room + 4), 1), len(counts))
-            with self.work.nested() as scope:
-                memory = scope.empty("tables of triangles seen", (most, room + 1), np.int32)
+            with self.scope.nested() as inner:
+                memory = inner.empty("tables of triangles seen", (most, room + 1), np.int32)
                 tables = SeenTables(memory.address, np.uint64(room))
                 for offset in range(0, len(counts), max(most, 1)):
                     count = min(most, len(counts) - offset)
                     self._launch(
-                        scope, kernel, start + offset, count, (tables, *arguments_at(offset))
+                        inner, kernel, start + offset, count, (tables, *arguments_at(offset))
                     )
-                (has_overflowed,) = yield (note_value(scope, counts, RETRY),)
+                (has_overflowed,) = yield (note_value(inner, counts, RETRY),)
             if not has_overflowed[0]:
                 return
             if self._tallies is not None:
-                self.work.gpu.clear(self._tallies, self.work.stream)
+                self.scope.gpu.clear(self._tallies, self.scope.stream)
             room *= GROWTH
 
     def _launch(
         self,
-        scope: StreamScope,
+        inner: StreamScope,
         kernel: RangeKernel,
         start: int,
         count: int,
@@ -165,13 +165,13 @@ class RayLauncher:
         shared: tuple[Any, ...] = source, scene.frame, scene.resident.tree, tallies
         if scene.is_sorted:
             shared = self._order(start, count).address, *shared
-        self.work.follow()
-        scope.launch(kernel, count, (*shared, *arguments))
+        self.scope.follow()
+        inner.launch(kernel, count, (*shared, *arguments))
 
     def _order(self, start: int, count: int) -> DeviceArray:
-        """Numbers of some rays in the order of their keys, sorted once."""
+        """Indices of some rays in the order of their keys, sorted once."""
         if (start, count) not in self._orders:
-            work, source = self.work, self.rays.source_from(start)
-            order = sort_rays(work.gpu, source, count, self.scene.frame, work.ready, work.stream)
+            scope, source = self.scope, self.rays.source_from(start)
+            order = sort_rays(scope.gpu, source, count, self.scene.frame, scope.ready, scope.stream)
             self._orders[start, count] = order
         return self._orders[start, count]

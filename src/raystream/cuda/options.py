@@ -1,4 +1,4 @@
-"""Options of the CUDA tracer that are names; known without CUDA's packages."""
+"""Options of the CUDA device's machines; importable without CUDA's packages."""
 
 from __future__ import annotations
 
@@ -20,23 +20,22 @@ OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 
-#: How threads get their rays: each one of a range, or whenever a warp is done with the last ones.
+#: How threads get rays: one thread per ray, or persistent warps that fetch rays.
 LAUNCHES = ("range", "persistent")
 
-#: Which rays the threads of a warp take: those that were given one after the other, or those that
-#: are alike.
+#: The order in which threads take rays; see `ray_order`.
 ORDERS = ("given", "sorted")
 
 _NAMES: Mapping[str, Sequence[str]] = MappingProxyType({"launch": LAUNCHES, "order": ORDERS})
 
 
 def check_names(options: Mapping[str, Any]) -> None:
-    """Refuse names that are unknown; options that are not among these are left alone.
+    """Check the options that are names; others are ignored.
 
     Raises
     ------
     ValueError
-        If there is no launch or order of that name.
+        If a launch or order is unknown.
     """
     for option, names in _NAMES.items():
         if options.get(option, names[0]) not in names:

@@ -1,4 +1,4 @@
-"""Packing rays on the device, where one step does not lead from each to the next."""
+"""Packs rays on the device whose memory layout has no single stride from ray to ray."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from raystream.jit.simd import load, store
 
 __all__ = ["PACK", "pack"]
 
-#: Directions that an array may be left with.
+#: Most dimensions of an array after adjacent ones have been merged.
 DIRECTIONS = 4
 
 _ZERO, _ONE, _WIDE = np.uint64(0), np.uint64(1), np.uint64(8)
@@ -34,33 +34,33 @@ def _pack(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
         to += kept_bytes
 
 
-#: Copies one row of `pack`.
+#: Copies one row for `pack`.
 PACK = RangeKernel(_pack)
 
 
 def pack(
-    work: StreamScope,
+    scope: StreamScope,
     name: str,
     view: DeviceView,
     runs: list[tuple[int, int]],
     last: int,
     count: int,
 ) -> tuple[np.uint64, np.uint64]:
-    """Copy an array to memory without gaps; one number a ray becomes float32.
+    """Copy an array to contiguous memory; limits become float32.
 
     Parameters
     ----------
-    work : StreamScope
+    scope : StreamScope
     name : str
-        The argument, for errors.
+        Of the argument, for errors.
     view : DeviceView
-        Of vectors, shape S + (3,), or limits, S + (1,).
+        Vectors of shape S + (3,), or limits of shape S + (1,).
     runs : list of (int, int)
-        Lengths and strides of S, broadcast, outermost first; none if all rays share a value.
+        Lengths and strides of S, broadcast, outermost first; empty if all rays share a value.
     last : int
-        Stride of the last direction.
+        Stride of the last dimension.
     count : int
-        Rays.
+        Number of rays.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def pack(
     Raises
     ------
     ValueError
-        If it lies in more directions than are of any use.
+        If more than four dimensions remain.
     CudaError
         If there is no memory.
     """
@@ -78,7 +78,7 @@ def pack(
     width = view.shape[-1]
     row_count = count if runs else 1
     dtype = view.dtype if width == 3 else np.dtype(np.float32)
-    made = work.empty(name, (row_count, width), dtype)
+    made = scope.empty(name, (row_count, width), dtype)
     full = [*runs[::-1], *[(1, 0)] * (DIRECTIONS - len(runs))]
     arguments = (
         np.uint64(view.address),
@@ -90,5 +90,5 @@ def pack(
         np.uint64(dtype.itemsize),
         made.address,
     )
-    work.launch(PACK, row_count if count else 0, arguments)
+    scope.launch(PACK, row_count if count else 0, arguments)
     return made.address, np.uint64(width * dtype.itemsize if runs else 0)

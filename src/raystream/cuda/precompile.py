@@ -1,4 +1,4 @@
-"""All kernels with arguments of the right types: to be compiled where no device is."""
+"""Every CUDA kernel with arguments of the right types, to compile them without a GPU."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _CORNER = (np.float32(0.0),) * 3
 _SOURCE = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
 _FRAME = SceneFrame((0.0, 0.0, 0.0), 1.0, 1.0, _CORNER, _CORNER, np.float32(0.0))
 
-#: Kernels for rays in arrays on the device, of whatever structure; by name.
+#: Kernels for rays in device arrays by name; they do not depend on the structure.
 ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
     "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
     "note": (NOTE, (_AT, np.int64(0), _AT)),
@@ -54,20 +54,20 @@ def catalogue_of(
     order: str = "given",
     **options: Any,
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """The kernels of a structure, and arguments that are good for their types alone.
+    """The query kernels of a structure, with arguments that have the right types only.
 
     Parameters
     ----------
     name : str
-        The structure's.
+        Of the structure.
     scene : Scene
-        Any: the structure is built of it.
+        Any; the structure is built for it.
     counters : bool
-        Whether rays are counted.
+        Whether rays have counters.
     kernel, launch, order : str
         See `CudaBackend`.
     **options
-        Of the structure.
+        Options of the structure.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def catalogue_of(
 
 
 def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
-    """All kernels: queries, passes, programs, arrays on the device, builds, and renderers.
+    """All kernels: queries, passes, programs, device arrays, builders and renderers.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
     Returns
     -------
     dict
-        By what they serve, and name: what compiles them for a capability. Those that have to be
-        linked are left out.
+        By group and name: functions that compile a kernel for a compute capability. Kernels that
+        have to be linked are left out.
     """
     ways: list[tuple[str, str, dict[str, Any]]] = [
         *((name, name, {}) for name in STRUCTURES if name != "bvh"),

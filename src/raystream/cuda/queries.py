@@ -37,7 +37,7 @@ __all__ = ["QUERIES", "DeviceQuery", "trace_on_device"]
 _ROW_ALIGNMENT = 64
 
 
-class HitColumns(NamedTuple):
+class HitBlock(NamedTuple):
     """Hits on a device: four rows t, u, v and prim_id of one array.
 
     Attributes
@@ -51,10 +51,10 @@ class HitColumns(NamedTuple):
     hit_count: int
 
     @classmethod
-    def empty(cls, work: StreamScope, count: int) -> HitColumns:
-        """Allocate rows, not initialised."""
+    def empty(cls, scope: StreamScope, count: int) -> HitBlock:
+        """Allocate uninitialised rows."""
         length = -(-count // _ROW_ALIGNMENT) * _ROW_ALIGNMENT
-        return cls(work.empty("hits", (4, length), np.float32), count)
+        return cls(scope.empty("hits", (4, length), np.float32), count)
 
     @property
     def addresses(self) -> HitAddresses:
@@ -64,7 +64,7 @@ class HitColumns(NamedTuple):
     def columns(
         self, shape: tuple[int, ...]
     ) -> tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray]:
-        """The rows as arrays of their own."""
+        """The rows as separate arrays."""
         length = self.block.shape[1]
         t, u, v, bits = (
             self.block.part(k * length, self.hit_count).shaped(shape) for k in range(4)
@@ -78,7 +78,7 @@ class HitColumns(NamedTuple):
 
 
 class DeviceQuery(ABC):
-    """A query of rays on a device.
+    """A query of rays on a device: one subclass per kind.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class DeviceQuery(ABC):
     Attributes
     ----------
     goal : str
-        Of a filter's or program's kernel.
+        What the kernel of a filter or program does with hits.
     pass_count : int
         Steps per ray that progress reports.
     status : DeviceArray of shape (N,), uint8
@@ -114,7 +114,7 @@ class DeviceQuery(ABC):
         splits: NDArray[np.int64] | None = None,
     ) -> None:
         self.query, self.rays = query, rays
-        self.work, self.scene = rays.work, rays.scene
+        self.scope, self.scene = rays.scope, rays.scene
         self._payload, self._splits = payload, splits
 
     @abstractmethod
@@ -143,7 +143,7 @@ class DeviceQuery(ABC):
         """Write copies of `outputs` to the rows of a sink."""
 
     def _cleared(self, name: str, dtype: Any) -> DeviceArray:
-        return self.work.cleared(name, len(self.rays), dtype)
+        return self.scope.cleared(name, len(self.rays), dtype)
 
     def _shaped(self, array: DeviceArray) -> DeviceArray:
         return array.shaped(self.rays.rays.shape)
@@ -156,7 +156,7 @@ class DeviceQuery(ABC):
 
     def _count(self, limit: int) -> Steps[DeviceArray]:
         """Count the hits of each ray, at most `limit`, and write the status."""
-        counts = self.work.empty("counts", len(self.rays), np.int64)
+        counts = self.scope.empty("counts", len(self.rays), np.int64)
 
         def arguments(first: int) -> tuple[Any, ...]:
             status = moved(self.status.address, first, 1)
@@ -175,7 +175,7 @@ class FirstHit(DeviceQuery):
 
     def launch(self) -> Steps[None]:
         program = self._program()
-        self.hits = HitColumns.empty(self.work, len(self.rays))
+        self.hits = HitBlock.empty(self.scope, len(self.rays))
         self.status = self._cleared("status", np.uint8)
         to = ResultAddresses(*self.hits.addresses, NULL, self.status.address)
         self.rays.launch(self.scene.kernels.first_hit, to)
@@ -202,7 +202,7 @@ class AnyHit(DeviceQuery):
 
     def launch(self) -> Steps[None]:
         if self.query.on_hit is None:
-            self.seen = self.work.empty("answers", len(self.rays), np.bool_)
+            self.seen = self.scope.empty("answers", len(self.rays), np.bool_)
             self.status = self._cleared("status", np.uint8)
             nowhere = NULL, NULL, NULL, NULL
             to = ResultAddresses(*nowhere, self.seen.address, self.status.address)
@@ -211,9 +211,9 @@ class AnyHit(DeviceQuery):
         nearest = FirstHit(self.query, self.rays)
         yield from nearest.launch()
         self.status = nearest.status
-        self.seen = self.work.empty("answers", len(self.rays), np.bool_)
+        self.seen = self.scope.empty("answers", len(self.rays), np.bool_)
         to_seen = nearest.hits.addresses.prim_id, self.seen.address
-        self.work.launch(IS_HIT, len(self.rays), to_seen)
+        self.scope.launch(IS_HIT, len(self.rays), to_seen)
 
     @property
     def outputs(self) -> tuple[DeviceArray, ...]:
@@ -267,15 +267,15 @@ class MultiHit(DeviceQuery):
             # Also of rays that want no hits: it finds the invalid ones.
             counts = yield from self._count(max(limit, 1))
             if limit == 0:
-                self.work.gpu.clear(counts, self.work.stream)
+                self.scope.gpu.clear(counts, self.scope.stream)
         else:
             arguments = self.rays.rays.source, self.scene.frame, self.status.address
-            self.work.launch(NOTE_INVALID, len(self.rays), arguments)
+            self.scope.launch(NOTE_INVALID, len(self.rays), arguments)
             counts = yield from program.count_kept(limit)
-        self.splits = prefix_sum(self.work, counts)
+        self.splits = prefix_sum(self.scope, counts)
         (total,) = yield (self.splits.part(len(self.rays), 1),)
         self.rays.report(1, self.pass_count)
-        self.hits = HitColumns.empty(self.work, int(total[0]))
+        self.hits = HitBlock.empty(self.scope, int(total[0]))
         if not total[0]:
             return
         if program is None:
@@ -285,13 +285,13 @@ class MultiHit(DeviceQuery):
 
     def _launch_counted(self, splits: NDArray[np.int64]) -> Steps[None]:
         """Find hits that have been counted."""
-        self.splits = self.work.placed("splits", splits - splits[0])
-        self.hits = HitColumns.empty(self.work, int(splits[-1] - splits[0]))
+        self.splits = self.scope.placed("splits", splits - splits[0])
+        self.hits = HitBlock.empty(self.scope, int(splits[-1] - splits[0]))
         yield from self._write()
 
     def _write(self) -> Steps[None]:
         """Write the hits of each ray to its rows."""
-        self.found = self.work.empty("counts", len(self.rays), np.int64)
+        self.found = self.scope.empty("counts", len(self.rays), np.int64)
 
         def arguments(first: int) -> tuple[Any, ...]:
             splits, found = (
@@ -337,7 +337,7 @@ class Trace(DeviceQuery):
     goal = "trace"
 
     def launch(self) -> Steps[None]:
-        self._placed = place_payload(self.work, self._payload, self.rays.rays.shape)
+        self._placed = place_payload(self.scope, self._payload, self.rays.rays.shape)
         record = self._placed.record
         program = ProgramRounds.of(self.rays, self.query, self.goal, record)
         yield from program.trace(self._placed.address, self._placed.record_bytes)
@@ -347,7 +347,7 @@ class Trace(DeviceQuery):
         return self._placed.copied
 
     def result(self) -> Any:
-        self._placed.finish([self.work.read(one) for one in self.outputs])
+        self._placed.finish([self.scope.read(one) for one in self.outputs])
         return self._placed.result
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:  # noqa: ARG002
@@ -400,9 +400,9 @@ def trace_on_device(
 
     Notes
     -----
-    First and any hit return before the device is done; and so does counting, unless the structure
-    lists triangles twice: then 8 bytes are read to learn whether the tables were large enough.
-    Multi-hit reads the number of hits. Filters and programs wait after each round.
+    First and any hit return before the device is done. So does counting, unless the structure has
+    duplicates: then 8 bytes are read to learn whether the tables were large enough. Multi-hit
+    reads the number of hits. Filters and programs wait after each round.
     """
 
     def report(done: int, passes: int) -> None:
@@ -410,12 +410,12 @@ def trace_on_device(
             progress(done * len(rays), passes * len(rays))
 
     given = arrays._asdict()
-    with StreamScope(scene.gpu, stream_of(scene.gpu, given)) as work:
-        rays = RayLauncher(scene, work, place_device_rays(work, **given), report=report)
+    with StreamScope(scene.gpu, stream_of(scene.gpu, given)) as scope:
+        rays = RayLauncher(scene, scope, place_device_rays(scope, **given), report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
         steps, copies = task.launch(), None
         while (wanted := resume(steps, copies)) is not None:
-            copies = [work.read(one) for one in wanted]
+            copies = [scope.read(one) for one in wanted]
         result = task.result()
     report(task.pass_count, task.pass_count)
     return result

@@ -1,7 +1,7 @@
-"""What a CUDA thread does for one ray: the CPU's device functions, compiled unchanged.
+"""Query kernels: the CPU's device functions, one ray per CUDA thread.
 
-A thread takes its ray as the caller gave it, turns it into a local one, searches, and writes world
-distances: one kernel a query.
+A thread reads its ray where the caller has it, transforms it to the local frame, traverses the
+structure, and writes world distances.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _LONG = np.uint64(3)  # one of eight
 
-#: A count that says: the table of triangles seen was too small for this ray.
+#: The count of a ray whose table of triangles seen was too small.
 RETRY = -1
 
 
 class SeenTables(NamedTuple):
-    """Memory for the triangles that each ray has met, where a structure lists them twice.
+    """Hash tables of the triangles that each ray has tested, for structures with duplicates.
 
     Attributes
     ----------
     memory : uint64
         Address of the first thread's table.
     room : uint64
-        Places of a table, a power of two; 0 for structures that list no triangle twice. A table
-        has one number more.
+        Entries of a table, a power of two; 0 for structures without duplicates. A table has one
+        number more.
     """
 
     memory: np.uint64
@@ -86,7 +86,7 @@ class RowAddresses(NamedTuple):
 
 
 class QueryKernels(NamedTuple):
-    """Kernels over rays; `make_kernels` makes them for a structure."""
+    """The kernels of a structure, from `make_kernels`."""
 
     first_hit: RangeKernel
     any_hit: RangeKernel
@@ -104,7 +104,7 @@ def _tally_at(tallies, i):
 
 @device
 def _seen_of(tables, i):
-    """Thread i's own set of triangles, empty."""
+    """The empty table of thread i."""
     size = (tables.room + _ONE) << _WORD
     seen = SeenSet(tables.memory + size * i, tables.room)
     clear_seen(seen)
@@ -130,7 +130,7 @@ def make_kernels(
     traverse : device function
         See `kernels.queries.ray_queries`.
     stack_bytes : int
-        Of the memory that it is given.
+        Of its stack.
     launcher : callable
         `RangeKernel` or `PersistentKernel`.
     has_duplicates : bool
@@ -139,8 +139,8 @@ def make_kernels(
     Returns
     -------
     QueryKernels
-        Each for ``(source, frame, tree, tallies, ...)``: rays of the caller's, the scene's frame,
-        the structure's arrays, and the address of tallies or None.
+        Each takes ``(source, frame, tree, tallies, ...)``: the rays, the scene's frame, the
+        structure's arrays, and the address of tallies or None.
     """
     search_ray = ray_search(traverse)
     seen_of = _seen_of if has_duplicates else _no_set

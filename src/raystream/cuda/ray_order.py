@@ -1,9 +1,9 @@
-"""The order in which a device's threads take rays: as they are given, or sorted against divergence.
+"""Ray order: sorts rays by origin and direction, so that the rays of a warp diverge less.
 
-Rays that start near each other and go the same way meet the same nodes, so that the threads of a
-warp that have them read the same memory and are done at about the same time. A key says where a
-ray starts and where it goes; its numbers are sorted by it, and rays and answers stay where they
-are: thread j takes ray ``order[j]``, and writes to that ray's own place.
+Rays with similar origins and directions visit the same nodes: the threads of a warp then read the
+same memory and end at about the same time. Ray indices are sorted by a key of origin and
+direction. Rays and answers are not moved: thread j traces ray ``order[j]``, and writes to that
+ray's place.
 
 References
 ----------
@@ -29,10 +29,10 @@ from raystream.jit.simd import store
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 
-__all__ = ["KEY_BITS", "MAKE_KEY", "in_order", "sort_rays"]
+__all__ = ["KEY_BITS", "MAKE_KEY", "reordered", "sort_rays"]
 
-#: A key has, from the top: a bit for each axis, where the direction is negative; these for each
-#: axis, where the origin is; and these for each of two weights of the direction.
+#: A key has, from the top: the signs of the direction; this number of bits per axis for the cell of
+#: the origin; and for each of two barycentric weights of the direction in its octant.
 _CELL_BITS, _WEIGHT_BITS = 5, 7
 KEY_BITS = 3 + 3 * _CELL_BITS + 2 * _WEIGHT_BITS
 
@@ -50,7 +50,7 @@ _LAST_WEIGHT = np.float32(2**_WEIGHT_BITS - 1)
 
 @device
 def _spread_by_three(number):
-    """The bits of a number below 2**10, with two zeros after each."""
+    """Insert two zeros after each bit of a number below 2**10."""
     number = np.uint32((number | np.uint32(number << np.uint32(16))) & np.uint32(0x030000FF))
     number = np.uint32((number | np.uint32(number << np.uint32(8))) & np.uint32(0x0300F00F))
     number = np.uint32((number | np.uint32(number << np.uint32(4))) & np.uint32(0x030C30C3))
@@ -59,7 +59,7 @@ def _spread_by_three(number):
 
 @device
 def _spread_by_two(number):
-    """The bits of a number below 2**8, with a zero after each."""
+    """Insert a zero after each bit of a number below 2**8."""
     number = np.uint32((number | np.uint32(number << np.uint32(4))) & np.uint32(0x0F0F))
     number = np.uint32((number | np.uint32(number << np.uint32(2))) & np.uint32(0x3333))
     return np.uint32((number | np.uint32(number << _ONE)) & np.uint32(0x5555))
@@ -67,7 +67,7 @@ def _spread_by_two(number):
 
 @device
 def _step_of(x, last):
-    """The whole part of a number, not above `last`; 0 of a negative number and of NaN."""
+    """Truncate a number and clamp it to [0, last]; NaN becomes 0."""
     if not x > _ZERO:
         return _NO_BITS
     return np.uint32(min(x, last))
@@ -80,14 +80,14 @@ def _cell(x, low, scale):
 
 @device
 def _key_of(ray, frame):
-    """Where a local ray starts, and where it goes."""
+    """The key of a local ray."""
     if ray.status != _VALID:
         return _LAST
     x = _ONE if ray.dx < _ZERO else _NO_BITS
     y = _ONE if ray.dy < _ZERO else _NO_BITS
     z = _ONE if ray.dz < _ZERO else _NO_BITS
     key = np.uint32(x | np.uint32(y << _ONE) | np.uint32(z << np.uint32(2)))
-    # Cubes, as many to the longest side of the scene's box. Those outside count as the nearest.
+    # Cubic cells, 32 along the longest side of the scene's box. Origins outside are clamped.
     longest = max(
         frame.high[0] - frame.low[0], frame.high[1] - frame.low[1], frame.high[2] - frame.low[2]
     )
@@ -98,8 +98,8 @@ def _key_of(ray, frame):
         | np.uint32(_cell(ray.oz, frame.low[2], scale) << np.uint32(2))
     )
     key = np.uint32(np.uint32(key << np.uint32(3 * _CELL_BITS)) | cell)
-    # The direction within its octant, where it meets the plane through (1, 0, 0), (0, 1, 0) and
-    # (0, 0, 1); its largest component is at least 1.
+    # The direction in its octant, projected to the plane through (1, 0, 0), (0, 1, 0) and
+    # (0, 0, 1). Its largest component is at least 1.
     fine = _WEIGHTS / (abs(ray.dx) + abs(ray.dy) + abs(ray.dz))
     first = _spread_by_two(_step_of(abs(ray.dx) * fine, _LAST_WEIGHT))
     second = _spread_by_two(_step_of(abs(ray.dy) * fine, _LAST_WEIGHT))
@@ -109,12 +109,12 @@ def _key_of(ray, frame):
 
 @kernel
 def _make_key(i, source, frame, keys, numbers):
-    """Write the key of ray i, and its number."""
+    """Write the key of ray i, and i."""
     store(keys + (i << _WORD), _key_of(load_ray(source, i, frame), frame))
     store(numbers + (i << _WORD), np.uint32(i))
 
 
-#: Begins the sort: for ``(source, frame, keys, numbers)``, addresses of uint32.
+#: The keys, for ``(source, frame, keys, numbers)``; the last two are addresses of uint32.
 MAKE_KEY = RangeKernel(_make_key)
 
 
@@ -126,7 +126,7 @@ def sort_rays(
     empty: Callable[[str, Any, Any], DeviceArray],
     stream: CudaStream,
 ) -> DeviceArray:
-    """Begin to sort rays; nothing waits for it.
+    """Launch the sort of rays; does not wait.
 
     Parameters
     ----------
@@ -134,29 +134,29 @@ def sort_rays(
     source : RaySource
         Rays on the device.
     count : int
-        Of them, less than 2**32.
+        Number of rays, less than 2**32.
     frame : SceneFrame
-        Of the rays.
+        Frame of the scene.
     empty : callable
-        ``empty(name, shape, dtype)`` makes an array that may be used in the stream at once, and
-        may be dropped as soon as all that uses it was begun there.
+        ``empty(name, shape, dtype)`` allocates an array that the stream may use at once, and that
+        may be dropped when all that uses it has been launched there.
     stream : CudaStream
 
     Returns
     -------
     DeviceArray of shape (count,), uint32
-        Their numbers, in the order of their keys: invalid ones are the last, and rays with one
-        key keep their order.
+        Ray indices by increasing key; invalid rays come last, and rays with equal keys keep
+        their order.
 
     Raises
     ------
     CudaError
-        If there is no memory: 16 bytes a ray, while it is done.
+        If there is no memory: the sort takes 16 bytes per ray.
 
     Notes
     -----
-    A ray's key depends on the ray and the scene's box alone, and the sort is stable: the same
-    rays are always in the same order.
+    The order is deterministic: a key depends on the ray and the scene's box alone, and the sort
+    is stable.
     """
     keys = empty("keys of rays", count, np.uint32)
     numbers = empty("numbers of rays", count, np.uint32)
@@ -166,8 +166,8 @@ def sort_rays(
     return order
 
 
-def in_order(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a kernel that calls another one with the numbers of an array.
+def reordered(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a kernel so that it reads its ray index from an order.
 
     Parameters
     ----------
@@ -177,12 +177,12 @@ def in_order(function: Callable[..., Any]) -> Callable[..., Any]:
     Returns
     -------
     callable
-        For ``(j, order, *arguments)``: calls it with row j of `order`, an array of uint32 at an
-        address. It is compiled for CUDA alone; the simulator interprets it.
+        For ``(j, order, *arguments)``: calls `function` with the uint32 at index j of the address
+        `order`. Compiled for CUDA only; the simulator interprets it.
     """
 
     def ordered(j: Any, order: Any, *arguments: Any) -> None:
         function(np.uint64(get_32(order, j)), *arguments)
 
-    ordered.__name__ = ordered.__qualname__ = f"{function.__name__}_in_order"
+    ordered.__name__ = ordered.__qualname__ = f"{function.__name__}_reordered"
     return ordered if is_simulated() else device(ordered)

@@ -1,4 +1,4 @@
-"""Rays in GPU memory, as kernels read them: copied from the host, or the caller's device arrays."""
+"""Rays in GPU memory: copied from the host, or read in the caller's device arrays."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class DeviceRays(NamedTuple):
         return math.prod(self.shape)
 
     def source_from(self, first: int) -> RaySource:
-        """Where the rays from one on are."""
+        """The source of the rays from `first` on."""
         own = self.source
         return own._replace(
             origins=moved(own.origins, first, own.origin_step),
@@ -88,7 +88,7 @@ class DeviceRays(NamedTuple):
 def place_rays(
     batch: RayBatch, rows: slice, upload: Callable[[str, NDArray[Any]], DeviceArray]
 ) -> DeviceRays:
-    """Copy some rays of a batch to a device; what all of them share is copied once.
+    """Copy some rays of a batch to a device; a value that all of them share is copied once.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def place_rays(
 
 
 def _given(array: NDArray[Any], rows: slice) -> NDArray[Any]:
-    """Rows of an array; one if all are the same."""
+    """Rows of an array; one if it is broadcast."""
     return array[:1] if len(array) > 1 and array.strides[0] == 0 else array[rows]
 
 
@@ -127,39 +127,39 @@ def _row_bytes(array: DeviceArray) -> np.uint64:
 
 @cache
 def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
-    """The limits that most rays have, copied to a device once."""
+    """The default limits, copied to a device once."""
     return {value: gpu.upload("limits", one) for value, one in DEFAULT_LIMITS.items()}
 
 
 def place_device_rays(
-    work: StreamScope, origins: Any, directions: Any, t_min: Any, t_max: Any
+    scope: StreamScope, origins: Any, directions: Any, t_min: Any, t_max: Any
 ) -> DeviceRays:
-    """View rays where they are, at least some of them on the device.
+    """View rays in the caller's arrays, at least one of which is on the device.
 
     Parameters
     ----------
-    work : StreamScope
-        In whose stream they are read.
+    scope : StreamScope
+        Its stream reads them.
     origins, directions, t_min, t_max
         As for `RayBatch`; arrays on the device are float32 or float64, and those on the host
-        have one vector or number.
+        a single vector or number.
 
     Raises
     ------
     ValueError
         If shapes disagree.
     TypeError
-        If numbers are of another type, or an array is on the host.
+        If a dtype is not supported, or a larger array is on the host.
     CudaError
         If an array is on another device, or there is no memory.
 
     Notes
     -----
-    Nothing is copied where one step leads from each ray to the next: one value for all, rows
-    with or without gaps, backward. Other layouts, such as columns or two arrays broadcast
-    against each other in different directions, and limits in float64, are packed on the device.
+    Arrays with a single stride from ray to ray are not copied: one value for all rays, or rows
+    with or without gaps, forward or backward. Other layouts, such as columns or two arrays
+    broadcast along different axes, and float64 limits, are packed on the device.
     """
-    vectors = _vectors(work, "origins", origins), _vectors(work, "directions", directions)
+    vectors = _vectors(scope, "origins", origins), _vectors(scope, "directions", directions)
     try:
         shape = np.broadcast_shapes(*(one.shape[:-1] for one in vectors))
     except ValueError:
@@ -167,18 +167,18 @@ def place_device_rays(
             f"origins and directions: shapes {vectors[0].shape} and {vectors[1].shape} "
             "do not broadcast against each other"
         ) from None
-    limits = _limit(work, "t_min", t_min, shape), _limit(work, "t_max", t_max, shape)
+    limits = _limit(scope, "t_min", t_min, shape), _limit(scope, "t_max", t_max, shape)
     places: list[Any] = []
     for name, one in zip(("origins", "directions"), vectors, strict=True):
-        places += [*_placed(work, name, one, shape), one.dtype.itemsize == 8]
+        places += [*_placed(scope, name, one, shape), one.dtype.itemsize == 8]
     for name, one in zip(("t_min", "t_max"), limits, strict=True):
         row = (*one.shape, 1), (*one.strides, one.dtype.itemsize)
-        places += _placed(work, name, one._replace(shape=row[0], strides=row[1]), shape)
+        places += _placed(scope, name, one._replace(shape=row[0], strides=row[1]), shape)
     return DeviceRays(shape, RaySource(*places))
 
 
-def _vectors(work: StreamScope, name: str, values: Any) -> DeviceView:
-    view = _view(work, name, values)
+def _vectors(scope: StreamScope, name: str, values: Any) -> DeviceView:
+    view = _view(scope, name, values)
     if view.shape == (0,):
         view = view._replace(shape=(0, 3), strides=(0, view.dtype.itemsize))
     if not view.shape or view.shape[-1] != 3:
@@ -186,11 +186,11 @@ def _vectors(work: StreamScope, name: str, values: Any) -> DeviceView:
     return view
 
 
-def _limit(work: StreamScope, name: str, values: Any, shape: tuple[int, ...]) -> DeviceView:
-    usual = usual_limits(work.gpu)
+def _limit(scope: StreamScope, name: str, values: Any, shape: tuple[int, ...]) -> DeviceView:
+    usual = usual_limits(scope.gpu)
     if type(values) in (float, int) and values in usual:
         return DeviceView(int(usual[values].address), (), (), np.dtype(np.float32))
-    view = _view(work, name, values, lambda one: one.astype(np.float32))
+    view = _view(scope, name, values, lambda one: one.astype(np.float32))
     try:
         fits = np.broadcast_shapes(view.shape, shape) == shape
     except ValueError:
@@ -203,10 +203,10 @@ def _limit(work: StreamScope, name: str, values: Any, shape: tuple[int, ...]) ->
 
 
 def _view(
-    work: StreamScope, name: str, values: Any, convert: Callable[[Any], Any] = np.ascontiguousarray
+    scope: StreamScope, name: str, values: Any, convert: Callable[[Any], Any] = np.ascontiguousarray
 ) -> DeviceView:
     if is_on_gpu(values):
-        view = view_of(work, name, values)
+        view = view_of(scope, name, values)
         if view.dtype not in (np.float32, np.float64):
             raise TypeError(f"{name}: expected float32 or float64 on a GPU, got {view.dtype}")
         steps = (view.address, *view.strides)
@@ -221,14 +221,14 @@ def _view(
         )
     with np.errstate(over="ignore"):
         array = np.ascontiguousarray(convert(array)).reshape(array.shape)
-    placed = work.placed(name, array)
+    placed = scope.placed(name, array)
     return DeviceView(int(placed.address), array.shape, array.strides, array.dtype)
 
 
 def _placed(
-    work: StreamScope, name: str, view: DeviceView, shape: tuple[int, ...]
+    scope: StreamScope, name: str, view: DeviceView, shape: tuple[int, ...]
 ) -> tuple[np.uint64, np.uint64]:
-    """Address and step of vectors or of limits of shape S + (1,); packed if these do not do."""
+    """Address and stride of vectors, or of limits of shape S + (1,); packed if necessary."""
     *lengths, width = view.shape
     *steps, last = view.strides
     strides = [0] * (len(shape) - len(lengths))
@@ -238,11 +238,11 @@ def _placed(
     if len(runs) <= 1 and fits:
         step = runs[0][1] if runs else 0
         return np.uint64(view.address), np.uint64(step % 2**64)
-    return pack(work, name, view, runs, last, math.prod(shape))
+    return pack(scope, name, view, runs, last, math.prod(shape))
 
 
 def _runs(shape: tuple[int, ...], strides: list[int]) -> list[tuple[int, int]]:
-    """Lengths and strides, outermost first, with directions put together that are one."""
+    """Lengths and strides, outermost first, with contiguous dimensions merged."""
     runs: list[tuple[int, int]] = []
     for length, stride in zip(shape, strides, strict=True):
         if length == 1:

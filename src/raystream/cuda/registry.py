@@ -19,9 +19,9 @@ class _CudaMachines:
     names: tuple[str, ...] = tuple(OPTIONS)
 
     def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Those of a tracer's options that are a machine's.
+        """Select and check the options of a machine.
 
-        The device is opened, too: where there is none, no structure need be built to say so.
+        Opens the GPU, so that a missing one is reported before a structure is built.
         """
         if machine not in OPTIONS:
             known = ", ".join(map(repr, OPTIONS))
@@ -33,13 +33,13 @@ class _CudaMachines:
                 raise TypeError(
                     f"{machine}: has no option {name!r}; it is one of machine={homes[0]!r}"
                 )
-        kernel_of("bvh", own.get("kernel", "auto"))  # whether there is one of that name
+        kernel_of("bvh", own.get("kernel", "auto"))  # raises if it is unknown
         check_names(own)
         open_device(own.get("gpu", 0))
         return own
 
     def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
-        """Make a machine for a structure that was built on the CPU."""
+        """Make a backend for a structure."""
         rest = dict(options)
         gpu = open_device(rest.pop("gpu", 0))
         if machine == "multipass":

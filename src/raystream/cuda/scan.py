@@ -1,4 +1,4 @@
-"""Counts of rays on the device: where each ray's rows begin, and whether a value is among them."""
+"""Counts of rays on the device: their prefix sums, and whether a value is among them."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def _note(i, counts, wanted, noted):
         store(noted, np.int64(1))
 
 
-#: Note that a value is there.
+#: Sets a flag if a number has a value.
 NOTE = RangeKernel(_note)
 
 
-def prefix_sum(work: StreamScope, counts: DeviceArray) -> DeviceArray:
-    """Sum the first 0, 1, ... N numbers.
+def prefix_sum(scope: StreamScope, counts: DeviceArray) -> DeviceArray:
+    """Sums of the first 0, 1, ... N numbers.
 
     Parameters
     ----------
-    work : StreamScope
+    scope : StreamScope
     counts : DeviceArray of shape (N,), int64
 
     Returns
@@ -37,18 +37,18 @@ def prefix_sum(work: StreamScope, counts: DeviceArray) -> DeviceArray:
     DeviceArray of shape (N + 1,), int64
     """
     count = len(counts)
-    splits = work.ready("splits", count + 1, np.int64)
+    splits = scope.ready("splits", count + 1, np.int64)
     if count == 0:
-        work.gpu.clear(splits, work.stream)
+        scope.gpu.clear(splits, scope.stream)
         return splits
-    with work.nested() as scope:
-        scan = Scan(work.gpu, count, empty=scope.ready)
-        scan.run(counts.address, count, splits.address, np.int64, work.stream.native)
+    with scope.nested() as inner:
+        scan = Scan(scope.gpu, count, empty=inner.ready)
+        scan.run(counts.address, count, splits.address, np.int64, scope.stream.native)
     return splits
 
 
-def note_value(work: StreamScope, counts: DeviceArray, value: int) -> DeviceArray:
+def note_value(scope: StreamScope, counts: DeviceArray, value: int) -> DeviceArray:
     """Set an int64 to 1 if a value is among int64 numbers, else to 0."""
-    noted = work.cleared("note", 1, np.int64)
-    work.launch(NOTE, counts.size, (counts.address, np.int64(value), noted.address))
+    noted = scope.cleared("note", 1, np.int64)
+    scope.launch(NOTE, counts.size, (counts.address, np.int64(value), noted.address))
     return noted

@@ -1,8 +1,4 @@
-"""StagingStreams: two streams that take turns, so that one copies while the other traces.
-
-A device copies from and to pinned memory of the host while it computes. So what goes to it is first
-put into such memory, and what comes back is taken out of it.
-"""
+"""Staging streams: copies through pinned memory that overlap with kernels of other streams."""
 
 from __future__ import annotations
 
@@ -18,15 +14,15 @@ from raystream.jit.cuda import CudaError, CudaStream, DeviceArray, Gpu, StreamSc
 
 __all__ = ["STREAM_COUNT", "StagedScope", "StagingStream", "StagingStreams"]
 
-#: One copies in or out while the other traces.
+#: Streams of a query: one copies while the other traces.
 STREAM_COUNT = 2
 
-#: Pieces of pinned memory begin at multiples of so many bytes.
+#: Alignment of arrays in pinned memory, in bytes.
 _ALIGNMENT = 64
 
 
 class StagingStream:
-    """A stream with pinned memory, for one part of the rays after the other.
+    """A stream with pinned memory, for one part of the rays at a time.
 
     Parameters
     ----------
@@ -41,15 +37,15 @@ class StagingStream:
         self._piece, self._used = 0, 0
 
     def begin(self) -> None:
-        """Begin a new part: the memory of the latest one is free again."""
-        if len(self._pieces) > 1:  # what took several pieces gets one
+        """Begin a new part: reuses the pinned memory of the last one."""
+        if len(self._pieces) > 1:  # merge them
             byte_count = sum(map(len, self._pieces))
-            self._pieces = []  # before there is another
+            self._pieces = []  # free them first
             self._pieces = [self._gpu.pinned(byte_count)]
         self._piece, self._used = 0, 0
 
     def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array on the device, not initialised.
+        """Allocate an uninitialised array on the device.
 
         Raises
         ------
@@ -59,13 +55,13 @@ class StagingStream:
         return self._gpu.pooled(name, shape, dtype, self.stream)
 
     def cleared(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array of zeros on the device."""
+        """Allocate an array of zeros on the device."""
         made = self.empty(name, shape, dtype)
         self._gpu.clear(made, self.stream)
         return made
 
     def upload(self, name: str, array: NDArray[Any]) -> DeviceArray:
-        """Begin to copy an array to the device; it may be changed at once.
+        """Start a copy to the device; the array may be changed at once.
 
         Raises
         ------
@@ -79,29 +75,29 @@ class StagingStream:
         return made
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
-        """Begin to copy an array of this stream to the host.
+        """Start a copy of an array of this stream to the host.
 
         Returns
         -------
         ndarray
-            It has the numbers after `finish`, until `begin`.
+            Valid after `finish`, until `begin`.
         """
         pinned = self._pinned(array.shape, array.dtype)
         self._gpu.copy(pinned.ctypes.data, array.address, pinned.nbytes, self.stream)
         return pinned
 
     def finish(self) -> None:
-        """Wait until all that was begun is done.
+        """Wait for the stream.
 
         Raises
         ------
         CudaError
-            If some of it failed.
+            If a kernel or copy failed.
         """
         self.stream.sync()
 
     def _pinned(self, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-        """Some pinned memory, that nothing else has before `begin`."""
+        """Pinned memory that is in use until `begin`."""
         dtype = np.dtype(dtype)
         byte_count = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         while self._piece < len(self._pieces):
@@ -133,20 +129,20 @@ class StagedScope(StreamScope):
         return StagedScope(self._staging)
 
     def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array, not initialised."""
+        """Allocate an uninitialised array."""
         made = self._staging.empty(name, shape, dtype)
         self._memory.append(made)
         return made
 
     def placed(self, name: str, array: NDArray[Any]) -> DeviceArray:
-        """Begin to copy an array of the host to the device; it may be changed at once."""
+        """Start a copy from the host; the array may be changed at once."""
         made = self._staging.upload(name, array)
         self._memory.append(made)
         return made
 
 
 class StagingStreams:
-    """The streams of a machine, kept from query to query.
+    """The staging streams of a backend, kept from query to query.
 
     Parameters
     ----------
@@ -160,9 +156,9 @@ class StagingStreams:
 
     @contextmanager
     def taken(self, count: int = STREAM_COUNT) -> Iterator[list[StagingStream]]:
-        """StagingStreams for one query: queries in other threads have others.
+        """Streams for one query; queries in other threads use others.
 
-        However it ends, they are empty then.
+        On exit, also after an exception, the streams are idle.
         """
         with self._lock:
             streams = [self._free.pop() for _ in range(min(count, len(self._free)))]
@@ -177,11 +173,11 @@ class StagingStreams:
             self._free += streams
 
     def _empty(self, streams: list[StagingStream]) -> None:
-        """Wait for what an exception left behind, for whose memory is freed next."""
+        """Wait for launches that an exception left behind, before their memory is freed."""
         try:
             for stream in streams:
                 stream.finish()
-        except CudaError:  # the device is lost: so are they
+        except CudaError:  # the device is lost
             return
         with self._lock:
             self._free += streams

@@ -1,7 +1,7 @@
-"""Kernels over streams on a GPU: those of `raystream.streams`, with their records there.
+"""Stream kernels on a GPU: runs kernels of `raystream.streams` on streams in GPU memory.
 
 A kernel is declared as for the CPU. `StreamMemory` copies its streams and gather arrays to a
-device, and runs it there; what it wrote stays there until it is asked for.
+device and runs it; outputs stay there until they are read.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import LoopLimitError
-from raystream.cuda.columns import NAMES, Columns, capacity_of
+from raystream.cuda.soa import NAMES, SoaLayout, capacity_of
 from raystream.jit.atomics import atomic_add_aggregated
 from raystream.jit.cuda import (
     MAX_DIMENSIONS,
@@ -38,9 +38,9 @@ _NONE = np.uint64(0)
 
 @dataclass
 class _Resident:
-    """Records on a device; and a second array for kernels that read the first as they write."""
+    """Records on a device, and a back buffer for kernels that gather what they write."""
 
-    columns: Columns
+    columns: SoaLayout
     count: int
     front: DeviceArray
     back: DeviceArray | None = None
@@ -81,33 +81,33 @@ class StreamMemory:
 
     def __init__(self, gpu: Gpu) -> None:
         self.gpu = gpu
-        # By id, with what has the id, which so stays its own.
+        # By id; the values keep the objects alive, so that no other has the id.
         self._streams: dict[int, tuple[Stream, _Resident]] = {}
         self._arrays: dict[int, tuple[GatherArray, _Resident]] = {}
 
     def write(self, stream: Stream) -> None:
-        """Copy a stream's records to the device, as they are now.
+        """Copy a stream's current records to the device.
 
         Raises
         ------
         CudaError
             If there is no memory for them.
         TypeError
-            If they are complex.
+            If they have complex numbers.
         """
-        columns = Columns(stream.layout)
+        columns = SoaLayout(stream.layout)
         front = columns.upload(self.gpu, stream.label, stream.array)
         self._streams[id(stream)] = stream, _Resident(columns, len(stream), front)
 
     def read(self, stream: Stream) -> Stream:
-        """Copy a stream's records from the device, if they are there; returns the stream."""
+        """Copy a stream's records from the device, if it has them; returns the stream."""
         if id(stream) in self._streams:
             _, resident = self._streams[id(stream)]
             resident.columns.read(resident.front, stream.array)
         return stream
 
     def kernel(self, kernel: Kernel) -> CudaKernel:
-        """A kernel on the device; its streams are copied there unless they are there already."""
+        """Prepare a kernel for the device; copies streams that are not there yet."""
         return CudaKernel(kernel, self)
 
     def resident(self, stream: Stream) -> _Resident:
@@ -117,17 +117,17 @@ class StreamMemory:
         return self._streams[id(stream)][1]
 
     def place(self, stream: Stream) -> DeviceArray:
-        """A stream's records on the device; a copy, if no kernel has brought them there."""
+        """A stream's records on the device; a temporary copy if no kernel uses the stream."""
         if id(stream) in self._streams:
             return self._streams[id(stream)][1].front
-        return Columns(stream.layout).upload(self.gpu, stream.label, stream.array)
+        return SoaLayout(stream.layout).upload(self.gpu, stream.label, stream.array)
 
     def table(self, gather: GatherArray) -> _Resident:
-        """A gather array's records on the device, where an array is copied once."""
+        """A gather array's records on the device; an array is copied once."""
         if gather.stream is not None:
             return self.resident(gather.stream)
         if id(gather) not in self._arrays:
-            columns, records = Columns(gather.layout), _flat(gather)
+            columns, records = SoaLayout(gather.layout), _flat(gather)
             front = columns.upload(self.gpu, gather.name or "gather array", records)
             self._arrays[id(gather)] = gather, _Resident(columns, len(records), front)
         return self._arrays[id(gather)][1]
@@ -150,8 +150,8 @@ class CudaKernel:
 
     Notes
     -----
-    As on the CPU: records run in any order, and a function sees through gather arrays the records
-    as they were before. Indices of gather arrays are not checked.
+    As on the CPU, records run in any order, and gather arrays show the records from before the
+    pass. Indices of gather arrays are not checked.
     """
 
     def __init__(self, kernel: Kernel, memory: StreamMemory) -> None:
@@ -172,14 +172,14 @@ class CudaKernel:
         self._mask: DeviceArray | None = None
 
     def execute(self, *, where: Any = None, counters: Counters | None = None) -> int:
-        """Run over all records, or those for which a condition holds.
+        """Run over all records, or those that satisfy a condition.
 
         Parameters
         ----------
         where : Condition, optional
-            Instead of the kernel's own.
+            Replaces the kernel's own.
         counters : Counters, optional
-            Gets the pass.
+            Records the pass.
 
         Returns
         -------
@@ -189,14 +189,14 @@ class CudaKernel:
         Raises
         ------
         TypeError
-            If its function cannot be compiled. If reads of gather arrays would have to be counted:
-            the CPU does that.
+            If its function cannot be compiled, or counters are given for a kernel with gather
+            arrays, whose reads only the CPU counts.
         CudaError
             If the device fails.
         """
         kernel, gpu = self._kernel, self._memory.gpu
         if counters is not None and kernel.declared.gathers:
-            raise TypeError(f"{self.name}: device 'cuda' does not count what is gathered")
+            raise TypeError(f"{self.name}: device 'cuda' does not count gather reads")
         condition = kernel.where if where is None else as_condition(where, kernel.record_count)
         counts = gpu.upload("counts", np.zeros(2, np.uint32))
         made, arguments = self.prepared(condition)
@@ -210,12 +210,12 @@ class CudaKernel:
         return int(written)
 
     def loop(self, *, where: Any = None, limit: int = LOOP_LIMIT) -> int:
-        """Execute until no record is written; returns the number of calls.
+        """Execute until no record is written; returns the number of passes.
 
         Raises
         ------
         LoopLimitError
-            If the last call of those allowed still wrote records.
+            If the last permitted pass still wrote records.
         """
         written = 0
         for call in range(1, check_limit(self.name, limit) + 1):
@@ -229,7 +229,7 @@ class CudaKernel:
         return Count(1, 1, self.execute(counters=counters))
 
     def prepared(self, condition: Condition | None) -> tuple[RangeKernel, tuple[Any, ...]]:
-        """What runs, and its arguments after that of the counts."""
+        """The compiled kernel, and its arguments after the counts."""
         kernel, memory = self._kernel, self._memory
         place = next(
             (
@@ -257,7 +257,7 @@ class CudaKernel:
         arguments += declared.constants.values()
         if condition is not None:
             if place is None:
-                self._mask = memory.place(condition.stream)  # kept until it was read
+                self._mask = memory.place(condition.stream)  # kept alive until it is read
                 arguments.append(self._mask.address)
             arguments.append(condition.value)
         return self._made[key], tuple(arguments)
@@ -277,12 +277,12 @@ def _flat(gather: GatherArray) -> NDArray[Any]:
 def _text_of(
     kernel: Kernel, condition: Condition | None, place: int | None
 ) -> tuple[str, dict[str, Any]]:
-    """The text of what a thread does for a record, and the names that it uses.
+    """The source of the kernel of one record, and the names that it uses.
 
-    As `streams.source` writes the CPU's loop, but for columns.
+    The counterpart of the loop of `streams.source`, for records in columns.
     """
     declared, source = kernel.declared, kernel.declared.source()
-    columns = [Columns(layout) for layout in source.streams]
+    columns = [SoaLayout(layout) for layout in source.streams]
     names: dict[str, Any] = {
         **NAMES,
         "accept": accept(_shapes(source), "its output"),
@@ -304,7 +304,7 @@ def _text_of(
     test = "True"
     if condition is not None:
         parameters += ["value"] if place is not None else ["where", "value"]
-        own = Columns(condition.stream.layout)
+        own = SoaLayout(condition.stream.layout)
         base = "where" if place is None else f"stream_{place}"
         test = f"{own.load(base, 'capacity', 'i', '')} {condition.operation} value"
     arguments = []
@@ -331,12 +331,12 @@ def _text_of(
 
 
 def _shapes(source: Any) -> Any:
-    """What the function is to return; see `jit.user_results.accept`."""
+    """The shapes that the function returns; see `jit.user_results.accept`."""
     shapes = tuple(source.streams[k].shape for k, _ in source.outputs)
     return shapes[0] if source.is_single else shapes
 
 
-def _stores(source: Any, columns: list[Columns]) -> list[str]:
+def _stores(source: Any, columns: list[SoaLayout]) -> list[str]:
     lines = []
     for part, (k, is_double) in enumerate(source.outputs):
         value = "record" if source.is_single else f"record[{part}]"
@@ -345,8 +345,8 @@ def _stores(source: Any, columns: list[Columns]) -> list[str]:
     return lines
 
 
-def _copies(source: Any, columns: list[Columns]) -> list[str]:
-    """The statements that keep a record which is not written."""
+def _copies(source: Any, columns: list[SoaLayout]) -> list[str]:
+    """The statements that copy a record that is not written to the back buffer."""
     lines = []
     for k, is_double in source.outputs:
         if is_double:
@@ -356,7 +356,7 @@ def _copies(source: Any, columns: list[Columns]) -> list[str]:
 
 def _load_function(gather: GatherArray) -> Callable[..., Any]:
     """The device function (base, capacity, i) that reads a record."""
-    columns = Columns(gather.layout)
+    columns = SoaLayout(gather.layout)
     loaded = columns.load("base", "capacity", "i", "Record")
     names = {**NAMES, "Record": gather.layout.record}
     return device_from_source(

@@ -1,4 +1,4 @@
-"""Structures in a GPU's memory, and the kernels that search them."""
+"""Structures in GPU memory, and the query kernels that traverse them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 from raystream.cuda.bvh.kernels import LAYOUTS, kernel_of, lay_out
 from raystream.cuda.options import check_names
 from raystream.cuda.query_kernels import QueryKernels, make_kernels
-from raystream.cuda.ray_order import in_order
+from raystream.cuda.ray_order import reordered
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu, PersistentKernel, RangeKernel
 from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
@@ -21,7 +21,7 @@ __all__ = [
     "place",
 ]
 
-#: What launches kernels, by `options.LAUNCHES`.
+#: Classes of kernels, by `options.LAUNCHES`.
 _LAUNCHERS = {"range": RangeKernel, "persistent": PersistentKernel}
 
 _Launcher = Callable[[Callable[..., Any]], RangeKernel]
@@ -30,26 +30,26 @@ _Launcher = Callable[[Callable[..., Any]], RangeKernel]
 def kernels_of(
     name: str, kernel: str = "auto", launch: str = "range", order: str = "given"
 ) -> QueryKernels:
-    """The kernels of a structure.
+    """The query kernels of a structure.
 
     Parameters
     ----------
     name : str
-        The structure's.
+        Name of the structure.
     kernel : str
-        Of a BVH, see `bvh.kernels.KERNELS`.
+        For a BVH, see `bvh.kernels.KERNELS`.
     launch, order : str
-        See `options`. Kernels for sorted rays take the address of their order first, see
-        `ray_order.in_order`.
+        See `options`. Kernels for sorted rays take the address of the order first, see
+        `ray_order.reordered`.
 
     Raises
     ------
     CudaError
-        If there are none.
+        If the structure has no kernels.
     ValueError
-        If there is no kernel, launch or order of that name.
+        If a kernel, launch or order is unknown.
     TypeError
-        If a kernel is asked for, and the structure is no BVH.
+        If a kernel is named for a structure other than a BVH.
     """
     if name not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
@@ -66,19 +66,19 @@ def _made(name: str, kernel: str | None, launch: str, order: str) -> QueryKernel
         traverse, stack_bytes = form_of(name, LAYOUTS).search_of(kernel)
     launcher: _Launcher = plain
     if order == "sorted":
-        launcher = lambda function: plain(in_order(function))  # noqa: E731
+        launcher = lambda function: plain(reordered(function))  # noqa: E731
     return make_kernels(traverse, stack_bytes, launcher, has_duplicates=made.can_have_duplicates)
 
 
 class Resident(NamedTuple):
-    """A structure in a GPU's memory.
+    """A structure in GPU memory.
 
     Attributes
     ----------
     tree : NamedTuple
         As `Structure.arrays`, with addresses on the device.
     arrays : tuple of DeviceArray
-        What is there: to be kept as long as the tree is used.
+        The memory; keep it as long as the tree is used.
     """
 
     tree: Any
@@ -87,7 +87,7 @@ class Resident(NamedTuple):
 
 @runtime_checkable
 class BuiltOnDevice(Protocol):
-    """A structure that is in a device's memory already.
+    """A structure that was built in GPU memory.
 
     Attributes
     ----------
@@ -100,36 +100,36 @@ class BuiltOnDevice(Protocol):
 
 
 def _has_layouts(structure: Structure) -> bool:
-    """Whether the device has layouts of its own for a structure."""
+    """Whether the structure has other layouts on the device."""
     return form_of(structure.name, LAYOUTS) is not None
 
 
 def kernel_for(structure: Structure, gpu: Gpu, kernel: str) -> str:
-    """The kernel that ``"auto"`` stands for where a BVH was built on the device: its own layout."""
+    """Resolve ``"auto"``: a BVH that was built on the device keeps its layout."""
     is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
     return "wide" if kernel == "auto" and is_there and _has_layouts(structure) else kernel
 
 
 def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
-    """Copy what a structure's traversal reads to a device, or find what was built there.
+    """Copy the arrays of a structure's traversal to a device, or return those built there.
 
     Parameters
     ----------
     structure : Structure
     gpu : Gpu
     kernel : str
-        Of a BVH, as for `kernels_of`.
+        For a BVH, as in `kernels_of`.
 
     Raises
     ------
     CudaError
-        If there is no memory for all of it: then nothing was copied.
+        If there is not enough memory; nothing has been copied then.
     """
     is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
     if is_there and (kernel == "wide" or not _has_layouts(structure)):
         return cast("BuiltOnDevice", structure).resident
     tree, given = lay_out(structure, kernel)
-    # Nothing is at address 0.
+    # Address 0 marks arrays that are absent.
     memory = {name: one for name, one in given.items() if getattr(tree, name)}
     wanted, free = sum(one.nbytes for one in memory.values()), gpu.free_byte_count()
     if wanted > free:
@@ -138,6 +138,6 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
             f"{gpu.name} has {free:,} free; trace a smaller one, or use device='cpu'"
         )
     arrays = {name: gpu.upload(f"{structure.name}, {name}", one) for name, one in memory.items()}
-    gpu.wait()  # for whom other streams do not
+    gpu.wait()  # other streams do not
     addresses = {name: one.address for name, one in arrays.items()}
     return Resident(tree._replace(**addresses), tuple(arrays.values()))

@@ -1,4 +1,4 @@
-"""What programs read of the triangles, in a GPU's memory: once for a tracer."""
+"""Triangles in scene order in GPU memory, for filters and programs."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["DeviceTriangles"]
 
 
 class DeviceTriangles:
-    """Triangles by their numbers in the scene, copied to a device when a program first runs.
+    """Triangles by prim_id, copied to a device when a program first runs.
 
-    Traversals have them in an order of their own, some of them twice.
+    The arrays of a traversal are in another order, and may have triangles twice.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class DeviceTriangles:
         self._arrays: tuple[DeviceArray, DeviceArray] | None = None
 
     def place(self) -> SceneAt:
-        """Where they are.
+        """Their addresses on the device.
 
         Raises
         ------
@@ -39,7 +39,7 @@ class DeviceTriangles:
             if self._arrays is None:
                 corners = self._gpu.upload("corners", self._triangles.corners)
                 splits = self._gpu.upload("meshes", self._triangles.mesh_splits)
-                self._gpu.wait()  # for whom other streams do not
+                self._gpu.wait()  # other streams do not
                 self._arrays = corners, splits
         corners, splits = self._arrays
         host = SceneAt.of(self._triangles)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.columns import NAMES, Columns
 from raystream.cuda.multipass.kernels.moving import chosen_kernel, is_waiting, move, row_of
+from raystream.cuda.soa import NAMES, SoaLayout
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.from_source import device_from_source, kernel_from_source
 from raystream.machines.records import FOUND, RAY, WANTED
@@ -25,10 +25,10 @@ __all__ = ["STREAMS", "columns_of", "pass_of"]
 STREAMS = ("ray", "wanted", "found", "place")
 
 
-def columns_of(steps: Steps) -> dict[str, Columns]:
+def columns_of(steps: Steps) -> dict[str, SoaLayout]:
     """How the streams lie in memory."""
     types = RAY, WANTED, FOUND, steps.place
-    return {name: Columns.of(dtype) for name, dtype in zip(STREAMS, types, strict=True)}
+    return {name: SoaLayout.of(dtype) for name, dtype in zip(STREAMS, types, strict=True)}
 
 
 def pass_of(steps: Steps) -> RangeKernel:
@@ -80,7 +80,7 @@ def _text(kernel_count: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _step(number: int, one: StepKernel, columns: dict[str, Columns]) -> Any:
+def _step(number: int, one: StepKernel, columns: dict[str, SoaLayout]) -> Any:
     """A kernel's function on the ray in a row: reads and writes its records, returns its state."""
     parts = []
     for name in inspect.signature(one.function).parameters:

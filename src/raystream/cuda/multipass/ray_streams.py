@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.columns import capacity_of
 from raystream.cuda.multipass.control import Rules, begin_control, read_ended
 from raystream.cuda.multipass.kernels.choose import DECIDE, DECIDE_IN_LOOP
 from raystream.cuda.multipass.kernels.rays import (
@@ -21,6 +20,7 @@ from raystream.cuda.multipass.kernels.rays import (
 )
 from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import STREAMS, columns_of, pass_of
+from raystream.cuda.soa import capacity_of
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceLoop, Gpu, Launch
 from raystream.jit.cuda.scan import Scan

@@ -1,4 +1,4 @@
-"""DeviceProgram: a user's function, compiled into a kernel over the rows of rays."""
+"""DeviceProgram: a filter or program, compiled into a kernel over rows of hits."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from raystream.programs.texts import Goal, names_of, text_of
 
 __all__ = ["DeviceProgram", "Record"]
 
-#: A payload's dtype, and how many of it a ray has if it has no fields.
+#: Dtype of a payload, and the number of elements per ray if it has no fields.
 Record = tuple[np.dtype[Any], int]
 
 _AT = np.uint64(0)
 
-#: Arguments of each goal, good for their types alone.
+#: Arguments of each goal with the right types only.
 _GOALS: dict[str, tuple[Any, ...]] = {
     "trace": (_AT,),
     "first": (HitAddresses(_AT, _AT, _AT, _AT),),
@@ -35,7 +35,7 @@ _GOALS: dict[str, tuple[Any, ...]] = {
     "keep": (_AT, np.int64(0), _AT, HitAddresses(_AT, _AT, _AT, _AT)),
 }
 
-#: Kernels that stay in memory; the oldest go.
+#: Most kernels kept in memory; the oldest are dropped.
 _KEPT_KERNELS = 1024
 
 _MADE: dict[Any, UserKernel] = {}
@@ -50,22 +50,22 @@ class DeviceProgram:
         See `Program`.
     goal : {"trace", "first", "count", "keep"}
     skips : bool
-        Whether some triangles do not exist for a ray.
+        Whether rays skip triangles.
     constants : tuple, optional
-        Handed to the function: numbers, and tuples of them.
+        Passed to the function: numbers, and tuples of them.
     record : (dtype, int), optional
-        With the goal ``"trace"``: of the payload.
+        Of the payload, for the goal ``"trace"``.
 
     Attributes
     ----------
     name : str
-        The function's.
+        Of the function.
     kernel : UserKernel
 
     Raises
     ------
     TypeError
-        If it is no function of so many arguments.
+        If it is not a function, or has other parameters.
     """
 
     def __init__(
@@ -112,12 +112,12 @@ class DeviceProgram:
         skips: SkipsAt | None,
         goal: Iterable[Any],
     ) -> tuple[Any, ...]:
-        """What the kernel is given, after an entry's number."""
+        """The kernel's arguments after the index of an entry."""
         own = () if skips is None else (skips,)
         return (rows, rays, scene, open_rays, *own, *self._constants, *goal)
 
     def typical(self) -> tuple[Any, ...]:
-        """Arguments that are good for their types alone."""
+        """Arguments with the right types only."""
         return self.arguments(
             RowsAt.nowhere(),
             RaysAt.nowhere(),
@@ -132,13 +132,13 @@ class DeviceProgram:
         return self.kernel.compiled(self.typical(), capability)
 
     def reason_against(self, gpu: Gpu) -> str | None:
-        """Why it has to run on the CPU; None if it runs on a device."""
+        """Why it has to run on the CPU; None if it runs on the device."""
         return self.reason_on(gpu.capability)
 
     def reason_on(self, capability: tuple[int, int]) -> str | None:
-        """The same for any device of a capability; needs none."""
+        """The same for a compute capability; needs no device."""
         if self._has_host_addresses:
-            return "its constants are addresses of the host's"
+            return "its constants are addresses on the host"
         if self._record is not None and not is_aligned(self._record[0]):
             return "the fields of its payload are not aligned"
         return self.kernel.reason_against(self.typical(), capability)
@@ -147,7 +147,7 @@ class DeviceProgram:
 def _kernel(
     text: str, function: Callable[..., Any], goal: Goal, record: Record | None
 ) -> UserKernel:
-    """Make a kernel, or find it: functions that do the same share one."""
+    """Make a kernel, or reuse that of a function with the same fingerprint."""
     key = fingerprint(function)
     place = function if key is None else key, text, record
     if place not in _MADE:
@@ -161,7 +161,7 @@ def _kernel(
 
 
 def _numbers(constants: Any) -> Any:
-    """Numbers of NumPy's types, as kernels take them, in the same tuples."""
+    """Convert integers to NumPy's types, as kernels take them, in the same tuples."""
     if isinstance(constants, tuple):
         parts = map(_numbers, constants)
         fields = hasattr(constants, "_fields")

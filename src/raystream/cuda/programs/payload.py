@@ -1,4 +1,4 @@
-"""Payloads in a GPU's memory: made there, viewed there, or copied there and back."""
+"""Payloads in GPU memory: allocated, viewed, or copied there and back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["PlacedPayload", "place_payload", "record_of"]
 
 
 def record_of(records: NDArray[Any] | None) -> Record | None:
-    """How kernels read records of `as_records`."""
+    """The record type of an array of `as_records`."""
     if records is None:
         return None
     return aligned_dtype(records.dtype), 1 if records.ndim == 1 else records.shape[1]
@@ -33,11 +33,11 @@ class PlacedPayload:
     Attributes
     ----------
     result : object
-        What the tracer returns.
+        The payload as the tracer returns it.
     record : (dtype, int) or None
     address : uint64
     host : ndarray or None
-        Records of the host's, for which `placed` is a copy.
+        Records on the host, of which `placed` is a copy.
     placed : DeviceArray or None
     """
 
@@ -49,7 +49,7 @@ class PlacedPayload:
 
     @property
     def record_bytes(self) -> int:
-        """Bytes from one ray's record to the next."""
+        """Bytes per ray."""
         if self.record is None:
             return 0
         dtype, width = self.record
@@ -69,50 +69,50 @@ class PlacedPayload:
                 self.result[...] = self.host.reshape(self.result.shape)
 
 
-def place_payload(work: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
-    """Make a payload on a device, view it there, or copy it there.
+def place_payload(scope: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
+    """Allocate a payload on a device, view it there, or copy it there.
 
     Parameters
     ----------
-    work : StreamScope
+    scope : StreamScope
     payload : array, dtype or None
-        On the device: numbers in C order, of shape S or S + (k,). Else as for `as_payload`;
-        fields of records made there are aligned.
+        On the device: numbers in C order, of shape S or S + (k,). Otherwise as for `as_payload`;
+        fields of records allocated there are aligned.
     shape : tuple of int
         The rays' shape S.
 
     Raises
     ------
     ValueError, TypeError
-        If it is of another shape or type, or not in C order.
+        If its shape or dtype does not fit, or it is not in C order.
     """
     if payload is None:
         return PlacedPayload(None, None, np.uint64(0))
     if isinstance(payload, DeviceArray) or is_on_gpu(payload):
-        return _viewed(work, payload, shape)
+        return _viewed(scope, payload, shape)
     if isinstance(payload, np.ndarray):
         result = as_payload(payload, shape)
         records = as_records(result, shape)
         own = aligned_records(records)
-        work.keep(own)
-        placed = work.placed("payload", own)
+        scope.keep(own)
+        placed = scope.placed("payload", own)
         return PlacedPayload(result, record_of(records), placed.address, records, placed)
     empty = as_payload(payload, (0,))
     dtype = aligned_dtype(empty.dtype)
     record = record_of(as_records(empty, (0,)))
-    made = work.cleared("payload", (*shape, *empty.shape[1:]), dtype)
+    made = scope.cleared("payload", (*shape, *empty.shape[1:]), dtype)
     return PlacedPayload(made, record, made.address)
 
 
-def _viewed(work: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
-    view = view_of(work, "payload", payload)
-    if isinstance(payload, DeviceArray):  # whose fields its interface does not name
+def _viewed(scope: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
+    view = view_of(scope, "payload", payload)
+    if isinstance(payload, DeviceArray):  # its interface does not name fields
         view = view._replace(dtype=payload.dtype)
     if view.shape != shape and (view.shape[:-1] != shape or view.dtype.fields is not None):
         raise ValueError(
             f"payload: expected the rays' shape {shape}, or {shape} + (k,), got {view.shape}"
         )
-    as_payload(view.dtype, (0,))  # whether programs compute with such numbers
+    as_payload(view.dtype, (0,))  # raises if programs do not support the dtype
     if not is_packed(view):
         raise ValueError("payload: the array on the GPU is not in C order, or not aligned; copy it")
     width = 1 if view.shape == shape else view.shape[-1]

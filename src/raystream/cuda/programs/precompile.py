@@ -1,4 +1,4 @@
-"""Kernels of programs with arguments of the right types: to be compiled without a device."""
+"""Kernels of programs with arguments of the right types, to compile them without a GPU."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _GOALS: tuple[Goal, ...] = ("first", "count", "keep")
 
 
 def _add_up(hit: Any, payload: Any) -> Any:
-    """How much of a ray lies inside a mesh, up to its eighth crossing."""
+    """Add up the length inside meshes, up to the eighth crossing."""
     payload.crossings += 1
     if hit.is_entering:
         payload.inside -= hit.t
@@ -39,7 +39,7 @@ def _is_solid(hit: Any) -> Any:
 
 
 def program_catalogue(triangles: Triangles) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """The kernels by name, and arguments that are good for their types alone.
+    """The kernels by name, with arguments that have the right types only.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Records as a GPU reads them: each number at a multiple of its size."""
+"""Aligned records: a GPU reads a number only at a multiple of its size."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ __all__ = ["aligned_dtype", "aligned_records", "is_aligned"]
 
 
 def aligned_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """A dtype of the same fields with gaps before them where these are needed.
+    """Add padding to a dtype so that its fields are aligned.
 
-    One whose fields share bytes stays as it is: programs of it run on the CPU.
+    A dtype whose fields overlap is returned unchanged: its programs run on the CPU.
     """
     if dtype.subdtype is not None:
         base, shape = dtype.subdtype
@@ -25,7 +25,7 @@ def aligned_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def aligned_records(records: NDArray[Any]) -> NDArray[Any]:
-    """Records in C order, aligned: the same ones, or a copy."""
+    """Records in C order with aligned fields; a copy if necessary."""
     return np.ascontiguousarray(records, aligned_dtype(records.dtype))
 
 

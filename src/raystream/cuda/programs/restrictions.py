@@ -1,4 +1,4 @@
-"""Why a function runs on the CPU although rays are traced on a GPU."""
+"""Checks whether a filter or program runs on a GPU, and explains why not."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ def reason_against(
     payload: Any = None,
     capability: tuple[int, int] = CAPABILITIES[0],
 ) -> str | None:
-    """Why a function would run on the CPU on a tracer with ``device="cuda"``.
+    """Explain why a function would run on the CPU on a tracer with ``device="cuda"``.
 
-    It is compiled for that, which needs no GPU.
+    Compiles the function; needs no GPU.
 
     Parameters
     ----------
     function : callable
-        A filter, of a hit; or a program, of a hit and a payload.
+        A filter ``(hit)`` or a program ``(hit, payload)``.
     payload : ndarray or dtype, optional
-        Of a program.
+        For a program.
     capability : (int, int)
-        Of the GPU.
+        Compute capability of the GPU.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def reason_against(
     Raises
     ------
     TypeError, ValueError
-        If it is neither a filter nor a program, or the payload is none.
+        If the function is neither a filter nor a program, or the payload is not valid.
     """
     own = getattr(function, "py_func", function)
     is_filter = inspect.isfunction(own) and len(inspect.signature(own).parameters) == 1

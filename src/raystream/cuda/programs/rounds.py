@@ -67,11 +67,11 @@ class ProgramRounds(NamedTuple):
         if reason is not None:
             raise TypeError(
                 f"{program.name}: cannot run on the GPU, where the rays are: {reason}; "
-                "copy the rays to the host, then the processor runs it"
+                "copy the rays to the host to run it on the CPU"
             )
         skipped = getattr(query.on_hit, "skipped", None)
         shape, triangle_count = launcher.rays.shape, len(launcher.scene.triangles)
-        skips = place_skips(launcher.work, skipped, shape, triangle_count)
+        skips = place_skips(launcher.scope, skipped, shape, triangle_count)
         if skips is not None:  # indexed by rays of the batch, as all that programs read
             first = moved(skips.prim_ids, -launcher.first, 4 * int(skips.width))
             skips = skips._replace(prim_ids=first)
@@ -87,7 +87,7 @@ class ProgramRounds(NamedTuple):
         open_rays, goal = self._opened(), (_moved_hits(nearest, -self.launcher.first),)
         rows = RowsAt(*nearest, NULL, NULL, NULL)
         self._visit(rows, slice(0, count), open_rays, goal)
-        self.launcher.work.launch(CLEAR_IGNORED, count, (open_rays.address, nearest))
+        self.launcher.scope.launch(CLEAR_IGNORED, count, (open_rays.address, nearest))
         yield from self._rounds(open_rays, goal, delivered=1)
 
     def count_into(self, counts: DeviceArray) -> Steps[None]:
@@ -104,7 +104,7 @@ class ProgramRounds(NamedTuple):
         yield from self._keep(most, self._of_batch(splits.address, 8), out)
 
     def _keep(self, most: int, splits: np.uint64, out: HitAddresses) -> Steps[DeviceArray]:
-        found = self.launcher.work.cleared("counts", len(self.launcher), np.int64)
+        found = self.launcher.scope.cleared("counts", len(self.launcher), np.int64)
         own = self._of_batch(found.address, 8)
         yield from self._rounds(self._opened(), (own, np.int64(most), splits, out))
         return found
@@ -114,24 +114,24 @@ class ProgramRounds(NamedTuple):
         return moved(address, -self.launcher.first, byte_count)
 
     def _opened(self) -> DeviceArray:
-        open_rays = self.launcher.work.ready("open rays", len(self.launcher), np.uint8)
-        self.launcher.work.launch(OPEN, len(self.launcher), (open_rays.address,))
+        open_rays = self.launcher.scope.ready("open rays", len(self.launcher), np.uint8)
+        self.launcher.scope.launch(OPEN, len(self.launcher), (open_rays.address,))
         return open_rays
 
     def _rounds(
         self, open_rays: DeviceArray, goal: tuple[Any, ...], delivered: int = 0
     ) -> Steps[None]:
         """Visit hits until no ray is open or has more of them."""
-        work, count = self.launcher.work, len(self.launcher)
-        counts = work.ready("counts", count, np.int64)
+        scope, count = self.launcher.scope, len(self.launcher)
+        counts = scope.ready("counts", count, np.int64)
         # More room than was delivered: a ray that does not fill it has no more hits.
         found, latest, room = NULL, 0, max(FIRST_ROOM, delivered + 1)
         while count:
-            with work.nested() as scope:
-                wanted = scope.empty("room", count, np.int64)
+            with scope.nested() as inner:
+                wanted = inner.empty("room", count, np.int64)
                 rooms = np.int64(latest), np.int64(room)
-                scope.launch(WANT, count, (open_rays.address, found, *rooms, wanted.address))
-                splits = prefix_sum(scope, wanted)
+                inner.launch(WANT, count, (open_rays.address, found, *rooms, wanted.address))
+                splits = prefix_sum(inner, wanted)
                 (total,) = yield (splits.part(count, 1),)
                 if not total[0]:
                     return
@@ -145,8 +145,8 @@ class ProgramRounds(NamedTuple):
     ) -> Steps[None]:
         """Find the hits that rays have room for, and visit them."""
         launcher, (rays, splits, counts, first_row, row_count) = self.launcher, part
-        with launcher.work.nested() as scope:
-            memory = scope.ready("hits", (4, row_count), np.float32)
+        with launcher.scope.nested() as inner:
+            memory = inner.ready("hits", (4, row_count), np.float32)
             hits = _moved_hits(HitAddresses.of_rows(memory.address, row_count), -first_row)
 
             def arguments(first: int) -> tuple[Any, ...]:
@@ -166,7 +166,7 @@ class ProgramRounds(NamedTuple):
         rays = RaysAt.of(launcher.rays.source, None, launcher.first, None, part.start)
         triangles = launcher.scene.program_triangles.place()
         given = self.program.arguments(rows, rays, triangles, open_rays.address, self.skips, goal)
-        launcher.work.launch(self.program.kernel, part.stop - part.start, given)
+        launcher.scope.launch(self.program.kernel, part.stop - part.start, given)
 
 
 class _Part(NamedTuple):

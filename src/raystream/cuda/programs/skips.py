@@ -1,4 +1,4 @@
-"""Triangles that do not exist for each ray, in a GPU's memory."""
+"""Triangles that rays skip (`skip_prim_ids`), in GPU memory."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ _TYPES = (np.dtype(np.int32), np.dtype(np.int64))
 
 
 def place_skips(
-    work: StreamScope, values: Any, shape: tuple[int, ...], triangle_count: int
+    scope: StreamScope, values: Any, shape: tuple[int, ...], triangle_count: int
 ) -> SkipsAt | None:
     """Copy `skip_prim_ids` to a device, or view it there.
 
     Parameters
     ----------
-    work : StreamScope
+    scope : StreamScope
     values : array_like or None
-        On the host, as for `as_skips`; or on the device: int32 or int64 in C order.
+        On the host as for `as_skips`, or on the device as int32 or int64 in C order.
     shape : tuple of int
-        The rays'.
+        Of the rays.
     triangle_count : int
 
     Raises
     ------
     ValueError, TypeError
-        As `as_skips`. That numbers on the device are the scene's is not checked, for the host
-        would have to wait: others are no triangle's.
+        As `as_skips`. Values on the device are not checked, because the host would have to
+        wait; those that are not a prim_id match no triangle.
     """
     if values is None:
         return None
     if not is_on_gpu(values):
         array = as_skips(values, shape, triangle_count)
-        work.keep(array)
-        placed = work.placed("skip_prim_ids", array)
+        scope.keep(array)
+        placed = scope.placed("skip_prim_ids", array)
         return SkipsAt(placed.address, np.uint64(array.shape[1]))
-    view = view_of(work, "skip_prim_ids", values)
+    view = view_of(scope, "skip_prim_ids", values)
     if view.dtype not in _TYPES:
         raise TypeError(f"skip_prim_ids: expected int32 or int64 on a GPU, got {view.dtype}")
     if view.shape != shape and view.shape[:-1] != shape:
@@ -58,14 +58,14 @@ def place_skips(
         )
     address = np.uint64(view.address)
     if view.dtype.itemsize == 8:
-        narrowed = work.empty("skip_prim_ids", count, np.int32)
-        work.launch(NARROW, count, (address, narrowed.address))
+        narrowed = scope.empty("skip_prim_ids", count, np.int32)
+        scope.launch(NARROW, count, (address, narrowed.address))
         address = narrowed.address
     return SkipsAt(address, np.uint64(1 if view.shape == shape else view.shape[-1]))
 
 
 def is_packed(view: DeviceView) -> bool:
-    """Whether an array's numbers are aligned and in C order, without gaps."""
+    """Whether an array is aligned, contiguous and in C order."""
     if view.address % view.dtype.alignment:
         return False
     step = view.dtype.itemsize

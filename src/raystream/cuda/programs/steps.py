@@ -1,4 +1,4 @@
-"""Small kernels between a query and a program: which rays go on, and what became of them."""
+"""Small kernels between a query and a program: open rays, room for hits, and status."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _open(i, open_rays):
 
 @kernel
 def _want(i, open_rays, found, latest, room, wanted):
-    """A ray wants room if no program has ended it, and the room that it had is full."""
+    """Request room for a ray that is open and has filled its last room."""
     wants = load(np.uint8, open_rays + i) == _OPEN
     if found != _NOWHERE:
         wants = wants and load(np.int64, found + (i << _LONG)) == latest
@@ -36,7 +36,7 @@ def _want(i, open_rays, found, latest, room, wanted):
 
 @kernel
 def _clear_ignored(i, open_rays, out):
-    """A ray that goes on has found nothing yet."""
+    """Reset the hit of a ray that is still open to a miss."""
     if load(np.uint8, open_rays + i) == _OPEN:
         at = i << _WORD
         store(out.t + at, np.float32(np.inf))
@@ -59,7 +59,7 @@ def _note_invalid(i, source, frame, status):
 
 @kernel
 def _narrow(i, given, narrowed):
-    """A number that int32 has not is no triangle's."""
+    """Convert int64 to int32; values outside its range become -1, which matches no triangle."""
     value = load(np.int64, given + (i << _LONG))
     short = np.int32(value)
     store(narrowed + (i << _WORD), short if np.int64(short) == value else _MISS)

@@ -86,7 +86,7 @@ def _rows_of(wanted, i):
 
 @kernel
 def _begin(i, source, frame, streams, wish, status):
-    """Turn a caller's ray into records of `machines.records`, see `cuda.columns`."""
+    """Turn a caller's ray into records of `machines.records`, see `cuda.soa`."""
     rows, capacity, ray, wanted, found, state, world = streams
     row = row_of(rows, i)
     given = load_ray(source, row, frame)

@@ -1,6 +1,6 @@
-"""Columns: records of a stream in a GPU's memory, the same number of all records together.
+"""SoaLayout: records of a stream in GPU memory as a structure of arrays, for coalesced access.
 
-On the CPU a record's numbers lie side by side. Here neighbouring threads, which have neighbouring
+On the CPU the numbers of a record are adjacent. Here neighbouring threads, which have neighbouring
 records, read neighbouring numbers.
 """
 
@@ -16,12 +16,12 @@ from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.simd import load, store
 from raystream.streams.layout import Layout, find_layout
 
-__all__ = ["NAMES", "Columns", "capacity_of"]
+__all__ = ["NAMES", "SoaLayout", "capacity_of"]
 
-#: Columns begin at multiples of so many records, and so of bytes: numbers are aligned.
+#: Columns begin at multiples of this number of records, which aligns their numbers.
 _ROUND = 256
 
-#: What texts of `Columns` use.
+#: Names in the source that `SoaLayout` generates.
 NAMES: dict[str, Any] = {
     "load": load,
     "store": store,
@@ -37,19 +37,19 @@ NAMES: dict[str, Any] = {
 
 
 def capacity_of(count: int) -> int:
-    """Records for which there is room, where `count` are needed."""
+    """Records to allocate for `count` records."""
     return -(-max(count, 1) // _ROUND) * _ROUND
 
 
 class _Column(NamedTuple):
-    """One number of each record: its type, and bytes of a record before it."""
+    """One number of each record: its type, and the bytes that precede it in a record."""
 
     dtype: np.dtype[Any]
     before: int
 
 
-class Columns:
-    """How records of a layout lie in a GPU's memory, and how kernels read and write them.
+class SoaLayout:
+    """How records are stored in GPU memory, and the source that reads and writes them.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ class Columns:
     Attributes
     ----------
     byte_count : int
-        Of a record.
+        Bytes per record.
 
     Raises
     ------
     TypeError
-        If its numbers are complex.
+        If it has complex numbers.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -78,8 +78,8 @@ class Columns:
         self.byte_count = before
 
     @classmethod
-    def of(cls, dtype: np.dtype[Any]) -> Columns:
-        """Those of records of a dtype."""
+    def of(cls, dtype: np.dtype[Any]) -> SoaLayout:
+        """The layout of records of a dtype."""
         return cls(find_layout("stream", np.empty(0, dtype), vectors=False))
 
     def load(self, base: str, capacity: str, i: str, record: str) -> str:
@@ -88,10 +88,10 @@ class Columns:
         Parameters
         ----------
         base, capacity, i : str
-            Expressions, of uint64: the address of the first column, the records for which there
-            is room, and the record's number.
+            Expressions, uint64: the address of the first column, the allocated records, and the
+            index of the record.
         record : str
-            Name of the layout's named tuple.
+            Name of the layout's NamedTuple.
         """
         at = _places(base, capacity, i)
         read = iter([_load(one, at(one)) for one in self._columns])
@@ -131,7 +131,7 @@ class Columns:
             self._of(records, one)[...] = column
 
     def empty(self, gpu: Gpu, name: str, count: int) -> DeviceArray:
-        """Make room for so many records."""
+        """Allocate memory for `count` records."""
         return gpu.empty(name, self.byte_count * capacity_of(count), np.uint8)
 
     def _parts(self, value: str) -> list[str]:
@@ -148,7 +148,7 @@ class Columns:
         return parts
 
     def _views(self, memory: NDArray[np.uint8], count: int) -> list[NDArray[Any]]:
-        """Each column, of so many records."""
+        """Views of the columns of `count` records."""
         capacity, views = capacity_of(count), []
         for dtype, before in self._columns:
             begin = before * capacity
@@ -156,7 +156,7 @@ class Columns:
         return views
 
     def _of(self, records: NDArray[Any], one: _Column) -> NDArray[Any]:
-        """A view of a number of all records."""
+        """A view of one number of all records."""
         k, layout = self._columns.index(one), self.layout
         if layout.component_count:
             return records[:, k]
@@ -171,7 +171,7 @@ class Columns:
 
 
 def _places(base: str, capacity: str, i: str) -> Callable[[_Column], str]:
-    """Where a column's number of a record is, as an expression."""
+    """The address of a record's number in a column, as an expression."""
 
     def at(one: _Column) -> str:
         column = f"{base} + {capacity} * unsigned({one.before})" if one.before else base
