@@ -12,6 +12,7 @@ need("numba_cuda")
 import raystream as rs
 from conftest import assert_same_bits
 from raystream.cuda import launch
+from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import RangeKernel
 from test_agreement import case_of
 
@@ -73,6 +74,49 @@ def test_parts_whose_tables_are_too_small_are_traced_again(gpu, case, oracle, ra
     # There are tables for 7 rays of a part, then for 4 together, then for one.
     for query in ("count_hits", "multi_hit"):
         assert {(query, 7), (query, 4), (query, 1)} <= set(sizes)
+
+
+def test_counters_are_those_of_the_last_try(gpu, case, rays, monkeypatch):
+    counted = []
+    for room in (64, 2):
+        monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(room))
+        tracer = rs.Tracer(case.scene, device="cuda", kernel="wide", counters=True, **TWICE)
+        tracer.count_hits(*rays)
+        counted.append((tracer.counters.steps.tolist(), tracer.counters.tests.tolist()))
+    assert counted[0] == counted[1]
+    assert max(counted[0][1]) > 2
+
+
+def is_even(hit):
+    return hit.prim_id % 2 == 0
+
+
+@pytest.mark.parametrize("on_hit", [None, is_even])
+def test_a_part_is_copied_before_the_last_one_is_waited_for(
+    gpu, case, oracle, rays, monkeypatch, on_hit
+):
+    """With and without a filter."""
+    events = []
+
+    def noting(name, plain):
+        def note(self):
+            events.append((name, self))
+            plain(self)
+
+        return note
+
+    for name in ("begin", "finish"):
+        monkeypatch.setattr(StagingStream, name, noting(name, getattr(StagingStream, name)))
+    tracer = rs.Tracer(case.scene, "brute", "cuda", rays_at_once=2 * RAYS // 3)
+    ours = tracer.first_hit(*rays, on_hit=on_hit)
+    assert_same(ours, oracle.first_hit(*rays, on_hit=on_hit), *COLUMNS)
+    names = [name for name, _ in events]
+    assert names.count("begin") == 3
+    assert names[:3] == ["begin", "begin", "finish"]
+    assert events[0][1] is events[2][1] is not events[1][1]
+    # The third part begins when the first is done, before the second is waited for.
+    third = [k for k, name in enumerate(names) if name == "begin"][2]
+    assert all(stream is events[0][1] for _, stream in events[2 : third + 1])
 
 
 def test_an_interrupt_leaves_nothing_behind(gpu, case, oracle, rays):
