@@ -22,7 +22,7 @@ import raystream as rs
 from raystream.bench.ray_sets import make_ray_sets
 from raystream.core.rays import RayBatch
 from raystream.cuda.bvh.kernels import lay_out
-from raystream.cuda.precompile import catalogue_of
+from raystream.cuda.precompile import structure_kernels
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import CAPABILITIES
 from raystream.kernels.hits import HitArrays
@@ -87,7 +87,7 @@ def print_assembled(queries, launches):
     print("kernel, launch, query, capability: registers, bytes of local memory, bytes spilled")
     for kernel in KERNELS:
         for launch in launches:
-            entries = catalogue_of("bvh", scene, kernel=kernel, launch=launch)
+            entries = structure_kernels("bvh", scene, kernel=kernel, launch=launch)
             for query in queries:
                 made, arguments = entries[query]
                 for capability in CAPABILITIES:

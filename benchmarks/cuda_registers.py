@@ -99,11 +99,11 @@ def main():
         sys.exit("NUMBA_ENABLE_CUDASIM: the simulator has no compiler; unset it")
 
     import raystream as rs
-    from raystream.cuda.precompile import whole_catalogue
+    from raystream.cuda.precompile import all_kernels
 
     wanted = arguments.capability or [".".join(map(str, one)) for one in CAPABILITIES]
     rows = []
-    for (group, name), compile_for in whole_catalogue(rs.load("cornell")).items():
+    for (group, name), compile_for in all_kernels(rs.load("cornell")).items():
         if arguments.structure and group not in arguments.structure:
             continue
         for text in wanted:

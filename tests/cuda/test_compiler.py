@@ -20,7 +20,7 @@ from raystream.jit.simd import load, store
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
-from raystream.cuda.precompile import ARRAY_KERNELS, catalogue_of
+from raystream.cuda.precompile import ARRAY_KERNELS, structure_kernels
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.structures import STRUCTURES
 
@@ -38,7 +38,7 @@ def scene():
     return rs.load("cornell")
 
 
-#: Every structure, and its ways to be traced: options of `catalogue_of`.
+#: Every structure, and its ways to be traced: options of `structure_kernels`.
 WAYS = {
     **{name: {} for name in STRUCTURES},
     "bvh": {"kernel": "wide"},
@@ -66,7 +66,7 @@ USUAL = [("kdtree", "multi_hit"), ("bvh, compressed", "first_hit")]
     ],
 )
 def test_every_kernel_compiles(scene, name, query):
-    made, arguments = catalogue_of(name.partition(",")[0], scene, **WAYS[name])[query]
+    made, arguments = structure_kernels(name.partition(",")[0], scene, **WAYS[name])[query]
     compiled = made.compiled(arguments, CAPABILITIES[0])
     assert f".target sm_{CAPABILITIES[0][0]}{CAPABILITIES[0][1]}" in compiled.ptx
     # How many; and where persistent threads fetch rays, an array, which is seven numbers.

@@ -23,7 +23,7 @@ if is_simulated():
 
 from raystream.cuda.programs import reason_against
 from raystream.cuda.programs.device_program import DeviceProgram
-from raystream.cuda.programs.precompile import program_catalogue
+from raystream.cuda.programs.precompile import program_kernels
 from raystream.cuda.programs.records import aligned_dtype, is_aligned
 
 PACKED = np.dtype([("flag", "i1"), ("at", "f4", (3,)), ("last", [("t", "f8"), ("mesh", "i2")])])
@@ -172,7 +172,7 @@ def test_functions_have_files_of_their_own(tmp_path, monkeypatch):
     assert len(texts) == len(list(tmp_path.iterdir())) == 2
 
 
-KERNELS = program_catalogue(rs.load("cornell").triangles)
+KERNELS = program_kernels(rs.load("cornell").triangles)
 
 
 @pytest.mark.parametrize(

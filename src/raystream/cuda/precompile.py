@@ -12,7 +12,7 @@ from raystream.cuda.builders.precompile import block_kernels, build_kernels
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
-from raystream.cuda.programs.precompile import program_catalogue
+from raystream.cuda.programs.precompile import program_kernels
 from raystream.cuda.query_kernels import CountAddresses, RowAddresses, SeenTables
 from raystream.cuda.ray_order import MAKE_KEY
 from raystream.cuda.rendering.precompile import rendering_kernels
@@ -25,7 +25,7 @@ from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with
 
-__all__ = ["ARRAY_KERNELS", "catalogue_of", "whole_catalogue"]
+__all__ = ["ARRAY_KERNELS", "all_kernels", "structure_kernels"]
 
 #: Compiles a kernel for GPUs of a capability.
 Compiler = Callable[[tuple[int, int]], Compiled]
@@ -44,7 +44,7 @@ ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
 }
 
 
-def catalogue_of(
+def structure_kernels(
     name: str,
     scene: Scene,
     *,
@@ -90,7 +90,7 @@ def catalogue_of(
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
 
 
-def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
+def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
     """All kernels: queries, passes, programs, device arrays, builders and renderers.
 
     Parameters
@@ -113,7 +113,7 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
     listed = {
         (way, query): one
         for way, name, options in ways
-        for query, one in catalogue_of(name, scene, **options).items()
+        for query, one in structure_kernels(name, scene, **options).items()
     }
     for name in names_with("multipass"):
         for kernel, one in multipass_kernels(name, scene).items():
@@ -121,7 +121,7 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
             listed[group, kernel] = one
     del listed["passes", "decide in loop"]
     listed |= {("arrays", name): one for name, one in ARRAY_KERNELS.items()}
-    programs = program_catalogue(scene.triangles)
+    programs = program_kernels(scene.triangles)
     listed |= {("programs", name): one for name, one in programs.items()}
     listed |= {("builds", name): one for name, one in build_kernels().items()}
     listed |= {("rendering", name): one for name, one in rendering_kernels(scene).items()}

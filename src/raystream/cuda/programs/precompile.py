@@ -17,7 +17,7 @@ from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision
 from raystream.programs.texts import Goal
 
-__all__ = ["program_catalogue"]
+__all__ = ["program_kernels"]
 
 _AT = np.uint64(0)
 _RECORD = aligned_dtype(np.dtype([("crossings", "i4"), ("inside", "f8")]))
@@ -38,7 +38,7 @@ def _is_solid(hit: Any) -> Any:
     return hit.mesh_id != 0
 
 
-def program_catalogue(triangles: Triangles) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
+def program_kernels(triangles: Triangles) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels by name, with arguments that have the right types only.
 
     Parameters
