@@ -13,9 +13,6 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SOURCE = ROOT / "src" / "raystream"
 
-#: Rooms and pages that have not been rewritten yet. Remove a line as soon as its room is clean.
-NOT_YET = ()
-
 #: What not to write, and what to write instead.
 PHRASES = {
     r"anew": "again, rebuild, start over",
@@ -91,16 +88,11 @@ def prose_of(path: Path) -> str:
 
 
 def files() -> list[Path]:
-    """All files with prose of ours, apart from those not done yet."""
+    """All files with prose of ours."""
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.rst")]
     for kind in ("*.py", "*.js", "*.html"):
         found += SOURCE.rglob(kind)
     return sorted(path for path in found if "_build" not in path.parts)
-
-
-def is_left_out(path: Path) -> bool:
-    name = path.relative_to(ROOT).as_posix()
-    return any(name == left_out or name.startswith(f"{left_out}/") for left_out in NOT_YET)
 
 
 def complaints(path: Path) -> list[str]:
@@ -109,14 +101,8 @@ def complaints(path: Path) -> list[str]:
 
 
 def test_the_text_uses_the_words_of_the_field():
-    found = [line for path in files() if not is_left_out(path) for line in complaints(path)]
+    found = [line for path in files() for line in complaints(path)]
     assert not found, "\n".join(["see PHRASES for what to write instead:", *found])
-
-
-@pytest.mark.parametrize("left_out", NOT_YET)
-def test_what_is_left_out_still_needs_it(left_out):
-    inside = [p for p in files() if p.relative_to(ROOT).as_posix().startswith(left_out)]
-    assert any(map(complaints, inside)), f"{left_out} is clean: remove it from NOT_YET"
 
 
 @pytest.mark.parametrize(
