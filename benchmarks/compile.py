@@ -36,7 +36,7 @@ def steps():
         return raystream, raystream.load("cornell")
 
     rs, scene = run("import, scene", load)
-    from raystream.structures.bvh.engine import KERNELS
+    from raystream.structures.bvh.kernel_choice import KERNELS
 
     # As many rays as one look is worth, and as no ray is alone.
     origins, directions = scene.camera.rays(64, 64)

@@ -13,7 +13,7 @@ import raystream as rs
 from raystream.jit.threads import set_thread_count
 from raystream.rendering import sample_file
 from raystream.rendering.film import Film
-from raystream.structures.bvh import engine
+from raystream.structures.bvh import kernel_choice
 
 PIXELS = 16 * 12
 PICTURE = {"mode": "path", "size": (16, 12)}
@@ -134,13 +134,13 @@ def test_scene_is_read_for_a_checkpoint_only(tracer, tmp_path, monkeypatch):
 def batches(monkeypatch):
     """The rays that each call of the kernel for small batches gets."""
     seen = []
-    trace = engine.trace_wavefront
+    trace = kernel_choice.trace_wavefront
 
     def note(begin, end, *arguments):
         seen.append(end - begin)
         trace(begin, end, *arguments)
 
-    monkeypatch.setattr(engine, "trace_wavefront", note)
+    monkeypatch.setattr(kernel_choice, "trace_wavefront", note)
     yield seen
     set_thread_count(None)
 

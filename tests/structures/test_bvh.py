@@ -6,7 +6,7 @@ import pytest
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, lattice_soup, soup
-from raystream.structures.bvh.engine import KERNELS
+from raystream.structures.bvh.kernel_choice import KERNELS
 from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
 from raystream.structures.bvh.structure import BvhStructure
 from test_agreement import assert_same_answers

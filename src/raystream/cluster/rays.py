@@ -10,7 +10,7 @@ import dask.array as da
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_real_array
+from raystream.core.rays import as_real_array
 
 __all__ = ["LazyRays"]
 

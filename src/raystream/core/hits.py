@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_real_array
+from raystream.core.rays import as_real_array
 from raystream.core.spawn import spawn_origins
 from raystream.core.triangles import Triangles
 

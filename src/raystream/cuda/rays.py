@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_real_array, is_on_gpu
-from raystream.core.rays import DEFAULT_LIMITS, RayBatch
+from raystream.core.rays import DEFAULT_LIMITS, RayBatch, as_real_array, is_on_gpu
 from raystream.cuda.packing import pack
 from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_of
 from raystream.kernels.ray_source import RaySource

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_real_array
+from raystream.core.rays import as_real_array
 
 __all__ = ["group_values"]
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_host_array
+from raystream.core.rays import as_host_array
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 

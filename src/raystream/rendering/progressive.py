@@ -20,7 +20,7 @@ from raystream.rendering.image import Image
 from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.sample_file import SampleFile
 from raystream.rendering.shading.aovs import AovBuffers
-from raystream.structures.bvh.engine import SMALL_BATCH
+from raystream.structures.bvh.kernel_choice import SMALL_BATCH
 
 __all__ = [
     "Limits",

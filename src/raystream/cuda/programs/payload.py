@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import is_on_gpu
+from raystream.core.rays import is_on_gpu
 from raystream.cuda.programs.device_program import Record
 from raystream.cuda.programs.records import aligned_dtype, aligned_records
 from raystream.cuda.programs.skips import is_packed

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.core.arrays import is_on_gpu
+from raystream.core.rays import is_on_gpu
 from raystream.cuda.programs.steps import NARROW
 from raystream.jit.cuda import DeviceView, StreamScope, view_of
 from raystream.programs.rows import SkipsAt, as_skips

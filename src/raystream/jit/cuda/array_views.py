@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.core.arrays import is_on_gpu
+from raystream.core.rays import is_on_gpu
 from raystream.jit.cuda.gpu import CudaError, Gpu
 from raystream.jit.cuda.stream_scope import StreamScope
 from raystream.jit.cuda.streams import LEGACY, CudaStream

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raystream.core.arrays import as_host_array
 from raystream.core.memory import check_memory
+from raystream.core.rays import as_host_array
 from raystream.lab.caches.kernels.fast_division import divisor
 from raystream.lab.caches.kernels.hash_table import home_shift
 from raystream.lab.caches.kernels.ranked_bits import BITS, BLOCK_WORDS, ROW_BLOCKS, RankedBits

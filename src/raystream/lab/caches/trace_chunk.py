@@ -9,7 +9,7 @@ from typing import NamedTuple, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_host_array
+from raystream.core.rays import as_host_array
 from raystream.lab.caches.kernels.trace_access import Trace
 
 __all__ = ["MIN_LINE_SIZE", "Chunk", "Kinds", "as_chunk", "as_count", "as_kinds"]

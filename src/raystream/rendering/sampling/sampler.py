@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_host_array
 from raystream.core.memory import check_memory
+from raystream.core.rays import as_host_array
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import f32x16, lane, lane_count, load, scratch, store
 from raystream.jit.threads import parallel_for

@@ -18,7 +18,7 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.base import BuildReport, Structure, UpdateReport
 from raystream.structures.bvh.build import build_arrays
-from raystream.structures.bvh.engine import (
+from raystream.structures.bvh.kernel_choice import (
     SMALL_BATCH,
     Tree,
     count_batch,
