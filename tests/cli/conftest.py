@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +60,7 @@ def run(capsys, tmp_path, monkeypatch) -> Callable[..., Run]:
     """Run the command line in this process, in a folder of its own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("RAYSTREAM_DEBUG", raising=False)
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # put back after Ctrl-C
     leave_out_first_use(monkeypatch)
 
     def call(*arguments: object) -> Run:

@@ -23,6 +23,7 @@ from raystream.cli.console import (
     write_note,
 )
 from raystream.cli.info import info
+from raystream.cli.interrupts import end_quietly, keep_interrupts
 from raystream.cli.lab import lab
 from raystream.cli.query import query
 from raystream.cli.render import render
@@ -107,12 +108,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     given = None if arguments is None else list(arguments)
     open_streams()
     try:
-        with show_warnings():
+        with show_warnings(), keep_interrupts():
             code = command.main(given, "raystream", standalone_mode=False, obj=settings)
     except KeyboardInterrupt:
         code = INTERRUPTED
     except InterruptedRunError as error:
         write_note(f"interrupted; {error}")
+        end_quietly()
         sys.exit(INTERRUPTED)
     except (RaystreamError, MemoryError, UsageError) as error:
         if settings.debug:
@@ -124,6 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.exit(1)
     if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
         print("interrupted", file=sys.stderr)  # noqa: T201
+        end_quietly()
     sys.exit(code if isinstance(code, int) else 0)
 
 
