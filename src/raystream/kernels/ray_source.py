@@ -7,6 +7,7 @@ extreme lengths, limits that float32 cannot represent, invalid numbers) call it.
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -118,7 +119,19 @@ def _place(array: NDArray[Any]) -> tuple[int, int]:
     known = _PLACES.get(id(array))
     if known is not None:
         return known
-    return array.ctypes.data, (array.strides[0] % 2**64 if len(array) > 1 else 0)
+    return _address(array), (array.strides[0] % 2**64 if len(array) > 1 else 0)
+
+
+def _address(array: NDArray[Any]) -> int:
+    """The address of an array's first number.
+
+    From the buffer of a writable, contiguous, not empty array: 0.25 us against 0.9 us, of about
+    20 us that a query of one ray takes.
+    """
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    except (TypeError, ValueError, BufferError):
+        return array.ctypes.data
 
 
 #: Places of arrays that are never freed, by id: NumPy needs a microsecond for an address.
@@ -148,14 +161,14 @@ class ResultAddresses(NamedTuple):
     @classmethod
     def of_first(cls, memory: NDArray[np.float32], status: NDArray[np.uint8]) -> ResultAddresses:
         """Results of a first-hit query: the rows of an array; see `HitArrays.rows_of`."""
-        at, step = memory.ctypes.data, memory.strides[0]
-        places = at, at + step, at + 2 * step, at + 3 * step, 0, status.ctypes.data
+        at, step = _address(memory), memory.strides[0]
+        places = at, at + step, at + 2 * step, at + 3 * step, 0, _address(status)
         return cls(*np.array(places, np.uint64))
 
     @classmethod
     def of_any(cls, seen: NDArray[np.bool_], status: NDArray[np.uint8]) -> ResultAddresses:
         """Results of an any-hit query; the caller keeps the arrays alive."""
-        return cls(*np.array((0, 0, 0, 0, seen.ctypes.data, status.ctypes.data), np.uint64))
+        return cls(*np.array((0, 0, 0, 0, _address(seen), _address(status)), np.uint64))
 
 
 @device
