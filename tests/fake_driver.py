@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import sys
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,6 +41,7 @@ class Driver:
 
     def __init__(self):
         self.failing, self.capability, self.count = {}, (9, 0), 2
+        self._threads = threading.local()
 
     def may(self, what):
         if what in self.failing:
@@ -66,13 +68,25 @@ class Driver:
         return np.zeros(length, dtype)
 
     def device(self, number):
-        return SimpleNamespace(
-            name=f"Fake {number}",
-            compute_capability=self.capability,
-            set_current=lambda: None,
-            create_stream=lambda options: self,
-            allocate=self.allocate,
-        )
+        """The device as an object of this thread, as cuda.core has it: to be set current first."""
+        devices = self._threads.__dict__.setdefault("devices", {})
+        if number not in devices:
+            devices[number] = SimpleNamespace(
+                name=f"Fake {number}", allocate=self.allocate, is_current=False
+            )
+        device = devices[number]
+        device.compute_capability = self.capability
+
+        def set_current():
+            device.is_current = True
+
+        def create_stream(options):
+            if not device.is_current:
+                raise RuntimeError(f"Device {number} is not yet initialized")
+            return self
+
+        device.set_current, device.create_stream = set_current, create_stream
+        return device
 
     #: Of a stream.
     handle = 1

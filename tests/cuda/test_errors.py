@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -200,6 +201,13 @@ def test_ctrl_c(driver, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             tracer.first_hit(*rays)
     assert len(tracer.first_hit(*rays).t) == 3
+
+
+def test_queries_in_other_threads_make_streams_of_their_own(driver):
+    """A device has to be set current in each thread before it makes a stream."""
+    tracer = rs.Tracer(SCENE, "brute", "cuda")
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(tracer.first_hit, *RAY).result().t.shape == (1,)
 
 
 def test_devices_are_listed_with_what_keeps_them_from_use(driver):

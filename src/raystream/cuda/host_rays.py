@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
+from contextlib import ExitStack
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,14 +67,17 @@ def trace_from_host(
         launched: deque[_Part] = deque()
         most = max(rays_at_once // len(turns), 1)
         parts = split_rows(slice(0, len(batch)), most, splits)
-        for rows, staging in zip(parts, itertools.cycle(turns), strict=False):
-            if len(launched) == len(turns):
+        with ExitStack() as begun:  # after an error, their memory is freed in their streams' order
+            for rows, staging in zip(parts, itertools.cycle(turns), strict=False):
+                if len(launched) == len(turns):
+                    _finish(launched.popleft(), batch, progress)
+                staging.begin()
+                steps = _trace_part(scene, StagedScope(staging), query, batch, rows, sink)
+                begun.callback(steps.close)
+                copies = _download(staging, resume(steps, None))
+                launched.append(_Part(rows, staging, steps, copies))
+            while launched:
                 _finish(launched.popleft(), batch, progress)
-            staging.begin()
-            steps = _trace_part(scene, StagedScope(staging), query, batch, rows, sink)
-            launched.append(_Part(rows, staging, steps, _download(staging, resume(steps, None))))
-        while launched:
-            _finish(launched.popleft(), batch, progress)
 
 
 def _trace_part(

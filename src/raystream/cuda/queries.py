@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -413,9 +414,10 @@ def trace_on_device(
     with StreamScope(scene.gpu, stream_of(scene.gpu, given)) as scope:
         rays = RayLauncher(scene, scope, place_device_rays(scope, **given), report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
-        steps, copies = task.launch(), None
-        while (wanted := resume(steps, copies)) is not None:
-            copies = [scope.read(one) for one in wanted]
+        with closing(task.launch()) as steps:  # after an error, before the scope ends
+            copies = None
+            while (wanted := resume(steps, copies)) is not None:
+                copies = [scope.read(one) for one in wanted]
         result = task.result()
     report(task.pass_count, task.pass_count)
     return result

@@ -57,7 +57,9 @@ class CudaStream:
         from cuda.core import Device, StreamOptions
 
         options = StreamOptions(nonblocking=not is_blocking)
-        native = Device(gpu.number).create_stream(options=options)
+        device = Device(gpu.number)  # this thread's own object, which must have been set current
+        device.set_current()
+        native = device.create_stream(options=options)
         return cls(gpu, int(native.handle), native)
 
     def wait(self, other: CudaStream) -> None:
