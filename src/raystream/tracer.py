@@ -434,11 +434,21 @@ class Tracer(TracedScene):
         -------
         rendering.device_bands.DeviceBands or None
         """
-        own = type(self)
-        is_inherited = own.first_hit is Tracer.first_hit and own.any_hit is Tracer.any_hit
-        if not (self._backend.capabilities.shading and is_inherited) or self._counts:
+        if not self._backend.capabilities.shading or self._needs_queries():
             return None
         return self._backend.bands_on_device(context)
+
+    @property
+    def loop_machine(self) -> Any:
+        """The machine that runs a renderer as one loop, see `machines.ray_loop`; None elsewhere."""
+        is_able = self._backend.capabilities.loops and not self._needs_queries()
+        return self._backend if is_able else None
+
+    def _needs_queries(self) -> bool:
+        """Whether a renderer must call the queries: they count, or a subclass overrides them."""
+        own = type(self)
+        is_inherited = own.first_hit is Tracer.first_hit and own.any_hit is Tracer.any_hit
+        return self._counts or not is_inherited
 
     def _rays(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""

@@ -33,12 +33,15 @@ class Capabilities(NamedTuple):
         It renders on its device: `bands_on_device`.
     passes : bool
         It runs in passes, and can record them: `recording`.
+    loops : bool
+        It runs a renderer's rays and shading in one loop: `run_loop`.
     """
 
     device_arrays: bool = False
     programs: bool = True
     shading: bool = False
     passes: bool = False
+    loops: bool = False
 
 
 class Backend(ABC):

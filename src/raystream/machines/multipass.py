@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import operator
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -20,8 +21,15 @@ from raystream.machines.local import LocalBackend
 from raystream.machines.pass_snapshot import Observer, PassSnapshot
 from raystream.machines.passes import Passes
 from raystream.machines.ray_job import HitGoal, RayJob
-from raystream.machines.ray_streams import RayStreams
-from raystream.machines.records import StepArguments
+from raystream.machines.ray_loop import RayLoop, eye_ray_steps, loop_arrays, loop_steps
+from raystream.machines.ray_streams import RayStreams, empty_rays
+from raystream.machines.records import (
+    SHADE_ALL,
+    SHADE_HITS,
+    SHADE_NONE,
+    RayState,
+    StepArguments,
+)
 from raystream.machines.schedulers import DEFAULT_THRESHOLD, Scheduler, make_scheduler
 from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
@@ -64,7 +72,7 @@ class MultipassBackend(LocalBackend):
         If an option is out of range, or the structure is not supported.
     """
 
-    capabilities = Capabilities(passes=True)
+    capabilities = Capabilities(passes=True, loops=True)
 
     def __init__(
         self,
@@ -115,23 +123,23 @@ class MultipassBackend(LocalBackend):
                 column.fill(miss)
             rows = np.arange(count, dtype=np.uint64)
             job = RayJob(rays, rows, np.ones(count, np.uint64), tallies)
-            self._trace(steps, job, HitGoal(False, hits, shades=True), progress)
+            self._trace(steps, job, HitGoal(False, hits, SHADE_HITS), progress)
         elif query.kind is Kind.ANY_HIT:
             one = np.ones(count, np.uint64)
             job = RayJob(rays, one, one, tallies)
-            goal = HitGoal(surfaces=False, out=None, shades=True)
+            goal = HitGoal(False, None, SHADE_HITS)
             sink.seen[:] = self._trace(steps, job, goal, progress) != 0
         elif query.kind is Kind.COUNT_HITS:
             limits = np.full(count, query.limit, np.uint64)
             job = RayJob(rays, limits, limits, tallies)
-            goal = HitGoal(query.surfaces, out=None, shades=False)
+            goal = HitGoal(query.surfaces, None, SHADE_NONE)
             sink.counts[:] = self._trace(steps, job, goal, progress)
         else:
             splits = sink.splits
             first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
             has_rows = np.flatnonzero(capacity)
             job = RayJob(rays, first, capacity, tallies).part(has_rows)
-            goal = HitGoal(query.surfaces, sink.hits, shades=True)
+            goal = HitGoal(query.surfaces, sink.hits, SHADE_HITS)
             self._trace(steps, job, goal, progress)
             if tallies is not None and job.tallies is not None:
                 tallies[has_rows] = job.tallies
@@ -156,7 +164,7 @@ class MultipassBackend(LocalBackend):
         arguments = StepArguments(
             np.float32(self.structure.triangles.max_coordinate),
             goal.surfaces,
-            goal.shades,
+            goal.shaded_hits,
             None if goal.out is None else HitAddresses.of(goal.out),
             _address(job.tallies),
             _address(runs),
@@ -165,7 +173,7 @@ class MultipassBackend(LocalBackend):
             np.uint64(self.traversal_steps),
             np.uint64(self.intersections),
         )
-        streams = RayStreams(steps, arguments, job)
+        streams = RayStreams.of(steps, arguments, job)
         if self.observer is not None:
             streams.on_run = self._snapshots(self.observer, streams, stacks, goal, job)
             streams.on_run(None)
@@ -183,6 +191,83 @@ class MultipassBackend(LocalBackend):
             if job.tallies is not None and again.tallies is not None:
                 job.tallies[overflown] = again.tallies
         return streams.counts
+
+    def run_loop(
+        self, loop: RayLoop, count: int, passes: Counter[str], progress: Progress | None = None
+    ) -> None:
+        """Run a renderer: eye rays, and all rays that shading spawns, in one loop.
+
+        Parameters
+        ----------
+        loop : RayLoop
+        count : int
+            Pixels; see `loop_bytes` for the memory that each takes.
+        passes : Counter
+            The number of passes of each kernel is added.
+        progress : callable, optional
+            Called with (pixels done, pixels).
+
+        Raises
+        ------
+        ValueError
+            If the scheduler chooses a kernel for which no ray waits.
+        """
+        steps = steps_of(self.structure)
+        arrays = {**empty_rays(steps, count), **loop_arrays(count, loop.pixel)}
+        begun = self._streams_of(loop, eye_ray_steps(steps, loop), arrays)
+        begun.run(0, None)
+        passes["eye rays"] += 1
+        self._run_loop(loop, begun.arrays(), passes, progress)
+        if progress:
+            progress(count, count)
+
+    def _streams_of(
+        self, loop: RayLoop, steps: Steps, arrays: dict[str, NDArray[Any]]
+    ) -> RayStreams:
+        """The streams of a loop's rays, with stacks of their own."""
+        stacks = np.empty((len(arrays["state"]), steps.stack_bytes), np.uint8)
+        arguments = StepArguments(
+            np.float32(self.structure.triangles.max_coordinate),
+            False,
+            SHADE_ALL,
+            loop.hits,
+            _address(None),
+            _address(None),
+            _address(stacks),
+            np.uint64(steps.stack_bytes),
+            np.uint64(self.traversal_steps),
+            np.uint64(self.intersections),
+        )
+        constants = {"frame": self.structure.frame, "shading": loop.shading}
+        return RayStreams(steps, arguments, arrays, constants, loop.spawns, stacks)
+
+    def _run_loop(
+        self,
+        loop: RayLoop,
+        arrays: dict[str, NDArray[Any]],
+        passes: Counter[str],
+        progress: Progress | None,
+    ) -> None:
+        """Run a loop whose eye rays are made, in parts where it needs more room."""
+        steps, count = loop_steps(steps_of(self.structure), loop), len(arrays["state"])
+        streams = self._streams_of(loop, steps, arrays)
+        for kernel, waiting in streams.schedule(self.scheduler, self.compaction):
+            if progress:
+                progress(count - sum(waiting), count)
+            streams.run(kernel, None)
+            passes[steps.kernels[kernel].name] += 1
+        left = streams.arrays()
+        waits = left["state"] == RayState.NO_ROOM
+        left = {name: array[waits] for name, array in left.items()}
+        left["state"][:] = RayState.SHADING
+        for part, larger in loop.grow(left["wanted"]) if waits.any() else ():
+            rest = {name: np.ascontiguousarray(array[part]) for name, array in left.items()}
+            self._run_loop(larger, rest, passes, None)
+
+    def loop_bytes(self, pixel: np.dtype[Any]) -> int:
+        """Memory of a pixel of `run_loop`, with the renderer's record."""
+        steps = steps_of(self.structure)
+        return _RAY_BYTES + steps.place.itemsize + steps.stack_bytes + pixel.itemsize
 
     @staticmethod
     def _snapshots(

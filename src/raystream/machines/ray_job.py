@@ -23,13 +23,13 @@ class HitGoal(NamedTuple):
         See `kernels.triangle.intersect`.
     out : HitArrays or None
         Where hits are kept; None if they are only counted.
-    shades : bool
-        Whether rays with hits are shaded, in a pass of its own: not if hits are only counted.
+    shaded_hits : uint64
+        See `StepArguments`.
     """
 
     surfaces: bool
     out: HitArrays | None
-    shades: bool
+    shaded_hits: np.uint64
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
-"""The rays of a query on a multipass machine: streams, and the kernels over them."""
+"""The rays of a multipass machine: streams, and the kernels over them."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams import Counters, Kernel, Stream
 
-__all__ = ["RayStreams", "declared_as"]
+__all__ = ["RayStreams", "declared_as", "empty_rays"]
 
 #: Streams are compacted when at most this share of their rays is active.
 _COMPACTION = 0.5
@@ -27,6 +28,7 @@ def declared_as(
     number: int,
     read: Mapping[str, Stream],
     written: Mapping[str, Stream],
+    constants: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The arguments of `streams.Kernel` for a kernel of a traversal.
 
@@ -38,15 +40,30 @@ def declared_as(
         Index of the kernel.
     read, written : mapping of str to Stream
         The streams by name; those written include ``state``.
+    constants : mapping of str, optional
+        More constants than the traversal's.
     """
     one = steps.kernels[number]
     names = inspect.signature(one.function).parameters
-    known = {"tree": steps.tree, "query": query, "kernel": np.uint64(number)}
+    known = {"tree": steps.tree, "query": query, "kernel": np.uint64(number), **constants}
     outputs = [*(written[name] for name in one.outputs), written["state"]]
     return {
         "inputs": {name: read[name] for name in names if name in read},
         "outputs": outputs if one.outputs else outputs[0],
         "constants": {name: known[name] for name in names if name in known},
+    }
+
+
+def empty_rays(steps: Steps, count: int) -> dict[str, NDArray[Any]]:
+    """Records of rays that wait for set-up; their rays and goals are yet to be written."""
+    wanted = np.empty(count, WANTED)
+    wanted["number"] = np.arange(count, dtype=np.uint32)
+    return {
+        "ray": np.empty(count, RAY),
+        "wanted": wanted,
+        "found": np.zeros(count, FOUND),
+        "place": np.zeros(count, steps.place),
+        "state": np.full(count, RayState.STARTING, np.uint8),
     }
 
 
@@ -57,7 +74,15 @@ class RayStreams:
     ----------
     steps : Steps
     query : StepArguments
-    job : RayJob
+    arrays : dict of str to ndarray
+        The records of N rays: ``ray``, ``wanted``, ``found``, ``place``, ``state``, and those of
+        kernels that spawn rays.
+    constants : mapping of str, optional
+        Of a renderer's kernels.
+    spawns : bool
+        Shading spawns rays, see `Queues`.
+    kept : object, optional
+        Kept alive: kernels read it by address.
 
     Attributes
     ----------
@@ -67,28 +92,34 @@ class RayStreams:
         Called with each `StepKernel` after it has run.
     """
 
-    def __init__(self, steps: Steps, query: StepArguments, job: RayJob) -> None:
-        count, rays = len(job), job.rays
+    def __init__(
+        self,
+        steps: Steps,
+        query: StepArguments,
+        arrays: dict[str, NDArray[Any]],
+        constants: Mapping[str, Any] = MappingProxyType({}),
+        spawns: bool = False,
+        kept: object = None,
+    ) -> None:
+        self._spawns, self._kept = spawns, kept
         self._steps = steps
         self._query = query
-        self.counts = np.zeros(count, np.uint32)
+        self._constants = constants
+        self.counts = np.zeros(len(arrays["state"]), np.uint32)
         self.on_run: Callable[[StepKernel | None], None] | None = None
         # NumPy compares arrays with an IntEnum 4 microseconds slower.
         self._waited_for = [np.uint8(one.state) for one in steps.kernels]
-        ray, wanted = np.empty(count, RAY), np.empty(count, WANTED)
+        self._set(arrays)
+
+    @classmethod
+    def of(cls, steps: Steps, query: StepArguments, job: RayJob) -> RayStreams:
+        """The rays of a job."""
+        rays, arrays = job.rays, empty_rays(steps, len(job))
+        ray, wanted = arrays["ray"], arrays["wanted"]
         ray["origin"], ray["direction"] = rays.origins, rays.directions
         ray["t_min"], ray["t_max"] = rays.t_min, rays.t_max
         wanted["first"], wanted["capacity"] = job.first, job.capacity
-        wanted["number"] = np.arange(count, dtype=np.uint32)
-        self._set(
-            {
-                "ray": ray,
-                "wanted": wanted,
-                "found": np.zeros(count, FOUND),
-                "place": np.zeros(count, steps.place),
-                "state": np.full(count, RayState.STARTING, np.uint8),
-            }
-        )
+        return cls(steps, query, arrays)
 
     def _set(self, arrays: dict[str, NDArray[Any]]) -> None:
         self._streams = {name: Stream(array, name=name) for name, array in arrays.items()}
@@ -100,7 +131,9 @@ class RayStreams:
         state = self._streams["state"]
         return Kernel(
             one.function,
-            **declared_as(self._steps, self._query, number, self._streams, self._streams),
+            **declared_as(
+                self._steps, self._query, number, self._streams, self._streams, self._constants
+            ),
             where=state == int(one.state),
             name=one.name,
         )
@@ -112,6 +145,10 @@ class RayStreams:
     def streams(self) -> Mapping[str, Stream]:
         """The streams by name; new ones after `drop_ended`."""
         return self._streams
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The records now, by the names of the streams."""
+        return {name: stream.array for name, stream in self._streams.items()}
 
     def waiting(self) -> list[int]:
         """The number of rays that wait for each kernel."""
@@ -151,20 +188,20 @@ class RayStreams:
         ValueError
             If the scheduler chooses a kernel for which no ray waits.
         """
-        kernels = self._steps.kernels
+        kernels, spawns = self._steps.kernels, self._spawns
         shading = len(kernels) - 1
         latest: int | None = None
         waiting = self.waiting()
         while any(waiting):
-            searching = sum(waiting[:shading])
+            searching = sum(waiting[: shading + spawns])
             if compaction and searching <= _COMPACTION * len(self):
-                if waiting[shading]:
+                if waiting[shading] and not spawns:
                     self.run(shading, counters)
                 self.drop_ended()
                 waiting = self.waiting()
                 if not searching:
                     break
-            latest = scheduler.choose(Queues(kernels, waiting, latest))
+            latest = scheduler.choose(Queues(kernels, waiting, latest, spawns))
             if latest not in range(len(kernels)) or not waiting[latest]:
                 chosen = dict(enumerate(one.name for one in kernels)).get(latest, latest)
                 raise ValueError(

@@ -20,8 +20,13 @@ __all__ = [
     "DONE",
     "FOUND",
     "INTERSECTING",
+    "NO_ROOM",
     "OVERFLOWED",
     "RAY",
+    "SHADE_ALL",
+    "SHADE_HITS",
+    "SHADE_NONE",
+    "SHADING",
     "TRAVERSING",
     "WANTED",
     "RayState",
@@ -49,11 +54,13 @@ class RayState(IntEnum):
     INTERSECTING
         A test of a triangle, or of a block of them.
     SHADING
-        Shading: its search is over, and it has hits.
+        Shading: its search is over. In a query only rays with hits are shaded.
     AT_LEAF, CONTINUING, BACKTRACKING
         Foley's Leaf, Continue and Up.
     OVERFLOWED
         None: its set of seen triangles is full, and it is traced again with a larger one.
+    NO_ROOM
+        None: the rays that its shading spawns need more room, and it is shaded again with more.
     """
 
     DONE = 0
@@ -65,6 +72,7 @@ class RayState(IntEnum):
     CONTINUING = 6
     BACKTRACKING = 7
     OVERFLOWED = 8
+    NO_ROOM = 9
 
 
 #: A ray, in the scene's local frame: 8 words.
@@ -87,6 +95,10 @@ AT_LEAF = np.uint8(RayState.AT_LEAF)
 CONTINUING = np.uint8(RayState.CONTINUING)
 BACKTRACKING = np.uint8(RayState.BACKTRACKING)
 OVERFLOWED = np.uint8(RayState.OVERFLOWED)
+NO_ROOM = np.uint8(RayState.NO_ROOM)
+
+#: Least number of hits of rays that are shaded.
+SHADE_ALL, SHADE_HITS, SHADE_NONE = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
 
 _NOWHERE = np.uint64(0)
 _WORD = np.uint64(2)  # log2 of the bytes of a count
@@ -101,8 +113,9 @@ class StepArguments(NamedTuple):
         See `kernels.ray.prepare_ray`.
     surfaces : bool
         See `kernels.triangle.intersect`.
-    shades : bool
-        Whether rays with hits are shaded: not if hits are only counted.
+    shaded_hits : uint64
+        Rays with at least this many hits are shaded: `SHADE_HITS`, `SHADE_NONE` if hits are only
+        counted, `SHADE_ALL` in a renderer.
     hits : HitAddresses or None
         Where hits are kept; None for a query that only counts. These are two types: kernels are
         compiled for each.
@@ -117,7 +130,7 @@ class StepArguments(NamedTuple):
 
     max_coordinate: np.float32
     surfaces: bool
-    shades: bool
+    shaded_hits: np.uint64
     hits: HitAddresses | None
     tallies: np.uint64
     runs: np.uint64
@@ -149,7 +162,7 @@ def found_by(search):
 @device
 def end_state(count, query):
     """The state of a ray whose search has ended with a number of hits."""
-    return SHADING if query.shades and count != _NOWHERE else DONE
+    return SHADING if count >= query.shaded_hits else DONE
 
 
 @device

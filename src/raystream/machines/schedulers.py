@@ -2,6 +2,8 @@
 
 Purcell 2002, section 3.2, calls it an oracle; Foley 2005, section 3.4, load balancing. Every
 choice leads to the same hits and the same steps of every ray, in a different number of passes.
+Where shading spawns rays, it is chosen like the other kernels that do not intersect, so that a
+loop has rays of several bounces at a time.
 """
 
 from __future__ import annotations
@@ -40,11 +42,14 @@ class Queues(NamedTuple):
         Rays that wait for each; not all 0.
     latest : int or None
         The kernel that ran last.
+    spawns : bool
+        Shading spawns rays, which are traced in the same loop: it need not wait for all others.
     """
 
     kernels: Sequence[StepKernel]
     waiting: Sequence[int]
     latest: int | None
+    spawns: bool = False
 
     @property
     def tests(self) -> list[int]:
@@ -53,7 +58,7 @@ class Queues(NamedTuple):
 
     @property
     def others(self) -> list[int]:
-        """The kernels that neither intersect nor shade, if rays wait for them."""
+        """The kernels that do not intersect, if rays wait for them; shading only if it spawns."""
         return [k for k in self._searching() if not self._is_test(k)]
 
     @property
@@ -66,7 +71,7 @@ class Queues(NamedTuple):
         return max(among, key=lambda k: self.waiting[k])
 
     def _searching(self) -> list[int]:
-        return [k for k in range(self.shading) if self.waiting[k]]
+        return [k for k in range(self.shading + self.spawns) if self.waiting[k]]
 
     def _is_test(self, k: int) -> bool:
         return self.kernels[k].state is RayState.INTERSECTING

@@ -1,8 +1,8 @@
-"""DeviceBands: rendering samples on a device, without copying paths to the host."""
+"""DeviceBands: rendering samples on a device, or in loops of a machine, without queries."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ __all__ = ["DeviceBands"]
 
 
 class DeviceBands(Protocol):
-    """A renderer of samples on a tracer's device; see `Tracer.bands_on_device`.
+    """A renderer of samples on a tracer's device or machine; see `RenderContext.with_bands`.
 
     Attributes
     ----------
@@ -30,4 +30,12 @@ class DeviceBands(Protocol):
         self, stages: Sequence[Callable[..., Any]], rows: range, sample: int
     ) -> NDArray[np.float32]:
         """Render one sample of each pixel of some rows; see `Integrator.trace`."""
+        ...
+
+    def start(self) -> None:
+        """Begin an image: `figures` are of what follows."""
+        ...
+
+    def figures(self) -> Mapping[str, Any]:
+        """Figures of the samples since `start`, for `Image.figures`."""
         ...

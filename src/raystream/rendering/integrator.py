@@ -76,7 +76,7 @@ class RenderContext:
     chosen_lights : {"auto", "file"}
         See `lighting.needs_light`.
     bands : DeviceBands, optional
-        Renders samples on the tracer's device, if it can.
+        Renders samples on the tracer's device, or in loops of its machine, if it can.
     """
 
     tracer: Tracer
@@ -115,7 +115,16 @@ class RenderContext:
             punctual=punctual,
             kept=(self.kept[0], self.kept[1], kept_punctual),
         )
-        return replace(made, bands=self.tracer.bands_on_device(made))
+        return made.with_bands()
+
+    def with_bands(self) -> RenderContext:
+        """The same with `bands` of the tracer's device or machine."""
+        bands, machine = self.tracer.bands_on_device(self), self.tracer.loop_machine
+        if machine is not None:
+            from raystream.rendering.ray_loops import MultipassBands
+
+            bands = MultipassBands(self, machine)
+        return replace(self, bands=bands)
 
 
 def make_context(
@@ -147,7 +156,7 @@ def make_context(
         layers,
         chosen_lights,
     )
-    return replace(made, bands=tracer.bands_on_device(made))
+    return made.with_bands()
 
 
 @dataclass(frozen=True)

@@ -132,6 +132,9 @@ def render_samples(
     started = time.monotonic()
     if take is None and sample < limits.samples:
         _compile(renderer, context, sample)
+    bands = renderer.bands_of(context)
+    if bands is not None:
+        bands.start()
     shown = time.monotonic()
     try:
         # Ctrl-C reaches this thread only. Another thread, which the block joins, never leaves
@@ -165,7 +168,8 @@ def render_samples(
         raise
     if file is not None:
         file.finish(sums, time.monotonic() - shown >= interval)
-    return sums.image({"samples": sample, "error": sums.error()})
+    more = {} if bands is None else bands.figures()
+    return sums.image({"samples": sample, "error": sums.error(), **more})
 
 
 def _compile(renderer: Integrator, context: RenderContext, sample: int) -> None:

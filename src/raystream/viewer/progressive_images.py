@@ -250,4 +250,4 @@ def with_samples(context: RenderContext, samples: int) -> RenderContext:
 def _with(context: RenderContext, **changes: Any) -> RenderContext:
     """Return a changed context, also on the device."""
     made = replace(context, **changes)
-    return replace(made, bands=made.tracer.bands_on_device(made))
+    return made.with_bands()

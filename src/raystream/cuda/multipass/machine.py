@@ -35,7 +35,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes
-from raystream.machines.records import RayState
+from raystream.machines.records import SHADE_HITS, SHADE_NONE, RayState
 from raystream.machines.schedulers import SCHEDULERS
 from raystream.machines.steps import steps_of
 from raystream.machines.steps.base import StepKernel, Steps
@@ -149,7 +149,7 @@ class Multipass(CudaBackend):
         out = job.sink.hits
         for part in self._parts(job, self._steps.usual):
             memory, hits = _hits_of(self.gpu, part.count)
-            goal = HitGoal(False, True, _ONE_EACH, hits=hits)
+            goal = HitGoal(False, SHADE_HITS, _ONE_EACH, hits=hits)
             streams = self._run_all(self._steps.usual, part, goal, job)
             FINISH.launch(self.gpu, part.count, (streams.addresses, hits))
             _copy(memory, out.part(part.rows))
@@ -158,14 +158,14 @@ class Multipass(CudaBackend):
     def _any_hit(self, job: HostQuery) -> None:
         seen = job.sink.seen
         for part in self._parts(job, self._steps.usual):
-            goal = HitGoal(False, True, _ONE_EACH)
+            goal = HitGoal(False, SHADE_HITS, _ONE_EACH)
             seen[part.rows] = self._run_all(self._steps.usual, part, goal, job).counts() != 0
             _finish(part, job)
 
     def _count_hits(self, job: HostQuery, steps: Steps | None = None) -> None:
         steps, counts, query = steps or self._steps.usual, job.sink.counts, job.query
         for part in self._parts(job, steps):
-            goal = HitGoal(query.surfaces, False, Wanted(NULL, np.uint64(query.limit)))
+            goal = HitGoal(query.surfaces, SHADE_NONE, Wanted(NULL, np.uint64(query.limit)))
             streams = self._run_all(steps, part, goal, job)
             counts[part.rows] = streams.counts()
             overflown = streams.overflown()
@@ -188,7 +188,7 @@ class Multipass(CudaBackend):
             memory, hits = _hits_of(self.gpu, rows.stop - rows.start)
             want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
             each = Wanted(own.address, NULL)
-            goal = HitGoal(job.query.surfaces, True, each, want_any, hits)
+            goal = HitGoal(job.query.surfaces, SHADE_HITS, each, want_any, hits)
             streams = self._run_all(steps, part, goal, job)
             FINISH_MANY.launch(self.gpu, part.count, (streams.addresses, goal.wanted, hits))
             counts, overflown = streams.counts(), streams.overflown()

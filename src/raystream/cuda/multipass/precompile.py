@@ -14,7 +14,7 @@ from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import RaySource
-from raystream.machines.records import StepArguments
+from raystream.machines.records import SHADE_HITS, StepArguments
 from raystream.machines.schedulers import DEFAULT_THRESHOLD
 from raystream.machines.steps import steps_of
 from raystream.scene.scene import Scene
@@ -47,7 +47,7 @@ def multipass_kernels(
     source = RaySource(NULL, NULL, False, NULL, NULL, False, NULL, NULL, NULL, NULL)
     hits = HitAddresses(NULL, NULL, NULL, NULL)
     wanted, streams = rays.Wanted(NULL, NULL), rays.RayStreamAddresses(*(NULL,) * 7)
-    query = StepArguments(np.float32(1.0), True, True, hits, *(NULL,) * 6)
+    query = StepArguments(np.float32(1.0), True, SHADE_HITS, hits, *(NULL,) * 6)
     rules = rules_of(steps.kernels, "threshold", DEFAULT_THRESHOLD, compacts=False)
     return {
         "pass": (pass_of(steps), (*(NULL,) * 8, steps.tree, query)),

@@ -37,7 +37,7 @@ class HitGoal(NamedTuple):
 
     Attributes
     ----------
-    surfaces, shades : bool
+    surfaces, shaded_hits
         See `machines.records.StepArguments`.
     wanted : Wanted
     rows : ndarray of uint32, or None
@@ -47,7 +47,7 @@ class HitGoal(NamedTuple):
     """
 
     surfaces: bool
-    shades: bool
+    shaded_hits: np.uint64
     wanted: Wanted
     rows: NDArray[np.uint32] | None = None
     hits: HitAddresses | None = None
@@ -115,7 +115,7 @@ class RayStreams:
         self._query = StepArguments(
             max_coordinate,
             bool(goal.surfaces),
-            goal.shades,
+            goal.shaded_hits,
             goal.hits,
             NULL if part.tallies is None else part.tallies,
             NULL if self._runs is None else self._runs.address,

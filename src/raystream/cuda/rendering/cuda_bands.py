@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,3 +95,10 @@ class CudaBands:
                 for stage in stages:
                     stream = STAGES[stage](stream, band)
             return band.read()
+
+    def start(self) -> None:
+        """Do nothing: there are no figures."""
+
+    def figures(self) -> Mapping[str, Any]:
+        """None."""
+        return {}

@@ -13,13 +13,15 @@ import numpy as np
 from raystream.jit.constants import BYTES_32, BYTES_64, INF_F32, ONE_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
-from raystream.jit.simd import load, single_lane, store
-from raystream.rendering.shading.ambient_occlusion import spawn_path_ao_rays
-from raystream.rendering.shading.camera_rays import camera_ray_block
-from raystream.rendering.shading.local_shading import facing_ratio_block, unshadowed_block
-from raystream.rendering.shading.paths import shade_path_block
-from raystream.rendering.shading.rows import SINGLE_ROWS
+from raystream.jit.simd import load, store
 from raystream.rendering.shading.shadow_rays import add_if_unblocked
+from raystream.rendering.shading.single_lanes import (
+    ambient_rays,
+    camera_ray,
+    facing_ratio,
+    shade_path,
+    unshadowed,
+)
 from raystream.rendering.shading.streams import StreamAddresses, StreamCursor
 from raystream.rendering.shading.whitted import shade_whitted_path
 
@@ -37,12 +39,6 @@ __all__ = [
 
 #: Bytes of three numbers.
 _3_X_32, _3_X_64 = np.uint64(12), np.uint64(24)
-
-_camera_lane = single_lane(camera_ray_block)
-_ao_lane = single_lane(spawn_path_ao_rays, SINGLE_ROWS)
-_path_lane = single_lane(shade_path_block, SINGLE_ROWS)
-_unshadowed_lane = single_lane(unshadowed_block)
-_facing_ratio_lane = single_lane(facing_ratio_block)
 
 
 class SlotAddresses(NamedTuple):
@@ -76,7 +72,7 @@ def _end_slots(slots, i, end):
 def _generate_camera_rays(i, view, first_row, sample, paths):
     width = np.uint64(view.width)
     row, column = np.int64(i // width), np.int64(i % width)
-    _camera_lane(view, first_row, row, column, sample.sampler, sample.number, paths)
+    camera_ray(view, first_row, row, column, sample.sampler, sample.number, paths)
     store(paths.numbers + i * BYTES_32, INF_F32)
     for k in range(3):
         store(paths.colors + i * _3_X_32 + np.uint64(k) * BYTES_32, ONE_F32)
@@ -85,19 +81,19 @@ def _generate_camera_rays(i, view, first_row, sample, paths):
 @kernel
 def _shade_paths(i, batch, tables, lights, sample, bounce, options, onward, rays):
     starts = _begin_slots(onward, i), _begin_slots(rays, i)
-    path_end, ray_end = _path_lane(i, batch, tables, lights, sample, bounce, options, *starts)
+    path_end, ray_end = shade_path(i, batch, tables, lights, sample, bounce, options, *starts)
     _end_slots(onward, i, path_end)
     _end_slots(rays, i, ray_end)
 
 
 @kernel
 def _shade_unshadowed(i, batch, tables, lights):
-    _unshadowed_lane(i, batch, tables, lights)
+    unshadowed(i, batch, tables, lights)
 
 
 @kernel
 def _shade_facing_ratio(i, batch, tables, lights):
-    _facing_ratio_lane(i, batch, tables, lights)
+    facing_ratio(i, batch, tables, lights)
 
 
 @kernel
@@ -110,7 +106,7 @@ def _sample_all_lights(i, batch, tables, lights, rays):
 
 @kernel
 def _spawn_ao_rays(i, batch, tables, sample, options, rays):
-    _end_slots(rays, i, _ao_lane(i, batch, tables, sample, options, _begin_slots(rays, i)))
+    _end_slots(rays, i, ambient_rays(i, batch, tables, sample, options, _begin_slots(rays, i)))
 
 
 @device

@@ -91,6 +91,18 @@ def llvm_type(vector: VectorType) -> ir.VectorType:
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager: Any, vector: VectorType) -> None:
         super().__init__(manager, vector, llvm_type(vector))
+        self._is_bit = vector.kind == "mask" and vector.lane_count == 1
+
+    # LLVM for x86 cannot pass a mask of one lane to a function.
+
+    def get_argument_type(self) -> Any:
+        return ir.IntType(1) if self._is_bit else super().get_argument_type()
+
+    def as_argument(self, builder: Any, value: Any) -> Any:
+        return builder.bitcast(value, ir.IntType(1)) if self._is_bit else value
+
+    def from_argument(self, builder: Any, value: Any) -> Any:
+        return builder.bitcast(value, self.get_value_type()) if self._is_bit else value
 
 
 #: Vectors of one lane are for CUDA's threads; see `single_lane`.

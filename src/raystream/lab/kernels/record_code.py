@@ -9,7 +9,7 @@ import numpy as np
 from raystream.jit.inspect import Code, assume, compile_code
 from raystream.kernels.hits import HitAddresses
 from raystream.machines.ray_streams import declared_as
-from raystream.machines.records import FOUND, RAY, WANTED, StepArguments
+from raystream.machines.records import FOUND, RAY, SHADE_HITS, WANTED, StepArguments
 from raystream.machines.steps import Steps
 from raystream.streams import Stream
 from raystream.streams.declarations import declare
@@ -17,7 +17,7 @@ from raystream.streams.declarations import declare
 __all__ = ["RecordCode", "compile_steps", "first_hit_query", "make_streams"]
 
 #: Numbers of a query that select what is compiled.
-_QUERY_CHOICES = {"surfaces", "shades", "tallies", "runs", "steps", "tests"}
+_QUERY_CHOICES = {"surfaces", "shaded_hits", "tallies", "runs", "steps", "tests"}
 
 _NOWHERE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -58,7 +58,7 @@ def first_hit_query(
     return StepArguments(
         np.float32(max_coordinate),
         False,
-        True,
+        SHADE_HITS,
         HitAddresses(*(_NOWHERE,) * 4) if hits is None else hits,
         _NOWHERE,
         _NOWHERE,

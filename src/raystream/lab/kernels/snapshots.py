@@ -83,7 +83,7 @@ class Search:
         self._compaction = compaction
         rows, one = np.arange(count, dtype=np.uint64), np.ones(count, np.uint64)
         query = query_of(self._max_coordinate, self.hits, self.stacks)
-        self.streams = RayStreams(self.steps, query, RayJob(rays, rows, one, None))
+        self.streams = RayStreams.of(self.steps, query, RayJob(rays, rows, one, None))
 
     def schedule(self) -> Iterator[tuple[int, list[int]]]:
         """Yield kernels until no ray is active; see `RayStreams.schedule`."""

@@ -16,7 +16,7 @@ from raystream.lab.walks.record_loop import search_loop, visits_of
 from raystream.lab.walks.walks import Walks
 from raystream.machines.counters import RayCounters
 from raystream.machines.ray_block import RayBlock, blocks
-from raystream.machines.records import FOUND, StepArguments
+from raystream.machines.records import FOUND, SHADE_HITS, StepArguments
 from raystream.machines.steps import steps_of
 from raystream.structures import Structure
 from raystream.tracer import Tracer
@@ -182,7 +182,7 @@ class _Recording:
         return StepArguments(
             max_coordinate=np.float32(self.structure.triangles.max_coordinate),
             surfaces=False,
-            shades=True,
+            shaded_hits=SHADE_HITS,
             hits=None if hits is None else HitAddresses.of(hits),
             tallies=nowhere if tallies is None else _address(tallies),
             runs=_address(runs),

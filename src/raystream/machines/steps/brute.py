@@ -9,7 +9,6 @@ from raystream.kernels.search import is_full
 from raystream.kernels.tally import TESTS
 from raystream.kernels.triangle_list import intersect_list
 from raystream.machines.records import (
-    DONE,
     INTERSECTING,
     RayState,
     count_step,
@@ -34,7 +33,8 @@ def set_up(ray, wanted, tree, query, kernel):
     """Begin with the first triangle."""
     count_step(query, wanted, kernel, TESTS, _NONE)
     is_active = tree.triangle_count != _NONE and ray.t_min <= ray.t_max
-    return (np.uint32(0), ray.t_max), (np.uint32(0),), INTERSECTING if is_active else DONE
+    state = INTERSECTING if is_active else end_state(_NONE, query)
+    return (np.uint32(0), ray.t_max), (np.uint32(0),), state
 
 
 def intersect(ray, wanted, found, place, tree, query, kernel):

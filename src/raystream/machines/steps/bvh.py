@@ -11,7 +11,6 @@ from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, tria
 from raystream.kernels.search import LEAST_ROOM, SeenSet, clear_seen, is_full
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import (
-    DONE,
     INTERSECTING,
     OVERFLOWED,
     TRAVERSING,
@@ -59,7 +58,7 @@ def set_up(ray, wanted, tree, query, kernel):
     stack = stack_of(wanted, query)
     clear_seen(_seen_of(tree, wanted, query))
     top = tree_steps.begin(tree, ray.t_min, ray.t_max, stack, tree.half)
-    state = DONE if top == _NONE else TRAVERSING
+    state = end_state(_NONE, query) if top == _NONE else TRAVERSING
     return (np.uint32(0), ray.t_max), (np.uint32(top), _NONE, _NONE), state
 
 

@@ -9,7 +9,6 @@ from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS
 from raystream.machines.records import (
-    DONE,
     INTERSECTING,
     TRAVERSING,
     add_count,
@@ -65,7 +64,7 @@ def set_up(ray, wanted, tree, query, kernel):
     count_step(query, wanted, kernel, STEPS, _NONE)
     line = prepared_ray(ray, query)
     is_active, t_in, t_end = clip_to_scene(tree, line, ray.t_min, ray.t_max)
-    state, sector = DONE, tree.rows
+    state, sector = end_state(_NONE, query), tree.rows
     if is_active:
         state = TRAVERSING
         sector, _ = start_sector(tree, sector_ray(line), line, t_in)

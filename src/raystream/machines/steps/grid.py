@@ -11,7 +11,6 @@ from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.kernels.triangle_list import intersect_list
 from raystream.machines.records import (
-    DONE,
     INTERSECTING,
     TRAVERSING,
     add_count,
@@ -145,9 +144,10 @@ def set_up(ray, wanted, tree, query, kernel):
     if not is_active:
         t_in = t_far = np.float32(0.0)
     coarse = coarse_cells(tree)
-    _, state = begin_walk(coarse, line, t_in)
-    place = _Place(state, _COARSE, t_in, _INF, _NONE, _NONE)
-    return (np.uint32(0), t_far), _record(place), TRAVERSING if is_active else DONE
+    _, walk = begin_walk(coarse, line, t_in)
+    place = _Place(walk, _COARSE, t_in, _INF, _NONE, _NONE)
+    state = TRAVERSING if is_active else end_state(_NONE, query)
+    return (np.uint32(0), t_far), _record(place), state
 
 
 def traverse(ray, wanted, found, place, tree, query, kernel):

@@ -22,7 +22,6 @@ from raystream.machines.records import (
     AT_LEAF,
     BACKTRACKING,
     CONTINUING,
-    DONE,
     INTERSECTING,
     TRAVERSING,
     RayState,
@@ -94,7 +93,7 @@ def initialize(ray, wanted, tree, query, kernel):
     """Begin at the root."""
     count_step(query, wanted, kernel, STEPS, _NONE)
     is_active, state = traversal.initialize(tree, prepared_ray(ray, query), ray.t_min, ray.t_max)
-    status = DONE
+    status = end_state(_NONE, query)
     if is_active:
         status = _downward(tree, state)
     return (np.uint32(0), ray.t_max), _record(state, _NONE, _NONE), status
