@@ -79,14 +79,14 @@ def simple_sort(monkeypatch):
     from raystream.jit.cuda import is_simulated
 
     if is_simulated():
-        from raystream.cuda.builders import lists, records
+        from raystream.cuda.builders import binary_tree, lists
         from raystream.cuda.builders.graph import sectors
         from raystream.jit.cuda.scan import Scan
 
         monkeypatch.setattr(Scan, "run", _scan)
         monkeypatch.setattr(sectors, "sort_pairs", _sort)
         monkeypatch.setattr(lists, "sort_pairs", _sort)
-        monkeypatch.setattr(records, "sort_pairs", _sort)
+        monkeypatch.setattr(binary_tree, "sort_pairs", _sort)
 
 
 @pytest.fixture

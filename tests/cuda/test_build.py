@@ -177,7 +177,7 @@ def test_clusters_need_few_rounds(device, monkeypatch, places, sizes):
 
 def test_trees_that_are_too_deep_are_built_of_shorter_keys(device, monkeypatch):
     from raystream.cuda.builders import bvh
-    from raystream.cuda.builders.records import COARSE_BITS
+    from raystream.cuda.builders.binary_tree import COARSE_BITS
     from raystream.cuda.builders.wide import TooDeepError
 
     asked = []

@@ -77,10 +77,10 @@ def test_options_are_the_cpus(device, options):
 
 def test_large_cells_and_subtrees_are_numbered_as_on_the_cpu(device, monkeypatch):
     """Else cells of 4096 references are large, and no tree of a test has any."""
-    from raystream.cuda.builders.kdtree import rows
+    from raystream.cuda.builders.kdtree import numbering
     from raystream.structures.kdtree import build
 
-    for module in (build, rows):
+    for module in (build, numbering):
         monkeypatch.setattr(module, "subtree_size", lambda _: 70)
     assert_same_graphs(scene_of(*soup(300)), **FINE)
 
@@ -133,7 +133,7 @@ def test_the_same_scene_gives_the_same_graph(device):
 def test_trees_below_graphs_are_the_cpus(device):
     """Lists that pruning changes are compared before it."""
     from raystream.cuda.builders.kdtree.grow import grow_tree
-    from raystream.cuda.builders.kdtree.rows import number_nodes
+    from raystream.cuda.builders.kdtree.numbering import number_nodes
 
     triangles = scene_of(*soup(300)).triangles
     count = len(triangles.prim_ids)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from raystream.core.triangles import Triangles
+from raystream.cuda.builders.binary_tree import COARSE_BITS, FINE_BITS, Nodes, make_leaves
 from raystream.cuda.builders.clusters import merge_clusters
 from raystream.cuda.builders.device_resident import DeviceResident, finish
 from raystream.cuda.builders.linear import link_by_keys
-from raystream.cuda.builders.moving import cost_of, refit
-from raystream.cuda.builders.records import COARSE_BITS, FINE_BITS, Nodes, make_leaves
+from raystream.cuda.builders.refit import cost_of, refit
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu

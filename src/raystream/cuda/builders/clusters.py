@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.records import Nodes, join
+from raystream.cuda.builders.binary_tree import Nodes, join
 from raystream.jit.constants import (
     BITS_32,
     INF_F32,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.records import Nodes, join
+from raystream.cuda.builders.binary_tree import Nodes, join
 from raystream.jit.atomics import atomic_add, fence
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.records import Nodes
+from raystream.cuda.builders.binary_tree import Nodes
 from raystream.jit.constants import BITS_32, LOW_32, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel

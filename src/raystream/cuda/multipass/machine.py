@@ -24,10 +24,10 @@ from raystream.cuda.multipass.control import (
 )
 from raystream.cuda.multipass.kernels.rays import FINISH, FINISH_MANY, Wanted
 from raystream.cuda.multipass.loops import LOOPS
-from raystream.cuda.multipass.part import HostQuery, PassPart
 from raystream.cuda.multipass.passes import columns_of
+from raystream.cuda.multipass.query_parts import HostQuery, PassPart
 from raystream.cuda.multipass.ray_streams import HitGoal, RayStreams, ray_bytes
-from raystream.cuda.multipass.tree import ResidentSteps
+from raystream.cuda.multipass.resident_steps import ResidentSteps
 from raystream.cuda.rays import split_rows
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu

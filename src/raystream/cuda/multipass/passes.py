@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.multipass.kernels.moving import chosen_kernel, is_waiting, move, row_of
+from raystream.cuda.multipass.kernels.ray_states import chosen_kernel, is_waiting, move, row_of
 from raystream.cuda.soa import NAMES, SoaLayout
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.from_source import device_from_source, kernel_from_source

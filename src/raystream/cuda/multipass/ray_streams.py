@@ -18,8 +18,8 @@ from raystream.cuda.multipass.kernels.rays import (
     RayStreamAddresses,
     Wanted,
 )
-from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import STREAMS, columns_of, pass_of
+from raystream.cuda.multipass.query_parts import PassPart
 from raystream.cuda.soa import capacity_of
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceLoop, Gpu, Launch

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.builders.graph.linking import KERNELS, CandidateOrder, Raw
+from raystream.cuda.builders.graph.link_kernels import KERNELS, CandidateOrder, Raw
 from raystream.cuda.builders.graph.sectors import Ordered
 from raystream.cuda.builders.graph.sharing import LinkTable
 from raystream.cuda.builders.kdtree.grow import GrownTree

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.kdtree.grow import GrownTree, as_numbers
-from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel

@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.cuda.builders.graph.pruning import Lists
 from raystream.cuda.builders.kdtree.grow import GrownTree
-from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel

@@ -17,7 +17,7 @@ from raystream.cuda.builders.graph.pruning import prune
 from raystream.cuda.builders.graph.sectors import Ordered, number_sectors, order_sectors
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.cuda.builders.kdtree.grow import GrownTree, grow_tree
-from raystream.cuda.builders.kdtree.rows import number_nodes
+from raystream.cuda.builders.kdtree.numbering import number_nodes
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.kernels.leaf_block import BLOCK_FLOATS

@@ -10,8 +10,8 @@ import numpy as np
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
 from raystream.cuda.builders.kdtree.grow import grow_tree
-from raystream.cuda.builders.kdtree.rows import number_nodes
-from raystream.cuda.builders.kdtree.trees import WrittenTree, write_tree
+from raystream.cuda.builders.kdtree.numbering import number_nodes
+from raystream.cuda.builders.kdtree.write_tree import WrittenTree, write_tree
 from raystream.cuda.structures import Resident
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.rays import RayStatus
-from raystream.cuda.multipass.kernels.moving import row_of
+from raystream.cuda.multipass.kernels.ray_states import row_of
 from raystream.jit.constants import INF_F32, NULL, ONE_U64, SHIFT_32, SHIFT_64, ZERO_F32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel

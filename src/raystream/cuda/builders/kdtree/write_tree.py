@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.cuda.builders.kdtree.grow import GrownTree
-from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import ONE_U64, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
