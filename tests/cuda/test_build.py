@@ -1,4 +1,4 @@
-"""Structures built on the device: grids have the CPU's bits, BVHs are whole and answer alike.
+"""Structures built on the device: grids match the CPU bit for bit, BVHs are valid and agree.
 
 In the simulator a thread takes a tenth of a millisecond, and a block of threads that wait for each
 other a hundred times that. So most tests there run kernels in loops compiled for the CPU, and
@@ -73,7 +73,7 @@ def test_grids_with_long_lists_get_coarser_as_on_the_cpu(device, monkeypatch):
 
 
 def test_grids_in_the_simulator_itself(gpu):
-    """Nothing is replaced: counts, scans, pairs and sorts of a few triangles."""
+    """Nothing is mocked: counts, scans, pairs and sorts of a few triangles."""
     scene = rs.load("cornell")
     ours = built(scene, "grid", resolution=2).structure
     assert_same_lists(ours, rs.Tracer(scene, "grid", resolution=2).structure)
@@ -306,7 +306,7 @@ def test_options_are_checked(device, structure, options, message):
 
 
 def test_options_that_the_device_lacks_are_refused(device):
-    with pytest.raises(ValueError, match="quality: expected no 'high' where build='device'"):
+    with pytest.raises(ValueError, match="quality: 'high' is not supported with build='device'"):
         built(rs.load("cornell"), "bvh", quality="high")
     with pytest.raises(TypeError, match="grid: build='device' has no option 'method'"):
         built(rs.load("cornell"), "grid", method="linear")

@@ -1,4 +1,4 @@
-"""The kernels of builders with example arguments, to compile them without a device."""
+"""Kernels of the builders with example arguments, for compilation without a device."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["block_kernels", "build_kernels"]
 
 
 def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """Kernels by name, with arguments that are valid for their types only."""
+    """Kernels by name, with placeholder arguments of the right types."""
     one = (1.0, 1.0, 1.0)
     lattice = lists.as_numbers(Lattice(one, one, one, (1, 1, 1), 1.0))
     nodes = binary_tree.NodesAt(NULL, NULL, NULL, np.int64(1))
@@ -55,7 +55,7 @@ def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
 
 
 def block_kernels() -> dict[str, BlockKernel]:
-    """The kernels of scans and sorts, by name and the bits of their numbers."""
+    """Kernels of scans and sorts, by name and bit width."""
     made = {}
     for dtype in ("uint32", "uint64"):
         steps = {**scan_kernels(dtype)._asdict(), **sort_kernels(dtype)._asdict()}

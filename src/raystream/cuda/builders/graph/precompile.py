@@ -1,4 +1,4 @@
-"""The kernels of the graph builder with example arguments, to compile them without a device."""
+"""Kernels of the graph builder with example arguments, for compilation without a device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COSTS = Costs(*(np.float64(0.0),) * 4)
 
 
 def graph_kernels() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
-    """Kernels, with arguments that are valid for their types only."""
+    """Kernels, with placeholder arguments of the right types."""
     return [*_of_trees(), *_of_sectors(), *_of_links()]
 
 
