@@ -1,6 +1,6 @@
 """A device to test with: a GPU or Numba's simulator; where neither is, tests skip.
 
-What needs numba-cuda is imported by fixtures: without it, each module of tests says so and skips.
+Fixtures import everything that needs numba-cuda: without it, each test module says so and skips.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _HERE = Path(__file__).parent
 
-#: Fixtures of tests that touch a device; all others compile, emulate, or fake one.
+#: Fixtures of tests that use a device; all others compile, emulate, or fake one.
 DEVICES = {"gpu", "device"}
 
 

@@ -226,7 +226,7 @@ def test_trees_are_refitted_as_on_the_cpu(device):
         assert ours.tobytes() == theirs.tobytes()
     assert report.cost == pytest.approx(trace_cost(expected))
     assert_whole(tracer.structure)
-    # What it costs is compared with when it was built, not with when it moved last.
+    # The cost is compared with that of the build, not of the last update.
     assert tracer.update(case.vertices).cost_when_built == report.cost_when_built
 
 
@@ -374,11 +374,11 @@ def test_every_kernel_compiles(name):
     if name in blocks:
         ptx = blocks[name].compiled(CAPABILITIES[0]).ptx
         assert ".shared" in ptx
-        assert "f64" not in ptx  # what becomes of integers of two kinds
+        assert "f64" not in ptx  # the type of mixed signed and unsigned integers
     else:
         kernel, arguments = ranges[name]
         ptx = kernel.compiled(arguments, CAPABILITIES[0]).ptx
         assert "fma.rn" not in ptx
     if name == "climb":
-        # What climbing threads wrote is seen by those that meet them.
+        # Writes of climbing threads are visible to those that meet them.
         assert ptx.index("membar.gl") < ptx.index("atom.add.u32") < ptx.rindex("membar.gl")

@@ -1,4 +1,4 @@
-"""kd-trees built on the device have the CPU's bits; `test_build_graph` grows the same trees."""
+"""kd-trees built on the device match the CPU's bit for bit; see also `test_build_graph`."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_options_are_the_cpus(device, options):
 
 
 def test_large_cells_and_subtrees_are_numbered_as_on_the_cpu(device, monkeypatch):
-    """Else cells of 4096 references are large, and no tree of a test has any."""
+    """Otherwise cells are large from 4096 references, and no test's tree has any."""
     from raystream.cuda.builders.kdtree import numbering
     from raystream.structures.kdtree import build
 
