@@ -1,4 +1,4 @@
-"""Batches of rays of awkward sizes, shapes, layouts and dtypes, each with a scene.
+"""Ray batches of awkward sizes, shapes, layouts and dtypes, each with a scene.
 
 Each function returns vertices, faces, and the arguments of a query.
 """
@@ -23,7 +23,7 @@ def _toward(shape, rng, dtype=np.float32):
 
 
 def _picture(width, height):
-    """Rays through the pixels of a picture of the unit cube, origins one by one."""
+    """Rays through the pixels of an image of the unit cube, origins one by one."""
     x, y = np.meshgrid(np.linspace(-0.2, 1.2, width), np.linspace(-0.2, 1.2, height))
     directions = np.stack([x - 0.4, y - 0.6, np.full_like(x, 3.0)], axis=-1).astype(np.float32)
     origins = np.broadcast_to(np.array([0.4, 0.6, -3.0], np.float32), directions.shape).copy()
@@ -97,7 +97,7 @@ def picture_transposed(rng):
 
 
 def parallel_rays(rng):
-    """One direction for all, origins in a picture."""
+    """One direction for all, origins in an image."""
     x, y = np.meshgrid(np.linspace(-0.2, 1.2, 40), np.linspace(-0.2, 1.2, 21))
     origins = np.stack([x, y, np.full_like(x, -3.0)], axis=-1).astype(np.float32)
     return *soup(300, 1), {"origins": origins, "directions": np.float32([0, 0, 2])}

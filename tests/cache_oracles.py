@@ -1,4 +1,4 @@
-"""Caches as plainly as they can be said, to compare the simulator with."""
+"""Caches in the plainest Python, as references for the simulator."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def direct_misses(references, size: int, line_size: int) -> Counter[int]:
 
 
 def stack_distances(references, line_size: int) -> tuple[Counter[tuple[int, int]], Counter[int]]:
-    """How many accesses have which (kind, distance), and first accesses by kind."""
+    """Number of accesses by (kind, distance), and of first accesses by kind."""
     stack: list[int] = []  # the latest line last
     distances: Counter[tuple[int, int]] = Counter()
     first: Counter[int] = Counter()

@@ -36,7 +36,7 @@ def assert_follows(counts, expected) -> None:
 
 
 def assert_uniform(points, cells: int) -> None:
-    """Test numbers of shape (N,) or points (N, D), all in [0, 1), on a grid of so many cells."""
+    """Test numbers of shape (N,) or points (N, D), in [0, 1), on a grid of this many cells."""
     points = np.asarray(points, np.float64)
     points = points.reshape(len(points), -1)
     assert (points >= 0).all()

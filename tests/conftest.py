@@ -147,10 +147,10 @@ TRACERS = {
 }
 
 
-#: Those of them that run different code: a traversal, a kernel or a machine that no other of these
-#: has. What the rest run is the same on another tree, or in other passes. A usual run asks these
-#: in every test of tracers, and the rest with some cases in turn: see `is_default`. CI asks all. A
-#: new line above that has code of its own gets one here, too.
+#: Those with distinct code: a traversal, a kernel or a machine that no other one of these has. The
+#: rest run the same code on another tree, or in other passes. A default run has these in every test
+#: of tracers, and the rest with some cases in turn: see `is_default`. CI runs all. A new line above
+#: with its own code gets one here, too.
 CODE_PATHS = (
     "brute",
     "bvh",
@@ -172,15 +172,15 @@ CODE_PATHS = (
 
 
 def is_default(tracer: str, number: int, every: int) -> bool:
-    """Whether it is a tracer's turn in the case of this number: one case in so many.
+    """Whether it is a tracer's turn in the case of this number: one case in `every`.
 
-    Any so many tracers one after the other in the table have each case between them.
+    Any `every` consecutive tracers in the table cover all cases between them.
     """
     return (list(TRACERS).index(tracer) + number) % every == 0
 
 
 def _tree_of(tracer: str) -> dict[str, object]:
-    """The options that say what is built, and not how it is traced."""
+    """The options of the build, without those of tracing."""
     how = ("kernel", "machine", "scheduler", "traversal_steps", "intersections", "compaction")
     return {key: value for key, value in TRACERS[tracer].items() if key not in how}
 
@@ -194,13 +194,13 @@ TREES = [
 
 
 def every_tracer_but_usually(names: Collection[str]) -> list[Any]:
-    """Tracers by their names, as parameters of a test: a usual run has these alone."""
+    """Tracers by name, as parameters of a test: the only ones in a default run."""
     return [
         pytest.param(name, marks=[pytest.mark.exhaustive] * (name not in names)) for name in TRACERS
     ]
 
 
-#: For a test of one case; and for one of what is built, moved or saved.
+#: For tests of one case, and for tests of building, moving or saving.
 EVERY_TRACER = every_tracer_but_usually(CODE_PATHS)
 EVERY_TREE = every_tracer_but_usually({*CODE_PATHS, *TREES})
 
@@ -377,7 +377,7 @@ def reason_against_graphics() -> str:
 
 
 def skip_without_adapter() -> None:
-    """Skip the test that asks, with the reason, where wgpu or an adapter is missing."""
+    """Skip the calling test, with the reason, where wgpu or an adapter is missing."""
     need("wgpu")
     if reason := reason_against_graphics():
         pytest.skip(reason)
@@ -398,7 +398,7 @@ def reason_against_cuda() -> str:
 
 
 def skip_without_cuda() -> None:
-    """Skip the test that asks, with the reason, where numba-cuda or a GPU is missing."""
+    """Skip the calling test, with the reason, where numba-cuda or a GPU is missing."""
     need("numba_cuda")
     if reason := reason_against_cuda():
         pytest.skip(reason)
@@ -428,7 +428,7 @@ def few_objects():
 
 
 def leave_out_first_use(monkeypatch) -> None:
-    """Let commands compile what they need and no more, and not say so: as after the first use."""
+    """Make commands compile only what they need, and silently, as after the first use."""
     from raystream.cli import compiling
 
     monkeypatch.setattr(compiling._CompileListener, "_compile_all", lambda *_: None)

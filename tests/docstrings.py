@@ -1,4 +1,4 @@
-"""Where pytest looks for examples in docstrings: in the modules that have some."""
+"""Collection of docstring examples by pytest, from the modules that have some."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Docstrings:
 
 
 def _packages_of(file: Path) -> tuple[str, ...]:
-    """What the import of a module of the package needs."""
+    """Packages needed to import a module of the package."""
     is_ours = PACKAGE in file.parents
     return ROOMS.get(file.relative_to(PACKAGE).parts[0], ()) if is_ours else ()
 

@@ -1,4 +1,4 @@
-"""Packages behind extras: where one is missing, the tests that need it skip and say how to get it.
+"""Optional packages: tests that need a missing one skip and say how to install it.
 
 `[test]` has none of them, `[dev]` all. Two variables of the environment let CI run the tests that
 skipped, once it has installed the rest:
@@ -25,12 +25,12 @@ ROOMS = {"cluster": ("dask", "distributed"), "cuda": ("numba_cuda",)}
 
 
 def missing_of(*packages: str) -> list[str]:
-    """Those of some packages that are not installed."""
+    """The packages among these that are not installed."""
     return [package for package in packages if find_spec(package) is None]
 
 
 def need(*packages: str, whose: str = "") -> None:
-    """Skip the test, or the module that asks on import, if one of these packages is missing."""
+    """Skip the test, or on import the module, if one of these packages is missing."""
     __tracebackhide__ = True  # the place that is reported is the caller's
     missing = missing_of(*packages)
     if not missing:

@@ -1,4 +1,4 @@
-"""A driver of CUDA that is none: what raystream asks of one, done on the host."""
+"""A fake CUDA driver: the calls that raystream makes, done on the host."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Driver", "install"]
 
 
 class Memory:
-    """Memory of a device that is none."""
+    """Memory of the fake device."""
 
     def __init__(self, byte_count):
         self._bytes = np.zeros(max(byte_count, 1), np.uint8)
@@ -124,7 +124,7 @@ class Driver:
 
     @property
     def core(self):
-        """What stands for cuda.core."""
+        """The replacement of cuda.core."""
         return SimpleNamespace(
             Device=self.device,
             StreamOptions=lambda nonblocking: nonblocking,
@@ -138,7 +138,7 @@ class Driver:
 
 
 def install(monkeypatch, driver):
-    """Let a driver stand for CUDA's and cuda.core's; devices are to be opened anew."""
+    """Replace CUDA's driver and cuda.core by a fake one; devices must be reopened."""
     monkeypatch.setitem(sys.modules, "cuda.core", driver.core)
     monkeypatch.setitem(sys.modules, "cuda.bindings", SimpleNamespace(driver=driver))
     for module in (gpu, devices):

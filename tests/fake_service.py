@@ -1,4 +1,4 @@
-"""A service without an engine: it keeps what it is told, and sends what a test wants."""
+"""A service without an engine: it records requests, and sends what a test wants."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FakeService:
 
 
 class FakeClient:
-    """Echoes messages; of unknown types it says so, and "stream" makes it send for ever."""
+    """Echoes messages, reports unknown types, and on "stream" sends forever."""
 
     def __init__(self, send):
         self.send = send

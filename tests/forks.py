@@ -1,4 +1,4 @@
-"""Fresh processes for less: forks of one that has imported Numba, and nothing of raystream."""
+"""Cheap fresh processes: forks of one that has imported Numba, but nothing of raystream."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _IS_POSIX = "forkserver" in multiprocessing.get_all_start_methods()
 
 
 class Fork:
-    """A program that runs in a process of its own.
+    """A program that runs in a separate process.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Fork:
         writer.close()
 
     def words(self, seconds: float = 300.0) -> list[str]:
-        """Wait for its end, and take the words that it has printed."""
+        """Wait for its end, and return the words that it printed."""
         assert self._reader.poll(seconds), "it takes too long"
         error, out = self._reader.recv()
         self._process.join(seconds)
@@ -58,7 +58,7 @@ class Fork:
 def run_fresh(
     program: Path, paths: Sequence[Path] = (), variables: Mapping[str, str] | None = None
 ) -> list[str]:
-    """The words that a program prints in a process of its own; see `Fork`."""
+    """The words that a program prints in a separate process; see `Fork`."""
     return Fork(program, paths, variables).words()
 
 

@@ -8,7 +8,7 @@ from raystream.structures.clip import BOUND
 from raystream.structures.graph.build import graph_box
 from raystream.structures.graph.layout import NODE_BIT, VOID
 
-#: A box is listed for certain if it is met by what is grown by a little less than the bound.
+#: A box is certainly listed if it meets a triangle grown by a little less than the bound.
 SURELY = 0.9
 
 
@@ -129,7 +129,7 @@ def assert_nodes(view):
 
 
 def assert_lists(view, triangles):
-    """Sectors list what brute force finds in them, once, and each has its own blocks."""
+    """Sectors list the triangles that brute force finds in them once, in their own blocks."""
     corners = triangles.corners[triangles.prim_ids].astype(float)
     reach = SURELY * BOUND * float(triangles.max_coordinate)
     low, high = corners.min(axis=1) - reach, corners.max(axis=1) + reach

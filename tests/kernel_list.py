@@ -1,7 +1,7 @@
-"""What `raystream warm` compiles: recorded from commands that run, each in a process of its own.
+"""The kernels that `raystream warm` compiles, recorded from commands in separate processes.
 
-python tests/kernel_list.py            # renews src/raystream/jit/kernels.json
-python tests/kernel_list.py render-ao  # prints what one task asks for, as JSON
+python tests/kernel_list.py            # updates src/raystream/jit/kernels.json
+python tests/kernel_list.py render-ao  # prints the kernels of one task as JSON
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TASKS = (
     *(f"query-{kind}" for kind in QUERIES),
 )
 
-#: Width and height of a picture: rows are longer than the smallest batch for packets.
+#: Width and height of an image: rows are longer than the smallest batch for packets.
 SIZE = "1100x40"
 
 
@@ -69,7 +69,7 @@ def build(how: str) -> None:
 
 
 def record(task: str) -> list[dict[str, Any]]:
-    """Run a task here, and note each kernel that it asks the cache for."""
+    """Run a task in this process, and record each kernel that it requests from the cache."""
     from raystream.cli import compiling
     from raystream.jit import signatures
     from raystream.jit.cache import KernelCache
@@ -89,7 +89,7 @@ def record(task: str) -> list[dict[str, Any]]:
         row["seconds"] = round(time.thread_time() - begun[self, sig], 2)
         save(self, sig, data)
 
-    # Each kernel is compiled when it is asked for, so that its seconds are its own.
+    # Each kernel is compiled when it is requested, so that its seconds are its own.
     compiling._CompileListener._compile_all = lambda *_: None  # type: ignore[method-assign]
     KernelCache.load_overload, KernelCache.save_overload = note, note_end  # type: ignore[method-assign]
     kind, _, name = task.partition("-")
@@ -98,11 +98,11 @@ def record(task: str) -> list[dict[str, Any]]:
 
 
 def run(task: str, folder: Path | None = None) -> list[dict[str, Any]]:
-    """What `record` gives, in a process of its own; with an empty cache if a folder is given."""
+    """The result of `record` in a separate process, with an empty cache if a folder is given."""
     environment = dict(os.environ)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     if folder is not None:
-        # One thread, so that no helper compiles what is to be timed here.
+        # One thread, so that no helper compiles the kernels that are timed here.
         environment |= {"RAYSTREAM_CACHE_DIR": str(folder), "RAYSTREAM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as place:
         command = [sys.executable, str(Path(__file__).resolve()), task]

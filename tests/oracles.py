@@ -1,4 +1,4 @@
-"""An independent answer in float64: no code of raystream, another formula, honest about doubt.
+"""Independent answers in float64: another formula, no code of raystream, and explicit doubt.
 
 For every ray and triangle it says *surely a hit*, *surely none*, or *in doubt*: the ray passes
 an edge, or the interval ends, closer than float32 tracing can be expected to tell.
@@ -81,7 +81,7 @@ def judge(vertices, faces, origins, directions, t_min, t_max) -> Verdict:
 
 
 def _outline_distance(a, b, c, unit):
-    """How far the ray's line is from the triangle's bounding sphere; negative inside it."""
+    """Distance from the ray's line to the triangle's bounding sphere; negative inside it."""
     middle = (a + b + c) / 3
     radius = np.max([np.linalg.norm(p - middle, axis=-1) for p in (a, b, c)], axis=0)
     along = np.einsum("nfk,nfk->nf", middle, np.broadcast_to(unit, middle.shape))

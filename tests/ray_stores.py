@@ -54,7 +54,7 @@ def read_store(path: Path) -> dict[str, np.ndarray]:
 
 
 def assert_tracers(found: dict[str, np.ndarray], tracer: rs.Tracer, query, rays, options) -> None:
-    """Compare with what a tracer answers to all rays at once, by the bits."""
+    """Compare bit for bit with a tracer's answer for all rays at once."""
     expected = getattr(tracer, query)(**rays, **options)
     assert set(found) == set(COLUMNS[query])
     for name, array in found.items():

@@ -1,6 +1,6 @@
 """Every structure and machine gives brute force's bits, in every query.
 
-So they do on the CPU; other devices' answers differ by no more than `tolerance` says. And brute
+That is on the CPU; answers of other devices differ by no more than `tolerance` allows. And brute
 force agrees with an independent oracle in float64.
 """
 
@@ -66,7 +66,7 @@ def rays_of(case: Case) -> dict[str, Any]:
 
 
 def takes_long(tracer: rs.Tracer) -> bool:
-    """Whether a query takes hundreds of passes, or the GPU may be the CPU in disguise."""
+    """Whether queries take hundreds of passes, or the GPU may be emulated by the CPU."""
     return tracer.machine == "multipass" or tracer.device != "cpu"
 
 
@@ -90,7 +90,7 @@ def answers_of(tracer: rs.Tracer, rays, *, is_brief: bool = False) -> Answers:
 
 
 def assert_expected(answers: Answers, expected: Answers) -> None:
-    """What was asked has the bits expected, which may be of more."""
+    """The arrays of a query have the expected bits; more may be expected than were computed."""
     assert answers
     for name, answer in answers.items():
         assert_same_bits(answer, expected[name])
@@ -119,7 +119,7 @@ FRAGMENT_TRACERS = ("grid, multipass, graphics", "kdtree, backtrack, multipass, 
 
 
 def is_exhaustive(tracer: str, name: str) -> bool:
-    """Whether a case on a tracer is left out of a usual run.
+    """Whether a case on a tracer is omitted from a default run.
 
     On the CPU the code paths have each case, and all others a quarter of them in turn.
     """
@@ -174,7 +174,7 @@ def test_brute_force_agrees_with_float64(case):
 
 
 def test_the_oracle_is_rarely_in_doubt():
-    """Else it would agree with anything."""
+    """A comparison that tolerates any difference would always pass."""
     for name in ("random_soup", "closed_mesh", "huge_offset", "tiny_scale", "limited_intervals"):
         case = CASES[name](np.random.default_rng(1))
         verdict = judge(case.vertices, case.faces, case.origins, case.directions, *case.limits())

@@ -1,4 +1,4 @@
-"""Batches of any size, shape, layout and dtype: brute force's bits, whichever kernel runs."""
+"""Batches of any size, shape, layout and dtype give brute force's bits with every kernel."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ READERS = (
     "bvh, multipass",
 )
 
-#: All batches on all tracers, of which CI takes those that read rays as others do, but for some.
+#: All batches on all tracers; those that read rays like another one run in CI only, except some.
 PAIRS = [
     pytest.param(
         name,
@@ -90,7 +90,7 @@ def test_a_hundred_thousand_coplanar_layers(kernel):
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_million_hits_on_one_ray(kernel, rng):
-    """A stack of triangles whose numbers are in no order; the answer is known."""
+    """A stack of triangles in random order; the answer is known."""
     count = 1_000_000
     place = rng.permutation(count)
     corners = np.empty((count, 3, 3), np.float32)

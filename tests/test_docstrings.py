@@ -1,4 +1,4 @@
-"""Where pytest looks for tests and for examples."""
+"""The modules that pytest collects tests and examples from."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ def pytest_configure(config):
 
 
 def test_what_is_collected(tmp_path):
-    """Of modules of tests the tests, or an error; of others the examples, if there are some."""
+    """Tests, or an error, from test modules; examples, if any, from others."""
     files = {
         "conftest": CONFTEST,
-        # Looking for examples, pytest ignored the error, and found half a module, with no tests.
+        # When collecting examples, pytest ignored the error and found half a module with no tests.
         "test_broken": "from os import no_such_name\n\ndef test():\n    pass\n",
         "test_whole": "def test():\n    pass\n",
         "add": '"""Add.\n\n>>> 1 + 1\n2\n"""\n',

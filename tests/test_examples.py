@@ -1,4 +1,4 @@
-"""Every example runs, in an empty folder, and writes what it says."""
+"""Every example runs in an empty folder, and writes the files that it names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from extras import need
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
-#: What examples do more of where these packages are.
+#: Packages with which examples do more.
 PACKAGES = {
     "cluster": ("dask", "distributed"),
     "lidar_scan": ("matplotlib",),
@@ -39,7 +39,7 @@ def test_example(example, tmp_path, monkeypatch, capfd):
 
 
 def run_here(example, monkeypatch, capfd):
-    """What it prints; in this process, which has imported raystream already."""
+    """Its output, when run in this process, which has already imported raystream."""
     monkeypatch.setattr(sys, "argv", [str(example)])
     runpy.run_path(str(example), run_name="__main__")
     out, err = capfd.readouterr()

@@ -1,4 +1,4 @@
-"""Tests that need a package skip, fail, and are noted as they should."""
+"""Tests that need a package skip, fail, and are recorded as they should be."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``import raystream`` is cheap: what is not needed yet is not imported."""
+"""``import raystream`` is cheap: modules that are not needed yet are not imported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LATER = ("numba", "llvmlite", "trimesh", "PIL", "typer", "rich", "pooch", "OpenE
 
 
 def modules_after(statement: str) -> set[str]:
-    """What is in ``sys.modules`` of a new interpreter that ran the statement."""
+    """``sys.modules`` of a new interpreter after it ran the statement."""
     code = f"import sys\n{statement}\nprint(*sys.modules)"
     assert raystream.__file__ is not None
     source = str(Path(raystream.__file__).resolve().parents[1])

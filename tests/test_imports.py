@@ -1,4 +1,4 @@
-"""The house: which room may import which, and how long a file may be."""
+"""Layering: the packages that each package may import, and the maximum length of a file."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def imported_names(tree: ast.AST, package: str) -> Iterator[tuple[int, str]]:
 
 
 def import_fault(room: str, name: str) -> str | None:
-    """Say what is wrong with importing this dotted name in this room."""
+    """The reason why this room may not import this dotted name, if any."""
     top, _, rest = name.partition(".")
     if top != "raystream":
         allowed = RESERVED.get(top)

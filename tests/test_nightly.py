@@ -1,4 +1,4 @@
-"""``.ci/nightly``: which parts run, in which order, and what is noted of them."""
+"""``.ci/nightly``: the parts that run, their order, and the record that is kept."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def tree(tmp_path):
 ROOM = Part("room", ["src/room"], ["tests/room", "-k", "not slow"])
 
 
-# ---- What has changed.
+# ---- Detection of changes.
 
 
 def test_hashes_are_of_sources_tests_and_names(tree):
@@ -90,7 +90,7 @@ def test_paths_that_are_not_there_are_named(tree):
         nightly.digest(tree, Part("room", ["src/romo"]))
 
 
-# ---- Which parts run.
+# ---- Selection of parts.
 
 
 def test_the_quickest_part_is_first_and_unknown_ones_last():
@@ -114,7 +114,7 @@ def test_none_begins_after_the_time_is_up():
 
 @pytest.fixture
 def fake(monkeypatch, tmp_path):
-    """Parts that end as they are told to; a record in a folder of its own."""
+    """Parts that end as specified, with a record in a separate folder."""
     parts = dict.fromkeys(("a", "b", "c"), nightly.PASSED)
     ran = []
 
@@ -223,7 +223,7 @@ def test_a_part_is_judged_by_its_report(tmp_path, code, tests, skipped, expected
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at Linux's list of processes")
 def test_an_interrupt_leaves_no_processes(tmp_path):
-    """Not even those that a part's processes started, and that take no notice."""
+    """Neither do processes started by a part's processes that ignore signals."""
     child = "import signal, time; signal.signal(2, 1); signal.signal(15, 1); time.sleep(60)"
     parent = (
         "import subprocess, sys, time; from pathlib import Path; "
@@ -250,14 +250,14 @@ def test_an_interrupt_leaves_no_processes(tmp_path):
 
 
 def is_running(number):
-    """Whether there is a process of this number that has not ended."""
+    """Whether a process with this id is still running."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
 
 
-# ---- The parts that there are.
+# ---- The configured parts.
 
 
 def test_every_exhaustive_test_is_in_a_part():

@@ -1,4 +1,4 @@
-"""What notebooks show of a tracer and a scene."""
+"""Notebook representations of tracers and scenes."""
 
 from __future__ import annotations
 

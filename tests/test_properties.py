@@ -1,4 +1,4 @@
-"""What holds for every mesh and every ray, searched for counterexamples by hypothesis."""
+"""Properties of all meshes and rays; hypothesis searches for counterexamples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A structure from outside the package: what registering it alone makes possible."""
+"""A structure from outside the package: everything that works once it is registered."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ FEWER = {"brute": 2_000, "brute, multipass": 500, "grid, one cell": 2_000}
 
 
 def ray_count(name):
-    """A million in all for what is taken unless asked; benchmarks take as many for all."""
+    """A million in all for the default options; benchmarks use as many for all options."""
     if name == "bvh":
         return 1_000_000 // 3
     if name.startswith("bvh") and "multipass" not in name:

@@ -1,4 +1,4 @@
-"""The comparison with other devices lets last digits pass, and nothing else."""
+"""The comparison with other devices tolerates rounding and nothing else."""
 
 from __future__ import annotations
 

@@ -277,7 +277,7 @@ def test_an_interrupt_leaves_everything_as_it_was(monkeypatch, rng):
         raise KeyboardInterrupt
 
     scene = tracer.scene
-    tracer.update(vertices)  # what it cost when built is known from here on
+    tracer.update(vertices)  # its cost when built is known from here on
     monkeypatch.setattr("raystream.structures.bvh.structure.trace_cost", interrupted)
     with pytest.raises(KeyboardInterrupt):
         tracer.update(vertices * 2)

@@ -8,8 +8,8 @@ import pytest
 import raystream as rs
 from meshes import cube, dented_sphere, icosphere
 
-#: Structures and rays. What the issue of watertightness is about: aimed rays, by the million.
-#: Brute force, which tests each triangle, has fewer in a usual run.
+#: Structures and rays: millions of rays aimed at edges and vertices.
+#: Brute force, which tests every triangle, has fewer by default.
 MANY = [
     ("brute", 50_000),
     ("bvh", 1_000_000),
@@ -51,7 +51,7 @@ def test_a_convex_mesh_is_crossed_twice_or_grazed(structure, count, rng):
     directions = targets - origins
     counts = tracer.count_hits(origins, directions, crossings="surfaces")
     assert set(np.unique(counts)) <= {0, 2}
-    # None is right only where the ray grazes the silhouette: it then meets the mesh near
+    # Zero is right only where the ray grazes the silhouette: it then meets the mesh near
     # its target at a right angle to the (smooth) sphere's normal, to the mesh's coarseness.
     grazing = counts == 0
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""What a graphics device may answer other than the CPU, and no more.
+"""The differences from the CPU's answers that graphics devices are allowed.
 
 The device computes t, u and v from the same float32 numbers by other instructions, and a driver
 may round some of them its own way (Vulkan, "Precision and Operation of SPIR-V Instructions").
@@ -25,7 +25,7 @@ Answers = dict[str, np.ndarray]
 
 
 class Tolerance:
-    """How far t may be from brute force's.
+    """The tolerance of t against brute force.
 
     Parameters
     ----------

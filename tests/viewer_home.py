@@ -1,4 +1,4 @@
-"""A viewer's server on a free port of this machine, and clients that can be rude."""
+"""A viewer server on a free local port, and clients that may misbehave."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LIMIT = 1 << 20
 
 
 def wait_until(condition, seconds=10.0):
-    """Wait for what the server does in its own time."""
+    """Wait for something that the server does asynchronously."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it did not happen"
@@ -48,7 +48,7 @@ class Guest:
         self._clients = ExitStack()
 
     def connect(self, origin="", headers=None, **options):
-        """Open a websocket; ``client.hello`` is what it was greeted with."""
+        """Open a websocket; ``client.hello`` is the server's first message."""
         client = self._clients.enter_context(
             connect(
                 f"ws://{self.name}/live",
@@ -64,7 +64,7 @@ class Guest:
         return client
 
     def open_socket(self):
-        """Open a connection and say nothing."""
+        """Open a connection and send nothing."""
         raw = self._clients.enter_context(socket.create_connection(("127.0.0.1", self.port), 10))
         raw.settimeout(10)
         return raw
@@ -76,7 +76,7 @@ class Guest:
             return read_answer(raw)
 
     def get(self, path="/", **headers):
-        """Ask for a path, with right headers unless others are given; None leaves one out."""
+        """Request a path, with correct headers unless others are given; None omits one."""
         return self.request("GET", path, **headers)
 
     def request(self, method, path, body=b"", **headers):
@@ -94,7 +94,7 @@ class Guest:
         return self.request("PUT", path, body, **given)
 
     def upgrade(self, **headers):
-        """Ask for a websocket, with right headers unless others are given; its status."""
+        """Request a websocket, with correct headers unless others are given; returns its status."""
         given = {"Connection": "Upgrade", "Upgrade": "websocket", "Origin": self.origin}
         given |= {"Sec_WebSocket_Key": "c3RyZWFtcyBvZiByYXlzIQ==", "Sec_WebSocket_Version": "13"}
         return self.get("/live", **given | headers)
@@ -105,7 +105,7 @@ class Guest:
 
 
 class Home(Guest):
-    """A server with a service that only pretends, and its clients."""
+    """A server with a fake service, and its clients."""
 
     def __init__(self, host="127.0.0.1", **options):
         self.service = FakeService()
@@ -114,7 +114,7 @@ class Home(Guest):
         super().__init__(self.server.port)
 
     def drop_clients(self):
-        """End all that a test opened; afterwards the server holds nothing for it."""
+        """Close everything that a test opened; afterwards the server holds nothing for it."""
         self.leave()
         wait_until(lambda: not self.service.present)
         wait_until(lambda: self.server.connection_count == 0)
@@ -142,19 +142,19 @@ def read_answer(raw):
     try:
         while chunk := raw.recv(65536):
             content += chunk
-    except ConnectionResetError:  # it read no more of what was sent
+    except ConnectionResetError:  # it stopped reading
         pass
     return Answer(content)
 
 
 def count_files():
-    """Open files of this process, where the system tells."""
+    """Open files of this process, where the system reports them."""
     folder = Path("/proc/self/fd")
     return len(os.listdir(folder)) if folder.is_dir() else 0
 
 
 def view_threads():
-    """Threads of viewers; those that the library traces rays on stay with the process."""
+    """Threads of viewers; the library's tracing threads remain until the process ends."""
     return {
         thread
         for thread in threading.enumerate()
@@ -164,7 +164,7 @@ def view_threads():
 
 @contextmanager
 def no_view_threads_left():
-    """Afterwards there are no more of them than before: other tests' servers may go on."""
+    """Afterwards there are no more of them than before: other tests' servers may be running."""
     before = view_threads()
     yield
     wait_until(lambda: view_threads() <= before)

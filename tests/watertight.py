@@ -1,7 +1,7 @@
-"""Rays aimed at where counting goes wrong on a convex mesh around the origin.
+"""Rays aimed where counting is likely to fail on a convex mesh around the origin.
 
-Each function returns origins and directions in float32, so that everybody traces the same
-rays, and how many crossings are right.
+Each function returns origins and directions in float32, so that all structures trace the same
+rays, and the correct number of crossings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tests of pictures that are sums of random samples: their means, and how far these spread."""
+"""Z-tests of images that are sums of random samples: their means, and the variance of these."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROUNDING = 1e-5
 
 
 def mean_of(image, blocks: int = 1):
-    """Means over blocks x blocks parts of a picture, and the variances of these means.
+    """Means over blocks x blocks parts of an image, and the variances of these means.
 
     Pixels are drawn independently of each other. Where a pixel's samples are spread evenly,
     the variance is estimated too large, and tests with it are milder than `ERROR` says.
@@ -35,21 +35,21 @@ def mean_of(image, blocks: int = 1):
 
 
 def assert_mean(image, expected) -> None:
-    """Fail where a picture's mean differs from the expected one by more than chance allows."""
+    """Fail where an image's mean differs from the expected one by more than chance allows."""
     mean, variance = mean_of(image)
     expected = np.broadcast_to(np.asarray(expected, np.float64), mean.shape)
     assert_zero(mean - expected, variance, expected)
 
 
 def assert_equal_means(image, other, blocks: int = 1) -> None:
-    """Fail where two independent pictures differ by more than chance allows, part by part."""
+    """Fail where two independent images differ by more than chance allows, part by part."""
     mean, variance = mean_of(image, blocks)
     other_mean, other_variance = mean_of(other, blocks)
     assert_zero(mean - other_mean, variance + other_variance, other_mean)
 
 
 def assert_at_most(image, bound: float) -> None:
-    """Fail where a picture's mean is above a bound by more than chance allows."""
+    """Fail where an image's mean is above a bound by more than chance allows."""
     mean, variance = mean_of(image)
     assert_zero(np.maximum(mean - bound, 0.0), variance, np.full(3, bound))
 
@@ -65,7 +65,7 @@ def assert_zero(difference, variance, scale) -> None:
 
 
 def spread_limits(degrees: int) -> tuple[float, float]:
-    """Between what limits a chi-square number of so many degrees lies, but for chance.
+    """Limits of a chi-square variable with this many degrees of freedom, except by chance.
 
     By Wilson and Hilferty (1931), good for 30 degrees or more.
     """

@@ -120,9 +120,12 @@ class Tracer(TracedScene):
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
-        chosen = self._choose(structure, device, machine, counters, options)
+        configuration = self._configure(structure, device, machine, counters, options)
         built = device_of(self.device).build(
-            chosen.structure, scene.triangles, progress=progress, device=chosen.device_options
+            configuration.structure,
+            scene.triangles,
+            progress=progress,
+            device=configuration.device_options,
         )
         self._set(scene, built)
 

@@ -1,4 +1,4 @@
-"""Each peer that is installed gives raystream's answers; in a process of its own."""
+"""Each installed peer gives raystream's answers, in a separate process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ray sets: shapes, and what the rays do."""
+"""Ray sets: shapes and properties of the rays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures that follow from what was measured, by cases computed by hand."""
+"""Figures derived from measurements, by cases computed by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scripts about CUDA in benchmarks/: what they do without a GPU, and with what fails."""
+"""The CUDA scripts in benchmarks/, without a GPU and with failing tools."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 if not FOLDER.is_dir():
     pytest.skip("the scripts are not in an installed package", allow_module_level=True)
 
-#: What ptxas says of two functions, the second of which is called by the first.
+#: Output of ptxas for two functions, the second of which is called by the first.
 SAID = """\
 ptxas info    : 480 bytes gmem
 ptxas info    : Compiling entry function '_Zkernel' for 'sm_75'
@@ -233,7 +233,7 @@ def test_lanes_of_warps_that_fetch_rays():
 
 
 def test_nodes_that_rays_must_visit():
-    """All rays of a warp alike: what one visits. Half of them the other way: what both do."""
+    """A warp of equal rays visits one ray's nodes; with two kinds of rays, the nodes of both."""
     coherence = script("cuda_coherence")
     # The root, two nodes below it, at x = -2 and 2, each with two leaves.
     nodes = np.zeros((3, 16), np.float32)
@@ -254,7 +254,7 @@ def test_nodes_that_rays_must_visit():
     assert [one.tolist() for one in asked(1.0)] == [[1, 1], [1, 1]]  # they end before the boxes
 
 
-#: What ncu prints for two launches: its own lines, the program's, and the table.
+#: Output of ncu for two launches: its own lines, the program's, and the table.
 COUNTED = """\
 ==PROF== Connected to process 4711 (/usr/bin/python3.11)
 compiling
@@ -294,7 +294,7 @@ def test_why_there_are_no_counters():
     assert reason_of("") == ("it said nothing", False)
 
 
-#: Stands for ncu: notes what it was asked, and says what NVIDIA's does.
+#: A stand-in for ncu: records its arguments, and prints the output of NVIDIA's.
 PRETENDER = """\
 #!{python}
 import json, pathlib, sys

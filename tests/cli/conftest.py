@@ -34,7 +34,7 @@ RED = "newmtl red\nKd 0.8 0.1 0.1\n"
 
 @dataclass(frozen=True)
 class Run:
-    """What a run of the command line ended with."""
+    """Result of a run of the command line."""
 
     code: int
     out: str
@@ -57,7 +57,7 @@ class Run:
 
 @pytest.fixture
 def run(capsys, tmp_path, monkeypatch) -> Callable[..., Run]:
-    """Run the command line in this process, in a folder of its own."""
+    """Run the command line in this process, in a separate folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("RAYSTREAM_DEBUG", raising=False)
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # put back after Ctrl-C
@@ -76,7 +76,7 @@ def run(capsys, tmp_path, monkeypatch) -> Callable[..., Run]:
 
 @pytest.fixture(scope="session")
 def environment() -> dict[str, str]:
-    """For a process of its own, which finds raystream where this one did."""
+    """Environment of a separate process that finds raystream where this one did."""
     source = str(Path(raystream.__file__).resolve().parents[1])
     path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
     return {**os.environ, "PYTHONPATH": path, "RAYSTREAM_DEBUG": ""}

@@ -29,7 +29,7 @@ def exr():
 
 
 def break_off(number: int, environment: dict[str, str], folder: Path) -> tuple[int, str]:
-    """Send a signal to a process that renders, once it has kept samples and shown a picture."""
+    """Send a signal to a process that renders, once it has kept samples and shown an image."""
     command = [sys.executable, "-m", "raystream", *map(str, PICTURE), "-o", "out.exr"]
     process = subprocess.Popen(
         command,
@@ -81,7 +81,7 @@ def test_picture_goes_on_to_the_same_bytes(run, exr, environment, tmp_path, name
 
 
 def interrupted(output: str, **options) -> None:
-    """Leave three samples beside a picture."""
+    """Leave three samples beside an image."""
     pixel_count = 32 * 24
 
     def stop(done, total):
@@ -148,7 +148,7 @@ def test_folder_in_place_of_the_samples(run):
 
 
 def test_quick_picture_leaves_the_disk_and_the_scene_alone(run, tmp_path, monkeypatch):
-    """Nothing is written but the picture, and the scene is not read to know it again."""
+    """Nothing is written but the image, and the scene is not read to know it again."""
 
     def forbidden(*_, **__):
         pytest.fail("a checkpoint for a picture of less than ten seconds")

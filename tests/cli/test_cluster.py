@@ -83,7 +83,7 @@ def test_without_dask_the_extra_is_named(run, monkeypatch):
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 def test_ctrl_c_keeps_the_samples_and_resume_goes_on(environment, tmp_path):
-    """With workers of its own, which get the signal, too."""
+    """With its own workers, which get the signal, too."""
     asked = ["render", "cornell", "--size", "64x48", "--mode", "ao", "--samples", "5000"]
     command = [sys.executable, "-m", "raystream", *asked, "-o", "x.png"]
     on_cluster = [*command, "--cluster", "local:2"]

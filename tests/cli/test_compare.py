@@ -15,7 +15,7 @@ from extras import need
 
 @pytest.fixture
 def pictures(run):
-    """Two pictures of one size in the current folder, and one of another."""
+    """Two images of one size in the current folder, and one of another."""
     rng = np.random.default_rng(4)
     a, b = (rs.Image(rng.random((6, 80, 3))) for _ in range(2))
     a.save("a.png")
@@ -80,7 +80,7 @@ def test_bad_input_is_refused_in_one_line(run, pictures, tmp_path, arguments, na
 
 
 def test_damaged_exr_is_one_line_whatever_openexr_prints(environment, tmp_path):
-    """In a process of its own: the library in C prints past Python."""
+    """In a separate process: the C library bypasses Python's streams."""
     need("OpenEXR")
     path = tmp_path / "cut.exr"
     rs.Image(np.random.default_rng(1).random((64, 64, 3))).save(path)

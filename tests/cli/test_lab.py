@@ -57,7 +57,7 @@ def test_report_is_written_and_a_run_resumes(run, tmp_path, small):
     assert {"report.html", "report.md", "report.json", "measurements.json"} <= names
     table = first.figures["experiments"]["purcell-unrolling"]["tables"][0]
     assert [row["view"] for row in table["rows"]] == ["the paper", "forest top"]
-    # What is measured is not measured again: a changed figure stays as it is.
+    # Existing measurements are not repeated: a changed figure stays as it is.
     path = tmp_path / "out" / "measurements.json"
     content = json.loads(path.read_text())
     (name,) = [key for key in content["measurements"] if "schedules" in key]

@@ -36,7 +36,7 @@ def on_saved(request, square, rays):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """Options that tracers were made with, but for where progress goes."""
+    """Options that tracers were made with, except for progress callbacks."""
     importlib.import_module("raystream.rendering.arguments")  # has the tracer's class by its name
     made = []
 

@@ -1,4 +1,4 @@
-"""What holds for every command: exit codes, one line on stderr, quick help, completion."""
+"""All commands: exit codes, one line on stderr, quick help, completion."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HEAVY = ("numba", "llvmlite", "trimesh", "PIL", "pooch", "OpenEXR")
 
 @pytest.fixture
 def start(environment) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run ``python -m raystream`` in a process of its own."""
+    """Run ``python -m raystream`` in a separate process."""
 
     def call(*arguments: str, program=("-m", "raystream"), variables=None, **options):
         return subprocess.run(
@@ -253,7 +253,7 @@ def test_full_disk_behind_stdout_is_one_line(start, square):
     assert result.stderr.count("\n") == 1
 
 
-# Names for help and completion, which must not import what they name.
+# Names for help and completion, which must not import the modules they name.
 
 
 def test_names_are_those_of_the_library():

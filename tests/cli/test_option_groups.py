@@ -1,4 +1,4 @@
-"""Groups of options: what Typer sees, and what commands get."""
+"""Option groups: the options that Typer sees, and the values that commands get."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Picture:
 
 @pytest.fixture
 def call():
-    """Run a command with groups; give what it got."""
+    """Run a command with groups; returns its arguments."""
     got = []
     small = typer.Typer()
 
@@ -65,7 +65,7 @@ def test_options_that_differ_from_their_defaults():
 
 
 def test_options_are_in_the_order_of_the_signature():
-    """Whatever the group: ``--cluster`` lies between options of the tracer and of the scene."""
+    """Across groups: ``--cluster`` lies between options of the tracer and of the scene."""
     render = typer.main.get_command(app).commands["render"]
     names = [parameter.name for parameter in render.params]
     assert len(names) == len(set(names))

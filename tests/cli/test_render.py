@@ -134,7 +134,7 @@ def test_exr_keeps_linear_colours(run):
 
 
 def test_camera_replaces_only_the_parts_given(run):
-    """A narrower view of the same point shows the middle of the picture, larger."""
+    """A narrower view of the same point shows the middle of the image, larger."""
     run("render", "cornell", "-o", "wide.png", "--size", "90x90", "--mode", "vis")
     # 39.3 degrees is the scene's; a third of the tangent of its half.
     run(

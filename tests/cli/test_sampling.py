@@ -1,4 +1,4 @@
-"""Sampled modes of ``raystream render``: their options, and what is said of the samples."""
+"""Sampled modes of ``raystream render``: their options, and reports about samples."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def pixels(path) -> np.ndarray:
     ],
 )
 def test_options_reach_the_renderer(run, arguments, wanted):
-    """The picture is the library's with them, and another without."""
+    """The image is the library's with them, and another without."""
     scene = rs.load("cornell")
     result = run("render", "cornell", *SIZE, "--samples", 2, *arguments)
     assert (result.code, result.err) == (0, "")

@@ -1,4 +1,4 @@
-"""``raystream view``: where it can be found, what it refuses, and how it ends."""
+"""``raystream view``: its address, refused arguments, and shutdown."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from viewer_home import PAGE, Guest, wait_until
 
 
 class RenderService(FakeService):
-    """Keeps what it was made with."""
+    """Records its arguments."""
 
     def __init__(self, tracer, name, *, settings):
         super().__init__()
@@ -131,7 +131,7 @@ def test_missing_package_is_named(run, square, monkeypatch):
     "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)]
 )
 def test_signals_end_it_cleanly(square, environment, tmp_path, number):
-    """With somebody connected, and files uploaded."""
+    """With a connected client, and files uploaded."""
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     code = (

@@ -1,4 +1,4 @@
-"""Compiling before the first use, and what the first use says."""
+"""Compilation before the first use, and the note at the first use."""
 
 import time
 

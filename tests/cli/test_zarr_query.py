@@ -172,7 +172,7 @@ KILLS = [(0.4,), (0.0, 0.5), (0.2, 0.3, 0.8)]
     ],
 )
 def test_killed_process_goes_on_to_the_same_bytes(run, environment, tmp_path, query, kills):
-    """Killed in the middle of whatever it does, not where it would like to be."""
+    """Killed at an arbitrary point, not at a convenient one."""
     count = BLOCKS * 1000
     write_store(tmp_path / "rays.zarr", cornell_rays((count,)), (500,))
     asked = (*ASKED, f"--{query}", "--block-rays", "1000", "--structure", "brute")

@@ -1,4 +1,4 @@
-"""Bundles: what comes out is what went in, by mapped files or over the wire, and once."""
+"""Bundles arrive unchanged and once, through mapped files or over the network."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_only_the_folder_itself_is_mapped(tmp_path):
     where = {"machine": folder.machine_name(), "path": own.path, "token": own.token}
     mapped = folder.map_array(where, place)
     assert_same_bits(mapped, numbers)
-    mapped[0] = 7.0  # one's own from now on
+    mapped[0] = 7.0  # a private copy from now on
     assert_same_bits(folder.map_array(where, place), numbers)
     assert folder.map_array({**where, "token": "another"}, place) is None
     assert folder.map_array({**where, "machine": "another"}, place) is None

@@ -1,4 +1,4 @@
-"""Workers that die, come late, or are not there: nothing of the work is lost."""
+"""Workers that die, join late, or are missing: no work is lost."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ASKED = {"mode": "ao", "size": (96, 72), "samples": 24}
 
 @pytest.fixture
 def mortals(local_cluster):
-    """A client of workers of one's own: those that die in quick succession may stay away."""
+    """A client with its own workers: those that die in quick succession may not come back."""
     from distributed import Client
 
     with local_cluster() as cluster, Client(cluster, set_as_default=False) as client:
@@ -46,7 +46,7 @@ def pids_of(client):
 
 
 def kill_at(parts, client):
-    """A progress callback that kills a worker whenever a part of the picture is done."""
+    """A progress callback that kills a worker whenever a part of the image is done."""
     left = list(parts)
 
     def look(done, total):
@@ -171,7 +171,7 @@ def test_nobody_at_the_address(room, monkeypatch):
 
 
 def test_a_lost_cluster_leaves_the_samples(room, tmp_path):
-    """In threads of this process: what matters is that the connection ends."""
+    """In threads of this process: only the end of the connection matters."""
     from distributed import Client, LocalCluster
 
     checkpoint = tmp_path / "samples.npz"

@@ -1,4 +1,4 @@
-"""Pictures and animations on a cluster are those of one machine, to the bit."""
+"""Images and animations of a cluster equal those of one machine bit for bit."""
 
 from __future__ import annotations
 

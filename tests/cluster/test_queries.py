@@ -1,4 +1,4 @@
-"""Queries on a cluster: one process's bits, lazily and in order, in whatever chunks rays come."""
+"""Queries on a cluster: one process's bits, lazily and in order, for any chunks of rays."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def rays_of(name):
 
 
 def assert_same(lazy, expected, names) -> None:
-    """What is computed as a whole, and column by column; and what was promised before."""
+    """Results computed as a whole and column by column, and their announced types."""
     import dask
 
     whole = lazy.compute()

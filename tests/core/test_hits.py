@@ -234,14 +234,14 @@ def test_normals_that_cancel_give_way_to_the_triangles():
 
 
 def test_shading_normals_are_those_of_pictures(dressed):
-    """Bit for bit, but for the side: pictures turn them to the eye."""
+    """Bit for bit except for the side: images turn them to the eye."""
     camera = rs.Camera((0, 3, 12), (0, 0, 0))
     tracer = rs.Tracer(dressed)
     layer = rs.render(tracer, "vis", SIZE, camera=camera, layers=["normal"]).layers["normal"]
     hits = tracer.first_hit(*camera.rays(*SIZE))
     smooth = hits.mesh_id < 2
     seen = hits.shading_normals
-    # Where one points away from the eye, pictures take the triangle's.
+    # Where one points away from the eye, images take the triangle's.
     faces_eye = np.einsum("hwk,hwk->hw", seen, camera.rays(*SIZE)[1]) < 0
     compared = hits.is_hit & smooth & faces_eye
     assert compared.sum() > 300

@@ -1,4 +1,4 @@
-"""Options: annotations say what is allowed, and what is given is checked and converted."""
+"""Options: values are checked against the annotations, and converted."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A device to test with: a GPU or Numba's simulator; where neither is, tests skip.
 
-What needs numba-cuda is imported by fixtures: without it, each module of tests says so and skips.
+Fixtures import everything that needs numba-cuda: without it, each test module says so and skips.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _HERE = Path(__file__).parent
 
-#: Fixtures of tests that touch a device; all others compile, emulate, or fake one.
+#: Fixtures of tests that use a device; all others compile, emulate, or fake one.
 DEVICES = {"gpu", "device"}
 
 
@@ -79,14 +79,14 @@ def simple_sort(monkeypatch):
     from raystream.jit.cuda import is_simulated
 
     if is_simulated():
-        from raystream.cuda.builders import lists, records
+        from raystream.cuda.builders import binary_tree, lists
         from raystream.cuda.builders.graph import sectors
         from raystream.jit.cuda.scan import Scan
 
         monkeypatch.setattr(Scan, "run", _scan)
         monkeypatch.setattr(sectors, "sort_pairs", _sort)
         monkeypatch.setattr(lists, "sort_pairs", _sort)
-        monkeypatch.setattr(records, "sort_pairs", _sort)
+        monkeypatch.setattr(binary_tree, "sort_pairs", _sort)
 
 
 @pytest.fixture

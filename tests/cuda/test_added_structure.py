@@ -1,4 +1,4 @@
-"""A structure from outside the package on CUDA: the CPU's traversal, as it is."""
+"""A structure from outside the package on CUDA, with the CPU's traversal unchanged."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def few_of(case):
 TRACERS = CUDA_TRACERS | ({} if is_simulated() else GPU_TRACERS)
 
 
-#: The simulator takes half a second for each. In a usual run every tracer has five cases or six,
+#: The simulator takes half a second for each. In a default run every tracer has five cases or six,
 #: and every case three tracers or four; in .ci/nightly each has all.
 PAIRS = [
     pytest.param(

@@ -1,4 +1,4 @@
-"""Rays in arrays on the device: read where they are, answered there; and host arrays in parts."""
+"""Rays in device arrays, read and answered without copies; and host arrays in parts."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def placed(gpu: Gpu, array: np.ndarray) -> tuple[DeviceArray, int]:
 
 
 class CudaArray:
-    """What CuPy and Numba give: ``__cuda_array_interface__``."""
+    """The interface of CuPy and Numba: ``__cuda_array_interface__``."""
 
     def __init__(self, gpu: Gpu, array: np.ndarray, **changes: Any) -> None:
         array = np.asarray(array)
@@ -69,7 +69,7 @@ class CudaArray:
 
 @dataclass
 class Exporter:
-    """What PyTorch and JAX give: DLPack."""
+    """The interface of PyTorch and JAX: DLPack."""
 
     gpu: Gpu
     array: np.ndarray
@@ -84,7 +84,7 @@ class Exporter:
         return KIND, self.number
 
     def __dlpack__(self, *, stream: Any = None, max_version: Any = None) -> Any:
-        """NumPy's own, which says that it is on the device."""
+        """NumPy's capsule, relabelled as device memory."""
         self.streams.append(stream)
         capsule = self.array.__dlpack__()
         find = ctypes.pythonapi.PyCapsule_GetPointer
@@ -165,7 +165,7 @@ def awkward(origins: np.ndarray, directions: np.ndarray) -> Iterator[tuple[str, 
 
 
 def given(gpu: Gpu, arrays: tuple[Any, ...], kind: type) -> list[Any]:
-    """Arrays on the device; numbers stay what they are."""
+    """Arrays on the device; scalars are returned unchanged."""
     return [kind(gpu, one) if isinstance(one, np.ndarray) else one for one in arrays]
 
 
@@ -257,7 +257,7 @@ def test_answers_are_handed_on_without_a_copy(gpu, tracer, oracle, rays):
         assert np.dtype(interface["typestr"]) == view.dtype == column.dtype
         assert interface["data"][0] == view.ptr == int(column.address)
         assert interface["version"] == 3
-    # They are rays' limits for the next query, and whoever views them keeps them.
+    # They are ray limits of the next query, and stay alive while they are viewed.
     view, t = StridedMemoryView.from_dlpack(hits.t, stream_ptr=-1), hits.t.host()
     seen = tracer.any_hit(*there, t_max=hits.t).host()
     assert_same_bits(seen, oracle.any_hit(rays[0], rays[1], t_max=t.ravel()).reshape(4, 6))
@@ -277,7 +277,7 @@ def test_columns_are_copied_or_sent_elsewhere_by_nobody(gpu, tracer, rays):
 
 @pytest.fixture
 def waits(monkeypatch):
-    """Which stream was told to wait for which other one, by their handles."""
+    """Pairs of handles: a stream, and the one that it was made to wait for."""
     if not is_simulated():
         pytest.skip("streams of these handles exist in the simulator")
     seen: list[tuple[int, int]] = []
@@ -299,7 +299,7 @@ def test_work_is_done_in_the_callers_stream(gpu, tracer, rays, waits):
     assert origins.streams == [7]  # the exporter lets it wait
     assert waits.count((7, 9)) == 1  # for the limits
     assert (7, own) in waits  # for memory
-    assert waits[-2:] == [(own, 7), (9, 7)]  # whoever follows these finds the answers
+    assert waits[-2:] == [(own, 7), (9, 7)]  # later work on these streams finds the answers
 
 
 def test_the_default_stream_is_used_where_none_is_named(gpu, tracer, rays, waits):

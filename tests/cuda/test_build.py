@@ -1,4 +1,4 @@
-"""Structures built on the device: grids have the CPU's bits, BVHs are whole and answer alike.
+"""Structures built on the device: grids match the CPU bit for bit, BVHs are valid and agree.
 
 In the simulator a thread takes a tenth of a millisecond, and a block of threads that wait for each
 other a hundred times that. So most tests there run kernels in loops compiled for the CPU, and
@@ -73,7 +73,7 @@ def test_grids_with_long_lists_get_coarser_as_on_the_cpu(device, monkeypatch):
 
 
 def test_grids_in_the_simulator_itself(gpu):
-    """Nothing is replaced: counts, scans, pairs and sorts of a few triangles."""
+    """Nothing is mocked: counts, scans, pairs and sorts of a few triangles."""
     scene = rs.load("cornell")
     ours = built(scene, "grid", resolution=2).structure
     assert_same_lists(ours, rs.Tracer(scene, "grid", resolution=2).structure)
@@ -177,7 +177,7 @@ def test_clusters_need_few_rounds(device, monkeypatch, places, sizes):
 
 def test_trees_that_are_too_deep_are_built_of_shorter_keys(device, monkeypatch):
     from raystream.cuda.builders import bvh
-    from raystream.cuda.builders.records import COARSE_BITS
+    from raystream.cuda.builders.binary_tree import COARSE_BITS
     from raystream.cuda.builders.wide import TooDeepError
 
     asked = []
@@ -226,7 +226,7 @@ def test_trees_are_refitted_as_on_the_cpu(device):
         assert ours.tobytes() == theirs.tobytes()
     assert report.cost == pytest.approx(trace_cost(expected))
     assert_whole(tracer.structure)
-    # What it costs is compared with when it was built, not with when it moved last.
+    # The cost is compared with that of the build, not of the last update.
     assert tracer.update(case.vertices).cost_when_built == report.cost_when_built
 
 
@@ -306,7 +306,7 @@ def test_options_are_checked(device, structure, options, message):
 
 
 def test_options_that_the_device_lacks_are_refused(device):
-    with pytest.raises(ValueError, match="quality: expected no 'high' where build='device'"):
+    with pytest.raises(ValueError, match="quality: 'high' is not supported with build='device'"):
         built(rs.load("cornell"), "bvh", quality="high")
     with pytest.raises(TypeError, match="grid: build='device' has no option 'method'"):
         built(rs.load("cornell"), "grid", method="linear")
@@ -374,11 +374,11 @@ def test_every_kernel_compiles(name):
     if name in blocks:
         ptx = blocks[name].compiled(CAPABILITIES[0]).ptx
         assert ".shared" in ptx
-        assert "f64" not in ptx  # what becomes of integers of two kinds
+        assert "f64" not in ptx  # the type of mixed signed and unsigned integers
     else:
         kernel, arguments = ranges[name]
         ptx = kernel.compiled(arguments, CAPABILITIES[0]).ptx
         assert "fma.rn" not in ptx
     if name == "climb":
-        # What climbing threads wrote is seen by those that meet them.
+        # Writes of climbing threads are visible to those that meet them.
         assert ptx.index("membar.gl") < ptx.index("atom.add.u32") < ptx.rindex("membar.gl")

@@ -1,6 +1,6 @@
-"""Graphs of sectors built on the device have the CPU's bits.
+"""Sector graphs built on the device match the CPU's bit for bit.
 
-See `test_build` for how that is tested where there is no device.
+See `test_build` for how this is tested without a device.
 """
 
 from __future__ import annotations
@@ -76,11 +76,11 @@ def test_options_are_the_cpus(device, options):
 
 
 def test_large_cells_and_subtrees_are_numbered_as_on_the_cpu(device, monkeypatch):
-    """Else cells of 4096 references are large, and no tree of a test has any."""
-    from raystream.cuda.builders.kdtree import rows
+    """Otherwise cells are large from 4096 references, and no test's tree has any."""
+    from raystream.cuda.builders.kdtree import numbering
     from raystream.structures.kdtree import build
 
-    for module in (build, rows):
+    for module in (build, numbering):
         monkeypatch.setattr(module, "subtree_size", lambda _: 70)
     assert_same_graphs(scene_of(*soup(300)), **FINE)
 
@@ -99,7 +99,7 @@ def test_cells_without_room_are_not_split(device, monkeypatch):
 
 
 def test_splits_are_taken_back_as_long_as_there_is_room(device, monkeypatch):
-    """In this scene there is not enough room for all lists that pay."""
+    """This scene has too little room for all lists that pay off."""
     from raystream.cuda.builders.graph import pruning
 
     budgets = []
@@ -133,7 +133,7 @@ def test_the_same_scene_gives_the_same_graph(device):
 def test_trees_below_graphs_are_the_cpus(device):
     """Lists that pruning changes are compared before it."""
     from raystream.cuda.builders.kdtree.grow import grow_tree
-    from raystream.cuda.builders.kdtree.rows import number_nodes
+    from raystream.cuda.builders.kdtree.numbering import number_nodes
 
     triangles = scene_of(*soup(300)).triangles
     count = len(triangles.prim_ids)

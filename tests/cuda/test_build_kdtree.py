@@ -1,4 +1,4 @@
-"""kd-trees built on the device have the CPU's bits; `test_build_graph` grows the same trees."""
+"""kd-trees built on the device match the CPU's bit for bit; see also `test_build_graph`."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def test_options_are_the_cpus(device, options):
 
 
 def test_large_cells_and_subtrees_are_numbered_as_on_the_cpu(device, monkeypatch):
-    """Else cells of 4096 references are large, and no tree of a test has any."""
-    from raystream.cuda.builders.kdtree import rows
+    """Otherwise cells are large from 4096 references, and no test's tree has any."""
+    from raystream.cuda.builders.kdtree import numbering
     from raystream.structures.kdtree import build
 
     scene = rs.Scene.from_arrays(*soup(300))
     usual = rs.Tracer(scene, "kdtree").structure.tree.nodes
-    for module in (build, rows):
+    for module in (build, numbering):
         monkeypatch.setattr(module, "subtree_size", lambda _: 70)
     ours, _ = assert_same_trees(scene)
     assert not np.array_equal(ours.tree.nodes, usual)

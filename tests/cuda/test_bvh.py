@@ -1,5 +1,6 @@
-"""Layouts of BVHs for GPUs: their boxes contain the exact ones, nothing is lost, and they are
-traced with brute force's bits, here by the kernels as they were compiled for the CPU.
+"""GPU layouts of BVHs: conservative boxes, complete leaves, and brute force's bits.
+
+They are traced here by the kernels compiled for the CPU.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def bvh_of(vertices, faces, **options):
 
 
 def wide_leaves(tree):
-    """Of each leaf of the CPU's tree: its box, and the triangles that can be hit."""
+    """Box and hittable triangles of each leaf of the CPU's tree."""
     for node, links in zip(tree.nodes, tree.children, strict=True):
         for lane in np.flatnonzero(links < 0):
             low, high = node[lane:48:16], node[8 + lane : 48 : 16]
@@ -64,7 +65,7 @@ def prim_ids_of(triangles):
 
 
 def compressed_leaves(nodes, triangles):
-    """As `wide_leaves`, of the compressed layout, with boxes in float64: all who contain a leaf."""
+    """`wide_leaves` of the compressed layout, with float64 boxes: all that contain a leaf."""
     bytes_ = nodes.view(np.uint8)
     pending = [(0, np.full(3, -np.inf), np.full(3, np.inf))] if len(nodes) else []
     visited = 0
@@ -93,7 +94,7 @@ def compressed_leaves(nodes, triangles):
 
 
 def binary_leaves(nodes, triangles):
-    """As `compressed_leaves`, of the binary layout."""
+    """`compressed_leaves` of the binary layout."""
     links, is_last = nodes.view(np.int32)[:, 12:14], triangles.view(np.int32)[:, 7]
     pending = [(0, np.full(3, -np.inf), np.full(3, np.inf))] if len(nodes) else []
     while pending:
@@ -167,7 +168,7 @@ def test_triangles_that_moved_away_are_left_out(layout):
 
 @pytest.mark.parametrize("child_count", [1, 3, 5])
 def test_slots_are_the_best(rng, child_count):
-    """Of all ways to give children to slots, one is taken in which they are most on their sides."""
+    """The assignment of children to slots maximizes the sum of gains."""
     entries = np.zeros((1, 8, 8), np.float32)
     words = entries.view(np.int32)
     corners = np.sort(rng.normal(size=(child_count, 2, 3)), axis=1)
@@ -203,7 +204,7 @@ def test_too_deep_trees_are_balanced(monkeypatch):
 
 
 def test_large_leaves_become_nodes():
-    """Where nothing tells 32 triangles apart, they are one leaf of the CPU's."""
+    """32 triangles that cannot be told apart are one leaf on the CPU."""
     vertices, faces = np.eye(3), np.tile(np.arange(3), (32, 1))
     structure = bvh_of(vertices, faces, max_leaf_size=32)
     nodes = compress(structure.tree)[1]["nodes"]

@@ -49,7 +49,7 @@ WAYS = {
 }
 
 
-#: What is compiled in a usual run; .ci/nightly compiles everything.
+#: The kernels compiled in a default run; .ci/nightly compiles everything.
 USUAL = [("kdtree", "multi_hit"), ("bvh, compressed", "first_hit")]
 
 
@@ -74,11 +74,11 @@ def test_every_kernel_compiles(scene, name, query):
     assert len(parameters_of(compiled)) == own + len(list(flat(arguments)))
     # Nodes and triangles made for GPUs are read by 16 bytes.
     assert ("ld.global.nc.v4" in compiled.ptx) == (name not in STRUCTURES)
-    # Threads of a warp ask each other where rays are packets: of what each node and leaf needs.
+    # Threads of a warp vote in packet traversal: at each node and leaf.
     assert compiled.ptx.count("vote.sync.ballot") == (4 if name == "bvh, packets" else 0)
     # In float64 there is nothing to fuse on purpose.
     assert "fma.rn.f64" not in compiled.ptx
-    # Nothing is left to be found by a linker, such as a function that only CPUs have.
+    # Nothing is left to a linker, such as a function that only CPUs have.
     assert ".extern .func" not in compiled.ptx
     # Small numbers are not flushed to 0; divisions and roots are those of IEEE 754.
     assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
@@ -120,7 +120,7 @@ def test_every_kernel_of_renderers_compiles(scene, name):
     if name not in ("generate camera rays", "spawn AO rays", "compact", "add unblocked"):
         ours = re.sub(r"rcp\.approx\.ftz\.f64|fma\.rn\.f64", "", ours)
     assert not re.search(r"\.(ftz|approx|full)\b|fma\.rn\.f64", ours)
-    # One path to a thread: what is in local memory is a few lanes, and not 16 of everything.
+    # One path per thread: local memory holds a few lanes, not 16 of everything.
     depot = re.search(r"\.local .*__local_depot\d+\[(\d+)\]", compiled.ptx)
     assert depot is None or int(depot[1]) < 1024
 

@@ -1,4 +1,4 @@
-"""What goes wrong with CUDA is one clear error; tracers on the CPU go on in the same process."""
+"""Failures of CUDA are one clear error, and tracers on the CPU keep working in the process."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ RAY = [[0.25, 0.25, 1.0]], [0.0, 0.0, -1.0]
 
 @pytest.fixture
 def driver(monkeypatch):
-    """In place of CUDA and of cuda.core; its kernels do nothing."""
+    """A replacement of CUDA and cuda.core whose kernels do nothing."""
     made = Driver()
     install(monkeypatch, made)
     for module in (device_array, devices, gpu, range_kernel, streams):
@@ -52,7 +52,7 @@ def driver(monkeypatch):
 
 
 def complaint(**options):
-    """What a first hit on CUDA ends with, in a line; the CPU answers afterwards."""
+    """The one-line error of a first-hit query on CUDA; the CPU answers afterwards."""
     with pytest.raises(RaystreamError) as caught:
         rs.Tracer(SCENE, "brute", "cuda", **options).first_hit(*RAY)
     assert rs.Tracer(SCENE, "brute").first_hit(*RAY).prim_id.tolist() == [0]
@@ -62,7 +62,7 @@ def complaint(**options):
 
 
 def test_nothing_fails(driver):
-    """The fake driver goes all the way, so that what fails below is what was told to."""
+    """The fake driver works as a whole, so failures below are the ones requested."""
     assert np.isfinite(rs.Tracer(SCENE, "brute", "cuda").first_hit(*RAY).t)
 
 
@@ -75,14 +75,14 @@ def test_no_package(monkeypatch):
 
 
 def test_no_driver_here():
-    """What Numba itself says on a machine without one."""
+    """Numba's own message on a machine without a driver."""
     if not (reason := reason_against_cuda()):
         pytest.skip("there is a device")
     assert complaint() == reason.removesuffix(" (NUMBA_ENABLE_CUDASIM=1 simulates one)")
     assert reason.startswith("device 'cuda': there is no NVIDIA ")
 
 
-#: Where the driver fails, what it says, and what is to be read.
+#: Call at which the driver fails, its message, and the expected error.
 FAILURES = {
     "no driver": (
         "init",

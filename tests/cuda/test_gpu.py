@@ -1,4 +1,4 @@
-"""Which GPU it is, and whether it has room."""
+"""Selection of the GPU, and its free memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays from the host, in parts that take turns: the same bits, whatever happens meanwhile."""
+"""Rays from the host in overlapping parts: the same bits, whatever happens meanwhile."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from test_agreement import case_of
 
 _AT = np.uint64(0)
 
-#: Scheduler, steps and intersections in a pass, compaction, and who goes round.
+#: Scheduler, steps and intersections in a pass, compaction, and loop.
 WAYS = [
     ("threshold", 1, 1, False, "batches"),
     ("naive", 2, 3, True, "batches"),
@@ -82,7 +82,7 @@ def tracers_of(scene, options, way):
 
 
 def assert_same_passes(ours, theirs):
-    """Kernel, rays and words of every pass, the bound, and what each ray met."""
+    """Kernel, rays and words of every pass, the bound, and each ray's tallies."""
     assert list(ours.counters.passes) == list(theirs.counters.passes)
     assert ours.counters.passes.optimal_count == theirs.counters.passes.optimal_count
     assert ours.counters.passes.most_runs == theirs.counters.passes.most_runs
@@ -98,7 +98,7 @@ STEPPED = {
 }
 
 
-#: What the simulator is given in a usual run: each of WAYS once. Others take it up to a minute.
+#: The simulator's cases in a default run: each of WAYS once. Others take it up to a minute.
 FEW_STEPPED = ("bvh", "bvh, high", "grid", "grid, two levels")
 
 
@@ -122,7 +122,7 @@ def test_passes_are_those_of_the_cpu(gpu, name):
 
 @pytest.mark.parametrize("loop", loops.LOOPS)
 def test_rays_are_dropped_in_their_order(gpu, monkeypatch, loop):
-    """Where the host looks after each pass; and some rays want no hit."""
+    """The host checks after each pass, and some rays want no hits."""
     scene, rays = scene_and_rays("random_soup", 40)
     monkeypatch.setattr(loops, "_FIRST_PASSES", 1)
     monkeypatch.setattr(loops, "_MOST_AT_ONCE", 1)
@@ -151,7 +151,7 @@ def test_rays_are_traced_in_parts(gpu):
 
 
 def test_rays_that_meet_too_many_triangles_are_traced_again(gpu, rng):
-    """They need more memory. What they met is what the search that succeeds meets."""
+    """They need more memory. Their tallies are those of the search that succeeds."""
     scene = rs.Scene.from_arrays(*sticks(6000, 0.05))
     way = ("most-work", 16, 8, True, "batches")
     ours, theirs = tracers_of(scene, STEPPED["bvh, high"], way)
@@ -218,7 +218,7 @@ def test_the_device_chooses_as_schedulers_do(name, rng):
 
 
 def check(kernel, arguments):
-    """Compile a kernel, and look at what came out of it."""
+    """Compile a kernel, and inspect the result."""
     compiled = kernel.compiled(arguments, CAPABILITIES[0])
     head = compiled.ptx[compiled.ptx.index(f".visible .entry {compiled.entry}") :]
     assert head[: head.index("{")].count(".param .") == 1 + len(list(flat(arguments)))

@@ -1,4 +1,4 @@
-"""Rays that go through a tree together: a warp is emulated, of threads that wait for each vote."""
+"""Packet traversal in an emulated warp: threads that wait for each other at votes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Warp:
         self.vote_count = 0
 
     def vote(self, says_yes):
-        """What a thread says; returns what all of them said."""
+        """Cast a thread's vote; returns the mask of all votes."""
         lane = self._lanes[threading.get_ident()]
         self._said[lane] = says_yes
         try:
@@ -66,7 +66,7 @@ class Warp:
         return answer
 
     def run(self, function, first, arguments):
-        """Call a kernel's function for each of the warp's numbers, at once."""
+        """Call a kernel's function for all lanes of the warp concurrently."""
         failed = []
 
         def one(lane):
@@ -89,7 +89,7 @@ class Warp:
 
 @pytest.fixture(scope="module")
 def emulated():
-    """The packet's kernels with votes of threads, and the warp that they vote in."""
+    """The packet kernels, with votes among threads, and their warp."""
     warp = Warp()
     callback = ctypes.CFUNCTYPE(ctypes.c_uint32, ctypes.c_uint32)(warp.vote)
 
@@ -113,7 +113,7 @@ def emulated():
 
 @pytest.fixture(scope="module")
 def rays():
-    """Half of them of one origin, and half anywhere."""
+    """Half of them share an origin, half are random."""
     return rays_of(slice(None))
 
 
@@ -139,7 +139,7 @@ def address(array):
 
 
 def shared_by(structure, rays):
-    """What all kernels are given, the rays' tallies, and what has to be kept."""
+    """Arguments common to all kernels, the rays' tallies, and objects to keep alive."""
     laid_out = lay_out(structure, "packet")
     source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
     tallies = new_tallies(len(rays))
@@ -172,14 +172,14 @@ def test_first_hits_of_a_warp(emulated, structure, rays):
     own = alone[:, 0].reshape(2, LANES)
     assert (steps[:, 0] < own.sum(axis=1)).all()
     assert steps[0, 0] < steps[1, 0]  # rays that are alike share more of them
-    # Two votes for a node that nobody enters, three for others, and one for a leaf.
+    # Two votes for a node that no ray enters, three for others, and one for a leaf.
     votes = emulated.warp.vote_count - before
     least, most = 2 * steps[:, 0] + leaves[:, 0], 3 * steps[:, 0] + leaves[:, 0]
     assert least.sum() < votes < most.sum()
 
 
 def test_whether_a_warp_s_rays_hit_anything(emulated, structure, rays):
-    """Who has found something waits for the others, and ends with the last."""
+    """A ray that has found a hit waits for the others, and ends with the last."""
     shared, tallies, _kept = shared_by(structure, rays)
     seen, status = np.zeros(RAYS, np.bool_), np.zeros(RAYS, np.uint8)
     nowhere = np.uint64(0)
@@ -195,7 +195,7 @@ def test_whether_a_warp_s_rays_hit_anything(emulated, structure, rays):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("room", [16, 4096])
 def test_all_hits_of_a_warp(emulated, structure, room):
-    """A ray whose table is full ends its search, and nobody else's."""
+    """A ray whose table is full ends only its own search."""
     # Of rays without a hit, none comes to the votes on where hits are written.
     case = case_of("random_soup")
     oracle = rs.Tracer(case.scene, "brute")

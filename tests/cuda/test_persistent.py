@@ -1,4 +1,4 @@
-"""Threads that stay fetch every number of a range, once."""
+"""Persistent threads fetch every index of a range exactly once."""
 
 from __future__ import annotations
 

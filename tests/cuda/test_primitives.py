@@ -1,4 +1,4 @@
-"""Scans and sorts on the device are NumPy's."""
+"""Scans and sorts on the device agree with NumPy."""
 
 from __future__ import annotations
 

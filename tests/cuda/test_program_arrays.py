@@ -105,7 +105,7 @@ def test_a_payload_is_made_or_changed_where_it_is(gpu, tracer, oracle, rays, the
     expected = oracle.trace(*rays, on_hit=fold, payload=RECORD)
     assert isinstance(made, DeviceArray)
     assert (made.host() == expected).all()
-    assert tracer.trace(*there, on_hit=fold, payload=made) is made  # goes on from its tenth hit
+    assert tracer.trace(*there, on_hit=fold, payload=made) is made  # continues from its tenth hit
     again = oracle.trace(*rays, on_hit=fold, payload=expected)
     assert (made.host() == again).all()
     own = np.arange(20.0).reshape(4, 5, 1)

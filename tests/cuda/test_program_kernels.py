@@ -1,4 +1,4 @@
-"""Which functions are compiled for CUDA, and what their PTX holds; needs no device."""
+"""Compilation of users' functions for CUDA, and their PTX; needs no device."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def below(limit):
 
 
 def test_functions_have_files_of_their_own(tmp_path, monkeypatch):
-    """What a function does, and the numbers it takes from outside, decide which code is found."""
+    """Cached code is keyed by the function's body and its global numbers."""
     from raystream.jit.cuda import ptx_cache
 
     monkeypatch.setattr(ptx_cache, "kernel_folder", lambda: tmp_path)

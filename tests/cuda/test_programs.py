@@ -1,4 +1,4 @@
-"""Programs and filters at hits on CUDA: what the processor's tracers give, to the bit."""
+"""Programs and filters at hits on CUDA give the CPU's results bit for bit."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def tracers(is_tight, gpu):
 
 @pytest.fixture
 def both(tracers, monkeypatch):
-    """Ask both tracers; the one on the device may not run anything on the CPU."""
+    """Query both tracers; the one on the device may not run anything on the CPU."""
 
     def ask(query):
         theirs = query(tracers[1])
@@ -275,7 +275,7 @@ def test_what_raises_stays_with_the_processor(gpu, rays):
 
 
 def test_what_the_device_cannot_do_stays_with_the_processor(gpu, rays, monkeypatch):
-    if is_simulated():  # which knows what the CPU knows
+    if is_simulated():  # which supports whatever the CPU supports
         monkeypatch.setattr(DeviceProgram, "reason_against", lambda *_: "it calls sinf")
     tracers = tracers_of("brute")
     assert_same_answers(*(ask_all(tracer, rays, on_hit=wave) for tracer in tracers))

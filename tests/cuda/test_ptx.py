@@ -1,6 +1,6 @@
-"""What NVIDIA's compiler makes of the kernels, run instruction by instruction, has the CPU's bits.
+"""The PTX of the kernels, interpreted instruction by instruction, gives the CPU's bits.
 
-The simulator runs what Numba makes of the same source for the CPU; this runs the PTX.
+The simulator runs the same source compiled by Numba for the CPU; this runs the PTX.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from test_agreement import answers_of, assert_expected, case_of, rays_of
 
 pytestmark = pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
 
-#: A device's number that no other test has: kernels are kept by it.
+#: A device number that no other test uses: compiled kernels are cached by it.
 NUMBER = 7
 
 #: Rays of a case, spread over all of them: a ray is some thousand instructions.
@@ -318,7 +318,7 @@ def test_barriers_hold_until_all_are_there():
 
 
 def test_a_warp_votes_with_those_that_are_there():
-    """Odd lanes ask who is there, and who of them is above lane 8; even ones do not come."""
+    """Odd lanes vote on which are active, and which are above lane 8; even ones do not vote."""
     out = np.zeros((40, 3), np.uint32)
     run(
         "mov.u32 %r1, %tid.x; mul.wide.u32 %rd2, %r1, 12; add.s64 %rd3, %rd0, %rd2;"

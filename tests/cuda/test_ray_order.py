@@ -1,4 +1,4 @@
-"""Rays that the device sorts: keys, their order, and answers of the same bits in the rays' own."""
+"""Rays sorted by the device: keys, their order, and unchanged answers in the original order."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def simple_sort(monkeypatch):
 
 @pytest.fixture
 def rays():
-    """Rays of a case in no order, two of them invalid."""
+    """Rays of a case in random order, two of them invalid."""
     case = case_of("random_soup")
     rows = np.random.default_rng(5).permutation(len(case.origins))[:RAYS]
     origins, directions = case.origins[rows].copy(), case.directions[rows].copy()
@@ -69,7 +69,7 @@ def rays():
 
 
 def _bits(number, count, axis, axes):
-    """Bits of a number, spread for the interleaving of so many axes."""
+    """Bits of a number, spread for interleaving with this many axes."""
     return sum((number >> k & 1) << (axes * k + axis) for k in range(count))
 
 
@@ -245,7 +245,7 @@ def test_rays_in_arrays_on_the_device(gpu, simple_sort, rays):
         many, expected = tracer.multi_hit(*placed).host(), oracle.multi_hit(*on_host)
         for column in ("ray_splits", "t", "u", "v", "prim_id", "status"):
             assert_same_bits(getattr(many, column), getattr(expected, column))
-        assert sorts[:3] == [10, 10, 4]  # to count hits; those who write them find them sorted
+        assert sorts[:3] == [10, 10, 4]  # to count hits; kernels that write them find them sorted
 
 
 def test_counters_are_the_rays_own(gpu, simple_sort, rays):

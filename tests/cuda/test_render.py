@@ -1,4 +1,4 @@
-"""Pictures and the command line on CUDA: the processor's bits."""
+"""Images and the command line on CUDA: the CPU's bits."""
 
 from __future__ import annotations
 

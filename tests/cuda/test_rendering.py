@@ -1,4 +1,4 @@
-"""Renderers whose stages stay on the device: the processor's bits, and nothing travels."""
+"""Renderers whose stages stay on the device: the CPU's bits, without copies to the host."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from raystream.rendering.shading.keep_alive import kept_arrays
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.tables import SceneTables, tables_of
 
-#: Pictures of sines, powers and exponentials in float64, which a GPU may round in another way.
+#: Images with sines, powers and exponentials in float64, which a GPU may round differently.
 ROUNDED = () if is_simulated() else ("image", "raycast", "shadow")
 
 RANDOM = np.random.default_rng(9)
@@ -93,7 +93,7 @@ IMAGE = rs.EnvironmentLight((0.5, 0.5, 0.5), RANDOM.random((4, 8, 3)).astype(np.
 LENS = rs.Camera((0.5, 0.7, 2.2), (0.45, 0.3, 0.3), fov=45, aperture=0.1, focus=1.8)
 AROUND = rs.Camera((0.5, 0.7, 1.5), (0.45, 0.3, 0.3), projection="equirectangular")
 
-#: Mode, options, and what is special about the scene.
+#: Mode, options, and special features of the scene.
 PICTURES = {
     "path": ("path", {"max_bounces": 4}, {}),
     "kajiya": ("kajiya", {"samples": 2, "sampler": "stratified"}, {}),
@@ -126,7 +126,7 @@ def test_pictures_are_the_processor_s(gpu, name):
 
 @pytest.fixture
 def travels(monkeypatch):
-    """Bytes of each copy between host and device by way of staging_streams."""
+    """Bytes of each copy between host and device through staging_streams."""
     sizes = {"upload": [], "download": []}
     upload, download = StagingStream.upload, StagingStream.download
 
@@ -219,7 +219,7 @@ def test_bands_do_not_show(gpu):
 
 
 def host_of(address: np.uint64, like: np.ndarray, memory: TableMemory) -> np.ndarray:
-    """What was copied to an address."""
+    """The bytes copied to an address."""
     (array,) = (one for one in memory.arrays.values() if one.address == address)
     return array.host().view(like.dtype).reshape(like.shape)
 

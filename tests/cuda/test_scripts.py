@@ -1,4 +1,4 @@
-"""The scripts that check and measure a GPU, on what there is."""
+"""The scripts that check and measure a GPU, run on the available device."""
 
 from __future__ import annotations
 

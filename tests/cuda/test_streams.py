@@ -1,4 +1,4 @@
-"""Kernels over streams on CUDA do what they do on the CPU."""
+"""Kernels over streams give the same results on CUDA as on the CPU."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_what_cannot_be_done_is_said(gpu):
 @pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
 def test_kernels_compile_without_a_device():
     class Nowhere:
-        """Gives addresses that nobody reads."""
+        """Returns addresses that are never read."""
 
         number = 0
 

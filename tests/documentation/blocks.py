@@ -1,4 +1,4 @@
-"""The blocks of code on a page: what is to be run, what is not, and what has no label.
+"""Code blocks of a page: those to run, those not to run, and those without a label.
 
 A page's blocks are read line by line, without docutils, so that pages can be checked where only
 the tests' packages are installed. The rules:
@@ -38,7 +38,7 @@ class Block:
     """A block of a page."""
 
     line: int
-    """Of its first line of code, from 1 on."""
+    """Number of its first line of code, from 1."""
     language: str
     """``python``, ``doctest``, ``console``, ``text``, another one, or ``""``: it has none."""
     text: str

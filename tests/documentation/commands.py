@@ -18,7 +18,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def commands_of(text: str) -> Iterator[tuple[str, str]]:
-    r"""Give each command after ``$``, with ``\`` at the end of a line, and what it prints."""
+    r"""Yield each command after ``$``, with ``\`` at the end of a line, and its output."""
     lines = text.splitlines()
     at = 0
     while at < len(lines):
@@ -37,7 +37,7 @@ def commands_of(text: str) -> Iterator[tuple[str, str]]:
 
 
 def check(command: str) -> None:
-    """Raise if a command cannot be what it says."""
+    """Raise if a command names options, extras or files that do not exist."""
     for one in command.split(" && "):
         words = shlex.split(one, comments=True)
         while words and re.match(r"^[A-Z_]+=", words[0]):  # variables before a command

@@ -1,4 +1,4 @@
-"""Run the blocks of a page, and compare what they print with what the page shows."""
+"""Run the blocks of a page, and compare their output with the page."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def run_page(name: str, blocks: list[Block]) -> None:
 
 
 def _run(place: str, block: Block, namespace: dict[str, Any]) -> str | None:
-    """Run a block; answer what it printed, or None if that has been compared."""
+    """Run a block; returns its output, or None if that has been compared."""
     if block.language == "python":
         return _run_python(place, block.text, namespace)
     if block.language == "doctest":
@@ -76,7 +76,7 @@ def _run_python(place: str, text: str, namespace: dict[str, Any]) -> str:
 def _run_examples(place: str, block: Block, namespace: dict[str, Any]) -> None:
     examples = doctest.DocTestParser().get_examples(block.text)
     test = doctest.DocTest(examples, namespace, place, place, block.line - 1, None)
-    test.globs = namespace  # DocTest copies it; names go on to the next block
+    test.globs = namespace  # DocTest copies it; the next block needs its names
     out = io.StringIO()
     result = doctest.DocTestRunner(optionflags=_FLAGS).run(test, out=out.write, clear_globs=False)
     if result.failed:

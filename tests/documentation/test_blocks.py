@@ -1,4 +1,4 @@
-"""What is found on a page, and what is said of blocks that are wrong."""
+"""The blocks found on a page, and the errors for wrong ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of the interface has every name that users are to find."""
+"""The API page has every public name."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ FOR_ROOMS = {
     "rendering.frames": {"split_options", "timeline_of"},
 }
 
-#: All that is at the top; what else a module offers is imported from there.
+#: All top-level names; other names are imported from their modules.
 NAMES = """
     Animation Camera CameraTrack Decision DirectionalLight EnvironmentLight FileFormatError Hits
     Image MODES Material Mesh MultiHits PointLight RayStatus RaystreamError RaystreamWarning Scene

@@ -1,4 +1,4 @@
-"""Links of README and CONTRIBUTING lead to files that are there."""
+"""Links in README and CONTRIBUTING lead to existing files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The notebooks: they run, print what is stored, and name no machine."""
+"""Notebooks run, print their stored output, and name no machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ IDS = [path.stem for path in NOTEBOOKS]
 
 
 def printed(cell: dict) -> str:
-    """Give what a cell writes to stdout."""
+    """The text that a cell writes to stdout."""
     texts = [one["text"] for one in cell.get("outputs", ()) if one.get("name") == "stdout"]
     return "".join(text if isinstance(text, str) else "".join(text) for text in texts)
 

@@ -1,4 +1,4 @@
-"""The code of the documentation: all of it is labelled, and what is not excepted runs."""
+"""Code in the documentation: all of it is labelled, and runs unless excepted."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_page_runs(page, tmp_path, monkeypatch):
 
 
 def _check_pictures(page, folder):
-    """See that the page has those pictures of its code that it shows, and renew them if asked."""
+    """Check that the images that a page shows are written by its code; update them on request."""
     images = DOCS / "images"
     for picture in folder.glob("*.png"):
         if f"images/{picture.name}" in page.read_text(encoding="utf-8"):

@@ -1,4 +1,4 @@
-"""The built site needs no other host, and its pictures say what they show."""
+"""The built site needs no other host, and its images have alternative texts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LOADING = {
 
 
 class Reader(HTMLParser):
-    """Notes what a page loads, and its pictures."""
+    """Collects the resources that a page loads, and its images."""
 
     def __init__(self) -> None:
         super().__init__()

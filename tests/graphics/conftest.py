@@ -17,7 +17,7 @@ def opened() -> OpenDevice:
 
 @pytest.fixture
 def fresh(monkeypatch) -> OpenDevice:
-    """A device that nothing was made on, and that may be lost: tracers of this test use it."""
+    """A fresh device that may be lost, used by the tracers of this test."""
     skip_without_adapter()
     monkeypatch.setattr("raystream.graphics.adapters._OPEN", {})
     return open_device()

@@ -1,4 +1,4 @@
-"""Where a pixel's centre is, beside the outline of a triangle in the picture."""
+"""Distances of pixel centres from the edges of triangles in an image."""
 
 from __future__ import annotations
 

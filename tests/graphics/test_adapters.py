@@ -1,4 +1,4 @@
-"""Which adapter is taken, and what is said where there is none."""
+"""Selection of an adapter, and the errors where none is found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The queries of graphics machines: rays in parts of any size, and what is counted."""
+"""Queries of the graphics machines: rays in parts of any size, and counters."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_the_size_of_dispatches_changes_nothing(opened, scene, rays, monkeypatch
 
 @pytest.mark.parametrize("name", ["grid, graphics", "grid, fragments, graphics"])
 def test_threads_may_ask_at_once(opened, scene, rays, name):
-    """As renderers do: a tracer's buffers are used by one query at a time."""
+    """Threads of a renderer: a tracer's buffers are used by one query at a time."""
     tracer = rs.Tracer(scene, **GRAPHICS_TRACERS[name])
     parts = [{key: array[k::10] for key, array in rays.items()} for k in range(10)]
     expected = [tracer.first_hit(**part).t for part in parts]

@@ -12,7 +12,7 @@ SIZE = 48, 40
 
 
 def pictures(scene, bounces, size=SIZE, structure="grid", **options):
-    """The same picture by fragment programs, and by the renderer on the CPU."""
+    """The same image by fragment programs, and by the renderer on the CPU."""
     from raystream.graphics import render_bounces
 
     tracer, camera = rs.Tracer(scene, structure), scene.camera_for(size[0] / size[1])
@@ -22,7 +22,7 @@ def pictures(scene, bounces, size=SIZE, structure="grid", **options):
 
 
 def differing(ours, theirs, allowed=1e-4):
-    """How many pixels differ by more than rounding; brighter ones may by more."""
+    """Number of pixels that differ by more than rounding, relative to brightness."""
     difference = np.abs(ours.pixels - theirs.pixels)
     return np.count_nonzero((difference > allowed * np.maximum(theirs.pixels, 1.0)).any(axis=2))
 

@@ -18,7 +18,7 @@ BRUTE = {"structure": "brute", "machine": "multipass"}
 
 @pytest.fixture
 def loads(monkeypatch):
-    """How often a machine has loaded a triangle."""
+    """Number of triangles that a machine has loaded."""
     rows = []
 
     class Counted(TriangleConstants):

@@ -1,4 +1,4 @@
-"""The compute machine: answers, counts, limits, and what it says when something is wrong."""
+"""The compute machine: answers, counts, limits and errors."""
 
 from __future__ import annotations
 
@@ -238,7 +238,7 @@ def test_searches_without_end_are_an_error(dent, monkeypatch):
 
 
 def test_what_a_driver_cuts_short_is_never_an_answer():
-    """Mesa's software leaves loops after 65,535 rounds, and goes on as if nothing was."""
+    """Mesa's software driver leaves loops after 65,535 iterations without an error."""
     count = 70_000
     triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
     heights = np.arange(count)[:, None, None] * [0, 0, 1.0]

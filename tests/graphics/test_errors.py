@@ -1,4 +1,4 @@
-"""What goes wrong on a graphics device is one clear error, and the CPU traces on."""
+"""Failures of a graphics device are one clear error, and the CPU keeps tracing."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_new_tracer_after_a_loss_that_nobody_noticed(fresh, scene, rays):
     assert open_device() is open_device() is not fresh
 
 
-# What wgpu reports between calls.
+# Errors that wgpu reports between calls.
 
 
 def test_what_wgpu_would_print_is_an_error(opened, caplog):
@@ -82,7 +82,7 @@ def test_what_wgpu_would_print_is_an_error(opened, caplog):
         native._api.error_handler.log_error("out of something")
     assert not caplog.records
     with guarded(opened):
-        logging.getLogger("wgpu").error("of no query")  # what others log stays theirs
+        logging.getLogger("wgpu").error("of no query")  # records of other code are left alone
     assert [record.getMessage() for record in caplog.records] == ["of no query"]
     native._api.error_handler.log_error("no query is to blame")
     assert caplog.records[-1].getMessage() == "no query is to blame"

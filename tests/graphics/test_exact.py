@@ -1,4 +1,4 @@
-"""The shaders' arithmetic: exact where it says so, and nearly float64 where CPUs have that."""
+"""Arithmetic of shaders: exact where documented, and close to float64 where the CPU uses it."""
 
 from __future__ import annotations
 

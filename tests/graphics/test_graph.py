@@ -38,7 +38,7 @@ def test_rays_meet_what_they_meet_on_the_cpu():
 
 
 def test_rays_begin_anywhere():
-    """Whatever sector is near by, rays walk to their own: back, and on."""
+    """From any sector nearby, rays walk to their own, backward or forward."""
     scene, (origins, directions) = lattice_scene(), exact_rays()
     brute = rs.Tracer(scene, "brute", "graphics")
     tracer = rs.Tracer(scene, "graph", "graphics", **SMALL)

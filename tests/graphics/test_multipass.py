@@ -66,7 +66,7 @@ def assert_same_hits(ours, theirs):
 
 
 def assert_same_run(ours, theirs):
-    """The same passes over the same rays, each of which met the same."""
+    """The same passes over the same rays, with the same tallies per ray."""
     assert passes_of(ours) == passes_of(theirs)
     for column in COLUMNS:
         assert_same_bits(getattr(ours.counters, column), getattr(theirs.counters, column))
@@ -97,7 +97,7 @@ def test_kernels_are_those_of_the_cpu(scene, name):
 
 @pytest.mark.parametrize("name", names_with("graphics multipass"))
 def test_kernels_discard_nothing(scene, name):
-    """Else the stencil test would come after them."""
+    """Otherwise the stencil test would come after them."""
     traversal = kernels_of(build_structure(name, scene.triangles, **OPTIONS.get(name, {})))
     text = sources.shader_source(traversal.shader)
     assert not re.search(r"^\s*discard", text, re.MULTILINE)
@@ -153,7 +153,7 @@ def test_queries_whose_answers_are_not_exact_are_refused(opened, scene, rays, mo
 
 
 def test_two_targets_are_enough(opened, monkeypatch):
-    """As many as every adapter has: then a kernel is drawn twice."""
+    """The number that every adapter supports: then a kernel is drawn twice."""
     rays = exact_rays()
     theirs = multipass(lattice_scene(), "cpu", counters=True)
     expected = theirs.first_hit(*rays)
@@ -166,7 +166,7 @@ def test_two_targets_are_enough(opened, monkeypatch):
 
 
 def test_a_stencil_test_that_comes_late_does_no_harm(opened, scene, rays, monkeypatch):
-    """Kernels then run on all rays: what they write to buffers, the state in the stream guards."""
+    """Kernels then run on all rays; the state in the stream guards their writes to buffers."""
     expected = multipass(scene, "cpu", counters=True)
     hits = expected.multi_hit(**rays)
     make = plan._PlanBuilder.kernel

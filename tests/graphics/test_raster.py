@@ -23,7 +23,7 @@ def seen_both_ways(scene, size=SIZE):
 
 
 def check_same(scene, size=SIZE):
-    """All as primary rays see it, but for pixels whose centre is on an edge; returns these."""
+    """The image that primary rays see, except for pixels with centres on edges; returns these."""
     camera, seen, hits = seen_both_ways(scene, size)
     assert seen.prim_id.shape == hits.prim_id.shape == size[::-1]
     same = seen.prim_id == hits.prim_id
@@ -58,7 +58,7 @@ def wall(*, z, half=1.0):
 
 
 def test_surfaces_through_and_behind_the_eye_are_clipped():
-    """A floor that goes on behind the eye, a wall behind it, and a wall ahead."""
+    """A floor that extends behind the eye, a wall behind it, and a wall ahead."""
     floor = rs.Mesh([[-50, -1, -50], [50, -1, -50], [0, -1, 90]], [[0, 1, 2]])
     camera = rs.Camera((0, 0, 0), (0, 0, -1), fov=90.0)
     scene = rs.Scene([floor, wall(z=3.0), wall(z=-2.0)], camera=camera)

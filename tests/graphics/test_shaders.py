@@ -1,4 +1,4 @@
-"""The shaders' files: all are used, all are compiled, and none is longer than one idea."""
+"""Shader files: all are used and compiled, and none is too long."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BEGINNING = re.compile(r"^// ([a-z0-9_/]+\.wgsl)$", re.MULTILINE)
 #: Halves of a kernel's outputs, for adapters that allow few.
 SOMETIMES = {"fragment/targets_found.wgsl", "fragment/targets_place.wgsl"}
 
-#: Those of pictures, which `test_raster` and `test_bounces` compile.
+#: Those of images, which `test_raster` and `test_bounces` compile.
 OF_PICTURES = ("bounces/", "raster/", "camera.wgsl", "no_hit_rows.wgsl")
 
 #: Tracers that have other files than those of the agreement.
@@ -56,7 +56,7 @@ def test_every_file_says_what_it_holds():
 def test_every_include_is_there():
     included = {one for name in FILES for one in sources._INCLUDE.findall(text_of(name))}
     assert included <= set(FILES)
-    # What looks like an include is one: a slip would be a comment.
+    # Everything that looks like an include is one: a typo would make it a comment.
     for name in FILES:
         assert text_of(name).count("include ") == len(sources._INCLUDE.findall(text_of(name)))
 
@@ -82,7 +82,7 @@ def test_a_file_is_included_once_and_can_be_replaced():
 
 @pytest.mark.exhaustive
 def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
-    """Whatever is in no tracer's shaders is nobody's: with hits, without, and counting."""
+    """Every file is in some tracer's shaders: with hits, without, or counting."""
     made = type(fresh.device).create_shader_module
     compiled: set[str] = set()
 
@@ -119,7 +119,7 @@ def test_a_shader_that_does_not_compile_is_one_error(fresh, monkeypatch, name, b
     scene = rs.Scene.from_arrays(*soup(20, 1))
     with pytest.raises(GraphicsError, match=r"shader brute, FIRST_HIT: (does not|gives no)"):
         rs.Tracer(scene, "brute", "graphics")
-    # The device is none the worse for it, nor is the CPU.
+    # The device still works, and so does the CPU.
     monkeypatch.setattr(sources, "_text_of", text)
     for device in ("graphics", "cpu"):
         assert not rs.Tracer(scene, "brute", device).any_hit([9, 9, 9], [1, 0, 0])

@@ -49,7 +49,7 @@ def run(source: Path, folder: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """A copy of the package, to be edited; who edits it mends it."""
+    """A copy of the package, to be edited; tests that edit it restore it."""
     folder = tmp_path_factory.mktemp("copy")
     package = folder / "src" / "raystream"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))

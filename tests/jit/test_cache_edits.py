@@ -1,4 +1,4 @@
-"""Edits of the sources: what is compiled anew, and that nothing is ever stale."""
+"""Edits of the sources: kernels that are recompiled, and no kernel that is ever stale."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ reached = {name: sorted(reach(kernel, set())) for name, kernel in KERNELS.items(
 print(json.dumps([keys, reached]))
 """
 
-#: A query and a picture: how many kernels it asked for, and which it compiled.
+#: A query and an image: the number of kernels requested, and those compiled.
 PROGRAM = """
 import json
 import raystream as rs
@@ -205,7 +205,7 @@ INSTRUCTIONS = {"add": int.__add__, "sub": int.__sub__, "mul": int.__mul__}
 
 
 def answer_of(state, x=13) -> int:
-    """What the kernel must return, in plain Python."""
+    """The kernel's expected result, in plain Python."""
     deepest = x * state["scale"] + state["first"] - state["second"]
     mixed = INSTRUCTIONS[state["instruction"]](x, state["added"]) + state["extra"]
     middle = OPERATORS[state["operator"]](deepest, mixed)

@@ -1,4 +1,4 @@
-"""One process at a time compiles a kernel; whatever happens to it, the others continue."""
+"""One process at a time compiles a kernel; if it dies, the others continue."""
 
 import subprocess
 import sys

@@ -188,7 +188,7 @@ def test_types_of_functions_say_what_these_do():
 
 
 def test_every_kernel_of_ours_has_a_fingerprint():
-    """Else it would be compiled in every process."""
+    """Otherwise it would be compiled in every process."""
     rooms = ("kernels", "structures", "machines", "rendering", "physics", "programs", "jit", "lab")
     kernels = set()
     for found in pkgutil.walk_packages(raystream.__path__, "raystream."):

@@ -1,4 +1,4 @@
-"""What a kernel cannot do with vectors is a typing error that says why."""
+"""Unsupported operations on vectors are typing errors that say why."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading and writing elements that lie anywhere, and vectors of unsigned numbers."""
+"""Gathers and scatters, and vectors of unsigned numbers."""
 
 from __future__ import annotations
 

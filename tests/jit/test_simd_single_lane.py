@@ -1,4 +1,4 @@
-"""Functions of 16 lanes as functions of one: each lane's bits, and whom they call."""
+"""Functions of 16 lanes compiled for one: the bits of each lane, and the functions they call."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_an_error_stops_the_loop_and_is_raised(count):
 
 @pytest.mark.parametrize("where", ["in the calling thread", "in a pool thread"])
 def test_a_loop_inside_stops_with_the_loop_around_it(where):
-    """Else an interrupted picture would trace its other bands to the end."""
+    """Otherwise an interrupted image would trace its other bands to the end."""
     set_thread_count(2)
     calling = threading.current_thread()
     inside = threading.Event()

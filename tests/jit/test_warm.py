@@ -127,7 +127,7 @@ def test_the_list_is_what_the_command_asks_for(task):
 @pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_first_picture_compiles_in_two_processes(tmp_path):
-    """What the helper has compiled is not compiled again, and nothing is left to be compiled."""
+    """Kernels compiled by the helper are not compiled again, and none is left to compile."""
     environment = child_environment(
         RAYSTREAM_CACHE_DIR=str(tmp_path / "cache"), RAYSTREAM_THREADS="2"
     )

@@ -1,4 +1,4 @@
-"""The types of vectors that tests take, and which of them in a usual run."""
+"""Vector types that tests cover, and those in a default run."""
 
 from __future__ import annotations
 

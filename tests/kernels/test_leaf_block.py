@@ -1,4 +1,4 @@
-"""The leaf block: what is written, and that its test gives the bits of a list's."""
+"""The leaf block: its contents, and a test with the bits of a triangle list's."""
 
 import numpy as np
 import pytest

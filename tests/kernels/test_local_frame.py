@@ -1,4 +1,4 @@
-"""Rays into the local frame, and limits that mean what the caller said."""
+"""Transforms of rays to the local frame, and limits in the caller's units."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_outside(target):
 
 
 def test_edge_on_rays_miss():
-    """In the triangle's plane there is no crossing, whichever way."""
+    """In the triangle's plane there is no crossing, in any direction."""
     tracer = tracer_of(CORNERS)
     for origin in ([-1, 1, 0], [1, 1, 0], [0, 0, 0], [-1, 0, 0]):
         for direction in ([1, 0, 0], [1, 1, 0], [-1, 2, 0]):

@@ -1,4 +1,4 @@
-"""Simulators fed in parallel count what each counts alone."""
+"""Simulators fed in parallel give the same counts as each alone."""
 
 import threading
 

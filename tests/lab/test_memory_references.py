@@ -28,7 +28,7 @@ def joined(chunks):
 
 
 def steps_of(walks, layout, ray):
-    """What each step of a ray reads, written down another way: (kernel, references)."""
+    """Reads of each step of a ray, derived in another way: (kernel, references)."""
     grid = walks.structure
     full = np.cumsum(np.diff(grid.lists.splits) > 0)  # the list's own null pointer is after it
     cells = iter(walks.visits_of(ray).tolist())

@@ -16,7 +16,7 @@ from raystream.lab.purcell.zbuffer import _crossing
 
 SIZE = 32
 
-#: Only what is built in, with a name for each part that has its own list of views.
+#: Built-in scenes only, with a name for each part that has its own list of views.
 VIEWS = ("forest top", "forest inside")
 
 
@@ -64,7 +64,7 @@ def test_statistics_are_those_of_counters(runner: Runner) -> None:
 
 @pytest.mark.parametrize("name", VIEWS)
 def test_replayed_passes_are_the_machines(runner: Runner, name: str) -> None:
-    # Identity: what the report says of passes is what the multipass machine runs.
+    # Identity: the report's passes are those that the multipass machine runs.
     run(runner, "passes")
     found = image_schedule(runner, name)
     view = runner.view(name)

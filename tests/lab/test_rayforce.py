@@ -43,7 +43,7 @@ def test_added_triangles_are_hidden(place):
     one, other = (rs.Tracer(scene).first_hit(*rays) for scene in (bare, more))
     np.testing.assert_array_equal(one.prim_id, other.prim_id)
     assert one.is_hit.all()
-    # Without the wall, what lies behind it would be met.
+    # Without the wall, rays would hit objects behind it.
     centres = more.meshes[-1].vertices.reshape(-1, 3, 3).mean(axis=1)
     eye = np.asarray(more.camera.eye)
     blocked = rs.Tracer(bare).any_hit(eye, centres - eye, t_max=1.0)

@@ -66,7 +66,7 @@ def test_a_page_is_one_small_file(text):
 
 
 def test_every_control_has_a_name(text):
-    """What a script looks up is there, and buttons say what they do."""
+    """Elements that scripts look up exist, and buttons have labels."""
     ids = set(re.findall(r'\bid="([^"]+)"', text))
     assert set(re.findall(r'byId\("([^"]+)"\)', text)) <= ids
     for button in re.findall(r"<button[^>]*>.*?</button>", text, re.DOTALL):
@@ -138,7 +138,7 @@ def test_every_step_is_said_and_cited(content):
 
 
 def test_the_crowded_cell_is_the_grids_trouble(content):
-    """What the scene is there to show, in the counts of its first ray."""
+    """The scene's first ray has the counts that it is meant to show."""
     walks = content["rays"][0]["walks"]
     tested = {key: sum(len(step.get("x", [])) for step in steps) for key, steps in walks.items()}
     assert tested["grid"] > 3 * max(tested["kdtree-stack"], tested["graph"])

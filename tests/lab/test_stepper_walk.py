@@ -73,7 +73,7 @@ def test_a_walk_is_what_the_tracer_does(plan, tracers, walks, key):
 
 @pytest.mark.parametrize("key", WALKED)
 def test_steps_tell_their_counts(walks, key):
-    """What was recorded besides says as much as the machine's own counts."""
+    """The recorded details agree with the machine's own counts."""
     for walked in walks[key]:
         ran = [step.kernel for step in walked.steps]
         assert sum(len(step.tested) for step in walked.steps) == walked.counts["tests"]
@@ -302,7 +302,7 @@ def test_two_levels_of_a_grid(plan):
 
 
 def test_a_scene_far_away_walks_the_same():
-    """The machine works in a frame of its own; walks are in the world."""
+    """The machine works in its local frame; walks are in world space."""
     square = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
     near = prisms([Outline("room", square)])
     far = prisms([Outline("room", square + 1e6)])

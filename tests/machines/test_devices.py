@@ -1,4 +1,4 @@
-"""Devices by name: anyone may register one, with machines of its own."""
+"""Devices by name: users can register one, with its own machines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RAY = [0.25, 0.25, 1.0], [0.0, 0.0, -1.0]
 
 
 class _Machines:
-    """Those of the CPU under other names, with an option; notes what it was asked to make."""
+    """The CPU's machines under other names, with an option; records the calls."""
 
     names = ("eager", "patient")
 

@@ -35,7 +35,7 @@ WAYS = [
     ("double", 4, 2, True),
 ]
 
-#: A usual run has each structure in one way, and the grid in all; CI has all in all.
+#: A default run has each structure in one way, and the grid in all; CI has all in all.
 PAIRS = [
     pytest.param(
         name,
@@ -91,7 +91,7 @@ def test_all_steps_are_tested():
 
 @pytest.mark.parametrize(("name", "way"), PAIRS)
 def test_both_machines_meet_the_same(name, way):
-    """Hits, and what every ray meets on its way, in all queries."""
+    """Hits and tallies of every ray in all queries."""
     options = STRUCTURES_AND_OPTIONS[name]
     scene, rays = rays_of("closed_mesh")
     branching = rs.Tracer(scene, **options, counters=True)
@@ -109,7 +109,7 @@ def test_both_machines_meet_the_same(name, way):
 
 @pytest.mark.parametrize("name", STRUCTURES_AND_OPTIONS)
 def test_passes_add_up(name):
-    """Each kernel's runs in all passes are what the rays say that they met."""
+    """Each kernel's runs over all passes equal the rays' tallies."""
     scene, rays = rays_of("random_soup")
     tracer = multipass(scene, STRUCTURES_AND_OPTIONS[name], counters=True)
     tracer.first_hit(**rays)
@@ -229,7 +229,7 @@ def test_rays_that_meet_too_many_triangles_are_traced_again(monkeypatch, rng, ma
 
 
 def test_a_scheduler_of_ones_own():
-    """It is asked before each pass, and must choose a kernel that rays wait for."""
+    """It is called before each pass, and must choose a kernel that rays wait for."""
     scene, rays = rays_of("closed_mesh")
     asked = []
 

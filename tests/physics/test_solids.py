@@ -22,7 +22,7 @@ def test_closed_meshes(make):
     assert facts(rs.Mesh(vertices, faces)) == [(True, False)]
     assert facts(rs.Mesh(vertices, faces[:, ::-1])) == [(True, True)]
     assert facts(rs.Mesh(vertices + 1e6, faces)) == [(True, False)]
-    # As STL files have it: each triangle with vertices of its own.
+    # As in STL files: each triangle has its own vertices.
     loose = rs.Mesh(vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3))
     assert facts(loose) == [(True, False)]
 

@@ -24,7 +24,7 @@ def layers_scene():
 
 
 def layers_rays(width=20, height=18):
-    """A picture of rays through the layers; some beside them, and one that is invalid."""
+    """An image of rays through the layers; some beside them, and one that is invalid."""
     x, y = np.meshgrid(np.linspace(-0.1, 1.0, width), np.linspace(0.0, 1.05, height))
     origins = np.stack([x, y, np.full_like(x, -1.0)], axis=-1)
     directions = np.broadcast_to([0.0, 0.0, 0.5], origins.shape).copy()

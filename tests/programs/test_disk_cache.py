@@ -1,4 +1,4 @@
-"""Programs are kept on disk: a second process does not compile."""
+"""Programs are cached on disk: a second process does not compile."""
 
 import contextlib
 import os

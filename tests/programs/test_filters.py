@@ -199,7 +199,7 @@ def test_any_scene(case, seed):
 
 
 def test_rays_leave_the_triangles_that_they_start_on():
-    """Exactly on the surface, without an offset: what spawn does with a moved origin."""
+    """Rays start exactly on the surface, without the offset that spawn applies."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], float)
     tracer = rs.Tracer(rs.Scene.from_arrays(vertices, [[0, 1, 2], [3, 4, 5]]))
     here = tracer.first_hit([0.25, 0.25, -1.0], [0.0, 0.0, 1.0])

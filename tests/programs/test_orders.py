@@ -1,4 +1,4 @@
-"""Programs to which the order of hits does not matter: what they are given is the same."""
+"""Order-independent programs get the same hits from every structure."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def until_third(hit):
 
 
 def picture(kind):
-    """A picture of rays at a sphere; those of some kinds take the long way to the scene."""
+    """An image of rays at a sphere; those of some kinds take the long way to the scene."""
     low, high = VERTICES.min(axis=0), VERTICES.max(axis=0)
     x, y = np.meshgrid(
         *(np.linspace(low[k] - 0.1, high[k] + 0.1, n) for k, n in ((0, 70), (1, 50)))

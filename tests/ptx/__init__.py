@@ -1,1 +1,1 @@
-"""A machine that runs PTX, to see what compilers make of kernels where no GPU is."""
+"""A PTX interpreter, to test compiled kernels without a GPU."""

@@ -1,4 +1,4 @@
-"""Steps of PTX that compute: each reads registers of a frame, and writes one."""
+"""Arithmetic instructions of PTX: each reads registers of a frame, and writes one."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ _ROUNDED = ("add", "sub", "mul", "fma", "div", "rcp", "sqrt")
 
 
 def _check_rounding(words: list[str]) -> None:
-    """Neither flushed nor approximate: the words between name and type say nothing else."""
+    """Neither flushed nor approximate: no other modifiers between name and type."""
     for word in words[:-1]:
         if word not in ("rn",):
             raise PtxError(f"'.{word}' would round in another way than the CPU")
 
 
 def _float_of(name: str, whole: Callable[..., Any], fraction: Any) -> Callable[..., Any]:
-    """As `_either`; floats must say that they round to nearest, else they may be fused."""
+    """Like `_either`, but floats must state rounding to nearest, or they may be fused."""
     make = _either(whole, fraction)
 
     def checked(words: list[str], operands: tuple[str, ...], slots: Slots) -> Step:

@@ -1,4 +1,4 @@
-"""Steps of PTX that move numbers: choices, comparisons, conversions, memory."""
+"""PTX instructions that move data: selections, comparisons, conversions, memory."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _moved(words: list[str], operands: tuple[str, ...], slots: Slots) -> Step:
 
 
 def _recast(source: str, target: str) -> Callable[[Any], Any] | None:
-    """What turns a register's content into that of another class; None if nothing has to."""
+    """Conversion of a register's content to another class; None if none is needed."""
     if source[0] != "%":
         return None
     given, wanted = class_of(source), class_of(target)
@@ -136,7 +136,7 @@ def _joined(kind: str, target: str, source: str, slots: Slots) -> Step:
 
 
 def _place(text: str, slots: Slots, is_param: bool) -> Callable[[list[Any]], Any]:
-    """What gives the address that stands in brackets; of a parameter, its name and an offset."""
+    """Evaluator of an address in brackets; for a parameter, its name and an offset."""
     base, _, offset = text.strip("[]").replace(" ", "").partition("+")
     more = int(offset or 0)
     if is_param:

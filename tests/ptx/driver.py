@@ -1,4 +1,4 @@
-"""A driver whose device is the PTX machine: tracers run on it what the compiler made for GPUs."""
+"""A driver whose device is the PTX interpreter: tracers run the code compiled for GPUs on it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from raystream.jit.cuda import CAPABILITIES
 
 __all__ = ["PtxDriver"]
 
-#: CUDA's arrays begin at multiples of so many bytes.
+#: Alignment of CUDA's arrays in bytes.
 _ALIGNMENT = 256
 
 
 class _Array:
-    """An array of the device's, which nothing may use any more once it is freed."""
+    """A device array, which must not be used after it is freed."""
 
     def __init__(self, memory, byte_count):
         self._memory, self._room = memory, room_for(byte_count, _ALIGNMENT)

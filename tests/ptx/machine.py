@@ -1,8 +1,8 @@
-"""A machine that runs PTX: what NVIDIA's compiler made of a kernel, where no GPU is.
+"""A PTX interpreter: runs the output of NVIDIA's compiler for a kernel without a GPU.
 
-Threads run one after the other, and meet at barriers and votes. Registers hold Python's and NumPy's
-numbers; memory is the host's, by address, and every access is checked. An instruction that a device
-would round in another way than the CPU is an error, and so is one that is not known.
+Threads run one after the other, and synchronize at barriers and votes. Registers hold Python and
+NumPy numbers; memory is the host's, by address, and every access is checked. Unknown instructions
+are errors, and so are those that a device would round differently from the CPU.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Kernel", "Memory", "PtxError"]
 
 _RETURN = object()
 
-#: No kernel here takes so many instructions for a thread: it loops.
+#: A thread that executes this many instructions is in an endless loop.
 _MOST_STEPS = 20_000_000
 
 
@@ -153,7 +153,7 @@ class _Rooms:
             self._kept.append(room)
 
     def close(self) -> None:
-        """Nothing is there any more."""
+        """Forget the memory."""
         for room in self._kept:
             self._memory.drop(int(room.ctypes.data))
 
@@ -170,7 +170,7 @@ class _Thread:
         self._parameters: list[dict[str, bytearray]] = [{k: bytearray(v) for k, v in given.items()}]
 
     def run(self) -> Iterator[object]:
-        """Run the kernel; gives what it waits for: `BARRIER`, or where it votes, and how."""
+        """Run the kernel; yields what it waits for: `BARRIER`, or the place and kind of a vote."""
         yield from self._run(self._kernel.code(self._kernel.name))
 
     def _run(self, code: _Code) -> Iterator[object]:
@@ -209,11 +209,11 @@ class _Thread:
     def _run_call(
         self, name: str, given: Sequence[str], results: Sequence[str]
     ) -> Iterator[object]:
-        """Run a function: its parameters are the caller's, by another name."""
+        """Run a function: its parameters are the caller's under other names."""
         code, own = self._kernel.code(name), self._parameters[-1]
         theirs = {}
         for there, here in zip(code.function.parameters, given, strict=True):
-            # What the callee does not use is not written.
+            # Results that the callee does not use are not written.
             theirs[there.name] = own.pop(here, bytearray([UNWRITTEN] * there.byte_count))
         for there, here in zip(code.function.results, results, strict=True):
             theirs[there.name] = own[here] = bytearray(there.byte_count)

@@ -1,7 +1,7 @@
-"""Memory as the PTX machine has it: every access is within an array, and aligned.
+"""Memory of the PTX interpreter, which checks that accesses are aligned and within an array.
 
-So the machine finds what compute-sanitizer's memcheck finds on a device. Compilers load what
-nobody asked for yet, so it is no error to read what was never written: `UNWRITTEN` at first.
+So the interpreter finds what compute-sanitizer's memcheck finds on a device. Compilers load values
+speculatively, so reading memory that was never written is no error: it is `UNWRITTEN` at first.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 
 __all__ = ["UNWRITTEN", "Memory", "PtxError", "room_for"]
 
-#: A byte of memory that nobody has written: numbers of it are neither 0 nor small.
+#: Initial value of a byte of memory: numbers made of it are neither 0 nor small.
 UNWRITTEN = 0xA5
 
 
 class PtxError(Exception):
-    """A kernel does what a device would not take, or what would differ there."""
+    """A kernel does something that fails, or is undefined, on a device."""
 
 
 class _Region(NamedTuple):
@@ -44,7 +44,7 @@ class Memory:
         self._regions: list[_Region] = []
 
     def add(self, name: str, room: np.ndarray) -> int:
-        """Let kernels use bytes of the host's; returns their address."""
+        """Make bytes of the host accessible to kernels; returns their address."""
         start = int(room.ctypes.data)
         i = bisect.bisect(self._starts, start)
         self._starts.insert(i, start)
@@ -52,7 +52,7 @@ class Memory:
         return start
 
     def drop(self, start: int) -> None:
-        """Forget a region: from now on nothing is there."""
+        """Remove a region; later accesses to it fail."""
         i = bisect.bisect_left(self._starts, start)
         assert self._starts[i] == start
         del self._starts[i], self._regions[i]

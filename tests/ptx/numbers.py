@@ -1,4 +1,4 @@
-"""Numbers as PTX has them: integers are kept without sign, in the width of their register.
+"""PTX numbers: integers are kept unsigned, in the width of their register.
 
 Floats are NumPy's, so that each operation rounds once, as IEEE 754 says.
 """
@@ -38,7 +38,7 @@ _KINDS = {"f32": (np.float32, np.uint32), "f64": (np.float64, np.uint64)}
 _DIGITS = {"f32": 24, "f64": 53}
 
 
-#: What makes floats whole.
+#: Rounding of floats to integers.
 _FRACTIONS = {"rmi": np.floor, "rpi": np.ceil, "rzi": np.trunc, "rni": np.rint}
 
 
@@ -48,7 +48,7 @@ def is_float(kind: str) -> bool:
 
 
 def width_of(kind: str) -> int:
-    """Bits of a type's numbers."""
+    """Width of a type in bits."""
     return 1 if kind == "pred" else int(kind[1:])
 
 
@@ -58,7 +58,7 @@ def signed(value: int, width: int) -> int:
 
 
 def from_bits(value: int, kind: str):
-    """The float of some bits."""
+    """The float with these bits."""
     made, whole = _KINDS[kind]
     return whole(value).view(made)
 
@@ -70,7 +70,7 @@ def as_bits(value, kind: str) -> int:
 
 
 def constant(text: str, kind: str):
-    """A number that stands in an instruction."""
+    """A literal in an instruction."""
     if text[:2] in ("0f", "0d"):
         return from_bits(int(text[2:], 16), "f32" if text[1] == "f" else "f64")
     if kind == "pred":

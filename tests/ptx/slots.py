@@ -1,4 +1,4 @@
-"""Where a function's frame has what its instructions name."""
+"""Indices into a function's frame of the operands of its instructions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ptx.numbers import constant
 
 __all__ = ["SPECIAL", "Slots", "class_of"]
 
-#: What a thread is told of itself.
+#: Special registers: a thread's position.
 SPECIAL = (
     *("%tid.x", "%ctaid.x", "%ntid.x", "%nctaid.x", "%laneid"),
     *("%tid.y", "%tid.z", "%ctaid.y", "%ctaid.z"),
@@ -17,7 +17,7 @@ SPECIAL = (
 
 
 class Slots:
-    """Where a function's frame has what instructions name; 0 is the thread."""
+    """Indices into a function's frame of the operands of its instructions; 0 is the thread."""
 
     def __init__(self) -> None:
         self.first: list[Any] = [None]
@@ -25,7 +25,7 @@ class Slots:
         self.symbols: dict[str, int] = {}
 
     def of(self, text: str, kind: str) -> int:
-        """The place of a register, a constant, or the address of what has a name."""
+        """The index of a register, a constant, or the address of a symbol."""
         if text[0] == "%" or not (text[0].isdigit() or text[0] == "-"):
             known = self.registers if text[0] == "%" else self.symbols
             if text not in known:

@@ -1,4 +1,4 @@
-"""Instructions of PTX as functions of a frame: a list of what registers and constants hold."""
+"""PTX instructions as functions of a frame, the list of registers' and constants' values."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ptx.text import Instruction
 
 __all__ = ["Step", "step_of"]
 
-#: Changes a frame; returns what comes next if that is not the next instruction.
+#: Changes a frame; returns the next instruction if it is not the following one.
 Step = Callable[[list[Any]], Any]
 
 _MAKERS = {**arithmetic.MAKERS, **data.MAKERS}
 
-#: Words that change nothing here.
+#: Modifiers without effect here.
 _IGNORED = ("nc", "volatile", "relaxed", "gpu", "cta", "sys", "weak", "uni")
 
 
 def step_of(one: Instruction, slots: Slots) -> Step:
-    """The function of an instruction that is no branch, call, barrier or return.
+    """The function of an instruction other than a branch, call, barrier or return.
 
     One that is not known is an error when it is run: libraries have some for numbers that are rare.
 

@@ -1,6 +1,6 @@
-"""PTX read: the functions of a module, their instructions, and the memory that they declare.
+"""A PTX parser: the functions of a module, their instructions, and the memory they declare.
 
-As far as NVIDIA's compiler writes it for raystream's kernels; whatever else is there is an error.
+It supports the output of NVIDIA's compiler for raystream's kernels; anything else is an error.
 Source: NVIDIA, "Parallel Thread Execution ISA", chapters 4 and 5.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 __all__ = ["Declared", "Function", "Instruction", "Module", "parse"]
 
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
-#: What ends with its line.
+#: Statements that end with their line.
 _DIRECTIVE = re.compile(r"\s*\.(?:version|target|address_size|file|loc|section)\b[^\n]*\n")
 _IGNORED = (".reg", ".pragma", ".loc")
 _HEAD = re.compile(
@@ -58,7 +58,7 @@ class Function(NamedTuple):
 
 
 class Module(NamedTuple):
-    """All functions of a text, by name, the memory that blocks share, and bytes that are given."""
+    """Functions of a module by name, shared memory of blocks, and initialized bytes."""
 
     functions: dict[str, Function]
     shared: tuple[Declared, ...]
@@ -92,7 +92,7 @@ def parse(text: str) -> Module:
 
 
 def _bytes_of(declared: Declared, text: str) -> bytes:
-    """The numbers of an array of bytes; those that are not given are 0."""
+    """The values of an array of bytes; missing ones are 0."""
     given = bytes(int(number, 0) for number in text.split(","))
     return given + bytes(declared.byte_count - len(given))
 

@@ -1,7 +1,7 @@
-"""Threads of a block, together: at barriers all of them meet, and at votes those of a warp.
+"""Threads of a block: all of them meet at barriers, and those of a warp at votes.
 
-Who meets at a vote is who has come to the same instruction when nobody can go on. A device may have
-fewer threads there at once, but never more.
+A vote has the threads that have reached the same instruction when no thread can continue. A device
+may have fewer threads there at once, but never more.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Meeting(NamedTuple):
         ``"activemask"``, ``"match"``, ``"ballot"``, ``"any"`` or ``"all"``.
     lane : int
     voters : int
-        Those that have to come, a bit for each; 0 for whoever is there.
+        Mask of the threads that must vote; 0 for all that are active.
     value : object
         What the thread says.
     answer : callable
@@ -66,7 +66,7 @@ def run_together(threads: Sequence[Iterator[object]]) -> None:
 
 
 def _meet(waiting: dict[int, Any]) -> list[int]:
-    """Let those meet that wait at the same vote; returns who may go on."""
+    """Complete votes at which all threads have arrived; returns the threads that may continue."""
     groups: dict[Any, list[int]] = defaultdict(list)
     for i, at in waiting.items():
         if at is not BARRIER:

@@ -1,4 +1,4 @@
-"""What tests of queries of stores share."""
+"""Fixtures for tests of queries of stores."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_blocks_go_on_from_the_end_of_any(shape):
     [
         (10_000, 100, 1000, 1000),  # whole chunks
         (10_000, 300, 1000, 900),
-        (10_000, 3000, 1000, 3000),  # one, though it is longer than asked for
+        (10_000, 3000, 1000, 3000),  # one, though it is longer than requested
         (10_000, 6000, 1000, 1000),  # a whole part of one
         (10_000, 5500, 1000, 917),
         (1010, 1, 1000, 505),  # no tiny rest

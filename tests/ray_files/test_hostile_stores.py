@@ -117,7 +117,7 @@ def test_nothing_is_unpickled(tmp_path, old_store, place):
 
 
 def test_pickles_behind_a_harmless_description(tmp_path, old_store, store):
-    """Which of two descriptions counts is Zarr's choice: both are looked at."""
+    """Zarr chooses between two descriptions, so both are checked."""
     edit(old_store / "origins" / ".zarray", filters=[{"id": "pickle"}], dtype="|O")
     (old_store / "origins" / "zarr.json").write_bytes(
         (store / "origins" / "zarr.json").read_bytes()
@@ -226,7 +226,7 @@ def test_damaged_chunk_is_one_error_and_what_is_done_is_kept(
 
 @pytest.mark.parametrize("codec", ["blosc", "zstd", "gzip", "lz4"])
 def test_small_chunk_that_becomes_huge_is_not_unpacked(tmp_path, codec):
-    """What it says of itself is forged where that is possible, and else counted."""
+    """Its stated size is forged where possible, otherwise counted."""
     import numcodecs
 
     compressor = {

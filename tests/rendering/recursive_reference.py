@@ -1,8 +1,8 @@
-"""Whitted's ray tracer as textbooks have it: recursive, in float64, by NumPy.
+"""Whitted's ray tracer as in textbooks: recursive, in float64, with NumPy.
 
-Nothing in here is raystream's shading. A `Reference` finds hits by itself, by Plücker
-coordinates in float64 (`Lines`), or asks a tracer (`Traced`), so that it follows the same
-rays to the last bit; what each surface sends back is worked out anew in both cases.
+It uses none of raystream's shading. A `Reference` finds hits by itself, with Plücker coordinates
+in float64 (`Lines`), or queries a tracer (`Traced`), so that it follows the same rays to the last
+bit; the light from each surface is computed independently in both cases.
 
 The rules are those of docs/renderers.rst: lights count as one place each, ambient light is not
 blocked, clear surfaces reflect by Fresnel's formula.
@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Triangles that are looked at together: neighbours in the scene's order, in one bounding sphere.
+#: Triangles tested together: neighbours in the scene's order, in one bounding sphere.
 BLOCK = 64
 
-#: Hits that are nearer than so many of the scene's sizes are on the edge of the surface left.
+#: Hits nearer than this many scene sizes are on the edge of the surface left.
 NEAREST = 1e-11
 
 #: How far float32 may move a ray, in the scene's sizes, for origins as large as those: `Hits.spawn`
@@ -27,7 +27,7 @@ MOVED = 34 * 2.0**-24
 #: How far in front of an area light shadow rays end that a tracer looks at, in the scene's sizes.
 LIFTED = 16 * 2.0**-24
 
-#: What part of that is due to hits, and to directions, which are rounded to float32.
+#: The part of that due to hits, and to directions, which are rounded to float32.
 HITS, DIRECTIONS = 6 / 34, 1 / 34
 
 
@@ -167,7 +167,7 @@ class Traced:
 
 
 class Found(NamedTuple):
-    """Where rays meet surfaces."""
+    """Intersections of rays with surfaces."""
 
     prims: np.ndarray
     weights: np.ndarray
@@ -198,7 +198,7 @@ class Light(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """What is known of the points where rays meet surfaces; directions point away from them."""
+    """Surface points at hits; directions point away from them."""
 
     points: np.ndarray
     back: np.ndarray  # to the eye
@@ -337,7 +337,7 @@ class Reference:
         )
 
     def shade(self, found, at):
-        """RayShade: what surfaces emit, and the light of each light that nothing hides."""
+        """RayShade: emission, and the contribution of each unblocked light."""
         color = at.emission * at.front[:, None] + at.diffuse * self.ambient
         mirrored = 2 * dot(at.back, at.smooth) * at.smooth - at.back
         for light in self.lights:
@@ -354,7 +354,7 @@ class Reference:
         return color
 
     def onward(self, at):
-        """Where mirrors and glass send rays: share, direction, and which there are."""
+        """Rays from mirrors and glass: share, direction, and the hits that have one."""
         cosine = np.clip(dot(at.back, at.smooth), 0, 1)
         square = 1 - (1 - cosine**2) / at.ior**2
         behind = np.sqrt(np.maximum(square, 0))
@@ -371,7 +371,7 @@ class Reference:
 
 
 def arrive(light, points):
-    """Unit vectors to a light, distances, and what facing surfaces receive."""
+    """Unit vectors to a light, distances, and irradiance of surfaces that face it."""
     if light.kind == "DirectionalLight":
         toward = np.broadcast_to(light.place, points.shape)
         return toward, np.full((len(points), 1), np.inf), light.color

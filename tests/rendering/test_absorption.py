@@ -1,4 +1,4 @@
-"""Light that is lost inside of glass, against the law of Beer and Lambert."""
+"""Absorption in glass, against the Beer-Lambert law."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ABSORPTION = (0.1, 0.7, 2.0)
 
 
 def glass(ior, absorption=ABSORPTION, length=1.0):
-    """A box that is looked at squarely, before a white background."""
+    """A box viewed head-on, before a white background."""
     vertices, faces = cube()
     material = rs.Material(diffuse=BLACK, transmission=WHITE, ior=ior, absorption=absorption)
     middle = np.array([0.4, 0.6, 0.5]) * length
@@ -24,7 +24,7 @@ def glass(ior, absorption=ABSORPTION, length=1.0):
 
 
 def seen_through(ior, length=1.0):
-    """What a slab sends and reflects, with all that goes to and fro in it (a geometric row)."""
+    """Transmission and reflection of a slab with all internal bounces (a geometric series)."""
     left = np.exp(-np.array(ABSORPTION) * length)
     mirrored = ((ior - 1) / (ior + 1)) ** 2
     return mirrored + (1 - mirrored) ** 2 * left / (1 - mirrored * left)
@@ -41,7 +41,7 @@ def test_a_slab_of_glass(ior, length):
 
 
 def test_directions_need_not_be_unit_length():
-    """The camera's rays are not, at the border of a wide picture."""
+    """The camera's rays are not, at the border of a wide image."""
     vertices, faces = cube()
     material = rs.Material(diffuse=BLACK, transmission=WHITE, absorption=ABSORPTION)
     camera = rs.Camera((0.5, 0.5, 0.999), (0.5, 0.5, 0), fov=60)  # inside

@@ -1,4 +1,4 @@
-"""Errors between pictures, and their drawing."""
+"""Errors between images, and drawings of them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_same_pictures_have_no_error():
 
 
 def test_psnr_is_of_bytes():
-    """Black against white is the peak itself; what is above white shows no difference."""
+    """Black against white is the peak itself; values above white show no difference."""
     assert flat(0.0).compare(flat(1.0)).psnr == pytest.approx(0.0)
     assert flat(2.0).compare(flat(1.0)).psnr == math.inf
 

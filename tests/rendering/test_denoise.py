@@ -16,7 +16,7 @@ def rmse(pixels, truth):
 
 
 def two_walls():
-    """A known picture: two walls with a curved edge, a texture, and soft light on them."""
+    """A known image: two walls with a curved edge, a texture, and soft light on them."""
     on_left = WIDTH / 2 + 8 * np.sin(ROWS / 9) > COLUMNS
     checks = (ROWS // 4 + COLUMNS // 4) % 2 == 0
     layers = {

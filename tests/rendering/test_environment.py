@@ -19,7 +19,7 @@ from z_test import assert_equal_means, assert_mean, mean_of
 
 UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0), "x": (-3.0, 0.0, 0.0), "any": (1.0, 2.0, -0.5)}
 
-#: Light that does not reach what is looked at, so that no other sky is there.
+#: Light that does not reach the visible surfaces, so that no default sky is added.
 OFF = rs.PointLight((0, 0, 0), (0, 0, 0))
 
 
@@ -74,7 +74,7 @@ def turned(vector, axis, degrees):
 
 
 def middle_of(up, rotation):
-    """Where the middle of an image is, as the documentation says."""
+    """Direction of the centre of an image, as documented."""
     up = np.array(up) / np.linalg.norm(up)
     side = np.array([0.0, 0, 1]) if abs(up[0]) == 1 else np.array([1.0, 0, 0])
     return turned(np.cross(up, side - (side @ up) * up), up, rotation)
@@ -83,7 +83,7 @@ def middle_of(up, rotation):
 @pytest.mark.parametrize("rotation", [0, 90, -1000])
 @pytest.mark.parametrize("up", UPS)
 def test_a_camera_around_sees_the_image(up, rotation):
-    """One that looks at its middle, with as many pixels: texel by texel."""
+    """A camera aimed at its centre, with as many pixels: texel by texel."""
     texels = random_map()
     light = rs.EnvironmentLight((1, 2, 3), texels, UPS[up], rotation)
     middle = middle_of(UPS[up], rotation)
@@ -107,7 +107,7 @@ def test_the_middle_is_where_it_is_said_to_be():
 
 @pytest.mark.parametrize("mode", ["whitted", "path"])
 def test_a_mirror_shows_the_sky(mode):
-    """Below, a camera around sees what it sees above."""
+    """A camera just above the mirror sees below what it sees above."""
     texels = random_map()
     mirror = rs.Material(diffuse=(0, 0, 0), reflection=(1, 1, 1))
     camera = rs.Camera((0, 1e-3, 0), (0, 1e-3, -1), projection="equirectangular")

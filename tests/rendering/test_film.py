@@ -16,7 +16,7 @@ PIXELS = WIDTH * HEIGHT
 
 
 def samples_of(count, seed=1):
-    """Light as renderers bring it: spread over some powers of ten."""
+    """Light as from renderers: spread over some powers of ten."""
     rng = np.random.default_rng(seed)
     return rng.exponential(2.0, (count, PIXELS, 3)).astype(np.float32) ** 3
 
@@ -40,7 +40,7 @@ def test_mean_and_variance_are_those_of_the_samples():
 
 
 def test_variance_is_that_of_means_drawn_again():
-    """Unbiased: over many pictures, the mean of the estimates is the spread of the means."""
+    """Unbiased: over many images, the mean of the estimates is the spread of the means."""
     rng = np.random.default_rng(7)
     draws = rng.exponential(1.0, (3, 200 * 100, 3)).astype(np.float32)
     sums = Film(200, 100)
@@ -84,7 +84,7 @@ def test_largest_light_leaves_no_nan():
     assert np.isfinite(sums.mean()).all()
 
 
-# The picture's error.
+# The image's error.
 
 
 def test_error_foretells_the_distance_from_the_truth():

@@ -117,7 +117,7 @@ def program(folder: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs programs that are scripts")
 def test_ffmpeg_gets_all_pixels_and_its_failure_is_one_line(tmp_path, monkeypatch) -> None:
-    """With stand-ins: one that keeps what it is given, one that fails at once."""
+    """With stand-ins: one that records its input, one that fails at once."""
     keep = "open(sys.argv[-1].removeprefix('file:'), 'wb').write(sys.stdin.buffer.read())"
     program(tmp_path, keep, monkeypatch)
     pictures = gradients(3)

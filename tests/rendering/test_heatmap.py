@@ -1,4 +1,4 @@
-"""Heat maps: the ramp, the scale, and what is counted."""
+"""Heat maps: the ramp, the scale, and the counted quantities."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_anchors_are_met_at_their_lightness():
 
 
 def to_anomalous(linear, kind):
-    """What dichromats see, in linear RGB (Viénot, Brettel and Mollon 1999)."""
+    """Colours as dichromats see them, in linear RGB (Viénot, Brettel and Mollon 1999)."""
     matrix = {
         "protan": [[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]],
         "deutan": [[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]],
@@ -174,7 +174,7 @@ def test_scale_shows_the_ramp_from_0_to_the_top(width):
 
 
 def test_scale_has_room_for_its_text():
-    """Nothing is written on the outermost pixels; wider pictures have larger text."""
+    """Nothing is written on the outermost pixels; wider images have larger text."""
     heights = []
     for width in (64, 200, 640, 1024, 4000):
         scale = draw_counts(np.full((2, width), 87), TITLE)[2:]
@@ -213,7 +213,7 @@ SIZE = (20, 15)
 
 @pytest.fixture
 def triangle():
-    """Seen from above, the lower left half of the picture."""
+    """Seen from above, the lower left half of the image."""
     camera = rs.Camera((0, 0, 1), (0, 0, 0), (0, 1, 0), 90)
     mesh = rs.Mesh([[-1, -1, 0], [1, -1, 0], [-1, 1, 0]], [[0, 1, 2]])
     return rs.Scene([mesh], camera=camera)
@@ -225,7 +225,7 @@ def robots():
 
 
 def counted(counters):
-    """What a heat map may show."""
+    """The quantities that a heat map can show."""
     return {"cells": counters.cells, "tests": counters.tests, "steps": counters.all_steps}
 
 

@@ -1,4 +1,4 @@
-"""Layers of pictures, and reading them back from files."""
+"""Layers of images, written to files and read back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HEIGHT, WIDTH = 5, 7
 
 @pytest.fixture
 def layered():
-    """A picture with every kind of layer, and hard numbers in them."""
+    """An image with every kind of layer, and hard numbers in them."""
     rng = np.random.default_rng(2)
     pixels = rng.normal(0, 1e3, (HEIGHT, WIDTH, 3)).astype(np.float32)
     pixels[0, 0] = [np.inf, 1e-40, 3e38]
@@ -239,7 +239,7 @@ def test_other_formats_under_the_name_of_png_are_refused(tmp_path):
 
 
 def test_png_that_claims_too_much_is_refused_unread(tmp_path):
-    """Also one that Pillow would take for a bomb: the error is ours."""
+    """Even one that Pillow would treat as a decompression bomb: the error is ours."""
 
     def chunk(kind, content):
         crc = zlib.crc32(kind + content).to_bytes(4, "big")

@@ -1,4 +1,4 @@
-"""Layers of rendered pictures: what is seen first, against closed forms."""
+"""Layers of rendered images: the first visible surfaces, against closed forms."""
 
 from __future__ import annotations
 

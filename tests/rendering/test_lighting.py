@@ -1,4 +1,4 @@
-"""Lights that are too weak to see by, and the light that is added to them."""
+"""Lights that are too weak, and the light that is added to them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def inside(power):
     return rs.PointLight((0.3, 0, 0), (0, 0, power * 24 / 4))
 
 
-#: In a box of 2 x 2 x 2; what a white surface shows is the argument.
+#: In a box of 2 x 2 x 2; the radiance of a white surface is the argument.
 LISTED = {
     "point": inside,
     "far point": lambda x: rs.PointLight((0, 100, 0), (x * math.pi * 1e4, 0, 0)),
@@ -118,7 +118,7 @@ def test_built_in_scenes_have_light_enough(name):
     assert [added_light(scene, mode) for mode in rs.MODES] == [""] * 8
 
 
-# Pictures
+# Images
 
 
 @pytest.mark.parametrize("lights", [(), [rs.PointLight((20, 9, 20), (0.001, 0.001, 0.001))]])

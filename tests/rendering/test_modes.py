@@ -1,4 +1,4 @@
-"""Modes whose pictures have closed forms, or a recursive reference."""
+"""Modes whose images have closed forms, or a recursive reference."""
 
 import dataclasses
 
@@ -38,7 +38,7 @@ def looking_down(x=0.0, y=0.0, height=2.0, fov=0.02):
 
 
 def mean_of(scene, mode, samples, **options):
-    """The mean colour of a picture of 8 x 8 pixels."""
+    """The mean colour of an image of 8 x 8 pixels."""
     image = rs.render(scene, mode, size=(8, 8), samples=samples, **options)
     return image.pixels.reshape(-1, 3).mean(axis=0)
 
@@ -127,7 +127,7 @@ def test_shadow_is_the_ray_caster_where_nothing_blocks_the_light():
 
 
 def recursive(scene, tracer, origins, directions, bounces):
-    """Whitted's picture of flat, matte mirrors under a sun, by recursion."""
+    """Whitted's image of flat, matte mirrors under a sun, by recursion."""
     hits = tracer.first_hit(origins, directions)
     seen = np.broadcast_to(np.asarray(scene.background, float), (len(origins), 3)).copy()
     rows = np.flatnonzero(hits.is_hit)
@@ -156,7 +156,7 @@ def recursive(scene, tracer, origins, directions, bounces):
 
 @pytest.mark.parametrize("bounces", range(6))
 def test_reflection_without_recursion(bounces):
-    """Christen 2005, equation 5.1: a colour times 1 - r, and r of what is reflected."""
+    """Christen 2005, equation 5.1: a colour times 1 - r, plus r times the reflected radiance."""
     shares = [
         (0.9, 0.2, 0.1, 0.5),
         (0.1, 0.8, 0.3, 0.7),

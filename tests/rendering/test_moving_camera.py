@@ -1,4 +1,4 @@
-"""A picture that follows a camera: the same scene seen from elsewhere, row by row."""
+"""Images during which the camera moves: the scene seen from another pose in each row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces that are not there for every ray: against coverage, and pictures without them."""
+"""Partly transparent surfaces, against coverage, and against images without them."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_a_furnace_with_holes(light_samples):
     assert_mean(image, 0.5 * np.array(walls.emission) / (1.0 - 0.5 * np.array(walls.diffuse)))
 
 
-# What is opaque
+# Opaque materials
 
 
 def test_opaque_scenes_have_no_filter():

@@ -1,4 +1,4 @@
-"""Paths of light against what can be worked out by hand."""
+"""Path tracing against results computed by hand."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AIMED = rs.Camera(PLACE + [-2, 1.5, 0.4], PLACE, fov=1e-3)
 
 
 def path(scene, samples=16, size=(32, 32), **options):
-    """A picture of independent numbers, so that the estimated variance is right."""
+    """An image of independent numbers, so that the estimated variance is right."""
     options = {"sampler": "random", "seed": 7, **options}
     return rs.render(scene, "path", size, samples, **options)
 
@@ -158,7 +158,7 @@ def on_the_floor(lights=(), lamps=()):
 
 
 def irradiance_below(polygons):
-    """What the floor's point receives of polygons of radiance 1, by Lambert's formula.
+    """Irradiance of the floor's point from polygons of radiance 1, by Lambert's formula.
 
     Half the sum, over the edges as they are seen, of angle times cosine between the floor's
     normal and that of the plane through the point and the edge; polygons that show their back
@@ -214,7 +214,7 @@ def test_a_ball_lights_the_floor_below_it(light_samples):
 
 
 def received_from(light):
-    """What the floor's point receives of a light that is not blocked, in closed form."""
+    """Irradiance of the floor's point from an unblocked light, in closed form."""
     if isinstance(light, rs.EnvironmentLight):
         return math.pi * np.array(light.radiance)
     if isinstance(light, rs.DirectionalLight):

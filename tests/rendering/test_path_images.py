@@ -1,4 +1,4 @@
-"""Pictures by paths: the same in expectation whatever way they are made, and the same bits."""
+"""Path-traced images: equal in expectation for all strategies, and the same bits."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def test_degenerate_triangles_change_nothing():
 @pytest.mark.parametrize("scale", [1e6, 1e-6])
 @pytest.mark.parametrize("ball", [BALL, GLASS])
 def test_radiance_does_not_change_with_scale(ball, scale):
-    """The same paths, but for rounding, which sends some past an edge."""
+    """The same paths except for rounding, which sends some past an edge."""
     here, there = path(room(ball, SKY)), path(room(ball, SKY, scale))
     assert_equal_means(here, there, blocks=4)
     difference = np.abs(here.pixels - there.pixels).max(axis=2)

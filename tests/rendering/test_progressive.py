@@ -70,7 +70,7 @@ def test_progress_counts_towards_a_time(tracer):
 
 
 def test_interrupt_waits_for_a_sample_that_is_being_added(tracer, tmp_path, monkeypatch):
-    """Sums with half of a sample would make another picture."""
+    """Sums with half of a sample would make another image."""
     add_samples = Film.add_samples
 
     def interrupt_and_add(*arguments):

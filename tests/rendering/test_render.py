@@ -1,4 +1,4 @@
-"""Pictures against what can be worked out by hand."""
+"""Images against results computed by hand."""
 
 from __future__ import annotations
 

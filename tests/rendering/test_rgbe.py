@@ -1,4 +1,4 @@
-"""Radiance's pictures: rows of all three kinds, and files that are damaged."""
+"""Radiance images: all three kinds of rows, and damaged files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables that shading kernels read: what they cannot count is refused."""
+"""Tables for shading kernels: scenes that exceed their limits are refused."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def test_numbers_that_are_none_stay_in_range(tone):
 
 
 def test_reinhard_by_hand():
-    """White is the largest luminance: L (1 + L / 16) / (1 + L) for a picture up to 4."""
+    """White is the largest luminance: L (1 + L / 16) / (1 + L) for an image up to 4."""
     shown = apply_tone(grey([0.0, 1.0, 4.0]), "reinhard")
     np.testing.assert_allclose(shown[:, 0], [0.0, (1 + 1 / 16) / 2, 1.0], rtol=1e-6)
 

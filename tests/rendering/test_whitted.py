@@ -1,4 +1,4 @@
-"""Whitted's pictures without recursion, beside a recursive ray tracer in float64."""
+"""Iterative Whitted rendering against a recursive ray tracer in float64."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ BOUNCES = 5
 
 @pytest.fixture(scope="module", params=["cornell_mirrors", "spheres", "boxes:1000"])
 def view(request):
-    """A scene after Christen's, its camera rays, and its pictures with 0 to 5 bounces."""
+    """A scene after Christen's, its camera rays, and its images with 0 to 5 bounces."""
     scene = rs.load(request.param)
     camera, tracer = scene.camera_for(1.0), rs.Tracer(scene)
     rays = [array.reshape(-1, 3) for array in camera.rays(SIZE, SIZE)]

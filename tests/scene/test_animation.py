@@ -140,7 +140,7 @@ def test_cameras_to_choose_from() -> None:
 
 
 def test_tracer_takes_the_scene_of_another_time(rng) -> None:
-    """With its lights, and the same bits as a tracer of its own."""
+    """With its lights, and the same bits as a separate tracer."""
     scene = moving_scene()
     tracer = rs.Tracer(scene.at(0.0))
     rays = {"origins": rng.random((200, 3)) * [1, 2, 0] + [0, 0, 3], "directions": [0, 0, -1]}

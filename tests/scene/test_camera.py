@@ -22,7 +22,7 @@ def test_rays_by_hand():
 def test_up_need_not_be_perpendicular():
     tilted = rs.Camera((0, 0, 5), (0, 3, 0), (0, 1, 0)).basis()
     np.testing.assert_allclose(tilted @ tilted.T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(tilted), -1)  # right, up, into the picture
+    np.testing.assert_allclose(np.linalg.det(tilted), -1)  # right, up, into the image
     assert tilted[1, 1] > 0
 
 

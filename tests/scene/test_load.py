@@ -19,7 +19,7 @@ from scene.io import tiny
 
 @pytest.fixture
 def bunny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of samples with a bunny that is none."""
+    """A folder of samples with a fake bunny."""
     path = tmp_path / samples.SAMPLES["bunny"].main
     path.parent.mkdir(parents=True)
     path.write_bytes(tiny.ply_text())

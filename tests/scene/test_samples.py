@@ -137,7 +137,7 @@ def test_download_puts_every_file_where_it_belongs(places, monkeypatch):
     contents = {"https://x.test/main": b"main", "https://x.test/wood": b"wood"}
     fake = SimpleNamespace(retrieve=retrieve_from(contents))
     monkeypatch.setitem(sys.modules, "pooch", fake)
-    monkeypatch.setenv("RAYSTREAM_SCENES", str(places))  # lacks the sample: go on
+    monkeypatch.setenv("RAYSTREAM_SCENES", str(places))  # lacks the sample: search further
     steps = []
     path = fetch("tiny", progress=lambda done, count: steps.append((done, count)))
     assert path.read_bytes() == b"main"

@@ -102,7 +102,7 @@ def test_textures_are_decoded_when_asked_for(tmp_path):
 
 
 def test_textures_are_bitmaps_and_no_programs(tmp_path, monkeypatch):
-    """Pillow would have Ghostscript run PostScript, whatever the file is called."""
+    """Pillow would run PostScript in Ghostscript, whatever the name of the file."""
     from PIL import EpsImagePlugin
 
     def run(*arguments, **named):

@@ -86,7 +86,7 @@ def test_noise_goes_from_one_colour_to_the_other():
 
 
 def test_a_made_texture_is_seen():
-    """On a square seen from above, which emits what its texture says."""
+    """On a square seen from above that emits its texture's colour."""
     colors = rs.textures.checker((1, 0, 0), (0, 0, 1), (2, 2), texels=16)
     mesh = rs.Mesh(
         [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],

@@ -5,8 +5,8 @@
     python tests/seeded_faults/run.py --list                 their names
 
 The tests of the fault's room run first, then the rest of the everyday suite, until one fails. A
-test that has caught a fault must then pass without any; else the fault is tried again without that
-test. Prints a table; exits 1 if a fault was not caught.
+test that has caught a fault must then pass without any; otherwise the fault is tried again without
+that test. Prints a table; exits 1 if a fault was not caught.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _MARK = "RAYSTREAM_SEEDED_RUN"
 _LIVE = re.compile(r"\[gw\d+\] \[ *\d+%\] (?:FAILED|ERROR) (?P<test>.+)")
 _SUMMARY = re.compile(r"(?:FAILED|ERROR) (?P<test>(?:tests|src)/.+?)(?: - .*)?")
 
-#: What the copy does not need; and the faults' own tests, which would notice every one.
+#: Not needed in the copy; and the faults' own tests, which would notice every fault.
 _LEFT_OUT = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "_build", "seeded_faults")
 
 CAUGHT, SURVIVED, TIMED_OUT = "caught", "NOT CAUGHT", "OUT OF TIME"
@@ -56,7 +56,7 @@ NOT_RUN, BROKEN = "not run", "NO TESTS RAN"
 
 @dataclass(frozen=True)
 class Fault:
-    """An entry of faults.toml, which says what the fields mean."""
+    """An entry of faults.toml, where the fields are explained."""
 
     name: str
     what: str
@@ -75,7 +75,7 @@ class Fault:
 
     @property
     def room(self) -> str:
-        """The room that it is in: a package of raystream's, or a module of its own."""
+        """The package of raystream that it is in, or a top-level module."""
         return self.file.partition("/")[0].removesuffix(".py")
 
     @property
@@ -85,7 +85,7 @@ class Fault:
 
     @property
     def digest(self) -> str:
-        """Of all that decides its result, but for the sources around it."""
+        """Hash of everything that determines its result, except for the other sources."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     def seeded(self, text: str) -> str:
@@ -104,7 +104,7 @@ class Fault:
 
 @dataclass
 class Result:
-    """What became of a fault: `by` is the test, or the reason."""
+    """Result of a fault: `by` is the test, or the reason."""
 
     name: str
     verdict: str
@@ -124,7 +124,7 @@ def read_faults(path: Path = FAULTS) -> list[Fault]:
 
 
 def copy_tree(root: Path, to: Path) -> None:
-    """Copy all that tests may look at."""
+    """Copy everything that tests may read."""
     shutil.copytree(root, to, ignore=shutil.ignore_patterns(*_LEFT_OUT))
 
 
@@ -261,7 +261,7 @@ def _kill_group(group: int) -> None:
 
 
 def _end(process: subprocess.Popen[str], mark: str) -> None:
-    """Leave none of a run's processes behind, not those either that left its group."""
+    """Kill all processes of a run, including those that left its group."""
     _kill_group(process.pid)
     process.wait()
     if process.stdout is not None:
@@ -276,7 +276,7 @@ def _end(process: subprocess.Popen[str], mark: str) -> None:
 def try_fault(
     fault: Fault, runner: Runner, room_only: bool, left_out: Sequence[str] = ()
 ) -> tuple[str, str]:
-    """Seed a fault and run tests, but for some: the verdict, and what it is by."""
+    """Seed a fault and run tests, except some; returns the verdict, and its reason."""
     if fault.missing:
         return NOT_RUN, f"needs {', '.join(fault.missing)}"
     without = [f"--deselect={test}" for test in left_out]
@@ -301,7 +301,7 @@ def try_fault(
 def false_alarms(
     faults: Sequence[Fault], results: Mapping[str, Result], runner: Runner
 ) -> list[str]:
-    """Of the tests that have caught these faults, those that fail without any."""
+    """Tests among those that caught these faults that fail without any."""
     groups: dict[tuple[tuple[str, str], ...], set[str]] = {}
     for fault in faults:
         result = results[fault.name]

@@ -1,6 +1,6 @@
-"""The seeded faults: each still has its place in the sources, and the script tells what catches it.
+"""The seeded faults: each still applies to the sources, and the script reports what catches it.
 
-What catches them is in `.ci/nightly`; here nothing is traced.
+`.ci/nightly` runs the tests that catch them; here nothing is traced.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ needs = ["no_such_module"]
 
 @pytest.fixture
 def project(tmp_path):
-    """A small project with sources, tests and faults of its own."""
+    """A small project with its own sources, tests and faults."""
     for name, text in PROJECT.items():
         path = tmp_path / "project" / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Loops around users' functions are kept on disk, and compiled anew when anything changes."""
+"""Loops around users' functions are cached on disk, and recompiled when anything changes."""
 
 from pathlib import Path
 

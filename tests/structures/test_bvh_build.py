@@ -1,4 +1,4 @@
-"""The BVH's builder, taken by itself: what it makes is checked number by number."""
+"""The BVH builder by itself: its arrays are checked number by number."""
 
 import numpy as np
 import pytest
@@ -237,7 +237,7 @@ def test_refitting_to_the_same_positions_changes_nothing():
 
 
 class TestCheckArrays:
-    """No file may make a traversal read out of bounds, or run for ever."""
+    """No file may make a traversal read out of bounds, or run forever."""
 
     @pytest.fixture
     def triangles(self):

@@ -38,7 +38,7 @@ _INF = np.float32(np.inf)
 #: A count that says that the set of triangles seen was too small.
 _OVERFLOWED = np.uint64(2**64 - 1)
 
-# What is next for a ray.
+# Next steps of a ray.
 _POP, _VISIT, _INTERSECT, _DONE, _FULL = range(5)
 
 #: Written on each half of a stack, and how many bytes of it follow those that are needed.
@@ -47,7 +47,7 @@ _CANARY_BYTES = 64
 
 
 class States(NamedTuple):
-    """Where each ray's search is; all of shape (N,)."""
+    """State of each ray's search; all of shape (N,)."""
 
     stage: np.ndarray
     top: np.ndarray
@@ -66,7 +66,7 @@ def new_states(rays):
 
 
 class Slots(NamedTuple):
-    """Where each ray's hits go, and how many are wanted; of shape (N,), uint64."""
+    """First row and number of the hits that each ray wants, of shape (N,), uint64."""
 
     first: np.ndarray
     capacity: np.ndarray
@@ -301,7 +301,7 @@ def slots_for(ray_count, capacity):
 
 
 def answered(structure, kind, rays, surfaces=False):
-    """What the branching machine finds for local rays, one by one."""
+    """Hits of the branching machine for local rays, one by one."""
     query, frame = Query(kind, surfaces), SceneFrame.identity(structure.triangles)
     sink = Sink.of(query, len(rays.t_max))
     Branching(structure).trace_singly(query, RayBatch(*rays), sink, frame=frame)

@@ -1,4 +1,4 @@
-"""Which kernel a batch gets: what a look at its rays finds, and what follows from it."""
+"""Choice of the kernel for a batch: the probe of its rays, and the decision."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
 
 
 def batches(rng):
-    """Rays that suit each kernel: a picture, rays that go anywhere, and awkward limits."""
+    """Rays that suit each kernel: an image, rays that go anywhere, and awkward limits."""
     x, y = np.meshgrid(np.linspace(-0.2, 1.2, 35), np.linspace(-0.2, 1.2, 50))
     ways = np.stack([x - 0.4, y - 0.6, np.full_like(x, 3.0)], axis=-1).astype(np.float32)
     yield "picture", {"origins": np.float32([0.4, 0.6, -3.0]), "directions": ways}
@@ -48,7 +48,7 @@ def scenes():
 
 
 def columns(tracer, rays):
-    """All that the four queries answer, by name."""
+    """Results of all four queries, by name."""
     first = tracer.first_hit(**rays)
     for name in ("t", "u", "v", "prim_id", "status"):
         yield f"first hit's {name}", getattr(first, name)
@@ -79,7 +79,7 @@ def answers():
 
 
 def kernels():
-    """What was compiled: the kernels of all rooms, by their place."""
+    """The compiled kernels of all packages, by location."""
     modules = [module for name, module in sys.modules.items() if name.startswith("raystream.")]
     values = [value for module in modules for value in vars(module).values()]
     values += list(rs.Tracer(next(scenes())[1]).structure.queries)
@@ -90,7 +90,7 @@ def kernels():
 
 
 def instructions():
-    """Of each kernel: what is specific to a family of processors, and its vector registers."""
+    """Code specific to a family of processors, and vector registers, of each kernel."""
     found = {}
     for name, kernel in kernels():
         language = "".join(kernel.inspect_llvm().values())
@@ -103,7 +103,7 @@ def instructions():
 
 @pytest.fixture(scope="module")
 def narrow(tmp_path_factory):
-    """What a child finds that compiles, from nothing, for registers of four lanes."""
+    """Results of a child process that compiles everything for registers of four lanes."""
     environment = child_environment(
         NUMBA_CPU_NAME="generic",
         NUMBA_CPU_FEATURES="",

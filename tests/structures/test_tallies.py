@@ -15,7 +15,7 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.machines import Branching
 
-#: The queries for batches, and what they take besides.
+#: The queries for batches, and their further arguments.
 QUERIES = {
     "first_hit": Query(Kind.FIRST_HIT),
     "any_hit": Query(Kind.ANY_HIT),
@@ -301,7 +301,7 @@ def test_a_bvh_that_is_met_as_a_whole(kernel, rng):
 
 
 def test_a_search_that_was_given_up_does_not_count(rng):
-    """As when the set of triangles seen proves too small."""
+    """A search is repeated when the set of triangles seen is too small."""
     count = 2000
     structure = build(*stack_of_triangles(count, rng.permutation(count)), "bvh")
     batch = rays([[0, 0, -1], [0, 0, count]], [[0, 0, 1], [0, 0, -1]])

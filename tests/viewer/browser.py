@@ -1,4 +1,4 @@
-"""A browser on the viewer's page: Chromium without a window, and what it is asked for."""
+"""A browser on the viewer's page: headless Chromium, and its actions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 #: Seconds that anything may take: kernels may have to be compiled.
 PATIENCE = 300.0
 
-#: What a phone is.
+#: A phone's screen and touch input.
 PHONE = {
     "viewport": {"width": 390, "height": 844},
     "has_touch": True,
@@ -53,7 +53,7 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def serving(scene: str, *options: str) -> Iterator[str]:
-    """The address of a viewer of a scene, in a process of its own."""
+    """The address of a viewer of a scene, in a separate process."""
     need("starlette", "uvicorn", "websockets")
     command = [sys.executable, "-m", "raystream", "view", scene, "--port", "0", "--no-open"]
     process = subprocess.Popen(
@@ -141,13 +141,13 @@ class Viewer:
         into.append(json.loads(content))
 
     def close(self) -> None:
-        """End, and complain of all that went wrong meanwhile."""
+        """Close the page, and fail if it reported errors."""
         self.context.close()
         assert not self.problems, "\n".join(self.problems)
 
     @property
     def said(self) -> dict[str, str]:
-        """What the page's address says."""
+        """Parameters in the page's address."""
         fragment = urlsplit(self.page.url).fragment
         return {name: values[0] for name, values in parse_qs(fragment).items()}
 
@@ -169,12 +169,12 @@ class Viewer:
         return found
 
     def picture(self) -> str:
-        """What is on the canvas now."""
+        """The current content of the canvas."""
         pixels = self.page.locator("#picture").evaluate("canvas => canvas.toDataURL()")
         return hashlib.sha256(pixels.encode()).hexdigest()
 
     def wait_for_rest(self) -> str:
-        """Wait for a whole picture of a camera at rest, and return it."""
+        """Wait for a whole image of a camera at rest, and return it."""
 
         def is_done() -> bool:
             frame = self.last("frame")
@@ -186,13 +186,13 @@ class Viewer:
 
     @contextmanager
     def changing_picture(self) -> Iterator[None]:
-        """Inside, something is done that must change the picture."""
+        """A context in which the image must change."""
         before = self.picture()
         yield
         self.wait(lambda: self.picture() != before, "another picture")
 
     def choose(self, name: str, value: str) -> None:
-        """Choose a setting, and wait for a picture that shows it."""
+        """Choose a setting, and wait for an image that shows it."""
 
         def in_effect(message: dict[str, Any]) -> bool:
             return message["type"] == "settings" and (message[name] or "") == value
@@ -210,12 +210,12 @@ class Viewer:
         assert not self.last("settings").get("refused")
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """Where on the page a place of the picture is, given by fractions."""
+        """Page coordinates of a point of the image, given by fractions."""
         box = self.page.locator("#picture").bounding_box()
         return box["x"] + x * box["width"], box["y"] + y * box["height"]
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Drag from one place of the picture to another."""
+        """Drag from one place of the image to another."""
         mouse = self.page.mouse
         mouse.move(*self.place(*start))
         mouse.down()

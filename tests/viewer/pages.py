@@ -1,4 +1,4 @@
-"""A page as the service sees one: it keeps what it is sent, and waits for it."""
+"""A page as the service sees it: records messages, and waits for them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from PIL import Image
 
 from raystream.viewer import Client, Frame, RenderService
 
-#: Nothing that a test waits for takes so long, but compiling does.
+#: Timeout of waits in seconds; only compilation may take longer.
 TIMEOUT = 300.0
 
 
@@ -41,7 +41,7 @@ class Page:
             client.handle({"type": kind, **fields})
 
     def wait(self, wanted: Callable[[Any], bool], timeout: float = TIMEOUT) -> Any:
-        """The first thing received that is wanted."""
+        """The first received item that matches."""
         seen = 0
 
         def find() -> Any:
@@ -81,7 +81,7 @@ class Page:
             return [one for one in self.received if isinstance(one, Frame)]
 
     def forget(self) -> None:
-        """DisplaySettings only at what comes from now on."""
+        """Forget everything received so far."""
         with self._changed:
             self.received.clear()
 
@@ -93,5 +93,5 @@ def brief(one: Any) -> Any:
 
 
 def decode(frame: Frame) -> np.ndarray:
-    """A frame's picture: shape (H, W, 3), uint8."""
+    """A frame's image: shape (H, W, 3), uint8."""
     return np.asarray(Image.open(io.BytesIO(frame.content)).convert("RGB"))

@@ -1,4 +1,4 @@
-"""Pacing: the size of pictures follows what they cost, and stays where it is right."""
+"""Adaptive resolution: the size of images follows their cost, and settles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TARGET = 0.05
 
 
 def run(resolution, pixel_seconds, frames, rng=None, overhead=0.004):
-    """Render so many frames; returns their scales, and what the last one took."""
+    """Render this many frames; returns their scales, and the time of the last one."""
     scales, seconds = [], math.nan
     for _ in range(frames):
         width, height = resolution.size(*CANVAS)
@@ -47,7 +47,7 @@ def test_frames_take_about_what_they_should(full_seconds):
 
 @pytest.mark.parametrize("full_seconds", np.geomspace(0.02, 2.0, 12))
 def test_a_resolution_that_was_found_is_kept(full_seconds):
-    """Measurements scatter by 15 percent: pictures do not change their size back and forth."""
+    """Measurements scatter by 15 percent: images do not change their size back and forth."""
     resolution, rng = AdaptiveResolution(TARGET), np.random.default_rng(3)
     pixel_seconds = full_seconds / (CANVAS[0] * CANVAS[1])
     run(resolution, pixel_seconds, 40, rng)

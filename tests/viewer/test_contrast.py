@@ -1,4 +1,4 @@
-"""Colours of the viewer's page: text and marks can be read in both schemes (WCAG 2.2, AA)."""
+"""Contrast of the viewer's page: text and marks are readable in both schemes (WCAG 2.2, AA)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PAIRS = [
     ("error", "card", MARK),
 ]
 
-#: Part of the ground below that is seen through the figures over the picture.
+#: Part of the ground below that is seen through the figures over the image.
 CLEAR = 1 - 0.84
 
 

@@ -1,4 +1,4 @@
-"""FairScheduler: everybody gets the same share of the time."""
+"""FairScheduler: all clients get the same share of the time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from raystream.viewer.fair_scheduler import FairScheduler
 
 
 def work(scheduler, ready, seconds, total):
-    """Work for so long in all; returns what each got."""
+    """Work for this long in total; returns each client's share."""
     used = Counter()
     while sum(used.values()) < total:
         key = scheduler.choose(ready)

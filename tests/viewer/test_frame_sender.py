@@ -1,4 +1,4 @@
-"""The sender: no more pictures are under way than a page has shown."""
+"""The frame sender limits the frames in flight to those that a page acknowledges."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from raystream.viewer.settings import DisplaySettings
 
 
 class Encoder:
-    """Encodes when it is told, and not before."""
+    """Encodes on request only."""
 
     def __init__(self):
         self.waiting = []

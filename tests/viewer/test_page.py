@@ -1,4 +1,4 @@
-"""The viewer's page, in a browser: what people do first."""
+"""The viewer's page, in a browser: the most common actions."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def shown_hits(viewer: Viewer) -> list[tuple[float, int]]:
 
 
 def check_hits(viewer: Viewer, scene: rs.Scene) -> None:
-    """The panel's rows are what the engine says of that ray."""
+    """The panel's rows are the engine's hits of that ray."""
     rows = shown_hits(viewer)
     ray = viewer.last("hits")
     known = rs.Tracer(scene).multi_hit([ray["origin"]], [ray["direction"]])

@@ -1,4 +1,4 @@
-"""The viewer's page, in a browser: every choice, and what people do more rarely."""
+"""The viewer's page, in a browser: all settings, and rarer actions."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def viewer(chromium, address):  # noqa: F811
 
 
 def options_of(viewer: Viewer, name: str) -> list[str]:
-    """What a select offers."""
+    """The options of a select element."""
     options = viewer.page.locator(f"select[name={name}] option").all()
     return [option.get_attribute("value") for option in options]
 
@@ -86,7 +86,7 @@ def test_every_mode_with_every_structure(viewer):
         for mode in MODES:
             viewer.choose("mode", mode)
             pictures.setdefault(mode, set()).add(viewer.wait_for_rest())
-    # The same picture from every structure, and another one from each mode; but nothing here
+    # The same image from every structure, and another one from each mode; but nothing here
     # mirrors, so that shadow and whitted agree.
     assert {mode: len(found) for mode, found in pictures.items()} == dict.fromkeys(MODES, 1)
     assert pictures.pop("shadow") == pictures["whitted"]

@@ -1,4 +1,4 @@
-"""Picking: all that lies along a pixel's ray, and the ray's walk."""
+"""Picking: all hits along a pixel's ray, and the ray's walk."""
 
 from __future__ import annotations
 

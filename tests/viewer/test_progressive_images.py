@@ -1,4 +1,4 @@
-"""Pictures in the making: the same bits as `raystream.render`, in slices of bounded time."""
+"""Progressive images: the same bits as `raystream.render`, in slices of bounded time."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_last_picture_is_the_one_that_render_makes(scene, context, mode):
 
 def test_slices_of_a_row_give_the_same_bits(scene, context):
     cost = Cost()
-    cost.record(1, 1e9)  # as if each pixel took for ever
+    cost.record(1, 1e9)  # as if each pixel took forever
     picture = SampledImage(RENDERERS["raycast"], with_samples(context, 2), cost)
     assert picture.advance(0.1, always) is False
     assert finish(picture, 1e-9) > 20
@@ -106,7 +106,7 @@ def test_the_ramp_goes_from_black_to_nearly_white():
 
 
 class _Slow(ProgressiveImage):
-    """Takes a time of its own for each row, and says how far it is."""
+    """Takes a given time for each row, and reports progress."""
 
     def __init__(self, row_seconds, cost):
         super().__init__((10, 40), 1, cost)

@@ -1,4 +1,4 @@
-"""The service: what a page is told and shown."""
+"""The render service: messages and frames that a page receives."""
 
 from __future__ import annotations
 

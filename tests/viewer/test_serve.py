@@ -1,4 +1,4 @@
-"""Serve: addresses and ports, and a server's life."""
+"""Serving: addresses and ports, and a server's lifetime."""
 
 from __future__ import annotations
 

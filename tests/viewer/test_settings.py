@@ -1,4 +1,4 @@
-"""Settings: what can be asked for, and what goes together."""
+"""Settings: valid values, and valid combinations."""
 
 from __future__ import annotations
 

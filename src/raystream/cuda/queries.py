@@ -30,7 +30,7 @@ from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays, HitBatch, Sink
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.programs.texts import Goal
+from raystream.programs.loop_source import Goal
 
 __all__ = ["QUERIES", "DeviceQuery", "trace_on_device"]
 

@@ -20,7 +20,7 @@ from raystream.graphics.structures import ShaderStructure, shader_structure_of
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.local_frame import LocalRays
-from raystream.machines.local import LocalBackend
+from raystream.machines.local_frame_backend import LocalFrameBackend
 from raystream.structures import Structure
 
 __all__ = ["RAYS_AT_ONCE", "Chunk", "GraphicsBackend"]
@@ -60,7 +60,7 @@ class Chunk(NamedTuple):
     tallies: NDArray[np.uint32] | None
 
 
-class GraphicsBackend(LocalBackend):
+class GraphicsBackend(LocalFrameBackend):
     """Queries of local rays, for machines that trace them in chunks.
 
     Parameters
@@ -104,7 +104,7 @@ class GraphicsBackend(LocalBackend):
     def run_local(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Answer a query of local rays; see `LocalBackend.run_local`."""
+        """Answer a query of local rays; see `LocalFrameBackend.run_local`."""
         answers = {
             Kind.FIRST_HIT: self._first_hit,
             Kind.ANY_HIT: self._any_hit,

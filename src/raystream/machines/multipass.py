@@ -17,7 +17,7 @@ from raystream.kernels.hits import HitAddresses, Sink
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.tally import new_tallies
 from raystream.machines.backend import Capabilities
-from raystream.machines.local import LocalBackend
+from raystream.machines.local_frame_backend import LocalFrameBackend
 from raystream.machines.pass_snapshot import Observer, PassSnapshot
 from raystream.machines.passes import Passes
 from raystream.machines.ray_job import HitGoal, RayJob
@@ -44,7 +44,7 @@ MAX_BYTES = 1 << 29
 _RAY_BYTES = 160
 
 
-class MultipassBackend(LocalBackend):
+class MultipassBackend(LocalFrameBackend):
     """Runs each step of a traversal as a kernel over all rays that wait for it.
 
     As on hardware without branching (Purcell 2002, section 2.2; Foley 2005, section 3.4): streams
@@ -115,7 +115,7 @@ class MultipassBackend(LocalBackend):
     def run_local(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Answer a query of local rays; see `LocalBackend.run_local`."""
+        """Answer a query of local rays; see `LocalFrameBackend.run_local`."""
         steps, tallies, count = steps_of(self.structure), sink.tallies, len(rays.t_min)
         if query.kind is Kind.FIRST_HIT:
             hits = sink.hits

@@ -12,7 +12,7 @@ from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.jit.threads import Progress
 from raystream.kernels.move_triangles import move_triangles
 from raystream.machines.backend import Backend
-from raystream.machines.chosen import Chosen, choose
+from raystream.machines.configuration import Configuration, configure
 from raystream.machines.devices import device_of
 from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
@@ -47,20 +47,20 @@ class TracedScene:
     _counts: bool
     _latest: RayCounters | None
 
-    def _choose(
+    def _configure(
         self,
         structure: str | StructureOptions | None,
         device: str | DeviceOptions,
         machine: str | MachineOptions | None,
         counters: bool,
         options: Mapping[str, Any],
-    ) -> Chosen:
+    ) -> Configuration:
         """Set all but the structure, which the caller builds or has."""
-        chosen = choose(structure, device, machine, options)
-        self.device, self.machine = chosen.device, chosen.machine
-        self._machine_options = chosen.options
+        configuration = configure(structure, device, machine, options)
+        self.device, self.machine = configuration.device, configuration.machine
+        self._machine_options = configuration.options
         self._counts = bool(counters)
-        return chosen
+        return configuration
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
@@ -230,7 +230,7 @@ class TracedScene:
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
         tracer = cls.__new__(cls)
-        tracer._choose(None, device, machine, counters, options)
+        tracer._configure(None, device, machine, counters, options)
         structure = load_structure(path, None if scene is None else scene.triangles)
         tracer._set(scene, structure)
         return tracer
@@ -266,7 +266,7 @@ class TracedScene:
             If a name is unknown, or the machine has no such option.
         """
         tracer = cls.__new__(cls)
-        tracer._choose(None, device, machine, counters, options)
+        tracer._configure(None, device, machine, counters, options)
         tracer._set(scene, structure)
         return tracer
 

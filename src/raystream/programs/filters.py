@@ -19,11 +19,11 @@ from raystream.kernels.hits import (
     copy_rows,
     for_each_chunk,
 )
+from raystream.programs.loop_source import Goal
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
 from raystream.programs.rows import SkipsAt, as_skips
-from raystream.programs.texts import Goal
 
 __all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
 

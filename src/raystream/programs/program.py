@@ -11,9 +11,9 @@ from raystream.core.triangles import Triangles
 from raystream.jit.user_loops import Loop, compile_loop
 from raystream.kernels.hits import HitBatch
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
+from raystream.programs.loop_source import Goal, loop_globals, loop_source
 from raystream.programs.ray_subset import PendingRays
 from raystream.programs.rows import SkipsAt
-from raystream.programs.texts import Goal, names_of, text_of
 
 __all__ = ["Program", "check_function"]
 
@@ -58,7 +58,7 @@ class Program:
         payload = arguments[0] if goal == "trace" else None
         record = _RECORDS[0 if payload is None else payload.ndim]
         text = _text(goal, skips is not None, constants is not None, record)
-        self._loop: Loop = compile_loop(text, function, names_of(goal), __name__)
+        self._loop: Loop = compile_loop(text, function, loop_globals(goal), __name__)
         own = [value for value in (skips, constants) if value is not None]
         self._arguments = (*own, *arguments)
         self._triangles = triangles
@@ -128,7 +128,7 @@ class Program:
 
 def _text(goal: Goal, skips: bool, constants: bool, record: str) -> str:
     """The loop over entries and their rows; it returns the number of rows visited."""
-    names, lines = text_of(goal, skips, constants, record, "continue")
+    names, lines = loop_source(goal, skips, constants, record, "continue")
     lines = [
         f"def loop(begin, end, {', '.join(names)}):",
         "    seen = zero",

@@ -153,7 +153,9 @@ class MultipassBands:
         radiance = np.zeros((count, 3), np.float32)
         band = _Band(context, mode, rows.start, sample, radiance)
         passes: Counter[str] = Counter()
-        self._machine.run_loop(band.loop(_Columns.empty(count, band.first_room, band.shadows)), count, passes)
+        self._machine.run_loop(
+            band.loop(_Columns.empty(count, band.first_room, band.shadows)), count, passes
+        )
         self._passes.update(passes)
         return radiance
 

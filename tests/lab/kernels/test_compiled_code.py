@@ -40,7 +40,7 @@ define i32 @f(ptr %retptr, ptr %arg.stream_0.4, i64 %arg.i, i64 %arg.references,
 }
 """
 
-#: Where to load from is chosen by a jump; what is loaded goes through local memory.
+#: A jump chooses the address to load from; the loaded value goes through local memory.
 CHOICE = """
 declare void @llvm.assume(i1)
 define i32 @f(ptr %arg.stream_0.4, i64 %arg.near, i64 %arg.far) {
@@ -115,7 +115,7 @@ def test_a_chain_of_loads():
 
 
 def test_instructions_by_class():
-    """What returns a value, or becomes no instruction, is not counted."""
+    """Returns of values, and statements without instructions, are not counted."""
     assert count_instructions(code_of(CHAIN)) == InstructionCounts(
         floating=1, integer=3, conversions=2, addresses=1, loads=4, stores=2
     )

@@ -28,7 +28,7 @@ from raystream.machines import Branching
 from raystream.machines.steps import steps_of
 from raystream.streams import Counters
 
-#: Each compiles its kernels anew: code that is looked at is not kept on disk.
+#: Each recompiles its kernels: inspected code is not cached on disk.
 #: That of the graph takes them as long as all of the others.
 NAMES = ["grid", "kdtree, Foley's", pytest.param("graph", marks=pytest.mark.exhaustive)]
 BACKTRACK = "kdtree, Foley's"

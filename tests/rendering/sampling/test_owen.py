@@ -13,7 +13,7 @@ from raystream.rendering.sampling.sampler import Sampler
 
 
 def compositions(total, parts):
-    """All ways to write a number as a sum of so many, in order."""
+    """All ordered ways to write a number as a sum of this many terms."""
     if parts == 1:
         yield (total,)
         return
@@ -50,7 +50,7 @@ def test_each_pair_is_a_net_at_every_power_of_two(pixel, dimension):
 
 
 def test_later_blocks_are_nets_too():
-    """A render that goes on later gets the rest of the sequence."""
+    """A render that is resumed gets the rest of the sequence."""
     samples = np.arange(4096)
     for dimension in (0, 2):
         points = Sampler.of("sobol", 3).numbers(5, samples, dimension, 2)

@@ -1,4 +1,4 @@
-"""What every sampler keeps, and what `Sampler` refuses."""
+"""Properties of every sampler, and arguments that `Sampler` refuses."""
 
 from __future__ import annotations
 

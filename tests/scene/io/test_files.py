@@ -1,4 +1,4 @@
-"""Bounded reading: what is wrong with a file is said in one line that names it."""
+"""Bounded reading: errors in a file are one line that names it."""
 
 from __future__ import annotations
 

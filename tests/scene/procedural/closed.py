@@ -1,4 +1,4 @@
-"""What closed meshes are measured by."""
+"""Measures of closed meshes."""
 
 from __future__ import annotations
 

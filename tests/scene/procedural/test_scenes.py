@@ -1,4 +1,4 @@
-"""The built-in scenes: as large as asked for, repeatable, sound, and lit."""
+"""The built-in scenes: of the requested size, repeatable, valid, and lit."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_cameras_see_much_of_the_scene(name, target):
 
 
 def visible_share(scene, camera):
-    """Share of vertices, those of the largest mesh, that lie within a picture of 4:3."""
+    """Share of vertices, those of the largest mesh, that lie within an image of 4:3."""
     mesh = max(scene.meshes, key=lambda mesh: mesh.triangle_count)
     right, up, ahead = camera.basis() @ (mesh.vertices - np.asarray(camera.eye)).T
     reach = np.tan(np.radians(camera.fov) / 2) * ahead

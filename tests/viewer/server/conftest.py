@@ -1,6 +1,6 @@
-"""Servers for tests, and a search for what they leave behind.
+"""Servers for tests, and a check for leftovers.
 
-What needs [view] is imported by fixtures: without it, each module of tests says so and skips.
+Fixtures import everything that needs [view]: without it, each test module says so and skips.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def temporary(tmp_path_factory):
-    """Where temporary folders go."""
+    """The folder of temporary folders."""
     from raystream.viewer.server import app
     from viewer_home import PAGE
 
@@ -26,7 +26,7 @@ def temporary(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def shared_home(temporary):
-    """One server for the tests that leave it as it was."""
+    """One server for all tests that do not change it."""
     from viewer_home import Home
 
     home = Home()

@@ -1,4 +1,4 @@
-"""Confinement: what an uploaded model refers to is looked for among the files that came with it."""
+"""Confinement: files that an uploaded model names are looked up only among the uploaded ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Guard: wrong names, wrong origins, no token: none gets anything."""
+"""Guard: requests with a wrong host name, a wrong origin or no token are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transport: connections that send nothing, too slowly, or are too many."""
+"""Transport: connections that send nothing, are too slow, or are too many."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_head_that_trickles_ends(home, monkeypatch):
                 break
             time.sleep(0.02)
         else:
-            raise AssertionError("it went on")
+            raise AssertionError("it did not stop")
     wait_until(lambda: connection_count(home) == 0)
 
 

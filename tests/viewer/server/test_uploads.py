@@ -1,4 +1,4 @@
-"""Uploads: what comes is bounded, stays in its folder, and goes with its connection."""
+"""Uploads: bounded in size, confined to their folder, and deleted with their connection."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_more_than_the_limit_is_not_read(home, temporary):
                 sent += len(chunk)
     assert sent < 16 * LIMIT
     wait_until(lambda: list(temporary.rglob("a.obj")) == [])
-    assert home.put(client, f"/uploads/{ID}/a.obj", OBJ).status == 204  # what did not come is free
+    assert home.put(client, f"/uploads/{ID}/a.obj", OBJ).status == 204  # unsent bytes are free
 
 
 def test_files_of_an_upload_share_the_limit(home):
@@ -285,7 +285,7 @@ def test_upload_that_trickles_is_given_up(home, monkeypatch):
                 break
             time.sleep(0.02)
         else:
-            pytest.fail("it went on")
+            pytest.fail("it did not stop")
     wait_until(lambda: uploading(home) == 0)
 
 

@@ -1,4 +1,4 @@
-"""Socket: what a client may send, and what happens when it sends, reads or stays as it likes."""
+"""Websocket: allowed messages, and clients that misbehave in sending, reading or closing."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_messages_keep_their_order_and_frames_their_form(home):
     assert echoes == list(range(200))
 
 
-# Messages that are none.
+# Invalid messages.
 
 
 @pytest.mark.parametrize(

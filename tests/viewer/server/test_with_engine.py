@@ -1,4 +1,4 @@
-"""The server with the engine that it is for: pictures, a model of one's own, and the end."""
+"""The server with the real engine: images, an uploaded model, and shutdown."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_pictures_come_and_a_model_can_be_sent(guest):
     assert (scene["name"], scene["triangles"], scene["own"]) == ("model.obj", 1, True)
     assert read_until(client, "frame")
 
-    other = guest.connect()  # who sees what everybody sees
+    other = guest.connect()  # who sees what all clients see
     assert read_until(other, "scene")["name"] == "cornell"
 
 

@@ -1,4 +1,4 @@
-"""Structures built on the device: what takes part is kernels, and sizes that the host must know.
+"""Builders that run on the GPU; the host launches their kernels and reads back only sizes.
 
-A structure's options name its builder, as their form ``"cuda build"``.
+A structure's options name its builder as their form ``"cuda build"``.
 """

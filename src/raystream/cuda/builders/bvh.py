@@ -1,4 +1,4 @@
-"""DeviceBvh: a bounding volume hierarchy that was built on a device, and stays there."""
+"""DeviceBvh: a bounding volume hierarchy built on a device and kept in its memory."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from raystream.core.triangles import Triangles
+from raystream.cuda.builders.binary_tree import COARSE_BITS, FINE_BITS, Nodes, make_leaves
 from raystream.cuda.builders.clusters import merge_clusters
 from raystream.cuda.builders.device_resident import DeviceResident, finish
 from raystream.cuda.builders.linear import link_by_keys
-from raystream.cuda.builders.moving import cost_of, refit
-from raystream.cuda.builders.records import COARSE_BITS, FINE_BITS, Nodes, make_leaves
+from raystream.cuda.builders.refit import cost_of, refit
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
@@ -29,7 +29,7 @@ __all__ = ["DeviceBvh", "build_bvh"]
 
 
 class DeviceBvh(DeviceResident, BvhStructure):
-    """A BVH in a device's memory; it is copied to the host when it is asked for there.
+    """A BVH in device memory, copied to the host when first needed there.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
 
     Notes
     -----
-    Its options have ``quality="fast"``: the CPU's, should it be built again there.
+    Its options have ``quality="fast"``, which applies if the CPU rebuilds it.
     """
 
     _host_names = ("tree", "_numbers")
@@ -66,7 +66,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
 
     @cached_property
     def _on_host(self) -> BvhStructure:
-        """The same tree, whose arrays are on the host."""
+        """The same tree with its arrays in host memory."""
         made = BvhStructure.__new__(BvhStructure)
         tree = BvhArrays(*(_aligned(one) for one in self.wide[:2]))
         made._set(self.triangles, tree, self.options, 0.0)
@@ -101,7 +101,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
 
     def _refit(self, triangles: Triangles) -> float:
-        """Move the tree; returns what tracing it costs."""
+        """Refit the tree; returns its tracing cost."""
         corners = self.gpu.upload("corners", hittable_corners(triangles))
         refit(self.gpu, self.wide, corners)
         self.__dict__.pop("_on_host", None)
@@ -124,26 +124,25 @@ def build_bvh(
     gpu : Gpu
     triangles : Triangles
     options : Bvh
-        Their `quality` is for the CPU.
+        `quality` applies to CPU builds.
     method : {"clusters", "linear"}
-        ``"linear"`` takes the tree that the bits of keys along a curve make; ``"clusters"``
-        merges neighbours on the curve that fit together, for a tree that is traced faster.
+        ``"linear"`` splits by the bits of Morton keys; ``"clusters"`` merges neighbours in
+        Morton order whose common box is small, for a tree that traces faster.
 
     Returns
     -------
     BvhStructure
-        The same one each time. Which nodes of the binary tree become wide ones is decided as on
-        the CPU.
+        Deterministic. The binary tree is collapsed to wide nodes as on the CPU.
 
     Raises
     ------
     ValueError
-        If quality "high" is asked for, or the tree would be too large.
+        If quality is "high", or the tree would be too large.
     CudaError
-        If there is no memory for it: about 300 bytes for each triangle while building.
+        If device memory runs out: building takes about 300 bytes per triangle.
     """
     if options.quality == "high":
-        raise ValueError("quality: expected no 'high' where build='device', which has methods")
+        raise ValueError("quality: 'high' is not supported with build='device'; choose a method")
     options = dataclasses.replace(options, quality="fast")
     if len(triangles.prim_ids) == 0:
         return BvhStructure(triangles, options)
@@ -152,7 +151,7 @@ def build_bvh(
     try:
         wide = _build(gpu, triangles, corners, method, options.max_leaf_size, FINE_BITS)
     except TooDeepError:
-        # At most 30 bits of keys and 31 of rows tell leaves apart: no path is longer.
+        # Leaves differ within 30 bits of key and 31 of row index, which limits the depth.
         wide = _build(gpu, triangles, corners, "linear", options.max_leaf_size, COARSE_BITS)
     return DeviceBvh(triangles, gpu, wide, method, options, started)
 

@@ -1,4 +1,4 @@
-"""A BVH by locally ordered clustering: best neighbours on a curve merge, round by round.
+"""BVH construction by parallel locally-ordered clustering (PLOC) in Morton order.
 
 References
 ----------
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.records import Nodes, join
+from raystream.cuda.builders.binary_tree import Nodes, join
 from raystream.jit.constants import (
     BITS_32,
     INF_F32,
@@ -30,25 +30,24 @@ from raystream.structures.bvh.prim_refs import FIRST_AT, REF_BYTES, half_area
 
 __all__ = ["KERNELS", "RADIUS", "ClusterList", "merge_clusters"]
 
-#: Clusters before and after each one among which it finds its match. With 16 and 32 trees are not
-#: better, and there are more rounds.
+#: Search radius: how far before and after a cluster its match may be. With 16 and 32 the trees are
+#: no better, and take more rounds.
 RADIUS = 8
 
-#: Rounds between two looks at how many clusters are left. If so small a share of them was merged
-#: in these, the next one matches clusters by their places: for want of anything else, since trees
-#: of such rounds are worse.
+#: Rounds between readbacks of the cluster count. If they merged less than this share of the
+#: clusters, the next round pairs them by position: a last resort, since it makes worse trees.
 _ROUNDS, _LEAST_SHARE = 4, 0.25
 
 
 class ClusterList(NamedTuple):
-    """Clusters on a device: addresses.
+    """Addresses of clusters on a device.
 
     Attributes
     ----------
     boxes : uint64
-        Of their boxes and rows in the tree, as `bvh.prim_refs`.
+        Their boxes and tree rows, as in `bvh.prim_refs`.
     cluster_count : uint64
-        Of their number, uint64.
+        Their number, uint64.
     """
 
     boxes: np.uint64
@@ -65,10 +64,10 @@ def _begin_cluster(i, nodes, boxes):
 
 @kernel
 def _find_match(i, clusters, radius, by_place, matches):
-    """Find the cluster near cluster i with which the box is smallest.
+    """Find the cluster near cluster i whose common box with it is smallest.
 
-    Of equal ones it is the one whose place differs in lower bits: so the pairs are in one order
-    for all, the first of which is always made, and equal triangles pair up.
+    Ties go to the cluster whose index differs in lower bits: so all clusters rank pairs alike,
+    the first pair always merges, and identical triangles pair up.
     """
     count = load(np.uint64, clusters.cluster_count)
     if i >= count:
@@ -92,7 +91,7 @@ def _find_match(i, clusters, radius, by_place, matches):
 
 @kernel
 def _count_places(i, clusters, matches, places):
-    """Whether cluster i keeps a place (1), and makes a node (2**32), as the first of a pair."""
+    """Count 1 if cluster i remains, and 2**32 if it makes a node, as the first of a pair."""
     place = ZERO_U64
     if i < load(np.uint64, clusters.cluster_count):
         match = np.uint64(load(np.uint32, matches + (i << SHIFT_32)))
@@ -106,7 +105,7 @@ def _count_places(i, clusters, matches, places):
 
 @kernel
 def _merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
-    """Write cluster i, or the node that it makes with its match, at its offset in the scan."""
+    """Write cluster i, or the node that merges it with its match, at its offset in the scan."""
     count = load(np.uint64, clusters.cluster_count)
     own = load(np.uint64, places + (i << SHIFT_64))
     after = load(np.uint64, places + ((i + ONE_U64) << SHIFT_64))
@@ -123,7 +122,7 @@ def _merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
         return
     match = np.uint64(load(np.uint32, matches + (i << SHIFT_32)))
     other_at = clusters.boxes + match * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
-    # Each node made before this round left one cluster less.
+    # Each node made before this round removed one cluster.
     made = leaf_count + (leaf_count - count) + (own >> BITS_32)
     join(nodes, made, row, np.uint64(load(np.int32, other_at)))
     store(new, load(f32x8, nodes.boxes + made * np.uint64(REF_BYTES)))
@@ -152,21 +151,21 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
     ----------
     gpu : Gpu
     nodes : Nodes
-        With its leaves, in the order of a curve.
+        With its leaves, in Morton order.
     radius : int
         At least 1.
 
     Notes
     -----
-    The host looks at every fourth round how many clusters are left: a few milliseconds of a build
-    are waits. Where boxes grow from each one to the next, only the first pair of a row is made in
-    a round; if few are, clusters are matched by their places once, so that the number of rounds
-    is at most about ten times the logarithm of the number of triangles.
+    The host reads the number of clusters every fourth round: a few milliseconds of a build are
+    waits. In a run of boxes that grow from each to the next, a round merges only the first pair;
+    when few merge, one round pairs clusters by position, so that the number of rounds is at most
+    about ten times the logarithm of the number of triangles.
 
     Raises
     ------
     CudaError
-        If there is no memory for it: 80 bytes for each leaf.
+        If device memory runs out: it takes 80 bytes per leaf.
     """
     bound = nodes.leaf_count
     boxes = [gpu.empty("clusters", (bound, REF_BYTES), np.uint8) for _ in range(2)]

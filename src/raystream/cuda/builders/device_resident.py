@@ -1,4 +1,4 @@
-"""Base classes of structures that were built on a device and stay in its memory."""
+"""Base classes of structures built on a device and kept in its memory."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["DeviceResident", "RebuiltOnDevice", "finish"]
 
 
 class DeviceResident:
-    """A structure whose arrays are on a device, and are copied to the host on first use.
+    """A structure with arrays on a device, copied to the host on first use.
 
-    A subclass lists the attributes of the host's structure in ``_host_names``, and makes that
+    A subclass lists the attributes of the host's structure in ``_host_names`` and makes that
     structure in ``_on_host``.
     """
 
@@ -28,7 +28,7 @@ class DeviceResident:
         _on_host: Any
 
     def __getattr__(self, name: str) -> Any:
-        # Attributes that only the host's queries and figures need.
+        # Attributes that only queries and reports on the host need.
         if name in self._host_names:
             return getattr(self._on_host, name)
         raise AttributeError(name)
@@ -52,7 +52,7 @@ class RebuiltOnDevice(DeviceResident):
 
 
 def finish(gpu: Gpu, byte_count: int, started: float) -> BuildReport:
-    """Wait for a build that began when `time.perf_counter` was `started`, and report it.
+    """Wait for a build to end, and report it; `started` is when it began (`time.perf_counter`).
 
     Raises
     ------

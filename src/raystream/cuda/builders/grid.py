@@ -1,4 +1,4 @@
-"""DeviceGrid: a uniform grid that was built on a device, and stays there."""
+"""DeviceGrid: a uniform grid built on a device and kept in its memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["DeviceGrid", "build_grid"]
 
 
 class DeviceGrid(RebuiltOnDevice, GridStructure):
-    """A grid in a device's memory; it is copied to the host when it is asked for there.
+    """A grid in device memory, copied to the host when first needed there.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class DeviceGrid(RebuiltOnDevice, GridStructure):
 
     @cached_property
     def _on_host(self) -> GridStructure:
-        """The same grid, whose arrays are on the host."""
+        """The same grid with its arrays in host memory."""
         splits, references, _ = self.resident.arrays
         made = GridStructure.__new__(GridStructure)
         lists = GridArrays(splits.host(), references.host())
@@ -85,19 +85,19 @@ def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:
     gpu : Gpu
     triangles : Triangles
     options : Grid
-        Of one level: a second one is made on the CPU alone.
+        With one level; two-level grids are built on the CPU only.
 
     Returns
     -------
     GridStructure
-        Its arrays are those of the CPU's build, bit for bit.
+        Its arrays equal the CPU's bit for bit.
 
     Raises
     ------
     ValueError
         If an option is out of range, or the grid would be too large.
     CudaError
-        If there is no memory for it.
+        If device memory runs out.
     """
     if options.levels != 1:
         raise ValueError(f"levels: expected 1 where build='device', got {options.levels}")

@@ -1,4 +1,4 @@
-"""A linear BVH: the hierarchy that the bits of sorted keys make.
+"""Linear BVH (LBVH): the hierarchy given by the bits of sorted Morton keys.
 
 References
 ----------
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.records import Nodes, join
+from raystream.cuda.builders.binary_tree import Nodes, join
 from raystream.jit.atomics import atomic_add, fence
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
@@ -27,7 +27,7 @@ _BITS = np.uint64(64)
 
 @device
 def _leading_zeros(number):
-    """Zeros above the highest bit of a uint64; 64 for 0."""
+    """Leading zeros of a uint64; 64 for 0."""
     if number == ZERO_U64:
         return _BITS
     zeros, step = ZERO_U64, np.uint64(32)
@@ -41,7 +41,7 @@ def _leading_zeros(number):
 
 @device
 def _shared_bits(keys, i, j):
-    """How many bits two keys begin with together; equal ones are told apart by their rows."""
+    """Length of the common prefix of two keys, which continues with the rows of equal keys."""
     differs = load(np.uint64, keys + (i << SHIFT_64)) ^ load(np.uint64, keys + (j << SHIFT_64))
     if differs == ZERO_U64:
         return _BITS + _leading_zeros(i ^ j)
@@ -50,7 +50,7 @@ def _shared_bits(keys, i, j):
 
 @device
 def _last_row(keys, i, count, ahead):
-    """The other end of the range of inner node i, which begins with row i and goes up or down."""
+    """The other end of the range of inner node i, which extends up or down from row i."""
     if ahead:
         room = count - ONE_U64 - i
         outside = _shared_bits(keys, i, i - ONE_U64) if i != ZERO_U64 else ZERO_U64
@@ -59,7 +59,8 @@ def _last_row(keys, i, count, ahead):
         room = i
         outside = _shared_bits(keys, i, i + ONE_U64)
         is_first = False
-    # Rows that share more bits with row i than the row before it does: a bound, then the end.
+    # Rows whose common prefix with row i is longer than that of the row outside: a bound, then
+    # the end.
     step = ONE_U64
     while step < room and (
         is_first or _shared_bits(keys, i, i + step if ahead else i - step) > outside
@@ -84,7 +85,7 @@ def _link(i, keys, count, links, parents):
         ahead = _shared_bits(keys, i, i + ONE_U64) > _shared_bits(keys, i, i - ONE_U64)
     other = _last_row(keys, i, count, ahead)
     first, last = min(i, other), max(i, other)
-    # The last row that shares more bits with the first one than the last one does.
+    # The split is after the last row that shares a longer prefix with the first than the last does.
     shared = _shared_bits(keys, first, last)
     low, high = first, last
     while high - low > ONE_U64:
@@ -103,13 +104,13 @@ def _link(i, keys, count, links, parents):
 
 @kernel
 def _climb(i, count, nodes, parents, visits):
-    """Go up from leaf i, and write each inner node whose other child is written already."""
+    """Climb from leaf i, writing each inner node whose other child is already written."""
     row = i
     while row != count:  # the root's row
         parent = np.uint64(load(np.uint32, parents + (row << SHIFT_32)))
         fence()
         if atomic_add(visits + (parent << SHIFT_32), np.uint32(1)) == np.uint32(0):
-            return  # the thread from the other child writes it
+            return  # the thread that arrives from the other child writes it
         fence()
         row = count + parent
         link = Link(nodes.links, row)
@@ -131,7 +132,7 @@ KERNELS = _Kernels(RangeKernel(_link), RangeKernel(_clear), RangeKernel(_climb))
 
 
 def link_by_keys(gpu: Gpu, keys: DeviceArray, nodes: Nodes) -> int:
-    """Begin to write the inner nodes of a tree; returns the root's row. Nothing waits for it.
+    """Launch the kernels that write a tree's inner nodes; returns the root's row at once.
 
     Parameters
     ----------
@@ -143,12 +144,12 @@ def link_by_keys(gpu: Gpu, keys: DeviceArray, nodes: Nodes) -> int:
 
     Notes
     -----
-    No path is longer than the bits of keys and rows that differ.
+    The depth is at most the number of bits in which keys and rows differ.
 
     Raises
     ------
     CudaError
-        If there is no memory for it.
+        If device memory runs out.
     """
     if nodes.leaf_count == 1:
         return 0

@@ -1,8 +1,8 @@
-"""The lists of a grid, made on the device: count, scan, fill, sort.
+"""Triangle lists of a grid, built on the device: count, scan, fill, sort.
 
-A thread takes a triangle. First it counts the cells that the triangle is in; the counts are
-scanned; then it writes pairs of cell and triangle where the scan says. A stable sort by cell
-leaves the triangles of each cell in their order, as the CPU lists them.
+One thread per triangle counts the cells that it overlaps, and after a scan of the counts writes
+pairs of cell and triangle from its offset. A stable sort by cell keeps the triangles of each cell
+in order, as the CPU lists them.
 
 References
 ----------
@@ -32,7 +32,7 @@ __all__ = ["KERNELS", "DeviceLists", "as_numbers", "build_lists"]
 
 
 class DeviceLists(NamedTuple):
-    """As `structures.grid.layout.GridArrays`, on a device.
+    """`structures.grid.layout.GridArrays` in device memory.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class DeviceLists(NamedTuple):
 
 @device
 def _visit(lattice, corners, prim_id, mark, to):
-    """Call `mark` for each cell of a triangle; returns how many there are."""
+    """Call `mark` for each cell of a triangle; returns the number of cells."""
     at = corners_at(corners)
     first_x, last_x = range_along(lattice, at, prim_id, 0)
     first_y, last_y = range_along(lattice, at, prim_id, 1)
@@ -82,7 +82,7 @@ def _count_cells(i, lattice, corners, prim_ids, counts):
 
 @kernel
 def _fill_pairs(i, lattice, corners, prim_ids, begins, cells, ids):
-    """Write the cells of the triangle in row i of `prim_ids`, from its row of `begins` on."""
+    """Write the cells of the triangle in row i of `prim_ids`, starting at begins[i]."""
     begin = load(np.uint64, begins + (i << SHIFT_64))
     _visit(lattice, corners, _prim_id(prim_ids, i), _note, (begin, cells, ids))
 
@@ -106,7 +106,6 @@ class _Kernels(NamedTuple):
     find_split: RangeKernel
 
 
-#: The steps that are kernels of their own.
 KERNELS = _Kernels(RangeKernel(_count_cells), RangeKernel(_fill_pairs), RangeKernel(_find_split))
 
 
@@ -121,26 +120,26 @@ def build_lists(
     triangles : Triangles
         At least one that can be hit.
     corners : DeviceArray of shape (F, 3, 3), float32
-        Those of the triangles.
+        The triangles' corners.
     lattice : Lattice
     most : int
-        How many references there may be.
+        Maximum number of references.
 
     Returns
     -------
     DeviceLists
-        Those that `structures.grid.build.build_lists` makes, bit for bit.
+        Equal to those of `structures.grid.build.build_lists` bit for bit.
 
     Raises
     ------
     TooManyError
         If there are more references.
     CudaError
-        If there is no memory for them: 16 bytes for each while building.
+        If device memory runs out: building takes 16 bytes per reference.
 
     Notes
     -----
-    The host waits for the device once, to know how many references there are.
+    The host waits for the device once, to read the number of references.
     """
     prim_ids = gpu.upload("prim_ids", triangles.prim_ids)
     (count,) = prim_ids.shape
@@ -164,7 +163,7 @@ def build_lists(
 
 
 def as_numbers(lattice: Lattice) -> Lattice:
-    """A lattice of NumPy's numbers, as kernels are given them."""
+    """A lattice of NumPy scalars, as kernel arguments."""
     low, high, size = (
         (np.float64(x), np.float64(y), np.float64(z))
         for x, y, z in (lattice.low, lattice.high, lattice.size)

@@ -1,4 +1,4 @@
-"""The kernels of builders with example arguments, to compile them without a device."""
+"""Kernels of the builders with example arguments, for compilation without a device."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.builders import clusters, linear, lists, moving, records, wide
+from raystream.cuda.builders import binary_tree, clusters, linear, lists, refit, wide
 from raystream.cuda.builders.graph.precompile import graph_kernels
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
@@ -19,12 +19,12 @@ __all__ = ["block_kernels", "build_kernels"]
 
 
 def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """Kernels by name, with arguments that are valid for their types only."""
+    """Kernels by name, with placeholder arguments of the right types."""
     one = (1.0, 1.0, 1.0)
     lattice = lists.as_numbers(Lattice(one, one, one, (1, 1, 1), 1.0))
-    nodes = records.NodesAt(NULL, NULL, NULL, np.int64(1))
+    nodes = binary_tree.NodesAt(NULL, NULL, NULL, np.int64(1))
     number = np.float64(0.0)
-    frame = records.KeyFrame((number, number, number), number, NULL)
+    frame = binary_tree.KeyFrame((number, number, number), number, NULL)
     listed = clusters.ClusterList(NULL, NULL)
 
     def at(count: int) -> tuple[np.uint64, ...]:
@@ -34,8 +34,8 @@ def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         (lists.KERNELS.count_cells, (lattice, *at(3))),
         (lists.KERNELS.fill_pairs, (lattice, *at(5))),
         (lists.KERNELS.find_split, at(3)),
-        (records.KERNELS.make_key, (*at(2), frame, *at(2))),
-        (records.KERNELS.make_leaf, (*at(2), nodes)),
+        (binary_tree.KERNELS.make_key, (*at(2), frame, *at(2))),
+        (binary_tree.KERNELS.make_leaf, (*at(2), nodes)),
         (linear.KERNELS.link, at(4)),
         (linear.KERNELS.clear, at(1)),
         (linear.KERNELS.climb, (NULL, nodes, *at(2))),
@@ -46,16 +46,16 @@ def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         (wide.KERNELS.count_lanes, (NULL, nodes, *at(2))),
         (wide.KERNELS.give_rows, (*at(3), nodes, *at(4))),
         (wide.KERNELS.write_node, (nodes, *at(6))),
-        (moving.KERNELS.move_leaves, at(4)),
-        (moving.KERNELS.move_nodes, at(2)),
-        (moving.KERNELS.add_costs, at(4)),
+        (refit.KERNELS.move_leaves, at(4)),
+        (refit.KERNELS.move_nodes, at(2)),
+        (refit.KERNELS.add_costs, at(4)),
         *graph_kernels(),
     ]
     return {kernel.name.strip("_"): (kernel, arguments) for kernel, arguments in chosen}
 
 
 def block_kernels() -> dict[str, BlockKernel]:
-    """The kernels of scans and sorts, by name and the bits of their numbers."""
+    """Kernels of scans and sorts, by name and bit width."""
     made = {}
     for dtype in ("uint32", "uint64"):
         steps = {**scan_kernels(dtype)._asdict(), **sort_kernels(dtype)._asdict()}

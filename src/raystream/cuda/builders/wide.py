@@ -1,8 +1,8 @@
-"""From a binary tree on a device to the wide one that rays are traced in, level by level.
+"""Collapse of a binary tree on the device to the wide tree that rays traverse, level by level.
 
-Which binary nodes become wide ones was decided when each was written (`structures.bvh.collapse`).
-Here the wide nodes get rows: a level's after those of the level above, so that children come after
-their parents, and each level can be refitted at once.
+Which binary nodes become wide ones was decided when they were written (`structures.bvh.collapse`).
+Here the wide nodes get rows, level after level, so that children follow their parents and a level
+can be refitted in one launch.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.records import Nodes
+from raystream.cuda.builders.binary_tree import Nodes
 from raystream.jit.constants import BITS_32, LOW_32, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
@@ -39,18 +39,18 @@ _IN_BLOCK = np.uint64(3)
 
 
 class TooDeepError(Exception):
-    """A tree has more levels than its traversal can take."""
+    """A tree has more levels than its traversal supports."""
 
 
 class WideTree(NamedTuple):
-    """As `structures.bvh.layout.BvhArrays`, on a device.
+    """`structures.bvh.layout.BvhArrays` in device memory.
 
     Attributes
     ----------
     nodes : DeviceArray of shape (M, 64), float32
     leaves : DeviceArray of shape (B, 40), float32
     levels : tuple of int
-        Level i has the rows from levels[i] to levels[i + 1].
+        Level i is rows levels[i] to levels[i + 1].
     """
 
     nodes: DeviceArray
@@ -60,14 +60,14 @@ class WideTree(NamedTuple):
 
 @device
 def _block_count(boxes, row):
-    """Leaf blocks of a binary node that becomes a leaf."""
+    """Number of leaf blocks of a binary node that becomes a leaf."""
     count = load(np.int32, boxes + row * np.uint64(REF_BYTES) + np.uint64(COUNT_AT))
     return (np.uint64(count) + _IN_BLOCK) >> np.uint64(2)
 
 
 @device
 def _fill_lanes(nodes, root, is_first, lanes):
-    """List the binary nodes in the lanes of a wide one, int32 each; returns how many."""
+    """List the binary nodes in the lanes of a wide one, int32 each; returns their number."""
     if is_first and is_leaf(nodes.links, root):
         store(lanes, root)  # the whole tree is one leaf
         return ONE_U64
@@ -81,7 +81,7 @@ def _lane(lanes, k):
 
 @kernel
 def _count_lanes(i, first, nodes, roots, counts):
-    """Count the children of wide node first + i that are nodes (1), and leaf blocks (2**32)."""
+    """Count the inner children of wide node first + i (1 each) and its leaf blocks (2**32 each)."""
     row = first + i
     lanes = scratch(_LANES_BYTES)
     root = load(np.int32, roots + (row << SHIFT_32))
@@ -97,7 +97,7 @@ def _count_lanes(i, first, nodes, roots, counts):
 
 @kernel
 def _give_rows(i, first, level_end, first_block, nodes, counts, roots, first_children, blocks):
-    """Say where the children of wide node first + i go, and which binary nodes they are."""
+    """Assign rows to the children of wide node first + i, and write their binary nodes."""
     row = first + i
     lanes = scratch(_LANES_BYTES)
     root = load(np.int32, roots + (row << SHIFT_32))
@@ -114,7 +114,7 @@ def _give_rows(i, first, level_end, first_block, nodes, counts, roots, first_chi
 
 @device
 def _write_triangle(prim_id, place, corners, leaf):
-    """Copy a triangle to a place in the blocks of a leaf."""
+    """Copy a triangle to a slot in the blocks of a leaf."""
     block = leaf + (place >> np.uint64(2)) * BLOCK
     if place & _IN_BLOCK == ZERO_U64:
         clear_block(block)
@@ -123,7 +123,7 @@ def _write_triangle(prim_id, place, corners, leaf):
 
 @device
 def _write_leaf(nodes, root, corners, leaf):
-    """Write the triangles below a binary node to a leaf; it has at most `MAX_LEAF_SIZE`."""
+    """Write the triangles below a binary node to a leaf, at most `MAX_LEAF_SIZE`."""
     pending = scratch(_WALK_BYTES)
     store(pending, root)
     top, place = pending + np.uint64(4), ZERO_U64
@@ -144,7 +144,7 @@ def _write_leaf(nodes, root, corners, leaf):
 
 @kernel
 def _write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves):
-    """Write a wide node, and its leaves."""
+    """Write a wide node and its leaves."""
     to = wide + row * np.uint64(NODE_BYTES)
     lanes = scratch(_LANES_BYTES)
     root = load(np.int32, roots + (row << SHIFT_32))
@@ -176,17 +176,17 @@ KERNELS = _Kernels(RangeKernel(_count_lanes), RangeKernel(_give_rows), RangeKern
 
 
 def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTree:
-    """Make the wide tree of a binary one.
+    """Collapse a binary tree to a wide one.
 
     Parameters
     ----------
     gpu : Gpu
     nodes : Nodes
-        A whole tree.
+        A complete tree.
     root : int
         The root's row.
     corners : DeviceArray of shape (F, 3, 3), float32
-        Those of the triangles.
+        The triangles' corners.
 
     Raises
     ------
@@ -195,11 +195,11 @@ def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTr
     ValueError
         If it would be too large for the layout.
     CudaError
-        If there is no memory for it.
+        If device memory runs out.
 
     Notes
     -----
-    The host waits for the device once a level, to know how many nodes the next one has.
+    The host waits for the device once per level, to read the size of the next one.
     """
     room = max(1, nodes.leaf_count - 1)  # each wide node has two children or more
     roots, first_children, blocks = (

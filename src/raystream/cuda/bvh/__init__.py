@@ -1,1 +1,1 @@
-"""BVHs laid out for GPUs, made of the CPU's wide one, and their traversals."""
+"""BVH layouts for GPUs, converted from the CPU's wide tree, and their traversals."""

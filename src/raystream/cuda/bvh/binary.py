@@ -1,7 +1,7 @@
 """The binary layout: nodes of 64 bytes, each with the boxes of its two children.
 
-The CPU's builder discards its binary tree. Here each wide node becomes a binary tree again, with
-the least surface area of all trees over its children, found by searching their subsets.
+The CPU's builder discards its binary tree. Here each wide node is expanded to the binary tree of
+least surface area over its children, found by dynamic programming over their subsets.
 
 References
 ----------
@@ -25,12 +25,12 @@ from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays
 
 __all__ = ["NODE_FLOATS", "STACK_BYTES", "BinaryAddresses", "unfold"]
 
-#: Numbers of a node: low x, high x, low y, high y of the left child; of the right one; low z,
-#: high z of both; then, as bits of int32, the children themselves, and nothing. A child is a
-#: node's row, or for a leaf ``~first_triangle``. One that is absent has an empty box, and is 0.
+#: Floats of a node: low x, high x, low y, high y of the left child, then of the right one; low z,
+#: high z of both; then, as bits of int32, the two children, and padding. A child is a node's row,
+#: or for a leaf ``~first_triangle``. An absent child is 0, with an empty box.
 NODE_FLOATS = 16
 
-#: Most levels of a balanced binary tree of eight leaves.
+#: Levels of a balanced binary tree of eight leaves.
 _LEVELS = 3
 
 #: Bytes of a search's stack: a child for each level.
@@ -53,7 +53,7 @@ class BinaryAddresses(NamedTuple):
 
 
 def unfold(tree: BvhArrays) -> tuple[type[BinaryAddresses], dict[str, NDArray[np.float32]]]:
-    """Lay a tree out.
+    """Expand a wide tree to the binary layout.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def unfold(tree: BvhArrays) -> tuple[type[BinaryAddresses], dict[str, NDArray[np
     Returns
     -------
     addresses : type
-        Of the tuple that takes the arrays' addresses, by name.
+        Type of the tuple that takes the arrays' addresses, by name.
     arrays : dict
         ``nodes`` of shape (R, 16), float32, and ``triangles`` of shape (T, 12), float32.
 
     Notes
     -----
-    If the trees of least area are too deep for the stack, those of least area among the balanced
-    ones are taken.
+    If the trees of least area are too deep for the stack, the balanced trees of least area are
+    used.
     """
     wide = list_entries(tree)
     child_counts = np.count_nonzero(wide.words[:, :, LINK], axis=1)
@@ -94,7 +94,7 @@ def unfold(tree: BvhArrays) -> tuple[type[BinaryAddresses], dict[str, NDArray[np
 
 
 def _starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where each of some runs begins, and where the last one ends."""
+    """Where ranges of these lengths begin, and where the last one ends."""
     starts = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=starts[1:])
     return starts

@@ -1,12 +1,12 @@
 """Single-ray traversal of the binary layout: a while-while loop over nodes and leaves.
 
 The threads of a warp converge where all of them visit nodes, or all test triangles. So a thread
-visits nodes until it reaches a leaf, and leaves until it reaches a node.
+visits nodes until it reaches a leaf, then leaves until it reaches a node.
 
 References
 ----------
 Aila, Laine, "Understanding the Efficiency of Ray Traversal on GPUs", High Performance Graphics
-2009: the while-while kernel. Its speculative form asks the other threads of a warp.
+2009: the while-while kernel, without its speculative variant, which polls the other threads.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _DONE = np.int32(2**31 - 1)
 
 @device
 def traverse(tree, ray, search, stack):
-    """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
+    """Traverse the boxes that a ray enters; see `kernels.queries.ray_queries` for the arguments."""
     if tree.nodes == NULL or not (search.t_min <= search.t_far):
         return search
     link, top = _ROOT, stack
@@ -56,7 +56,7 @@ def traverse(tree, ray, search, stack):
 
 @device
 def _visit(at, ray, t_min, t_far, stack, top):
-    """Descend to the nearer child that the ray enters; the other one is pushed.
+    """Descend to the nearer child that the ray enters, and push the other one.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _visit(at, ray, t_min, t_far, stack, top):
 
 @device
 def child_intervals(at, ray):
-    """Where a ray enters and leaves the boxes of a node's children.
+    """Intervals in which a ray is inside the boxes of a node's children.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _interval(ray, box, low_z, high_z):
 
 @device
 def pop(stack, top):
-    """The child that waits for the shortest time, or `_DONE`."""
+    """Pop the latest child, or `_DONE` from an empty stack."""
     if top == stack:
         return _DONE, top
     top -= _ENTRY

@@ -1,13 +1,13 @@
-"""The compressed layout: 8-wide nodes of 80 bytes, with the children's boxes in a byte a plane.
+"""The compressed layout: 8-wide nodes of 80 bytes, with a byte per plane of the children's boxes.
 
 A node has an origin p and, for each axis, a step s that is a power of two; a child's planes are
-p + q s with q from 0 to 255, rounded outward. Children are in slots: slot i is the one that a ray
-meets first whose direction is positive along axis k where bit k of i is 0. A ray of another octant
-takes the slots in the order of their numbers, exclusive or with its own bits. Its child nodes
-follow each other, in the order of slots, and so do the triangles of its leaves.
+p + q s with q from 0 to 255, rounded outward. Children are in slots by octant: slot i comes first
+for rays whose direction is negative along axis k exactly if bit k of i is 1. A ray visits the slots
+in the order of slot number XOR octant. The child nodes of a node are contiguous, in the order of
+slots, and so are the triangles of its leaves.
 
-Other than the paper's, a leaf may have four triangles, as those of the CPU's tree do, so a node up
-to 32: what a ray has still to visit is eight bits of nodes and 32 of triangles, in two numbers.
+Unlike in the paper, a leaf may have four triangles, as in the CPU's tree, and a node up to 32: the
+work that a ray has left in a node is eight bits of nodes and 32 bits of triangles, in two words.
 Larger leaves become nodes of several.
 
 References
@@ -33,16 +33,16 @@ from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH, BvhArrays
 
 __all__ = ["LEAF_SIZE", "NODE_WORDS", "STACK_BYTES", "CompressedAddresses", "compress"]
 
-#: 32-bit words of a node: p; the biased exponents of the steps and which slots are nodes, a byte
-#: each; row of the first child node; row of the first triangle; a byte for each slot; the bytes q
-#: of low x, y, z, of high x, y, z.
+#: 32-bit words of a node: p; the biased exponents of the steps and the mask of slots that are
+#: nodes, a byte each; row of the first child node; row of the first triangle; a byte for each slot;
+#: the bytes q of low x, y, z, of high x, y, z.
 NODE_WORDS = 20
 
-#: Most triangles of a leaf.
+#: Maximum number of triangles in a leaf.
 LEAF_SIZE = 4
 
-#: Bytes of a search's stack: the rest of a node's children for each level, and one for leaves that
-#: became nodes.
+#: Bytes of a search's stack: an entry for the remaining children of a node at each level, and one
+#: for leaves that became nodes.
 STACK_BYTES = 8 * (MAX_DEPTH + 2)
 
 
@@ -62,7 +62,7 @@ class CompressedAddresses(NamedTuple):
 
 
 def compress(tree: BvhArrays) -> tuple[type[CompressedAddresses], dict[str, NDArray[Any]]]:
-    """Lay a tree out.
+    """Convert a wide tree to the compressed layout.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def compress(tree: BvhArrays) -> tuple[type[CompressedAddresses], dict[str, NDAr
     Returns
     -------
     addresses : type
-        Of the tuple that takes the arrays' addresses, by name.
+        Type of the tuple that takes the arrays' addresses, by name.
     arrays : dict
         ``nodes`` of shape (R, 20), uint32, and ``triangles`` of shape (T, 12), float32.
     """

@@ -1,16 +1,16 @@
-"""One ray through the compressed layout: a stack of what is left of nodes.
+"""Single-ray traversal of the compressed layout, with a stack of the remaining parts of nodes.
 
 Planes are not decoded: the distance to p + q s is fma(q, s inv, base), with base = p inv + near.
-That is one fused operation a plane, as for a box that is not compressed. The product s inv is
-exact, since s is a power of two; base is rounded, so it is moved down, or up for the far planes, by
-more than its error. Rounding is monotone: a ray enters a quantised box not later, and leaves it not
-earlier, than the exact box within it, bit for bit, and what the CPU's traversal may rely on
-(`kernels.slab.box_interval`) holds here.
+That is one FMA per plane, as for an uncompressed box. The product s inv is exact, since s is a
+power of two; base is rounded, so it is moved down, or up for the far planes, by more than its
+error. Rounding is monotone: a ray enters a quantised box no later, and leaves it no earlier, than
+the exact box within it, bit for bit, and the guarantees that the CPU's traversal relies on
+(`kernels.slab.box_interval`) hold here.
 
-A search's state is the group of the children of a node that are still to be visited: the row of
-the first child node, which slots are nodes, and which of these were entered, in the order in which
-this ray takes them. Its triangles are tested before the next node is visited; the papers' test of
-whether enough threads of a warp take part is left out, since it asks the other threads.
+A search's state is the group of a node's children that are still to be visited: the row of the
+first child node, the mask of slots that are nodes, and the mask of those entered, in the ray's
+order. Its triangles are tested before the next node is visited; the paper's test of whether enough
+threads of a warp take part is omitted, since it depends on the other threads.
 
 References
 ----------
@@ -50,14 +50,14 @@ _OFFSET = np.uint32(31)
 _EXPONENT_AT = np.uint32(23)
 _IS_NODE = np.uint32(7)
 
-#: More than a unit in the last place of a float32, whatever its size.
+#: Relative and absolute terms that together exceed a unit in the last place of any float32.
 _UNIT = np.float32(2.0**-23)
 _LEAST = np.float32(2.0**-149)
 
 
 @device
 def traverse(tree, ray, search, stack):
-    """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
+    """Traverse the boxes that a ray enters; see `kernels.queries.ray_queries` for the arguments."""
     if tree.nodes == NULL or not (search.t_min <= search.t_far):
         return search
     turned = _octant(ray)
@@ -65,7 +65,7 @@ def traverse(tree, ray, search, stack):
     base, inner, hits = ZERO_U32, ONE_U32, np.uint32(ONE_U32 << turned)
     top = stack
     while True:
-        # Step 1: the nearest node of the group; the rest of it waits.
+        # Step 1: the nearest node of the group; push the rest.
         bit = np.uint32(count_trailing_zeros(np.uint64(hits)))
         hits = np.uint32(hits & (hits - ONE_U32))
         before = np.uint32((ONE_U32 << np.uint32(bit ^ turned)) - ONE_U32)
@@ -98,7 +98,7 @@ def traverse(tree, ray, search, stack):
 
 @device
 def _octant(ray):
-    """Bit k is set if the ray's direction is negative along axis k."""
+    """Octant of a ray: bit k is set if its direction is negative along axis k."""
     x = ONE_U32 if ray.inv_x < ZERO_F32 else ZERO_U32
     y = np.uint32(2) if ray.inv_y < ZERO_F32 else ZERO_U32
     z = np.uint32(4) if ray.inv_z < ZERO_F32 else ZERO_U32
@@ -121,11 +121,12 @@ def _visit(at, ray, turned, search):
     Returns
     -------
     base, inner, hits : uint32
-        Row of the first child node; slots that are nodes; those entered, in the ray's order.
+        Row of the first child node; mask of slots that are nodes; mask of those entered, in the
+        ray's order.
     triangle : uint64
         Row of the first triangle.
     pending : uint32
-        The triangles of the leaves entered, by their places after the first one.
+        Mask of the triangles of the leaves entered, counted from the first one.
     """
     head = load_constant(u32x4, at)
     links = load_constant(u32x4, at + _QUARTER)
@@ -168,7 +169,7 @@ def _visit(at, ray, turned, search):
 
 @device
 def _axis(origin, exponent, inv, near, far):
-    """What a plane's byte is multiplied with, and what is added for near and for far planes."""
+    """Factor of a plane's byte, and the offsets of near and of far planes."""
     step = bits_as_float(np.int32((exponent & _BYTE) << _EXPONENT_AT))
     p = bits_as_float(np.int32(origin))
     first, last = fma(p, inv, near), fma(p, inv, far)
@@ -177,15 +178,15 @@ def _axis(origin, exponent, inv, near, far):
 
 @device
 def _ordered(is_back, low, high):
-    """The bytes of the planes that a ray meets first, and last."""
+    """Bytes of the near planes, and of the far ones."""
     return (high, low) if is_back else (low, high)
 
 
 @device
 def _visit_four(kinds, first, planes, axes, turned, search, hits, pending):
-    """Test the boxes of four slots, beginning with `first`; returns `hits` and `pending`.
+    """Test the boxes of four slots, starting at `first`; returns `hits` and `pending`.
 
-    `planes` are bytes of near and far planes, for each axis.
+    `planes` has the bytes of near and far planes for each axis.
     """
     x, y, z = planes
     for k in range(np.uint32(4)):

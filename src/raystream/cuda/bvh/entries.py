@@ -1,4 +1,4 @@
-"""The children of the CPU's wide nodes, listed as input of the other layouts."""
+"""The children of the CPU's wide nodes, listed as input for the other layouts."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from raystream.structures.bvh.layout import WIDTH, BvhArrays
 
 __all__ = ["CHUNK", "COUNT", "HIGH", "LINK", "LOW", "WideEntries", "list_entries"]
 
-#: Where in an entry's eight numbers are its box, and as the bits of an int32 its link (as in
-#: `BvhArrays`; 0 if there is no child) and how many triangles a leaf has.
+#: Indices into an entry's eight numbers: its box and, as the bits of an int32, its link (as in
+#: `BvhArrays`; 0 if there is no child) and the number of a leaf's triangles.
 LOW, LINK, HIGH, COUNT = 0, 3, 4, 7
 
-#: Wide nodes that a call of a kernel gets.
+#: Wide nodes per call of a kernel.
 CHUNK = 4096
 
 
@@ -41,7 +41,7 @@ class WideEntries(NamedTuple):
 def list_entries(tree: BvhArrays) -> WideEntries:
     """List the children of each wide node that a ray may enter, without gaps.
 
-    Children with an empty box, and leaves whose triangles cannot be hit, are left out.
+    Children with an empty box, and leaves whose triangles cannot be hit, are omitted.
     """
     entries = np.zeros((len(tree.nodes), WIDTH, 8), np.float32)
     words = entries.view(np.int32)
@@ -75,7 +75,7 @@ def _list(begin, end, nodes, children, leaves, prim_ids, entries, words):
                 last = first + np.uint64(~link & 7)
                 for block in range(first, last + np.uint64(1)):
                     for k in range(np.uint64(BLOCK_SIZE)):
-                        # NaN are the corners of one that cannot be hit any more.
+                        # A triangle that can no longer be hit has NaN corners.
                         is_solid = leaves[block, k] == leaves[block, k]
                         count += prim_ids[block, k] >= 0 and is_solid
                 if count == 0:

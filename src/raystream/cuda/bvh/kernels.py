@@ -1,4 +1,4 @@
-"""How a BVH is traced on a GPU: the CPU's layout, or one made for GPUs, by name."""
+"""Choice of a BVH's layout and traversal on the GPU, by the name of its ``kernel``."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from raystream.structures import Structure, form_of
 
 __all__ = ["AUTO", "KERNELS", "LAYOUTS", "LaidOut", "kernel_of", "lay_out", "search_of"]
 
-#: The form of structures that have layouts and kernels of their own on the device.
+#: Form of structures that have their own layouts and kernels on the device.
 LAYOUTS = "cuda kernels"
 
-#: What ``kernel="auto"`` stands for. Which is fastest has not been measured on a GPU. This one
-#: reads the fewest bytes, in a third of the binary kernel's steps, and has the smallest stack:
-#: counts are in docs/decisions/0022-bvh-on-cuda.rst.
+#: The kernel of ``kernel="auto"``. Speeds have not been measured on a GPU. This one reads the
+#: fewest bytes, in a third of the binary kernel's steps, and has the smallest stack: counts are in
+#: docs/decisions/0022-bvh-on-cuda.rst.
 AUTO = "compressed"
 
-#: Options of ``kernel``.
+#: Values of the option ``kernel``.
 KERNELS = ("auto", "compressed", "binary", "packet", "wide")
 
 
 class LaidOut(NamedTuple):
-    """What a traversal reads, in the host's memory.
+    """The input of a traversal, in host memory.
 
     Attributes
     ----------
     tree : NamedTuple
-        Addresses; 0 where there is nothing.
+        Addresses; 0 for empty arrays.
     arrays : mapping of str to ndarray
-        What is there.
+        The arrays at these addresses.
     """
 
     tree: Any
@@ -40,20 +40,18 @@ class LaidOut(NamedTuple):
 
 
 def kernel_of(structure: str, kernel: str) -> str | None:
-    """Which kernel traces a structure; None for those that have one.
+    """The kernel that traces a structure; None if it has only one.
 
     Raises
     ------
     TypeError
-        If one is chosen of a structure that is no BVH.
+        If a kernel is given for a structure other than a BVH.
     ValueError
-        If there is none of that name.
+        If the name is unknown.
     """
     if form_of(structure, LAYOUTS) is None:
         if kernel != "auto":
-            raise TypeError(
-                f"{structure}: has no option 'kernel' on device 'cuda', which is one of 'bvh'"
-            )
+            raise TypeError(f"{structure}: has no option 'kernel' on device 'cuda'; only 'bvh' has")
         return None
     if kernel not in KERNELS:
         known = ", ".join(map(repr, KERNELS))
@@ -62,7 +60,7 @@ def kernel_of(structure: str, kernel: str) -> str | None:
 
 
 def search_of(kernel: str) -> tuple[Callable[..., Any], int]:
-    """The traversal of a kernel that `kernel_of` gave, and the bytes of its stack."""
+    """The traversal of a kernel from `kernel_of`, and its stack size in bytes."""
     if kernel == "compressed":
         from raystream.cuda.bvh import compressed, compressed_traversal
 
@@ -81,7 +79,7 @@ def search_of(kernel: str) -> tuple[Callable[..., Any], int]:
 
 
 def lay_out(structure: Structure, kernel: str = "auto") -> LaidOut:
-    """What the kernel of a structure reads.
+    """Convert a structure to the layout that its kernel reads.
 
     Raises
     ------
@@ -101,7 +99,7 @@ def _make(kernel: str, bvh: Any) -> tuple[Callable[..., Any], Mapping[str, NDArr
         from raystream.cuda.bvh.compressed import compress
 
         return compress(bvh.tree)
-    # "binary", and "packet", whose rays share it.
+    # "binary", and "packet", which has the same layout.
     from raystream.cuda.bvh.binary import unfold
 
     return unfold(bvh.tree)

@@ -1,13 +1,13 @@
-"""Packet traversal of the binary layout: the rays of a warp together.
+"""Packet traversal of the binary layout: the rays of a warp traverse it together.
 
-All rays visit the same nodes: a node is entered if any ray enters it, beginning with the child that
-most rays prefer, and a leaf's triangles are tested by all. So a node is read once per warp, and no
-thread waits for another one's loop, but each ray visits the nodes of all. Coherent rays lose little
-by that, others much.
+All rays visit the same nodes: a node is entered if any ray enters it, starting with the child that
+most rays prefer, and a leaf's triangles are tested by all. So a node is read once per warp, and
+threads do not diverge, but each ray visits the nodes of all: cheap for coherent rays, expensive for
+others.
 
-The hits do not depend on the order of nodes. Only votes, and values that all threads have read
-alike, decide where the traversal goes, so that the threads stay converged. Instead of the paper's
-stack per packet, in shared memory, each thread has its own, with the same contents.
+Hits do not depend on the order of nodes. Only votes, and values that are the same in all threads,
+steer the traversal, so that the threads stay converged. Instead of the paper's stack per packet, in
+shared memory, each thread has its own, with the same contents.
 
 References
 ----------
@@ -38,7 +38,7 @@ _DONE = np.int32(2**31 - 1)
 
 @device
 def traverse(tree, ray, search, stack):
-    """Visit the boxes that any ray of the warp meets.
+    """Traverse the boxes that any ray of the warp enters.
 
     See `kernels.queries.ray_queries` for the arguments.
     """
@@ -70,7 +70,7 @@ def traverse(tree, ray, search, stack):
 
 @device
 def _visit(at, ray, t_min, t_far, is_searching, voters, stack, top):
-    """Descend to a child that some ray enters; see `binary_traversal`.
+    """Descend to a child that any ray enters; see `binary_traversal`.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def _visit(at, ray, t_min, t_far, is_searching, voters, stack, top):
     ray : Ray
     t_min, t_far : float32
     is_searching : bool
-        Whether the ray has a say.
+        Whether the ray votes.
     voters : uint32
         See `jit.warp`.
     stack, top : uint64

@@ -1,4 +1,4 @@
-"""Binary trees within wide nodes: the choice of pairs, and the binary nodes written."""
+"""Expansion of wide nodes to binary trees: the best pairs of children, and their nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LINKS = 12
 
 @device
 def _size(members):
-    """How many children are in a set, up to 255."""
+    """Number of children in a set, a mask of up to eight bits."""
     size = 0
     while members != np.uint64(0):
         members &= members - ONE_U64
@@ -37,23 +37,23 @@ def _half_area(box):
 
 @device
 def _choose(count, is_balanced, boxes, costs, choices):
-    """The best tree of each set of children: in `choices`, the part that is left.
+    """Find the best tree over each set of children; `choices` gets its left part.
 
-    Costs are the areas of the boxes of all pairs.
+    The cost is the sum of the areas of the boxes of all pairs.
     """
     for members in range(ONE_U64, ONE_U64 << count):
         size = _size(members)
         if size == 1:
             costs[members] = 0.0
             continue
-        # Rounded up to a power of two, a part has at most half of the set's size.
+        # In a balanced tree, at most half of the set's size rounded up to a power of two.
         most = size - 1
         if is_balanced:
             most = 1
             while most + most < size:
                 most += most
         least, choice = np.inf, np.uint64(0)
-        # The lowest member is left: no tree is looked at twice.
+        # The lowest member is always in the left part: no tree is tried twice.
         lowest = members & (~members + ONE_U64)
         part = (members - ONE_U64) & members
         while part != np.uint64(0):
@@ -70,7 +70,7 @@ def _choose(count, is_balanced, boxes, costs, choices):
 
 @device
 def _unite(entries, row, count, boxes):
-    """Boxes of all sets of children."""
+    """Compute the boxes of all sets of children."""
     for members in range(ONE_U64, ONE_U64 << count):
         rest = members & (members - ONE_U64)
         last = np.uint64(0)
@@ -99,16 +99,16 @@ def _put_child(nodes, links, node, side, box, link):
 def write_pairs(
     begin, end, is_balanced, first_nodes, first_triangles, wide, nodes, links, triangles
 ):
-    """Write the binary nodes of some wide ones, and the triangles of their leaves.
+    """Write the binary nodes of some wide nodes, and the triangles of their leaves.
 
     Parameters
     ----------
     begin, end : int
         Rows of `entries`.
     is_balanced : bool
-        Whether trees may have no more levels than needed.
+        Whether trees must have the fewest possible levels.
     first_nodes, first_triangles : ndarray of shape (M + 1,), int64
-        Where each wide node's begin.
+        The first binary node, and the first triangle, of each wide node.
     wide : WideEntries
     nodes, links : ndarray of shape (R, 16), float32 and int32
         The same memory; written.
@@ -123,7 +123,7 @@ def write_pairs(
     pending_sets, pending_nodes = np.empty(WIDTH, np.uint64), np.empty(WIDTH, np.uint64)
     nothing = np.array([INF_F32, INF_F32, INF_F32, -INF_F32, -INF_F32, -INF_F32], np.float32)
     for row in range(np.uint64(begin), np.uint64(end)):
-        # Step 1: the leaves' triangles, and what children are as links of binary nodes.
+        # Step 1: the leaves' triangles, and the links of binary nodes to the children.
         to = triangle_at + np.uint64(first_triangles[row]) * TRIANGLE
         triangle, count = first_triangles[row], np.uint64(0)
         while count < np.uint64(WIDTH) and words[row, count, LINK] != 0:
@@ -138,7 +138,7 @@ def write_pairs(
         # Step 2: the best trees.
         _unite(entries, row, count, boxes)
         _choose(count, is_balanced, boxes, costs, choices)
-        # Step 3: nodes, from the root; later rows for later levels.
+        # Step 3: nodes, from the root; children come after their parents.
         node = np.uint64(first_nodes[row])
         if count <= ONE_U64:
             _put_child(nodes, links, node, np.uint64(0), nothing, 0)
@@ -169,7 +169,7 @@ def write_pairs(
 
 @kernel
 def depth_of(links, depths):
-    """Nodes on the longest path; `depths` are zeros, and changed."""
+    """Nodes on the longest path; `depths` must be zero, and is overwritten."""
     deepest = 0
     for node in range(len(links)):  # parents come before their children
         depth = depths[node] + 1

@@ -1,7 +1,7 @@
-"""Writing compressed nodes: their order, their steps, and boxes rounded outward.
+"""Compressed nodes: their order, their quantization steps, and boxes rounded outward.
 
-All planes are multiples of 2**-15 steps of less than 2**40, so that float64 compares them exactly
-with the children's.
+Each plane is a multiple of 2**-15 steps, by a factor below 2**40, so that float64 compares it
+exactly with those of the children.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from raystream.structures.bvh.layout import WIDTH
 
 __all__ = ["LEAST_EXPONENT", "NODE_BYTE", "number_nodes", "write_nodes"]
 
-#: A slot's byte: 0 if it is empty; of a leaf, where its triangles begin after the node's first
-#: one, and 32 times how many there are; of a node, this.
+#: Slot byte of a node. That of a leaf is the offset of its first triangle from the node's first,
+#: plus 32 times the number of its triangles; that of an empty slot is 0.
 NODE_BYTE = np.uint32(0xE0)
 
-#: Steps are not smaller than two to this: a step times a reciprocal direction is exact.
+#: Smallest exponent of a step: a step times a reciprocal direction is exact.
 LEAST_EXPONENT = -80
 
-#: Nor than this part of the largest coordinate.
+#: A step is also at least the largest coordinate, rounded up to a power of two, times 2**-24.
 _FINEST = 24
 
 _LEAF_SIZE = 4
@@ -37,7 +37,7 @@ _GRID = 2.0**-15
 
 @kernel
 def number_nodes(words, sources, bases, pending):
-    """Decide which node comes in which row, children of a node after each other.
+    """Assign rows to nodes, with contiguous rows for the children of a node.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def number_nodes(words, sources, bases, pending):
     bases : ndarray of shape (R, 2), uint32
         Written: rows of the first child node, and of the first triangle.
     pending : ndarray of int64
-        Room for 8 rows for each level.
+        Scratch memory of 8 rows per level.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def number_nodes(words, sources, bases, pending):
             elif link != 0:
                 sources[rows] = link if link > 0 else ~(source * WIDTH + slot)
                 rows += 1
-        for k in range(rows - first):  # the first is taken first
+        for k in range(rows - first):  # the first is popped first
             pending[top] = rows - 1 - k
             top += 1
     return rows, triangles
@@ -95,21 +95,21 @@ def _step_of(low, high):
 
 @device
 def _below(plane, origin, step):
-    """The largest byte whose plane is not above a plane."""
+    """The largest byte whose plane is not above a given one."""
     q = math.floor((plane - origin) / step)
     return q - 1.0 if origin + q * step > plane else q
 
 
 @device
 def _above(plane, origin, step):
-    """The smallest byte whose plane is not below a plane."""
+    """The smallest byte whose plane is not below a given one."""
     q = math.ceil((plane - origin) / step)
     return q + 1.0 if origin + q * step < plane else q
 
 
 @device
 def _put_byte(nodes, row, word, slot, byte):
-    """Write a byte of eight that begin at a word."""
+    """Write one of the eight bytes that start at a word."""
     at = np.uint64(word) + (slot >> np.uint64(2))
     nodes[row, at] |= np.uint32(byte) << np.uint32((slot & np.uint64(3)) << np.uint64(3))
 

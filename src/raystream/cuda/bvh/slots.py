@@ -1,11 +1,11 @@
-"""Which of a node's eight slots each child gets, so that rays meet the nearest first.
+"""Assignment of children to the eight slots of a node, so that rays visit the nearest first.
 
-A child in slot i is wanted where it lies in the slot's octant as seen from the middle of all: its
-gain is the sum over the axes of its middle's offset, taken as negative where the slot has a low
-side. The greatest sum of gains is found exactly, over all sets of slots that the first children
-may take: 8 x 128 steps a node.
+A child should be in the slot of the octant where it lies as seen from the node's centre: its gain
+is the sum over the axes of its centre's offset, negated where the slot is on the low side. The
+greatest sum of gains is found exactly, by dynamic programming over the sets of slots that the first
+children take: 8 x 128 steps per node.
 
-Source: Ylitie, Karras, Laine 2017, section 3.1, who find it by an auction.
+Source: Ylitie, Karras, Laine 2017, section 3.1, who use an auction.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def assign_slots(begin, end, entries, words):
     """
     gains = np.empty((WIDTH, WIDTH), np.float64)
     best = np.empty(_SETS, np.float64)
-    last = np.empty(_SETS, np.uint64)  # the slot that the set's last child has
+    last = np.empty(_SETS, np.uint64)  # the slot of the set's last child
     own = np.empty((WIDTH, 8), np.int32)
     for row in range(np.uint64(begin), np.uint64(end)):
         count = np.uint64(0)

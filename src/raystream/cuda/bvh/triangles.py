@@ -1,8 +1,8 @@
-"""Triangles as a GPU reads them, one by one: three times 16 bytes each.
+"""Triangles in the GPU's layouts: 48 bytes each, read in three loads.
 
-Corner 0 and prim_id; corner 1, and whether it is the last one of its leaf; corner 2, and nothing.
-A warp's threads test triangles of different leaves: blocks of four, as the CPU has them, would
-have a thread test the empty places, too.
+Corner 0 and prim_id; corner 1 and whether the triangle is the last of its leaf; corner 2 and
+padding. A warp's threads test triangles of different leaves: with blocks of four, as on the CPU,
+they would test the padding of blocks, too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from raystream.structures.bvh.node_layout import leaf_address, leaf_end
 
 __all__ = ["TRIANGLE", "TRIANGLE_FLOATS", "copy_leaf", "test_triangle"]
 
-#: Bytes of a triangle, and of what is read at once.
+#: Size of a triangle in bytes and in floats, and of a load.
 TRIANGLE = np.uint64(48)
 TRIANGLE_FLOATS = int(TRIANGLE) // 4
 _ROW = np.uint64(16)  # a corner and one more number
@@ -31,7 +31,7 @@ _LAST = np.uint64(28)
 
 @device
 def copy_leaf(leaves, child, to):
-    """Write the triangles of a leaf that can be hit.
+    """Copy the triangles of a leaf that can be hit.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def copy_leaf(leaves, child, to):
     child : int32
         A leaf, as in `BvhArrays`.
     to : uint64
-        Address of the first triangle.
+        Address to write to.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Control: words in the device's memory that say how many rays wait for each kernel, and more."""
+"""Control words in device memory: the rays waiting for each kernel, its choice, a log of passes."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = [
     "COUNTS",
     "DROPPING",
     "LATEST",
+    "LAUNCHED",
     "LENGTH",
     "LOG",
     "LOG_BYTES",
-    "LOOKED_AT",
     "MOST_PASSES",
     "NO_KERNEL",
     "PASS_COUNT",
     "STATES",
     "UNTIL",
-    "Ran",
+    "LoggedPass",
     "Rules",
     "begin_control",
     "pass_count",
@@ -37,31 +37,29 @@ __all__ = [
     "write_limits",
 ]
 
-#: Passes that may run before the host looks at them.
+#: Passes in the log: as many may run before the host reads it.
 MOST_PASSES = 1024
 
-#: Kernels, and states, for which there is room.
+#: Maximum number of kernels, and of states.
 _MOST_KERNELS, _MOST_STATES = 8, 16
 
-#: Where words are, in bytes: the kernel that runs, if any; the one that was chosen last; length of
-#: the streams, as passes report it; whether rays that have ended are to be dropped; passes so far,
-#: and after how many the host wants to look; how many rays passes look at.
-CHOSEN, LATEST, LENGTH, DROPPING, PASS_COUNT, UNTIL, LOOKED_AT = (
-    np.uint64(4 * k) for k in range(7)
-)
+#: Offsets of words in bytes: the kernel that runs, if any; the latest one; length of the streams,
+#: as passes report it; whether to drop rays that have ended; passes so far, and the number of
+#: passes at which the device returns to the host; rays per launch.
+CHOSEN, LATEST, LENGTH, DROPPING, PASS_COUNT, UNTIL, LAUNCHED = (np.uint64(4 * k) for k in range(7))
 
-#: Rays in each state, and the state that each kernel waits for; then the latest passes: kernel,
-#: rays that it ran on, length of the streams.
+#: Offsets of the rays in each state, of the state that each kernel advances, and of the log of
+#: passes: kernel, rays that it ran on, length of the streams.
 COUNTS, STATES, LOG = np.uint64(32), np.uint64(96), np.uint64(128)
 
-#: Bytes of a pass.
+#: Bytes of a logged pass.
 LOG_BYTES = np.uint64(12)
-#: Instead of a kernel's number.
+#: Number that stands for no kernel.
 NO_KERNEL = np.uint32(2**32 - 1)
 
 
 class Rules(NamedTuple):
-    """How kernels are chosen.
+    """The scheduler's rules.
 
     Attributes
     ----------
@@ -69,7 +67,7 @@ class Rules(NamedTuple):
     tests : uint64
         A bit for each kernel that intersects.
     scheduler : uint64
-        Number of the name in `machines.schedulers.SCHEDULERS`.
+        Index of its name in `machines.schedulers.SCHEDULERS`.
     share : float64
         For ``"threshold"``.
     compacts : bool
@@ -82,15 +80,15 @@ class Rules(NamedTuple):
     compacts: bool
 
 
-class Ran(NamedTuple):
-    """A pass.
+class LoggedPass(NamedTuple):
+    """A pass, from the log.
 
     Attributes
     ----------
     kernel : int
         Its number.
     run_count, record_count : int
-        Rays that it ran on, and those in the streams.
+        Number of rays that it ran on, and in the streams.
     """
 
     kernel: int
@@ -99,7 +97,7 @@ class Ran(NamedTuple):
 
 
 def rules_of(kernels: Sequence[StepKernel], scheduler: str, share: float, compacts: bool) -> Rules:
-    """How a scheduler, by its name, chooses of these kernels."""
+    """The rules of a scheduler, given by name, for these kernels."""
     assert len(kernels) <= _MOST_KERNELS
     tests = sum(
         1 << number for number, one in enumerate(kernels) if one.state is RayState.INTERSECTING
@@ -114,7 +112,7 @@ def rules_of(kernels: Sequence[StepKernel], scheduler: str, share: float, compac
 
 
 def begin_control(kernels: Sequence[StepKernel], count: int) -> NDArray[np.uint32]:
-    """The words when `count` rays wait for the first kernel."""
+    """Initial words: `count` rays wait for the first kernel."""
     words = np.zeros(int(LOG) // 4 + 3 * MOST_PASSES, np.uint32)
     words[int(CHOSEN) // 4] = words[int(LATEST) // 4] = NO_KERNEL
     words[int(LENGTH) // 4] = count
@@ -125,29 +123,29 @@ def begin_control(kernels: Sequence[StepKernel], count: int) -> NDArray[np.uint3
 
 
 def write_limits(words: NDArray[np.uint32], until: int, length: int) -> None:
-    """Say after how many passes the host wants to look, and how many rays passes look at."""
-    words[int(UNTIL) // 4], words[int(LOOKED_AT) // 4] = until, length
+    """Set the number of passes at which to return to the host, and the rays per launch."""
+    words[int(UNTIL) // 4], words[int(LAUNCHED) // 4] = until, length
 
 
 def pass_count(words: NDArray[np.uint32]) -> int:
-    """How many passes there were."""
+    """Number of passes so far."""
     return int(words[int(PASS_COUNT) // 4])
 
 
-def read_passes(words: NDArray[np.uint32], known: int) -> list[Ran]:
+def read_passes(words: NDArray[np.uint32], known: int) -> list[LoggedPass]:
     """The passes after the `known` ones, at most `MOST_PASSES`."""
     log = words[int(LOG) // 4 :].reshape(-1, 3)
     latest = range(known, pass_count(words))
-    return [Ran(*log[number % MOST_PASSES].tolist()) for number in latest]
+    return [LoggedPass(*log[number % MOST_PASSES].tolist()) for number in latest]
 
 
 def read_active(words: NDArray[np.uint32]) -> int:
-    """Rays that wait for any kernel."""
+    """Number of rays that wait for a kernel."""
     states = words[int(STATES) // 4 :][:_MOST_KERNELS]
     counts = words[int(COUNTS) // 4 :][:_MOST_STATES]
     return int(counts[states[states != RayState.DONE]].sum(dtype=np.int64))
 
 
 def read_ended(words: NDArray[np.uint32], state: RayState = RayState.DONE) -> int:
-    """Rays in the streams that have ended, as passes report their length; or overflown ones."""
+    """Number of rays in the reported streams that have ended, or are in another final state."""
     return int(words[int(COUNTS) // 4 + int(state)])

@@ -1,4 +1,4 @@
-"""Loops: pass after pass, until no ray is active or the host wants to look."""
+"""Loops over passes: batches launched by the host, or a graph that loops on the device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from raystream.jit.cuda import DeviceLoop
 
 __all__ = ["LOOPS", "Loop"]
 
-#: Passes that are begun together: at first, and at most.
+#: Passes per batch: initially, and at most.
 _FIRST_PASSES = 8
 _MOST_AT_ONCE = 64
 
@@ -29,16 +29,16 @@ class Loop(Protocol):
     """Runs passes over some rays."""
 
     def run(self, most: int) -> NDArray[np.uint32]:
-        """Run at most `most` passes; returns the words of `control` after them."""
+        """Run at most `most` passes; returns the words of `control` after the last."""
         ...
 
     def renew(self) -> None:
-        """Take note that other rays are looked at than before."""
+        """Update the launches after a compaction."""
         ...
 
 
 class Batches:
-    """The host begins some passes, which find nothing to do if no ray is left, and looks.
+    """The host launches some passes, which do nothing once no ray is active, and reads the result.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ class Batches:
             for run in self._runs:
                 run()
         self._length = min(2 * self._length, _MOST_AT_ONCE)
-        return self._streams.look()
+        return self._streams.read_control()
 
 
 class DeviceGraph:
-    """The device goes round by itself, until the record of passes is full or rays can be dropped.
+    """The device loops by itself until the log of passes is full or the streams can be compacted.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class DeviceGraph:
     Raises
     ------
     CudaError
-        If the driver has no such loops: they came with CUDA 12.4.
+        If the driver does not support conditional graph nodes, which need CUDA 12.4.
     """
 
     def __init__(self, streams: RayStreams, rules: Rules) -> None:
@@ -94,12 +94,12 @@ class DeviceGraph:
         """See `Loop.run`."""
         assert self._loop is not None
         write_limits(self._words, self._known + min(most, MOST_PASSES), self._streams.length)
-        self._streams.tell(self._words)
+        self._streams.write_control(self._words)
         self._loop.begin()
-        self._words = self._streams.look()
+        self._words = self._streams.read_control()
         self._known = pass_count(self._words)
         return self._words
 
 
-#: By the name that the machine takes.
+#: By the value of the machine's option ``loop``.
 LOOPS: dict[str, Callable[[RayStreams, Rules], Loop]] = {"batches": Batches, "graph": DeviceGraph}

@@ -16,7 +16,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.cuda.backend import CudaBackend
 from raystream.cuda.multipass.control import (
-    Ran,
+    LoggedPass,
     read_active,
     read_ended,
     read_passes,
@@ -24,10 +24,10 @@ from raystream.cuda.multipass.control import (
 )
 from raystream.cuda.multipass.kernels.rays import FINISH, FINISH_MANY, Wanted
 from raystream.cuda.multipass.loops import LOOPS
-from raystream.cuda.multipass.part import HostQuery, PassPart
 from raystream.cuda.multipass.passes import columns_of
+from raystream.cuda.multipass.query_parts import HostQuery, QueryPart
 from raystream.cuda.multipass.ray_streams import HitGoal, RayStreams, ray_bytes
-from raystream.cuda.multipass.tree import ResidentSteps
+from raystream.cuda.multipass.resident_steps import ResidentSteps
 from raystream.cuda.rays import split_rows
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
@@ -57,9 +57,9 @@ _ONE_EACH = Wanted(NULL, np.uint64(1))
 class Multipass(CudaBackend):
     """Runs each step of a traversal over all rays that wait for it, on a GPU.
 
-    As `machines.multipass.MultipassBackend`, with the same kernels, states, schedulers and passes.
-    But the device counts the waiting rays and chooses the kernel (`control`), and the host checks
-    only now and then whether rays are active.
+    Like `machines.multipass.MultipassBackend`, with the same kernels, states, schedulers and
+    passes, except that the device counts the waiting rays and chooses the kernel (`control`), and
+    the host only occasionally checks whether rays are active.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Multipass(CudaBackend):
     Raises
     ------
     CudaError
-        If there is no memory for the structure. When tracing: if rays are left after `max_passes`.
+        If device memory runs out; when tracing, also if rays are left after `max_passes`.
     ValueError, TypeError
         If an option is out of range, or the structure is not supported.
     """
@@ -119,7 +119,7 @@ class Multipass(CudaBackend):
         self._steps = ResidentSteps(structure, self._scene.resident)
 
     def recording(self, passes: Passes) -> Multipass:
-        """The same machine, which adds its passes to a record."""
+        """A copy of the machine that adds its passes to a record."""
         machine = copy.copy(self)
         machine.passes = passes
         return machine
@@ -147,23 +147,23 @@ class Multipass(CudaBackend):
 
     def _first_hit(self, job: HostQuery) -> None:
         out = job.sink.hits
-        for part in self._parts(job, self._steps.usual):
+        for part in self._parts(job, self._steps.initial):
             memory, hits = _hits_of(self.gpu, part.count)
             goal = HitGoal(False, SHADE_HITS, _ONE_EACH, hits=hits)
-            streams = self._run_all(self._steps.usual, part, goal, job)
+            streams = self._run_all(self._steps.initial, part, goal, job)
             FINISH.launch(self.gpu, part.count, (streams.addresses, hits))
             _copy(memory, out.part(part.rows))
             _finish(part, job)
 
     def _any_hit(self, job: HostQuery) -> None:
         seen = job.sink.seen
-        for part in self._parts(job, self._steps.usual):
+        for part in self._parts(job, self._steps.initial):
             goal = HitGoal(False, SHADE_HITS, _ONE_EACH)
-            seen[part.rows] = self._run_all(self._steps.usual, part, goal, job).counts() != 0
+            seen[part.rows] = self._run_all(self._steps.initial, part, goal, job).counts() != 0
             _finish(part, job)
 
     def _count_hits(self, job: HostQuery, steps: Steps | None = None) -> None:
-        steps, counts, query = steps or self._steps.usual, job.sink.counts, job.query
+        steps, counts, query = steps or self._steps.initial, job.sink.counts, job.query
         for part in self._parts(job, steps):
             goal = HitGoal(query.surfaces, SHADE_NONE, Wanted(NULL, np.uint64(query.limit)))
             streams = self._run_all(steps, part, goal, job)
@@ -179,7 +179,7 @@ class Multipass(CudaBackend):
                 _add_tallies(job, rows, again)
 
     def _multi_hit(self, job: HostQuery, steps: Steps | None = None) -> None:
-        steps, splits, out = steps or self._steps.usual, job.sink.splits, job.sink.hits
+        steps, splits, out = steps or self._steps.initial, job.sink.splits, job.sink.hits
         for part in self._parts(job, steps, splits):
             wanted = splits[part.rows.start : part.rows.stop + 1]
             capacity = np.diff(wanted)
@@ -204,7 +204,7 @@ class Multipass(CudaBackend):
                 self._multi_hit_again(job, part.rows.start + overflown, steps)
 
     def _multi_hit_again(self, job: HostQuery, rows: NDArray[Any], steps: Steps) -> None:
-        """Trace some rays with more memory, and put their hits where they belong."""
+        """Trace some rays again with more memory, and write their hits to their rows."""
         splits, out = job.sink.splits, job.sink.hits
         again, capacity = _some_of(job, rows), np.diff(splits)[rows]
         own = np.concatenate([[0], np.cumsum(capacity)])
@@ -218,15 +218,15 @@ class Multipass(CudaBackend):
 
     def _parts(
         self, job: HostQuery, steps: Steps, splits: NDArray[np.int64] | None = None
-    ) -> Iterator[PassPart]:
-        """As many rays at a time as there is memory for."""
+    ) -> Iterator[QueryPart]:
+        """Parts of the rays that fit in device memory."""
         byte_count = min(_MOST_BYTES, self.gpu.byte_count // 4)
         most = max(1, min(self.rays_at_once, byte_count // ray_bytes(steps)))
         for rows in split_rows(slice(0, len(job.batch)), most, splits):
-            yield PassPart(job, rows, self.gpu)
+            yield QueryPart(job, rows, self.gpu)
 
-    def _run_all(self, steps: Steps, part: PassPart, goal: HitGoal, job: HostQuery) -> RayStreams:
-        """Trace rays for which there is memory, until none is active."""
+    def _run_all(self, steps: Steps, part: QueryPart, goal: HitGoal, job: HostQuery) -> RayStreams:
+        """Trace the rays of a part until all have ended."""
         streams = RayStreams(
             self.gpu,
             steps,
@@ -243,8 +243,8 @@ class Multipass(CudaBackend):
                 self.passes.add_bound(steps.kernels, runs, at_once)
         return streams
 
-    def _run(self, steps: Steps, streams: RayStreams, part: PassPart, job: HostQuery) -> None:
-        """Pass after pass; the host looks at times how far they went."""
+    def _run(self, steps: Steps, streams: RayStreams, part: QueryPart, job: HostQuery) -> None:
+        """Run passes until all rays have ended; the host checks progress between them."""
         loop, known = LOOPS[self.loop](streams, self._rules), 0
         while True:
             words = loop.run(self.max_passes - known)
@@ -266,7 +266,7 @@ class Multipass(CudaBackend):
                 streams.drop_ended(kept)
                 loop.renew()
 
-    def _note(self, steps: Steps, ran: Sequence[Ran]) -> None:
+    def _note(self, steps: Steps, ran: Sequence[LoggedPass]) -> None:
         if self.passes is not None:
             words = _words_of(steps)
             for one in ran:
@@ -275,11 +275,11 @@ class Multipass(CudaBackend):
 
 
 def _words_of(steps: Steps) -> dict[str, int]:
-    """Words of each stream's records."""
+    """Number of words in each stream's records."""
     return {name: columns.layout.word_count for name, columns in columns_of(steps).items()}
 
 
-def _pass(kernel: StepKernel, ran: Ran, words: dict[str, int]) -> Pass:
+def _pass(kernel: StepKernel, ran: LoggedPass, words: dict[str, int]) -> Pass:
     """The record of a pass, as `streams.Kernel` would make it."""
     count = ran.run_count
     names = inspect.signature(kernel.function).parameters
@@ -295,8 +295,8 @@ def _pass(kernel: StepKernel, ran: Ran, words: dict[str, int]) -> Pass:
     )
 
 
-def _finish(part: PassPart, job: HostQuery, but: NDArray[Any] | None = None) -> None:
-    """Hand over what became of rays, but not what those met that are traced again."""
+def _finish(part: QueryPart, job: HostQuery, but: NDArray[Any] | None = None) -> None:
+    """Copy back status and tallies, except tallies of rays that are traced again."""
     part.finish(but)
     if job.progress:
         job.progress(part.rows.stop, len(job.batch))
@@ -318,7 +318,7 @@ def _add_tallies(job: HostQuery, rows: NDArray[Any], again: HostQuery) -> None:
 
 
 def _hits_of(gpu: Gpu, count: int) -> tuple[DeviceArray, HitAddresses]:
-    """Room for hits, and where its rows are."""
+    """Allocate memory for hits; returns it with the addresses of its rows."""
     memory = gpu.empty("hits", (4, count), np.float32)
     return memory, HitAddresses(*(memory.address + np.uint64(4 * count * k) for k in range(4)))
 

@@ -1,7 +1,7 @@
-"""The pass: one kernel with all steps of a structure's traversal, one of which runs per launch.
+"""The pass kernel: all steps of a structure's traversal, one of which runs per launch.
 
 The number of that step is in device memory: all threads take the same branch, and the host need not
-know it. So a pass is one launch, rather than one for each kernel that might be next.
+know it. So a pass is one launch, not one for each kernel that might be next.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.multipass.kernels.moving import chosen_kernel, is_waiting, move, row_of
+from raystream.cuda.multipass.kernels.ray_states import chosen_kernel, is_waiting, move, row_of
 from raystream.cuda.soa import NAMES, SoaLayout
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.from_source import device_from_source, kernel_from_source
@@ -21,24 +21,24 @@ from raystream.machines.steps.base import StepKernel, Steps
 
 __all__ = ["STREAMS", "columns_of", "pass_of"]
 
-#: Streams with records, in the order of the pass's arguments. The state is a byte a ray.
+#: Streams with records, in the order of the pass's arguments. The state is one byte per ray.
 STREAMS = ("ray", "wanted", "found", "place")
 
 
 def columns_of(steps: Steps) -> dict[str, SoaLayout]:
-    """How the streams lie in memory."""
+    """The memory layout of the streams."""
     types = RAY, WANTED, FOUND, steps.place
     return {name: SoaLayout.of(dtype) for name, dtype in zip(STREAMS, types, strict=True)}
 
 
 def pass_of(steps: Steps) -> RangeKernel:
-    """The pass of a traversal.
+    """The pass kernel of a traversal.
 
     Returns
     -------
     RangeKernel
-        For ``(control, rows, capacity, *addresses of STREAMS, state, tree, query)``: thread i takes
-        the ray whose number is the uint32 number i at `rows`, or ray i if that address is 0.
+        For ``(control, rows, capacity, *addresses of STREAMS, state, tree, query)``: the ray of
+        thread i is element i of the uint32 numbers at `rows`, or ray i if that address is 0.
     """
     return _pass_of(steps.kernels, steps.place)
 
@@ -81,7 +81,7 @@ def _text(kernel_count: int) -> str:
 
 
 def _step(number: int, one: StepKernel, columns: dict[str, SoaLayout]) -> Any:
-    """A kernel's function on the ray in a row: reads and writes its records, returns its state."""
+    """A step on the ray in a row: reads and writes its records, and returns its state."""
     parts = []
     for name in inspect.signature(one.function).parameters:
         value = f"unsigned({number})" if name == "kernel" else name

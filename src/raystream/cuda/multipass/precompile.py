@@ -1,4 +1,4 @@
-"""The kernels of the multipass machine with example arguments, to compile them without a device."""
+"""Kernels of the multipass machine with example arguments, for compilation without a device."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ __all__ = ["multipass_kernels"]
 def multipass_kernels(
     name: str, scene: Scene, **options: Any
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
-    """The kernels for a structure, with arguments that are valid for their types only.
+    """The kernels for a structure, with placeholder arguments of the right types.
 
     Parameters
     ----------
     name : str
         The structure's.
     scene : Scene
-        Any: the structure is built of it.
+        The structure is built for it; any scene will do.
     **options
         Of the structure.
 
     Returns
     -------
     dict
-        By name. All but the passes are the same for every structure.
+        Kernels by name. All but the passes are the same for every structure.
     """
     structure = build_structure(name, scene.triangles, **options)
     steps = steps_of(structure)

@@ -18,8 +18,8 @@ from raystream.cuda.multipass.kernels.rays import (
     RayStreamAddresses,
     Wanted,
 )
-from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import STREAMS, columns_of, pass_of
+from raystream.cuda.multipass.query_parts import QueryPart
 from raystream.cuda.soa import capacity_of
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceLoop, Gpu, Launch
@@ -33,7 +33,7 @@ __all__ = ["HitGoal", "RayStreams", "ray_bytes"]
 
 
 class HitGoal(NamedTuple):
-    """What is wanted of rays.
+    """The hits to be found for each ray.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class HitGoal(NamedTuple):
         See `machines.records.StepArguments`.
     wanted : Wanted
     rows : ndarray of uint32, or None
-        Numbers of the rays that want anything; None if all do.
+        Indices of the rays that want hits; None if all do.
     hits : HitAddresses or None
-        Where hits are kept; None if they are only counted.
+        Addresses to write hits to; None if they are only counted.
     """
 
     surfaces: bool
@@ -54,42 +54,42 @@ class HitGoal(NamedTuple):
 
 
 def ray_bytes(steps: Steps) -> int:
-    """Memory that a ray takes, with counters, besides its hits."""
+    """Bytes of device memory per ray, with counters but without hits."""
     return sum(one.byte_count for one in columns_of(steps).values()) + steps.stack_bytes + 96
 
 
 class RayStreams:
-    """Rays, each in the state that says which kernel runs on it next.
+    """Rays on a device, each in a state that determines the kernel that runs on it next.
 
     Parameters
     ----------
     gpu : Gpu
     steps : Steps
         With addresses on the device.
-    part : PassPart
+    part : QueryPart
         The rays.
     goal : HitGoal
     limits : (int, int)
-        Steps, and triangles tested, in a pass.
+        Maximum number of steps, and of triangles tested, in a pass.
     max_coordinate : float32
         See `StepArguments`.
 
     Attributes
     ----------
     length : int
-        Rays that passes look at.
+        Rays per launch of a pass.
 
     Raises
     ------
     CudaError
-        If there is no memory for them.
+        If device memory runs out.
     """
 
     def __init__(
         self,
         gpu: Gpu,
         steps: Steps,
-        part: PassPart,
+        part: QueryPart,
         goal: HitGoal,
         limits: tuple[int, int],
         max_coordinate: np.float32,
@@ -103,7 +103,7 @@ class RayStreams:
             name: columns.empty(gpu, f"stream {name!r}", count)
             for name, columns in self._columns.items()
         }
-        # Rays that want nothing have ended.
+        # Rays that want no hits have ended.
         self._state = gpu.upload("states", np.full(count, RayState.DONE, np.uint8))
         self._world = gpu.empty("factors", 2 * int(self._capacity), np.float64)
         self._runs = None
@@ -140,12 +140,12 @@ class RayStreams:
         return self._steps.kernels
 
     def prepared(self, rules: Rules) -> list[Callable[[], None]]:
-        """What begins a pass: to choose a kernel, and to run it if any ray waits."""
+        """The launches of a pass: choose a kernel, then run it if any ray waits."""
         choose = DECIDE.prepared(self._gpu, 1, (self._control.address, rules))
         return [choose, self._pass.kernel.prepared(self._gpu, *self._pass[1:])]
 
     def loop(self, rules: Rules) -> DeviceLoop:
-        """Passes, until no ray waits or the host wants to look; see `control.write_limits`."""
+        """A loop of passes until no ray waits or a limit is reached; see `control.write_limits`."""
 
         def launches(condition: np.uint64) -> list[Launch]:
             arguments = self._control.address, rules, condition
@@ -160,21 +160,21 @@ class RayStreams:
         arguments = *first, *streams, own.state, self._steps.tree, self._query
         return Launch(pass_of(self._steps), self.length, arguments)
 
-    def tell(self, words: NDArray[np.uint32]) -> None:
-        """Write the words of `control`, while nothing runs."""
+    def write_control(self, words: NDArray[np.uint32]) -> None:
+        """Write the words of `control`; no pass may be running."""
         self._control.fill(words)
 
-    def look(self) -> NDArray[np.uint32]:
-        """The words of `control`, when the passes that were begun are done."""
+    def read_control(self) -> NDArray[np.uint32]:
+        """Wait for the passes that were launched; returns the words of `control`."""
         return self._control.host()
 
     def drop_ended(self, kept_count: int) -> None:
-        """Let passes look no more at rays that have ended.
+        """Compact the streams: launch no more threads for rays that have ended.
 
         Parameters
         ----------
         kept_count : int
-            How many have not.
+            Number of rays that have not ended.
         """
         chunk_count = -(-self.length // int(CHUNK))
         sums = self._gpu.empty("sums", chunk_count + 1, np.uint32)
@@ -185,26 +185,26 @@ class RayStreams:
         scan = Scan(self._gpu, chunk_count)
         scan.run(sums.address, chunk_count, sums.address, np.uint32)
         KEEP.launch(self._gpu, chunk_count, (*shared, kept.address))
-        self._gpu.wait()  # before memory is given back
+        self._gpu.wait()  # before memory is freed
         self._rows, self.length = kept, kept_count
 
     def counts(self) -> NDArray[np.uint32]:
-        """Hits of each ray."""
+        """Number of hits of each ray."""
         found = np.zeros(self._count, self._columns["found"].layout.dtype)
         self._columns["found"].read(self._streams["found"], found)
         counts: NDArray[np.uint32] = found["count"]
         return counts
 
     def runs(self) -> NDArray[np.uint32] | None:
-        """How often each kernel ran on each ray, if that was counted: shape (N, 8)."""
+        """Number of runs of each kernel on each ray, if counted, of shape (N, 8)."""
         return None if self._runs is None else self._runs.host()
 
     def overflown(self) -> NDArray[Any]:
-        """Numbers of the rays that need more memory."""
-        if not read_ended(self.look(), RayState.OVERFLOWED):
+        """Indices of the rays that need more memory."""
+        if not read_ended(self.read_control(), RayState.OVERFLOWED):
             return np.zeros(0, np.int64)
         return np.flatnonzero(self._state.host() == RayState.OVERFLOWED)
 
-    def _begin(self, part: PassPart) -> None:
+    def _begin(self, part: QueryPart) -> None:
         own = self.addresses, self._goal.wanted, part.status
         BEGIN.launch(self._gpu, self.length, (part.source, part.frame, *own))

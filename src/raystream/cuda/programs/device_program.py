@@ -16,9 +16,9 @@ from raystream.jit.user_loops import as_device
 from raystream.kernels.hits import HitAddresses
 from raystream.programs.filters import Filter
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
+from raystream.programs.loop_source import Goal, loop_globals, loop_source
 from raystream.programs.program import check_function
 from raystream.programs.rows import SkipsAt
-from raystream.programs.texts import Goal, names_of, text_of
 
 __all__ = ["DeviceProgram", "Record"]
 
@@ -81,7 +81,7 @@ class DeviceProgram:
         self._goal, self._skips, self._record = goal, skips, record
         self._has_host_addresses = False
         self._constants = () if constants is None else (_numbers(constants),)
-        names, lines = text_of(
+        names, lines = loop_source(
             goal,
             skips,
             constants is not None,
@@ -153,7 +153,7 @@ def _kernel(
     if place not in _MADE:
         while len(_MADE) >= _KEPT_KERNELS:
             del _MADE[next(iter(_MADE))]
-        names = {**names_of(goal), "function": as_device(function)}
+        names = {**loop_globals(goal), "function": as_device(function)}
         if record is not None:
             names["record_of"] = record_at(*record)
         _MADE[place] = UserKernel(kernel_from_source(text, names, __name__), function)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.rays import is_on_gpu
 from raystream.cuda.programs.device_program import Record
 from raystream.cuda.programs.records import aligned_dtype, aligned_records
-from raystream.cuda.programs.skips import is_packed
+from raystream.cuda.programs.skip_prim_ids import is_packed
 from raystream.jit.cuda import DeviceArray, StreamScope, view_of
 from raystream.programs.payloads import as_payload, as_records
 

@@ -15,7 +15,7 @@ from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision
-from raystream.programs.texts import Goal
+from raystream.programs.loop_source import Goal
 
 __all__ = ["program_kernels"]
 

@@ -15,7 +15,7 @@ import numpy as np
 from raystream.core.query import Query
 from raystream.cuda.launch import RayLauncher, Steps
 from raystream.cuda.programs.device_program import DeviceProgram, Record
-from raystream.cuda.programs.skips import place_skips
+from raystream.cuda.programs.skip_prim_ids import place_skips
 from raystream.cuda.programs.steps import CLEAR_IGNORED, OPEN, WANT
 from raystream.cuda.query_kernels import RowAddresses
 from raystream.cuda.rays import HITS_AT_ONCE, moved, split_rows
@@ -24,8 +24,8 @@ from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray
 from raystream.kernels.hits import HitAddresses
 from raystream.programs.hits import RaysAt, RowsAt
+from raystream.programs.loop_source import Goal
 from raystream.programs.rows import SkipsAt
-from raystream.programs.texts import Goal
 
 __all__ = ["ProgramRounds"]
 

@@ -22,7 +22,6 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.sampling.sampler import draw_pair_lanes
 from raystream.rendering.sampling.warp import cosine_hemisphere, to_world
-from raystream.rendering.shading.points import surface_point, world_position
 from raystream.rendering.shading.streams import (
     StreamCursor,
     add_light,
@@ -32,6 +31,7 @@ from raystream.rendering.shading.streams import (
     direction_of,
     weights_of,
 )
+from raystream.rendering.shading.surface_points import surface_point, world_position
 
 __all__ = ["OcclusionOptions", "spawn_ao_rays", "spawn_path_ao_rays"]
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
 from raystream.rendering.shading.bsdf import lobes_at
-from raystream.rendering.shading.points import surface_point
 from raystream.rendering.shading.streams import addresses_of, direction_of
+from raystream.rendering.shading.surface_points import surface_point
 
 __all__ = ["AovBuffers", "write_aovs"]
 

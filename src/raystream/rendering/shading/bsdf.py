@@ -20,7 +20,7 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
 from raystream.rendering.shading.microfacet import LEAST_ALPHA, PLASTIC, eval_rough_reflection
-from raystream.rendering.shading.points import material_color, material_number
+from raystream.rendering.shading.surface_points import material_color, material_number
 from raystream.rendering.shading.tables import (
     COLUMNS,
     EMITS,

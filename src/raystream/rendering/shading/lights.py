@@ -29,9 +29,9 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.sampling.warp import sphere, triangle
 from raystream.rendering.shading.discrete_distribution import sample_discrete_lanes
-from raystream.rendering.shading.points import offset_at
 from raystream.rendering.shading.rows import floats_at
 from raystream.rendering.shading.sky_lanes import sample_image_lanes, sky_radiance_lanes
+from raystream.rendering.shading.surface_points import offset_at
 from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
 
 __all__ = ["LightSample", "sample_light", "triangle_pdf"]

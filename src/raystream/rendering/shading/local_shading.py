@@ -14,11 +14,11 @@ from raystream.jit.simd import (
     square_root,
 )
 from raystream.rendering.shading.bsdf import emitted, eval_reflection, lobes_at
-from raystream.rendering.shading.points import surface_points
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.sky_lanes import sky_radiance_lanes
 from raystream.rendering.shading.streams import add_lights, batch_addresses, block_rows
+from raystream.rendering.shading.surface_points import surface_points
 from raystream.rendering.shading.vectors import added, chosen, dot, scaled, times
 
 __all__ = ["facing_ratio_block", "shade_facing_ratio", "shade_unshadowed", "unshadowed_block"]

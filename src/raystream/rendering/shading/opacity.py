@@ -15,7 +15,7 @@ import numpy as np
 from raystream.jit.cpu import device_call
 from raystream.jit.simd import as_int32, as_uint32, float_as_bits, gather, load
 from raystream.rendering.sampling.hashing import as_float, mix
-from raystream.rendering.shading.points import material_of
+from raystream.rendering.shading.surface_points import material_of
 from raystream.rendering.shading.textures import TextureTables, texture_color
 from raystream.rendering.shading.vertices import attribute_number, vertices_of
 

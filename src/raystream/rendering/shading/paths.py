@@ -35,7 +35,6 @@ from raystream.rendering.sampling.sampler import draw_lanes, draw_pair_lanes
 from raystream.rendering.shading.absorption import transmittance
 from raystream.rendering.shading.bsdf import emitted, eval_reflection, lobes_at
 from raystream.rendering.shading.lights import sample_light, triangle_pdf
-from raystream.rendering.shading.points import spawn_origin, surface_points
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.scatter import reflection_pdf, scatter
 from raystream.rendering.shading.shadow_rays import put_shadow_rays
@@ -48,6 +47,7 @@ from raystream.rendering.shading.streams import (
     batch_addresses,
     block_rows,
 )
+from raystream.rendering.shading.surface_points import spawn_origin, surface_points
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import dot, largest, scaled, times
 

@@ -17,8 +17,8 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, maximum, minimum, narrow_lanes, select, square_root
 from raystream.rendering.lighting import PatchLight, area_patches, punctual_lights
 from raystream.rendering.shading.lights import LightSample
-from raystream.rendering.shading.points import offset_at
 from raystream.rendering.shading.sky import Sky, background_of
+from raystream.rendering.shading.surface_points import offset_at
 from raystream.rendering.shading.textures import address_of
 from raystream.rendering.shading.vectors import added, dot, scaled
 from raystream.scene.camera import Camera

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, as_int32, f32x16, gather, load, narrow, select
-from raystream.rendering.shading.points import spawn_origin, world_position
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.streams import (
     add_light,
@@ -18,6 +17,7 @@ from raystream.rendering.shading.streams import (
     empty_columns,
     put_row,
 )
+from raystream.rendering.shading.surface_points import spawn_origin, world_position
 
 __all__ = [
     "ShadowRays",

@@ -7,9 +7,9 @@ import numpy as np
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.rendering.shading.bsdf import lobes_at
-from raystream.rendering.shading.points import surface_point
 from raystream.rendering.shading.sky import sky_radiance
 from raystream.rendering.shading.streams import add_light, addresses_of, direction_of, weights_of
+from raystream.rendering.shading.surface_points import surface_point
 
 __all__ = ["composite_hits"]
 

@@ -15,7 +15,6 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import gather
 from raystream.rendering.shading.absorption import transmittance
 from raystream.rendering.shading.bsdf import emitted, eval_reflection, fresnel, lobes_at, refracted
-from raystream.rendering.shading.points import spawn_origin, surface_point
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.shadow_rays import put_shadow_ray
 from raystream.rendering.shading.sky import sky_radiance
@@ -28,6 +27,7 @@ from raystream.rendering.shading.streams import (
     put_row,
     weights_of,
 )
+from raystream.rendering.shading.surface_points import spawn_origin, surface_point
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import added, dot, mirrored, scaled, times
 

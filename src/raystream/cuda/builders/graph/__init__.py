@@ -1,1 +1,1 @@
-"""The graph of sectors, built on the device with the CPU's bits."""
+"""Builder of the sector graph on the device, bit-identical to the CPU's."""

@@ -1,7 +1,7 @@
-"""The links of sectors, found for all sectors together.
+"""Linking of all sectors in parallel.
 
-Subtrees that a face covers get their link nodes level by level from the leaves up, all others
-(raw nodes) by height: first those that link to sectors and covered subtrees alone.
+Subtrees that a face covers get their link nodes level by level from the leaves up; all others
+(raw nodes) follow by height, starting with those that link only to sectors and covered subtrees.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.builders.graph.linking import KERNELS, CandidateOrder, Raw
+from raystream.cuda.builders.graph.link_kernels import KERNELS, CandidateOrder, Raw
 from raystream.cuda.builders.graph.sectors import Ordered
 from raystream.cuda.builders.graph.sharing import LinkTable
 from raystream.cuda.builders.kdtree.grow import GrownTree
@@ -30,14 +30,14 @@ class Linked(NamedTuple):
     Attributes
     ----------
     table : LinkTable
-        With its rows given.
+        With its rows assigned.
     node_count : int
-        Link nodes.
+        Number of link nodes.
     raw : Raw
     links : DeviceArray of shape (S, 6), uint64
         Raw links.
     kept : tuple of DeviceArray
-        What `raw` is in.
+        The memory of `raw`.
     """
 
     table: LinkTable
@@ -47,7 +47,7 @@ class Linked(NamedTuple):
     kept: tuple[DeviceArray, ...]
 
     def write(self, gpu: Gpu, rows: DeviceArray) -> None:
-        """Begin to write them to the rows of a graph, which has its sectors."""
+        """Launch the kernels that write them to a graph's rows, which have their sectors."""
         given = self.links.address, self.raw, self.table.at, rows.address
         KERNELS.place_links.launch(gpu, len(self.links), given)
         self.table.write(rows)
@@ -67,14 +67,14 @@ def link_sectors(gpu: Gpu, grown: GrownTree, ordered: Ordered) -> Linked:
     Returns
     -------
     Linked
-        With the CPU's order of link nodes.
+        Its link nodes are in the CPU's order.
 
     Raises
     ------
     ValueError
-        If there are more rows than links can reach.
+        If there are more rows than links can address.
     CudaError
-        If there is no memory for them: about 70 bytes for each raw node.
+        If device memory runs out: it takes about 70 bytes per raw node.
     """
     return _Linker(gpu, grown, ordered).link()
 
@@ -107,7 +107,7 @@ class _Linker:
         return Linked(table, table.rank(), raw, links, kept)
 
     def _count(self) -> NDArray[np.int64]:
-        """Count raw nodes, and mark all that covered subtrees need."""
+        """Count raw nodes, and mark everything that covered subtrees need."""
         gpu, count = self.gpu, self.sector_count
         for first, end in reversed(self.levels):
             given = np.uint64(first), self.tree.nodes, self.axes.address
@@ -122,7 +122,7 @@ class _Linker:
         return self.firsts.host().view(np.int64)
 
     def _order_covered(self) -> tuple[DeviceArray, int]:
-        """How many link nodes of covered subtrees there are before each row and face."""
+        """Count the link nodes of covered subtrees before each row and face."""
         row_count = len(self.ordered.by_row)
         before = self.gpu.empty("covered link nodes", 6 * row_count + 1, np.uint32)
         given = self.ordered.by_row.address, np.uint64(row_count), self.is_covered.address
@@ -145,7 +145,7 @@ class _Linker:
     def _fill(
         self, raw_count: int, ends: NDArray[np.uint64], first: int
     ) -> tuple[Raw, DeviceArray, tuple[DeviceArray, ...]]:
-        """Begin to write raw nodes and raw links."""
+        """Launch the kernel that writes raw nodes and raw links."""
         gpu, ordered = self.gpu, self.ordered
         kept = (
             gpu.empty("raw nodes", (raw_count, 3), np.uint64),

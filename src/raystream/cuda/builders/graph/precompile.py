@@ -1,4 +1,4 @@
-"""The kernels of the graph builder with example arguments, to compile them without a device."""
+"""Kernels of the graph builder with example arguments, for compilation without a device."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.builders.graph import linking, pruning, sectors, sharing
-from raystream.cuda.builders.kdtree import partition, planes, rows, trees
+from raystream.cuda.builders.graph import link_kernels, pruning, sectors, sharing
+from raystream.cuda.builders.kdtree import numbering, partition, planes, write_tree
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
@@ -21,7 +21,7 @@ _COSTS = Costs(*(np.float64(0.0),) * 4)
 
 
 def graph_kernels() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
-    """Kernels, with arguments that are valid for their types only."""
+    """Kernels, with placeholder arguments of the right types."""
     return [*_of_trees(), *_of_sectors(), *_of_links()]
 
 
@@ -36,7 +36,7 @@ def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
         partition.Counts(*_at(2)),
         partition.Made(*_at(3)),
     )
-    numbering = rows.Numbering(*_at(5))
+    numbers = numbering.Numbering(*_at(5))
     grown = partition.GrownTriangles(NULL, np.float64(0.0))
     return [
         (planes.KERNELS.try_planes, (refs, level, _COSTS, NULL, tried)),
@@ -50,12 +50,12 @@ def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
             partition.KERNELS.place_parts,
             (refs, level, choices, grown, counts, made, NULL, refs),
         ),
-        (rows.KERNELS.count_below, (*_at(2), numbering)),
-        (rows.KERNELS.mark_large, (*_at(3), numbering, *_at(2))),
-        (rows.KERNELS.begin_rows, (*_at(6), numbering)),
-        (rows.KERNELS.number_children, (*_at(4), numbering)),
-        (trees.KERNELS.write_tree_node, (*_at(2), numbering, *_at(2))),
-        (trees.KERNELS.extend_children, (*_at(2), numbering, NULL)),
+        (numbering.KERNELS.count_below, (*_at(2), numbers)),
+        (numbering.KERNELS.mark_large, (*_at(3), numbers, *_at(2))),
+        (numbering.KERNELS.begin_rows, (*_at(6), numbers)),
+        (numbering.KERNELS.number_children, (*_at(4), numbers)),
+        (write_tree.KERNELS.write_tree_node, (*_at(2), numbers, *_at(2))),
+        (write_tree.KERNELS.extend_children, (*_at(2), numbers, NULL)),
     ]
 
 
@@ -77,19 +77,19 @@ def _of_sectors() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
 
 
 def _of_links() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
-    tree, raw, table = RopeTree(*_at(4)), linking.Raw(*_at(5)), sharing.Table(*_at(6))
-    order = linking.CandidateOrder(*_at(3))
+    tree, raw, table = RopeTree(*_at(4)), link_kernels.Raw(*_at(5)), sharing.Table(*_at(6))
+    order = link_kernels.CandidateOrder(*_at(3))
     return [
-        (linking.KERNELS.find_node_axes, _at(3)),
-        (linking.KERNELS.count_raw, (NULL, tree, *_at(2))),
-        (linking.KERNELS.spread_covered, _at(3)),
-        (linking.KERNELS.mark_covered, _at(5)),
-        (linking.KERNELS.put_covered, (*_at(4), order, NULL, table)),
-        (linking.KERNELS.share_covered, (*_at(3), order, NULL, table)),
-        (linking.KERNELS.fill_raw, (NULL, tree, *_at(3), raw, NULL)),
-        (linking.KERNELS.put_raw, (*_at(2), raw, table)),
-        (linking.KERNELS.share_raw, (NULL, raw, table)),
-        (linking.KERNELS.place_links, (NULL, raw, table, NULL)),
+        (link_kernels.KERNELS.find_node_axes, _at(3)),
+        (link_kernels.KERNELS.count_raw, (NULL, tree, *_at(2))),
+        (link_kernels.KERNELS.spread_covered, _at(3)),
+        (link_kernels.KERNELS.mark_covered, _at(5)),
+        (link_kernels.KERNELS.put_covered, (*_at(4), order, NULL, table)),
+        (link_kernels.KERNELS.share_covered, (*_at(3), order, NULL, table)),
+        (link_kernels.KERNELS.fill_raw, (NULL, tree, *_at(3), raw, NULL)),
+        (link_kernels.KERNELS.put_raw, (*_at(2), raw, table)),
+        (link_kernels.KERNELS.share_raw, (NULL, raw, table)),
+        (link_kernels.KERNELS.place_links, (NULL, raw, table, NULL)),
         (sharing.KERNELS.mark_first, (table,)),
         (sharing.KERNELS.write_link_node, (table, NULL)),
     ]

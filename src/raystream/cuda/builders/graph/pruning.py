@@ -1,7 +1,7 @@
-"""Pruning of splits that did not pay, level by level from the leaves up.
+"""Pruning of splits that did not pay off, level by level from the leaves up.
 
 The CPU visits nodes one by one, and stops joining leaves when its memory for new lists is full.
-Here all leaves are joined that pay; if a scan of the new lists' sizes, in the CPU's order, exceeds
+Here leaves are joined wherever that pays off; if the new lists, scanned in the CPU's order, exceed
 that memory, the pass is repeated with the nodes that fit.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.kdtree.grow import GrownTree, as_numbers
-from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
@@ -42,9 +42,9 @@ class Lists(NamedTuple):
     Attributes
     ----------
     ids : DeviceArray, int32
-        prim_ids, for each leaf of the tree that was grown with room for whole blocks of four.
+        prim_ids of each leaf of the unpruned tree, padded to blocks of four.
     lists : DeviceArray of shape (M,), uint64
-        Addresses in it.
+        Addresses into `ids`.
     sizes : DeviceArray of shape (M,), uint32
     """
 
@@ -63,7 +63,7 @@ class ListBudget(NamedTuple):
     sizes : uint64
         Address of the new lists' sizes by those rows, uint64.
     total : uint64
-        Once sizes are scanned, their sum; else 0.
+        The sum of the sizes once they are scanned, else 0.
     room : uint64
         Maximum of the sum.
     """
@@ -76,7 +76,7 @@ class ListBudget(NamedTuple):
 
 @kernel
 def _place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
-    """Copy a leaf's list to its place in `ids`."""
+    """Copy a leaf's list to its range of `ids`."""
     axis, count = split_at(nodes, node)
     if axis != _LEAF:
         return
@@ -89,9 +89,9 @@ def _place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
 
 @kernel
 def _weigh(i, first, nodes, boxes, costs, chosen, budget):
-    """Make a leaf of node first + i if that pays; its children have been weighed.
+    """Turn node first + i into a leaf if that pays off; its children have been weighed.
 
-    Once the sizes of new lists are scanned, only those whose rows and later ones fit are made.
+    Once the sizes of new lists are scanned, a list is made only if it and those of later rows fit.
     """
     node = first + i
     axis, _ = split_at(nodes, node)
@@ -109,7 +109,7 @@ def _weigh(i, first, nodes, boxes, costs, chosen, budget):
 
 @kernel
 def _cut(node, nodes, chosen):
-    """Make a leaf of a split that was chosen to be one."""
+    """Turn a split into a leaf if that was chosen."""
     axis, _ = split_at(nodes, node)
     if axis != _LEAF and load(np.uint32, chosen.leaf_counts + node * WORD) == np.uint32(1):
         size = np.uint64(load(np.uint32, chosen.sizes + node * WORD))
@@ -130,27 +130,27 @@ KERNELS = _Kernels(
 
 
 def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
-    """Make leaves of splits that did not pay.
+    """Turn splits that did not pay off into leaves.
 
     Parameters
     ----------
     gpu : Gpu
     tree : GrownTree
-        Its nodes are changed; those below a new leaf stay.
+        Its nodes are modified; those below a new leaf remain.
     numbers : Numbers
-        Of it.
+        Of this tree.
     costs : Costs
-        Those that it was grown by.
+        Those with which it was grown.
 
     Returns
     -------
     Lists
-        Lists of leaves that were joined are not used.
+        Lists of joined leaves are unused.
 
     Raises
     ------
     CudaError
-        If there is no memory for them.
+        If device memory runs out.
     """
     count = len(tree.nodes)
     (room,) = (int(one) for one in numbers.rooms.part(0, 1).host())

@@ -1,4 +1,4 @@
-"""The sectors of a graph: the leaves of a tree, their ropes, their order and their rows."""
+"""Sectors of a graph from the leaves of a tree: their ropes, order and rows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.cuda.builders.graph.pruning import Lists
 from raystream.cuda.builders.kdtree.grow import GrownTree
-from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
@@ -35,7 +35,7 @@ _ROWS = np.uint64(SECTOR_ROWS)
 
 
 class Ordered(NamedTuple):
-    """Which leaf of a tree is which sector, on a device.
+    """The mapping between sectors and leaves of a tree, on a device.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Ordered(NamedTuple):
     ropes : DeviceArray of shape (M, 6), int32
         See `structures.graph.cells.Cells`.
     rows : DeviceArray of shape (M,), uint32
-        The row that the CPU gives to each node of the pruned tree.
+        The CPU's row of each node of the pruned tree.
     by_row : DeviceArray of shape (2 S - 1,), uint32
         The node in each of these rows.
     """
@@ -60,7 +60,7 @@ class Ordered(NamedTuple):
 
 @kernel
 def _place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
-    """Write the cells of the children of node first + i, if it is a split that is left."""
+    """Write the cells of the children of node first + i, if it is a remaining split."""
     node = first + i
     if load(np.uint8, is_in + node) == np.uint8(0) or is_leaf(nodes, node):
         return
@@ -73,7 +73,7 @@ def _place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
 
 @kernel
 def _place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
-    """Write the rows of a split's children: those of the first split's come first."""
+    """Write the rows of a split's children, which are in the order of their parents."""
     if node == ZERO_U64:
         store(rows, np.uint32(0))
         store(by_row, np.uint32(0))
@@ -97,7 +97,7 @@ def _mark_leaf(row, nodes, by_row, marks):
 
 @kernel
 def _list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
-    """List the leaf in a row, and where it is along the curve."""
+    """List the leaf in a row with its Morton code."""
     node = np.uint64(load(np.uint32, by_row + row * WORD))
     if is_leaf(nodes, node):
         to = np.uint64(load(np.uint32, before + row * WORD))
@@ -107,7 +107,7 @@ def _list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
 
 @kernel
 def _number_sector(sector, leaves, sizes, sectors, block_counts):
-    """Note which sector a leaf is, and count its blocks."""
+    """Write a leaf's sector, and count its blocks."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
     store(sectors + leaf * WORD, np.uint32(sector))
     count = np.uint64(load(np.uint32, sizes + leaf * WORD))
@@ -116,7 +116,7 @@ def _number_sector(sector, leaves, sizes, sectors, block_counts):
 
 @kernel
 def _write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
-    """Write a sector's row, but for its links, and its list."""
+    """Write a sector's row, except for its links, and its triangle list."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
     count = np.uint64(load(np.uint32, sizes + leaf * WORD))
     first = np.uint64(load(np.uint32, firsts + sector * WORD))
@@ -130,7 +130,7 @@ def _write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
 
 @kernel
 def _fill_bin(row, nodes, sectors, x, y, z, y_count, z_count, bins):
-    """Look up the corner of a bin, z first."""
+    """Find the sector at a bin's low corner; z varies fastest."""
     yz = row // z_count
     px = load(np.float32, x + yz // y_count * WORD)
     py = load(np.float32, y + yz % y_count * WORD)
@@ -161,7 +161,7 @@ KERNELS = _Kernels(
 
 
 def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
-    """Find the leaves of a pruned tree, their ropes, and their order along the curve.
+    """Find the leaves of a pruned tree, their ropes and their Morton order.
 
     Parameters
     ----------
@@ -169,17 +169,17 @@ def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
     tree : GrownTree
         Pruned.
     numbers : Numbers
-        Of the tree as it was grown.
+        Of the unpruned tree.
 
     Returns
     -------
     Ordered
-        With the CPU's order of sectors.
+        Sectors are in the CPU's order.
 
     Raises
     ------
     CudaError
-        If there is no memory for it.
+        If device memory runs out.
     """
     count, nodes, boxes = len(tree.nodes), tree.nodes.address, tree.boxes.address
     is_in = gpu.empty("nodes that are left", count, np.uint8)
@@ -212,19 +212,19 @@ def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
 
 
 def number_sectors(gpu: Gpu, ordered: Ordered, lists: Lists) -> tuple[DeviceArray, int]:
-    """Note which sector each leaf is.
+    """Write the sector of each leaf.
 
     Returns
     -------
     firsts : DeviceArray of shape (S + 1,), uint32
         The first block of each sector.
     block_count : int
-        Of all.
+        Of all sectors.
 
     Raises
     ------
     CudaError
-        If there is no memory for them.
+        If device memory runs out.
     """
     count = len(ordered.leaves)
     firsts = gpu.empty("first blocks", count + 1, np.uint32)

@@ -1,9 +1,9 @@
-"""Link nodes that faces share: of equal nodes one is kept, whichever thread comes first.
+"""Deduplication of link nodes in a hash table, with a result that does not depend on timing.
 
-Nodes that may be equal (candidates) have numbers in the order in which the CPU meets them. Their
-contents are looked up in a table, in rounds: those that a node links to are in it before. Which
-slot equal ones share depends on the threads, and so does what stands for them while the graph is
-linked; but the least of their numbers does not. In the end nodes get rows in the order of these.
+Nodes that may be equal (candidates) are numbered in the CPU's order. They enter the table in
+rounds, after the nodes that they link to. The slot that equal candidates share, which stands for
+them during linking, depends on the order of threads; the lowest of their numbers does not, and
+gives the order of the final rows.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT
 
 __all__ = ["KERNELS", "LINK", "LinkTable", "Table", "final_link", "put_candidate", "share_slot"]
 
-#: This bit of a link says that the rest is a slot of the table, while the graph is linked.
+#: During linking, this bit marks a link whose other bits are a slot of the table.
 LINK = np.uint64(NODE_BIT)
 
 _ROW = np.uint64(16)
@@ -32,22 +32,22 @@ _FREE = np.uint32(0)
 
 
 class Table(NamedTuple):
-    """A table of link nodes, on a device.
+    """A hash table of link nodes on a device.
 
     Attributes
     ----------
     contents : uint64
         Address of the two words of each candidate, uint64; see `GraphArrays.rows`.
     owners : uint64
-        Address of the slots, uint32: a candidate that came first, plus 1, or 0.
+        Address of the slots, uint32: the candidate that claimed it, plus 1, or 0.
     leasts : uint64
         Address of the complement of the least candidate of each slot, uint32.
     ranks : uint64
-        Address of how many different nodes there are before each candidate, uint32.
+        Address of the number of distinct nodes before each candidate, uint32.
     mask : uint64
-        Slots less 1; half of them or more stay free.
+        Number of slots minus 1; at least half of them stay free.
     first_row : uint64
-        Of the first node in the graph.
+        Row of the first link node in the graph.
     """
 
     contents: np.uint64
@@ -74,7 +74,7 @@ def _content(table, candidate):
 
 @device
 def share_slot(table, candidate):
-    """Find the slot of a candidate, which was written before this kernel began."""
+    """Find the slot of a candidate whose content an earlier kernel wrote."""
     one, other = _content(table, candidate)
     slot = first_slot(one, other, table.mask)
     while True:
@@ -106,7 +106,7 @@ def _mark_first(slot, table):
 
 @device
 def final_link(table, link):
-    """The link that one to a slot becomes; others, and `VOID`, stay."""
+    """Convert a link to a slot into one to a row; other links and `VOID` are unchanged."""
     if link & LINK == ZERO_U64 or link == LOW_32:
         return link
     least = _least(table, link ^ LINK)
@@ -136,21 +136,21 @@ KERNELS = _Kernels(RangeKernel(_mark_first), RangeKernel(_write_link_node))
 
 
 class LinkTable:
-    """The table of a graph that is being linked.
+    """The memory of a `Table`, and the launches that number and write its nodes.
 
     Parameters
     ----------
     gpu : Gpu
     candidate_count : int
     first_row : int
-        Of the first link node.
+        Row of the first link node.
 
     Raises
     ------
     ValueError
-        If there are more rows than links can reach.
+        If there are more rows than links can address.
     CudaError
-        If there is no memory for it: 28 to 36 bytes for each candidate.
+        If device memory runs out: it takes 28 to 36 bytes per candidate.
     """
 
     def __init__(self, gpu: Gpu, candidate_count: int, first_row: int) -> None:
@@ -174,7 +174,7 @@ class LinkTable:
         )
 
     def rank(self) -> int:
-        """Give rows to the nodes, when all candidates are in; returns how many there are."""
+        """Assign rows to the nodes once all candidates are in; returns the number of nodes."""
         count, ranks = self.candidate_count, self._ranks
         if count == 0:
             return 0
@@ -183,5 +183,5 @@ class LinkTable:
         return int(ranks.part(count, 1).host()[0])
 
     def write(self, rows: DeviceArray) -> None:
-        """Begin to write the link nodes to the rows of a graph."""
+        """Launch the kernel that writes the link nodes to the rows of a graph."""
         KERNELS.write_link_node.launch(self.gpu, self.slot_count, (self.at, rows.address))

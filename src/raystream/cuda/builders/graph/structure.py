@@ -1,4 +1,4 @@
-"""DeviceGraph: a graph of sectors that was built on a device, and stays there."""
+"""DeviceGraph: a sector graph built on a device and kept in its memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from raystream.cuda.builders.graph.pruning import prune
 from raystream.cuda.builders.graph.sectors import Ordered, number_sectors, order_sectors
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.cuda.builders.kdtree.grow import GrownTree, grow_tree
-from raystream.cuda.builders.kdtree.rows import number_nodes
+from raystream.cuda.builders.kdtree.numbering import number_nodes
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.kernels.leaf_block import BLOCK_FLOATS
@@ -41,7 +41,7 @@ class _Built(NamedTuple):
 
 
 class DeviceGraph(RebuiltOnDevice, GraphStructure):
-    """A graph in a device's memory; it is copied to the host when it is asked for there.
+    """A graph in device memory, copied to the host when first needed there.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class DeviceGraph(RebuiltOnDevice, GraphStructure):
 
     @cached_property
     def _on_host(self) -> GraphStructure:
-        """The same graph, whose arrays are on the host."""
+        """The same graph with its arrays in host memory."""
         made, built = GraphStructure.__new__(GraphStructure), self._built
         rows = built.rows.host()
         _close_sides(rows[: SECTOR_ROWS * built.sector_count], graph_box(self.triangles))
@@ -88,7 +88,7 @@ class DeviceGraph(RebuiltOnDevice, GraphStructure):
 
 
 def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:
-    """Move planes of sectors that have no neighbour back to the sides of the graph's box."""
+    """Move planes with no sector behind them back to the sides of the graph's box."""
     of_sectors = rows.reshape(-1, 4 * SECTOR_ROWS)
     planes, links = of_sectors.view(np.float32), of_sectors[:, 8:14]
     for face in range(6):
@@ -108,16 +108,16 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
     Returns
     -------
     GraphStructure
-        Its arrays are those of the CPU's build, bit for bit.
+        Its arrays equal the CPU's bit for bit.
 
     Raises
     ------
     ValueError
         If an option is out of range, or the graph would be too large for its links.
     TypeError
-        If a number is no number, or no integer where one is needed.
+        If an option is not a number, or not an integer where one is needed.
     CudaError
-        If there is no memory for it.
+        If device memory runs out.
     """
     if len(triangles.prim_ids) == 0:
         return GraphStructure(triangles, options)
@@ -147,7 +147,7 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
 
 
 def _fill_bins(gpu: Gpu, triangles: Triangles, tree: GrownTree, ordered: Ordered) -> DeviceArray:
-    """Begin to find the sectors that hold the bins' low corners."""
+    """Launch the search for the sectors at the bins' low corners."""
     box = graph_box(triangles)
     counts = choose_bin_counts(len(ordered.leaves), box)
     bins = gpu.empty("bins", counts, np.uint32)

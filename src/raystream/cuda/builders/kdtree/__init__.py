@@ -1,1 +1,1 @@
-"""kd-trees grown on the device, level by level, with the CPU's planes."""
+"""Builder of kd-trees on the device, level by level, with the CPU's planes."""

@@ -1,4 +1,4 @@
-"""Leaf blocks, with the corners of their triangles."""
+"""Leaf blocks filled with the corners of their triangles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Growing a kd-tree level by level: the cells of a level are split together."""
+"""Growth of a kd-tree level by level: all cells of a level are split in parallel."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _LOWER = 0xFFFFFFFF
 
 
 class GrownTree(NamedTuple):
-    """A kd-tree, level after level, on a device.
+    """A kd-tree on a device, in level order.
 
     Attributes
     ----------
     nodes : DeviceArray of shape (M, 2), int32
-        As `kdtree.layout.KdArrays.nodes`, in the order of levels. The first number of a leaf is
-        that of its first reference in `ids`.
+        As `kdtree.layout.KdArrays.nodes`, in level order. The first word of a leaf is the index
+        of its first reference in `ids`.
     boxes : DeviceArray of shape (M, 6), float32
-        Of their cells.
+        Their cells.
     sizes : DeviceArray of shape (M,), uint32
-        References of their cells.
+        Number of references in their cells.
     ids : DeviceArray, int32
         prim_ids of all leaves.
     levels : tuple of int
-        Level i has the rows from levels[i] to levels[i + 1].
+        Level i is rows levels[i] to levels[i + 1].
     """
 
     nodes: DeviceArray
@@ -50,7 +50,7 @@ class GrownTree(NamedTuple):
 
 
 def as_numbers(costs: Costs) -> Costs:
-    """Costs of NumPy's numbers, as kernels are given them."""
+    """Costs as NumPy scalars, for kernel arguments."""
     return Costs(*map(np.float64, costs))
 
 
@@ -65,25 +65,25 @@ def grow_tree(
     triangles : Triangles
         At least one that can be hit.
     corners : DeviceArray of shape (F, 3, 3), float32
-        Those of the triangles.
+        The triangles' corners.
     settings : BuildSettings
 
     Returns
     -------
     GrownTree
-        With the CPU's planes, and its references in each leaf.
+        With the CPU's planes and the CPU's references in each leaf.
 
     Raises
     ------
     ValueError
         If the tree would be too large for the layout.
     CudaError
-        If there is no memory for it: about 100 bytes for each reference of a level.
+        If device memory runs out: it takes about 100 bytes per reference of a level.
 
     Notes
     -----
-    The host waits for the device once a level, to know how many cells and references the next one
-    has.
+    The host waits for the device once per level, to read the number of cells and references of
+    the next one.
     """
     return _Grower(gpu, triangles, corners, settings).grow()
 
@@ -131,7 +131,7 @@ class _Lists(NamedTuple):
 
 
 class _Grower:
-    # What a level needs is from the driver's pool, lest each array waits for the device.
+    # A level's arrays are from the driver's pool, since other allocations wait for the device.
 
     def __init__(
         self, gpu: Gpu, triangles: Triangles, corners: DeviceArray, settings: BuildSettings
@@ -177,7 +177,7 @@ class _Grower:
         return cells, lists
 
     def _choose(self, cells: _Cells, lists: _Lists, may_split: bool) -> Choices:
-        """Begin to choose the planes of a level."""
+        """Launch the kernels that choose the planes of a level."""
         gpu, count, all_count = self.gpu, len(cells.boxes), len(lists.boxes)
         choices = Choices(
             *(
@@ -205,7 +205,7 @@ class _Grower:
         return choices
 
     def _kept(self, array: DeviceArray) -> np.uint64:
-        """The address of an array that is needed until the level is done."""
+        """Keep an array alive until the level is done; returns its address."""
         self._scratch.append(array)
         return array.address
 
@@ -240,7 +240,7 @@ class _Grower:
         return nodes, sizes, after, lists_after, split & _LOWER
 
     def _joined(self, arrays: list[DeviceArray]) -> DeviceArray:
-        """Arrays one after the other."""
+        """Concatenate arrays."""
         first = arrays[0]
         count = sum(map(len, arrays))
         made = self.gpu.empty("tree", (count, *first.shape[1:]), first.dtype)
@@ -252,7 +252,7 @@ class _Grower:
 
 
 def _scanned(gpu: Gpu, counts: DeviceArray) -> int:
-    """Scan counts where they are, all but the last row, which is their sum; returns that."""
+    """Scan counts in place; the last row becomes their sum, which is returned."""
     count = len(counts) - 1
     if count == 0:  # a level whose cells have no references
         gpu.clear(counts, counts.stream)

@@ -1,7 +1,7 @@
-"""Parting the cells of a level: references go to the cells below and above their plane, in order.
+"""Stable partition of a level's references into the cells below and above the planes.
 
-Each reference is looked at twice: first its parts are counted, then a scan of the counts says
-where they go. Cells of the next level lie as their parents do, the one below before the one above.
+Each reference is read twice: first to count its parts, then, after a scan of the counts, to write
+them. Cells of the next level are in the order of their parents, the one below the plane first.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _TRIANGLE = np.uint64(36)
 
 
 class Counts(NamedTuple):
-    """Counts, and after a scan what comes before: addresses of a uint64 for each, and a last one.
+    """Addresses of counts, and after a scan of prefix sums: a uint64 each, and one for the total.
 
     Attributes
     ----------
     parts : uint64
-        Of references: parts below the plane, times 2**32, and above it.
+        Of references: parts below the plane, times 2**32, plus parts above it.
     cells : uint64
         Of cells: 2**32 for one that is split, the number of its references for a leaf.
     """
@@ -43,15 +43,15 @@ class Counts(NamedTuple):
 
 
 class Made(NamedTuple):
-    """What a level leaves behind: addresses.
+    """Addresses of a finished level.
 
     Attributes
     ----------
     nodes : uint64
-        Of cells, as `kdtree.layout.KdArrays.nodes`; a leaf's first number is that of its first
+        Of cells, as `kdtree.layout.KdArrays.nodes`; a leaf's first word is the index of its first
         reference in `ids`.
     sizes : uint64
-        Of cells: their references, uint32.
+        Of cells: the number of their references, uint32.
     ids : uint64
         prim_ids of all leaves, int32.
     """
@@ -62,7 +62,7 @@ class Made(NamedTuple):
 
 
 class GrownTriangles(NamedTuple):
-    """Triangles, and how far lists grow them.
+    """Triangles, and the margin by which their boxes are grown.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class GrownTriangles(NamedTuple):
 
 @device
 def _choice(choices, cell):
-    """Axis, and position of the plane."""
+    """Axis and position of a cell's plane."""
     at = cell * WORD
     axis = np.uint64(load(np.uint32, choices.axes + at))
     return axis, load(np.float32, choices.positions + at)
@@ -110,7 +110,7 @@ def _confirm(cell, level, choices, counts):
 
 @device
 def _part(i, refs, choices, triangles, below, above):
-    """On which sides of its cell's plane reference i is; writes its boxes there."""
+    """Whether reference i is below and above its cell's plane; writes its box on each side."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     axis, position = _choice(choices, cell)
     if axis == LEAF:
@@ -132,14 +132,14 @@ def _count_parts(i, refs, choices, triangles, counts):
 
 @device
 def _before(counts, i):
-    """Parts below planes, and above them, of all references before one."""
+    """Number of parts below planes, and above, of all references before reference i."""
     found = load(np.uint64, counts.parts + i * BYTES_64)
     return found >> BITS_32, found & LOW_32
 
 
 @device
 def _places(level, counts, cell):
-    """Where the parts of a cell begin, and where they end: those below, then those above."""
+    """Ranges of a cell's parts: begin of those below, begin of those above, end."""
     begin, end = cell_range(level, cell)
     below, above = _before(counts, begin)
     below_end, above_end = _before(counts, end)
@@ -148,7 +148,7 @@ def _places(level, counts, cell):
 
 @kernel
 def _make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
-    """Write a cell's node, and the two cells that it is split into, if it is."""
+    """Write a cell's node and, if it is split, its two child cells."""
     begin, end = cell_range(level, cell)
     axis, position = _choice(choices, cell)
     before = load(np.uint64, counts.cells + cell * BYTES_64)
@@ -173,7 +173,7 @@ def _make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
         store(parts.begins + child * WORD, np.uint32(begin))
         store(parts.bads + child * WORD, load(np.uint32, choices.bads + cell * WORD))
         store(parts.rooms + child * BYTES_64, above_room if side == ONE_U64 else room - above_room)
-    # The last one of a level ends it; the others write what their neighbours write.
+    # The level's end; elsewhere the same value as the next cell writes.
     store(parts.begins + (below + TWO_U64) * WORD, np.uint32(above_end))
 
 
@@ -186,7 +186,7 @@ def _put_reference(parts, to, cell, box, prim_id):
 
 @kernel
 def _place_parts(i, refs, level, choices, triangles, counts, made, first_id, parts):
-    """Write the parts of reference i to their cells' ranges; in a leaf, to its list."""
+    """Write the parts of reference i to their cells' ranges, or reference i to its leaf's list."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     prim_id = load(np.int32, refs.ids + i * WORD)
     before = load(np.uint64, counts.cells + cell * BYTES_64)

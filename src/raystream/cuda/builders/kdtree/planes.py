@@ -1,10 +1,9 @@
-"""Where to split the cells of a level: the CPU's prices, for all references at once.
+"""Choice of split planes for a level's cells by the CPU's costs, for all references in parallel.
 
-In a cell of few references a thread takes a reference, and tries the planes at which its box
-begins and ends: how many boxes lie on either side is counted by looking at all of them. In a cell
-of many, references are counted in bins, by sums that do not depend on their order. Then a thread
-takes a cell, and keeps the plane that the CPU's sweep would have kept: the cheapest one; of equal
-ones that of the first axis, and then the lowest.
+In a small cell, one thread per reference tries the planes at both ends of its box, and counts the
+boxes on either side by brute force. In a large cell, references are binned, with sums that do not
+depend on order. Then one thread per cell keeps the plane that the CPU's sweep would have kept: the
+cheapest; ties go to the first axis, then to the lowest position.
 
 References
 ----------
@@ -41,19 +40,19 @@ __all__ = ["BIN_BYTES", "KERNELS", "Choices", "Level", "References", "Tried", "c
 _SIGN = np.uint32(0x80000000)
 _ALL = np.uint32(0xFFFFFFFF)
 
-#: Bytes of an axis' bins: how many boxes begin and end in each, and their two ends.
+#: Layout of an axis' bins in bytes: boxes that begin and end in each, then their two ends.
 _ENDS_AT = WORD * BIN_COUNT
 _LOWEST_AT = _ENDS_AT + _ENDS_AT
 _HIGHEST_AT = _LOWEST_AT + WORD
 _AXIS_BYTES = _HIGHEST_AT + WORD
 
-#: Bytes of a cell's bins. Cells with bins have more than `MOST_EXACT` references, so that the
-#: number of the first, divided by it, is another one for each.
+#: Bytes of a cell's bins. Cells with bins have more than `MOST_EXACT` references, so the index of
+#: the first, divided by `MOST_EXACT`, is different for each cell.
 BIN_BYTES = 3 * int(_AXIS_BYTES)
 
 
 class References(NamedTuple):
-    """The references of a level, cell after cell: addresses.
+    """Addresses of a level's references, cell after cell.
 
     Attributes
     ----------
@@ -71,18 +70,18 @@ class References(NamedTuple):
 
 
 class Level(NamedTuple):
-    """The cells of a level: addresses of a row for each.
+    """Addresses of a level's cells, with a row for each.
 
     Attributes
     ----------
     boxes : uint64
         Six float32 each.
     begins : uint64
-        The first reference of each, and the number of all, uint32.
+        The first reference of each, then the number of references, uint32.
     bads : uint64
         Bad splits above them, uint32.
     rooms : uint64
-        References that their leaves may have, uint64.
+        Maximum number of references in their leaves, uint64.
     """
 
     boxes: np.uint64
@@ -92,14 +91,14 @@ class Level(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """What was found out about planes: addresses.
+    """Addresses of candidate planes and of bins.
 
     Attributes
     ----------
     costs, positions, axes : uint64
         The best plane of each reference: float64, float32, uint32.
     bins : uint64
-        See `BIN_BYTES`; zeros at first.
+        See `BIN_BYTES`; initially zero.
     """
 
     costs: np.uint64
@@ -109,7 +108,7 @@ class Tried(NamedTuple):
 
 
 class Choices(NamedTuple):
-    """What becomes of the cells of a level: addresses of a number for each.
+    """Addresses of the planes chosen for a level's cells, with a number for each.
 
     Attributes
     ----------
@@ -118,9 +117,9 @@ class Choices(NamedTuple):
     positions : uint64
         float32.
     bads : uint64
-        Bad splits, for its parts, uint32.
+        Bad splits above its parts, uint32.
     cut_counts : uint64
-        References that the plane cuts, uint32; zeros at first.
+        References that the plane cuts, uint32; initially zero.
     """
 
     axes: np.uint64
@@ -131,14 +130,14 @@ class Choices(NamedTuple):
 
 @device
 def cell_range(level, cell):
-    """First reference of a cell, and that of the next one."""
+    """First reference of a cell, and of the next one."""
     at = level.begins + cell * WORD
     return np.uint64(load(np.uint32, at)), np.uint64(load(np.uint32, at + WORD))
 
 
 @device
 def _ordered(number):
-    """A uint32 that is greater for greater numbers, and never 0."""
+    """A uint32 in the order of float32 numbers, never 0."""
     place = scratch(4)
     store(place, number)
     bits = load(np.uint32, place)
@@ -147,7 +146,7 @@ def _ordered(number):
 
 @device
 def _number(ordered):
-    """The number that `_ordered` made this of."""
+    """The inverse of `_ordered`."""
     place = scratch(4)
     store(place, np.uint32(ordered ^ _SIGN if ordered & _SIGN else ordered ^ _ALL))
     return load(np.float32, place)
@@ -198,7 +197,7 @@ def _try_plane(position, boxes, begin, end, along, step, costs):
 
 @device
 def _try_own(i, boxes, begin, end, cell, costs, tried):
-    """Try the planes of reference i, and note the best one."""
+    """Try the planes of reference i, and store the best one."""
     best_axis, best_position, best_cost = LEAF, ZERO_F32, np.inf
     for axis in range(np.uint64(3)):
         along, step = axis_of(cell, axis), axis * WORD
@@ -214,7 +213,7 @@ def _try_own(i, boxes, begin, end, cell, costs, tried):
 
 @device
 def _is_better(cost, axis, position, best_cost, best_axis, best_position):
-    """Whether the CPU's sweep would have kept a plane rather than another one."""
+    """Whether the CPU's sweep would prefer a plane to the best one so far."""
     if cost != best_cost:
         return cost < best_cost
     if not cost < np.inf or axis != best_axis:
@@ -224,7 +223,7 @@ def _is_better(cost, axis, position, best_cost, best_axis, best_position):
 
 @kernel
 def _try_planes(i, refs, level, costs, max_leaf_size, tried):
-    """Try the planes of reference i, or count it."""
+    """Try the planes of reference i, or bin it."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     begin, end = cell_range(level, cell)
     box = level.boxes + cell * BOX_BYTES
@@ -272,7 +271,7 @@ def _best_of_bins(begin, end, cell, costs, tried):
 
 @kernel
 def _choose_plane(cell, level, costs, max_leaf_size, tried, choices):
-    """Choose the plane of a cell, or none."""
+    """Choose the plane of a cell, or make it a leaf."""
     begin, end = cell_range(level, cell)
     bad = np.uint64(load(np.uint32, level.bads + cell * WORD))
     axis, position = LEAF, ZERO_F32

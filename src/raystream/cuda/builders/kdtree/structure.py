@@ -1,4 +1,4 @@
-"""DeviceKdTree: a kd-tree that was built on a device, and stays there."""
+"""DeviceKdTree: a kd-tree built on a device and kept in its memory."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
 from raystream.cuda.builders.kdtree.grow import grow_tree
-from raystream.cuda.builders.kdtree.rows import number_nodes
-from raystream.cuda.builders.kdtree.trees import WrittenTree, write_tree
+from raystream.cuda.builders.kdtree.numbering import number_nodes
+from raystream.cuda.builders.kdtree.write_tree import WrittenTree, write_tree
 from raystream.cuda.structures import Resident
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu
@@ -25,7 +25,7 @@ __all__ = ["DeviceKdTree", "build_kdtree"]
 
 
 class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
-    """A kd-tree in a device's memory; it is copied to the host when it is asked for there.
+    """A kd-tree in device memory, copied to the host when first needed there.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
 
     @cached_property
     def _on_host(self) -> KdTreeStructure:
-        """The same tree, whose arrays are on the host."""
+        """The same tree with its arrays in host memory."""
         made = KdTreeStructure.__new__(KdTreeStructure)
         # A block's prim_ids are its last four words.
         prim_ids = np.ascontiguousarray(self._written.blocks.host()[:, -4:]).view(np.int32)
@@ -88,21 +88,21 @@ def build_kdtree(gpu: Gpu, triangles: Triangles, options: KdTree) -> KdTreeStruc
     gpu : Gpu
     triangles : Triangles
     options : KdTree
-        With the compact layout: Foley's is made on the CPU alone.
+        With the compact layout; Foley's is built on the CPU only.
 
     Returns
     -------
     KdTreeStructure
-        Its arrays are those of the CPU's build, bit for bit.
+        Its arrays equal the CPU's bit for bit.
 
     Raises
     ------
     ValueError
         If an option is out of range, or the tree would be too large.
     TypeError
-        If a number is no number, or no integer where one is needed.
+        If an option is not a number, or not an integer where one is needed.
     CudaError
-        If there is no memory for it.
+        If device memory runs out.
     """
     if options.layout != "compact":
         raise ValueError(f"layout: expected 'compact' where build='device', got {options.layout!r}")

@@ -1,1 +1,1 @@
-"""What the multipass machine runs on the device, compiled from Python."""
+"""Kernels of the multipass machine besides the passes: scheduling, setup, compaction."""

@@ -1,6 +1,6 @@
-"""Choosing: what `machines.schedulers` do, on one thread of the device.
+"""Schedulers on the device, on one thread: the choice of the next kernel, as `machines.schedulers`.
 
-And with compaction what `machines.ray_streams.RayStreams.schedule` does besides.
+With compaction also the rest of `machines.ray_streams.RayStreams.schedule`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from raystream.cuda.multipass.control import (
     COUNTS,
     DROPPING,
     LATEST,
+    LAUNCHED,
     LENGTH,
     LOG,
     LOG_BYTES,
-    LOOKED_AT,
     MOST_PASSES,
     NO_KERNEL,
     PASS_COUNT,
@@ -42,7 +42,7 @@ _NAIVE, _THRESHOLD, _MOST_WORK = (
 
 @device
 def _waiting(control, k):
-    """Rays that wait for kernel k."""
+    """Number of rays that wait for kernel k."""
     state = np.uint64(load(np.uint32, control + STATES + (k << SHIFT_32)))
     return np.uint64(load(np.uint32, control + COUNTS + (state << SHIFT_32)))
 
@@ -54,7 +54,7 @@ def _is_test(rules, k):
 
 @device
 def _run(control, k):
-    """Let kernel k run, and note it."""
+    """Select kernel k, and log the pass."""
     store(control + CHOSEN, np.uint32(k))
     count = np.uint64(load(np.uint32, control + PASS_COUNT))
     at = control + LOG + (count % _MOST) * LOG_BYTES
@@ -66,7 +66,7 @@ def _run(control, k):
 
 @device
 def _drop_ended(control):
-    """Count the rays that have ended no more."""
+    """Remove the rays that have ended from the counts."""
     length = np.uint64(load(np.uint32, control + LENGTH))
     ended = np.uint64(load(np.uint32, control + _DONE_COUNT))
     store(control + LENGTH, np.uint32(length - ended))
@@ -79,7 +79,7 @@ def _choose(control, rules, active):
     """The number of a kernel for which some ray waits; see `machines.schedulers`."""
     count = rules.kernel_count
     shading = count - ONE_U64
-    # The first kernel that intersects, the last and the fullest of the others, of all the fullest.
+    # The first that intersects, the last and the fullest of the others, and the fullest of all.
     test = last_other = fullest_other = count
     fullest, most, most_other = np.uint64(0), np.uint64(0), np.uint64(0)
     for k in range(count):
@@ -146,21 +146,21 @@ def decide(i, control, rules):  # noqa: ARG001 (there is one)
 
 
 @device
-def _is_looked_for(control, rules):
-    """Whether the host wants to look: at passes, or to drop half of the rays."""
+def _returns_to_host(control, rules):
+    """Whether the host must continue: at its limit of passes, or to compact the streams."""
     if load(np.uint32, control + PASS_COUNT) >= load(np.uint32, control + UNTIL):
         return True
     kept = np.uint64(load(np.uint32, control + _OVERFLOWED_COUNT))
     for k in range(rules.kernel_count):
         kept += _waiting(control, k)
-    return rules.compacts and kept + kept <= np.uint64(load(np.uint32, control + LOOKED_AT))
+    return rules.compacts and kept + kept <= np.uint64(load(np.uint32, control + LAUNCHED))
 
 
 @kernel
 def decide_in_loop(i, control, rules, condition):  # noqa: ARG001 (there is one)
-    """Choose, and say whether another pass is to follow the one that was chosen."""
+    """Choose the kernel of the next pass, and whether the loop runs another one after it."""
     _decide(control, rules)
-    is_over = load(np.uint32, control + CHOSEN) == NO_KERNEL or _is_looked_for(control, rules)
+    is_over = load(np.uint32, control + CHOSEN) == NO_KERNEL or _returns_to_host(control, rules)
     set_condition(condition, ZERO_U32 if is_over else ONE_U32)
 
 

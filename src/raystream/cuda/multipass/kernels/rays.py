@@ -1,4 +1,4 @@
-"""Kernels before and after the passes, which set up and finish rays, and their compaction."""
+"""Kernels that set up rays before the passes, finish their hits after them, and compact them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.rays import RayStatus
-from raystream.cuda.multipass.kernels.moving import row_of
+from raystream.cuda.multipass.kernels.ray_states import row_of
 from raystream.jit.constants import INF_F32, NULL, ONE_U64, SHIFT_32, SHIFT_64, ZERO_F32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
@@ -33,20 +33,20 @@ _STARTING = np.uint8(RayState.STARTING)
 _OVERFLOWED = np.uint8(RayState.OVERFLOWED)
 _DONE = np.uint8(RayState.DONE)
 
-#: Records that a thread takes when rays are dropped.
+#: Rays per thread of a compaction.
 CHUNK = np.uint64(256)
 
 
 class Wanted(NamedTuple):
-    """How many hits rays want.
+    """Number of hits that rays want.
 
     Attributes
     ----------
     splits : uint64
-        Address of int64 numbers: ray i wants rows splits[i] to splits[i + 1]; 0 if all want the
-        same.
+        Address of int64 numbers: ray i wants rows splits[i] to splits[i + 1]; 0 if all rays want
+        the same number.
     limit : uint64
-        As many each, and ray i's first row is i.
+        That number; ray i's first row is then i.
     """
 
     splits: np.uint64
@@ -54,16 +54,16 @@ class Wanted(NamedTuple):
 
 
 class RayStreamAddresses(NamedTuple):
-    """Streams of rays: addresses, and their capacity in records; see `machines.records`.
+    """Addresses of ray streams, and their capacity in records; see `machines.records`.
 
     Attributes
     ----------
     rows : uint64
-        Of the numbers of the active rays, uint32; 0 if all are active.
+        Numbers of the active rays, uint32; 0 if all are active.
     capacity : uint64
     ray, wanted, found, state : uint64
     world : uint64
-        Of what turns local distances into the caller's, two columns of float64.
+        Scale and offset from local t to the caller's, two columns of float64.
     """
 
     rows: np.uint64
@@ -77,7 +77,7 @@ class RayStreamAddresses(NamedTuple):
 
 @device
 def _rows_of(wanted, i):
-    """The first row of hits that ray i wants, and their number."""
+    """First row and number of the hits that ray i wants."""
     if wanted.splits == NULL:
         return i, wanted.limit
     first = np.uint64(load(np.int64, wanted.splits + (i << SHIFT_64)))
@@ -86,7 +86,7 @@ def _rows_of(wanted, i):
 
 @kernel
 def _begin(i, source, frame, streams, wish, status):
-    """Turn a caller's ray into records of `machines.records`, see `cuda.soa`."""
+    """Convert a caller's ray to records of `machines.records`; see `cuda.soa`."""
     rows, capacity, ray, wanted, found, state, world = streams
     row = row_of(rows, i)
     given = load_ray(source, row, frame)
@@ -110,14 +110,14 @@ def _begin(i, source, frame, streams, wish, status):
     store(found + (row << SHIFT_32), np.uint32(0))
     store(found + word + (row << SHIFT_32), ZERO_F32)
     store(state + row, _STARTING)
-    # A hit's t is the local ray's: these turn it into the caller's.
+    # A hit's t is the local ray's: these convert it to the caller's.
     store(world + (row << SHIFT_64), given.t_scale)
     store(world + (capacity << SHIFT_64) + (row << SHIFT_64), given.t_offset)
 
 
 @device
 def _to_world(at, streams, row):
-    """Turn the t at an address into the caller's."""
+    """Convert the t at an address to the caller's."""
     world = streams.world + (row << SHIFT_64)
     factor = load(np.float64, world)
     offset = load(np.float64, world + (streams.capacity << SHIFT_64))
@@ -126,7 +126,7 @@ def _to_world(at, streams, row):
 
 @kernel
 def _finish(i, streams, hits):
-    """Write a miss, or turn the hit's t into the caller's."""
+    """Write a miss, or convert the hit's t to the caller's."""
     at = i << SHIFT_32
     if load(np.uint32, streams.found + at) == np.uint32(0):
         store(hits.t + at, INF_F32)
@@ -139,7 +139,7 @@ def _finish(i, streams, hits):
 
 @kernel
 def _finish_many(i, streams, wish, hits):
-    """Turn a ray's distances into the caller's."""
+    """Convert the t of a ray's hits to the caller's."""
     if load(np.uint8, streams.state + i) == _OVERFLOWED:
         return  # it is traced again
     first, most = _rows_of(wish, i)
@@ -155,7 +155,7 @@ def _is_kept(rows, state, k):
 
 @kernel
 def _count_kept(i, rows, length, state, sums):
-    """Count the rays that have not ended, of a chunk of them."""
+    """Count the rays of a chunk that have not ended."""
     count = np.uint32(0)
     for k in range(i * CHUNK, min((i + ONE_U64) * CHUNK, length)):
         if _is_kept(rows, state, k):
@@ -165,7 +165,7 @@ def _count_kept(i, rows, length, state, sums):
 
 @kernel
 def _keep(i, rows, length, state, sums, kept):
-    """List the rays that have not ended, in their order."""
+    """List the rays of a chunk that have not ended, in order."""
     to = np.uint64(load(np.uint32, sums + (i << SHIFT_32)))
     for k in range(i * CHUNK, min((i + ONE_U64) * CHUNK, length)):
         if _is_kept(rows, state, k):
@@ -173,8 +173,8 @@ def _keep(i, rows, length, state, sums, kept):
             to += ONE_U64
 
 
-#: Over rays: records, and what becomes of hits.
+#: Over rays: their records, and the final hits.
 BEGIN, FINISH, FINISH_MANY = RangeKernel(_begin), RangeKernel(_finish), RangeKernel(_finish_many)
 
-#: Over chunks of rays, one after the other: `jit.cuda.scan` is between them.
+#: Over chunks of rays, with a `jit.cuda.scan` between the two.
 COUNT_KEPT, KEEP = RangeKernel(_count_kept), RangeKernel(_keep)

@@ -1,5 +1,5 @@
-// Surface points at hits. As raystream/rendering/shading/points.py, with Wide for float64 where it
-// matters: for positions on a triangle, and off it.
+// Surface points at hits. As raystream/rendering/shading/surface_points.py, with Wide for float64
+// where it matters: for positions on a triangle, and off it.
 
 @group(1) @binding(0) var<storage, read> corners: array<f32>;
 // Vertex indices, three for each triangle; empty if no mesh has attributes.

@@ -1,4 +1,4 @@
-"""What step functions get of a structure, with its arrays in a GPU's memory."""
+"""The steps of a structure's traversal, with its arrays in GPU memory."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ class ResidentSteps:
     ----------
     structure : Structure
     resident : Resident
-        The structure there.
+        The structure on that device.
 
     Attributes
     ----------
-    usual : Steps
+    initial : Steps
+        With the default memory for each ray.
     """
 
     def __init__(self, structure: Structure, resident: Resident) -> None:
         steps = steps_of(structure)
         placed = {name: getattr(resident.tree, name) for name in structure.memory}
         self._placed = {name: placed[name] for name in steps.tree._fields if name in placed}
-        self.usual = self._there(steps)
+        self.initial = self._on_device(steps)
 
     def grown(self, steps: Steps) -> Steps:
         """The same steps with more memory for each ray.
@@ -36,10 +37,10 @@ class ResidentSteps:
         Raises
         ------
         AssertionError
-            If they need none: no ray overflows there.
+            If they cannot grow: then no ray overflows.
         """
         assert steps.grow is not None
-        return self._there(steps.grow())
+        return self._on_device(steps.grow())
 
-    def _there(self, steps: Steps) -> Steps:
+    def _on_device(self, steps: Steps) -> Steps:
         return steps._replace(tree=steps.tree._replace(**self._placed))

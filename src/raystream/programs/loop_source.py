@@ -19,7 +19,7 @@ from raystream.programs.hits import (
 )
 from raystream.programs.rows import add_one, is_skipped, keep_row, move_row, put_row
 
-__all__ = ["Goal", "names_of", "text_of"]
+__all__ = ["Goal", "loop_globals", "loop_source"]
 
 #: Use of hits: by a program with a record, or by a filter that keeps the nearest, counts, or keeps
 #: all in order: compacted in place ("multi"), or copied to an output ("keep").
@@ -66,7 +66,7 @@ _PARAMETERS = {
 }
 
 
-def text_of(
+def loop_source(
     goal: Goal, skips: bool, constants: bool, record: str, leave: str
 ) -> tuple[list[str], list[str]]:
     """Source of the loop over the rows of entry i; those visited are `start` to `row`.
@@ -86,7 +86,7 @@ def text_of(
     names : list of str
         Its arguments, except the first, ``i``.
     lines : list of str
-        Statements that use `names_of`, and the user's function as ``function``.
+        Statements that use `loop_globals`, and the user's function as ``function``.
     """
     before, at_hit, after = _STATEMENTS[goal]
     more = f", {record}" if goal == "trace" else ""
@@ -118,7 +118,7 @@ def text_of(
     return names, lines
 
 
-def names_of(goal: Goal) -> dict[str, Any]:
+def loop_globals(goal: Goal) -> dict[str, Any]:
     """Globals of the source."""
     return {
         "accept": accept_decision(Decision, goal != "trace"),

@@ -1,4 +1,4 @@
-"""PassPart: a part of a batch's rays on a device, traced to the end in passes."""
+"""A query of rays in host memory, and the parts of its rays that are traced on a device."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 
-__all__ = ["HostQuery", "PassPart"]
+__all__ = ["HostQuery", "QueryPart"]
 
 
 class HostQuery(NamedTuple):
@@ -27,7 +27,7 @@ class HostQuery(NamedTuple):
     batch : RayBatch
     frame : SceneFrame
     sink : Sink
-        Its status and tallies are written part by part.
+        Status and tallies are written part by part.
     progress : callable or None
     """
 
@@ -38,14 +38,14 @@ class HostQuery(NamedTuple):
     progress: Progress | None
 
 
-class PassPart:
+class QueryPart:
     """Some rays of a batch on a device.
 
     Parameters
     ----------
     job : HostQuery
     rows : slice
-        Which.
+        Range of the batch.
     gpu : Gpu
 
     Attributes
@@ -57,12 +57,12 @@ class PassPart:
     source : RaySource
     frame : SceneFrame
     tallies : uint64 or None
-        Address of what they meet, if it is counted.
+        Address of the rays' tallies, if they are counted.
 
     Raises
     ------
     CudaError
-        If there is no memory for them.
+        If device memory runs out.
     """
 
     def __init__(self, job: HostQuery, rows: slice, gpu: Gpu) -> None:
@@ -80,12 +80,12 @@ class PassPart:
             self.tallies = self._tallies.address
 
     def finish(self, but: NDArray[Any] | None = None) -> None:
-        """Hand over what became of the rays, and what they met.
+        """Wait for the device, then copy status and tallies to the host.
 
         Parameters
         ----------
         but : ndarray of int, optional
-            Numbers of rays, in this part, of which it does not matter what they met.
+            Indices of rays of this part whose tallies are discarded.
         """
         self._gpu.wait()
         self._job.sink.status[self.rows] = self._status.host()

@@ -1,4 +1,4 @@
-"""What a thread does of a pass besides its ray's step."""
+"""Device functions of a pass around a ray's step: which ray, whether it waits, its new state."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MORE, _LESS = np.uint32(1), np.uint32(2**32 - 1)
 
 @device
 def row_of(rows, i):
-    """Number of the ray that thread i takes."""
+    """Number of the ray of thread i."""
     if rows == NULL:
         return i
     return np.uint64(load(np.uint32, rows + (i << SHIFT_32)))
@@ -37,7 +37,7 @@ def is_waiting(control, chosen, now):
 
 @device
 def move(control, now, then):
-    """Count a ray that goes from one state to another."""
+    """Update the counts for a ray that changes from one state to another."""
     if then != now:
         atomic_add_aggregated(control + COUNTS + (np.uint64(now) << SHIFT_32), _LESS)
         atomic_add_aggregated(control + COUNTS + (np.uint64(then) << SHIFT_32), _MORE)

@@ -1,8 +1,8 @@
-"""The CPU's order of a tree's nodes, found level by level.
+"""Numbering of a kd-tree's nodes in the CPU's order, level by level.
 
 The CPU splits large cells level by level, and gives each smaller one to a thread, which numbers its
-subtree in the order in which it comes to it: first all that is below a plane. What is built from
-the tree depends on these numbers. They follow from how many splits are in each subtree.
+subtree depth first, the side below a plane first. Structures made from the tree depend on these
+numbers. They follow from the number of splits in each subtree.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ _LEAF = np.uint64(LEAF_AXIS)
 
 
 class Numbering(NamedTuple):
-    """The CPU's numbers of nodes: addresses of a uint32 for each.
+    """Addresses of the CPU's numbers of nodes, a uint32 for each.
 
     Attributes
     ----------
     splits : uint64
-        Splits of its subtree.
+        Number of splits in its subtree.
     rooms : uint64
-        References of its subtree's leaves, those of each rounded up to blocks of four.
+        References in its subtree, those of each leaf rounded up to blocks of four.
     firsts : uint64
         The CPU's row of a split's child below the plane.
     rows : uint64
         The CPU's row of the node itself.
     places : uint64
-        Rooms of all leaves that the CPU lists before its subtree's; not of large cells.
+        Rooms of all leaves that the CPU lists before its subtree's; not set for large cells.
     """
 
     splits: np.uint64
@@ -68,7 +68,7 @@ class Numbers(NamedTuple):
 
 @device
 def split_at(nodes, node):
-    """A node's axis, or 3, and its first child, or the number of its references."""
+    """A node's axis, 3 for a leaf, and its first child or the number of its references."""
     word = np.uint64(load(np.uint32, nodes + node * _NODE + WORD))
     return word & THREE_U64, word >> TWO_U64
 
@@ -111,7 +111,7 @@ def _note_subtree(node, numbering, marks, rooms):
 
 @kernel
 def _mark_large(node, nodes, sizes, most, numbering, marks, rooms):
-    """Mark a large cell (2**32), and note rows and room of subtrees whose parent is one."""
+    """Mark a large cell (2**32), and store rows and room of subtrees directly below it."""
     if not _is_large(nodes, node, sizes, most):
         if node == ZERO_U64:
             _note_subtree(node, numbering, marks, rooms)
@@ -126,7 +126,7 @@ def _mark_large(node, nodes, sizes, most, numbering, marks, rooms):
 
 @device
 def _begin_subtree(node, marks, rooms, count, numbering):
-    """Where a subtree begins: after large cells and earlier subtrees."""
+    """Write where a subtree begins: after large cells and earlier subtrees."""
     large_count = load(np.uint64, marks + count * BYTES_64) >> BITS_32
     before = load(np.uint64, marks + node * BYTES_64) & LOW_32
     _put(numbering.firsts, node, ONE_U64 + (large_count << ONE_U64) + before)
@@ -186,19 +186,19 @@ KERNELS = _Kernels(
 
 
 def number_nodes(gpu: Gpu, tree: GrownTree, triangle_count: int) -> Numbers:
-    """Begin to find the CPU's numbers of a tree's nodes.
+    """Launch the kernels that number a tree's nodes as the CPU does.
 
     Parameters
     ----------
     gpu : Gpu
     tree : GrownTree
     triangle_count : int
-        By which the CPU decides which cells are large.
+        Determines which cells the CPU treats as large.
 
     Raises
     ------
     CudaError
-        If there is no memory for them.
+        If device memory runs out.
     """
     count = len(tree.nodes)
     numbers = Numbers(*(gpu.empty(name, count, np.uint32) for name in Numbers._fields))

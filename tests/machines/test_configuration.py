@@ -9,7 +9,7 @@ import pytest
 import raystream as rs
 from extras import need
 from raystream.core.choices import DeviceOptions
-from raystream.machines.chosen import choose
+from raystream.machines.configuration import configure
 from raystream.machines.devices import DEVICES, register_device
 
 SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
@@ -144,4 +144,4 @@ def test_options_of_graphics_are_those_of_its_machines():
 
 
 def test_a_kernel_is_the_structure_s_on_the_cpu():
-    assert choose("bvh", "cpu", None, {"kernel": "single"}).structure == rs.Bvh(kernel="single")
+    assert configure("bvh", "cpu", None, {"kernel": "single"}).structure == rs.Bvh(kernel="single")

@@ -1,4 +1,4 @@
-"""Shading points: positions, normals, texture coordinates and materials at hits."""
+"""Surface points at hits: positions, normals, texture coordinates and materials."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _INF, _NAN = np.float32(np.inf), np.float32(np.nan)
 
 
 class Point(NamedTuple):
-    """A shading point, or 16 of them.
+    """A surface point, or 16 of them.
 
     For one, numbers are float64. For 16 they are vectors: of float32, but `x`, `y`, `z` and
     `offset` of float64; `is_front` is then a mask.

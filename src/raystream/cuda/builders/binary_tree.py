@@ -1,8 +1,7 @@
-"""Records in the order of a curve through space: the leaves of a linear BVH.
+"""Binary BVHs on the device: their rows, and leaves sorted by Morton keys.
 
-Nodes are rows, as in `structures.bvh.binary_tree`: the leaves come first, in the order of their
-keys, then the nodes above them. A leaf's row has its prim_id where an inner node would have its
-first record.
+Nodes are rows, as in `structures.bvh.binary_tree`: first the leaves in key order, then the inner
+nodes. A leaf's row has its prim_id where an inner node would have its first record.
 
 References
 ----------
@@ -37,11 +36,11 @@ __all__ = [
     "make_leaves",
 ]
 
-#: Bits of a key along each axis; and where a tree must not become deep.
+#: Bits of a key per axis, and those for trees that must stay shallow.
 FINE_BITS, COARSE_BITS = 16, 10
 
-#: Of a node and of a leaf block, as on the CPU.
-_PRICES = (np.float32(1.0), np.float32(1.0))
+#: Costs of a node and of a leaf block, as on the CPU.
+_COSTS = (np.float32(1.0), np.float32(1.0))
 
 _AXES = np.uint64(3)
 
@@ -71,7 +70,7 @@ class Nodes(NamedTuple):
     leaf_count : int
         N: rows N to 2 N - 2 are inner nodes.
     arrays : tuple of DeviceArray
-        What is at the addresses.
+        The memory at these addresses.
     """
 
     at: NodesAt
@@ -85,7 +84,7 @@ class Nodes(NamedTuple):
         Raises
         ------
         CudaError
-            If there is none: 80 bytes for each node.
+            If device memory runs out: it takes 80 bytes per node.
         """
         rows = 2 * count
         boxes = gpu.empty("boxes", (rows, REF_BYTES), np.uint8)
@@ -97,16 +96,16 @@ class Nodes(NamedTuple):
 
 
 class KeyFrame(NamedTuple):
-    """How keys are made of places.
+    """Quantization of positions to Morton keys.
 
     Attributes
     ----------
     low : tuple of three float64
-        Twice the low corner of all triangles.
+        Twice the low corner of the bounds.
     scale : float64
-        Steps of a key in twice a unit.
+        Key steps per unit of doubled coordinates.
     bits : uint64
-        Of each axis.
+        Bits per axis.
     """
 
     low: tuple[np.float64, np.float64, np.float64]
@@ -115,7 +114,7 @@ class KeyFrame(NamedTuple):
 
     @classmethod
     def of(cls, triangles: Triangles, bits: int) -> KeyFrame:
-        """Cubes: as many steps along all axes in a unit."""
+        """The frame of some triangles, with the same step size along all axes."""
         low, high = triangles.bounds.astype(np.float64)
         longest = float((high - low).max())
         x, y, z = 2.0 * low
@@ -125,7 +124,7 @@ class KeyFrame(NamedTuple):
 
 @device
 def _step(place, low, frame):
-    """Number of the step in which twice a place is."""
+    """Quantize a doubled coordinate along one axis."""
     steps = (place - low) * frame.scale
     most = np.float64((ONE_U64 << frame.bits) - ONE_U64)
     return np.uint64(np.int64(min(max(steps, 0.0), most)))
@@ -164,12 +163,12 @@ def _make_leaf(i, corners, values, nodes):
     store(box + np.uint64(COUNT_AT), np.int32(1))
     link = Link(nodes.links, i)
     link.left, link.is_top = np.int32(-1), np.int32(0)
-    store(nodes.costs + i * np.uint64(COST_BYTES), leaf_costs(box, _PRICES[1]))
+    store(nodes.costs + i * np.uint64(COST_BYTES), leaf_costs(box, _COSTS[1]))
 
 
 @device
 def join(nodes, row, left, right):
-    """Write an inner node in a row: its children are two rows that are written."""
+    """Write an inner node to a row, given the rows of its two children."""
     box = nodes.boxes + row * np.uint64(REF_BYTES)
     link = Link(nodes.links, row)
     left_box = nodes.boxes + left * np.uint64(REF_BYTES)
@@ -181,7 +180,7 @@ def join(nodes, row, left, right):
     link.left, link.right, link.is_top = np.int32(left), np.int32(right), np.int32(0)
     left_costs = load(f32x8, nodes.costs + left * np.uint64(COST_BYTES))
     right_costs = load(f32x8, nodes.costs + right * np.uint64(COST_BYTES))
-    costs = merge_costs(box, link, left_costs, right_costs, nodes.max_leaf_size, _PRICES)
+    costs = merge_costs(box, link, left_costs, right_costs, nodes.max_leaf_size, _COSTS)
     store(nodes.costs + row * np.uint64(COST_BYTES), costs)
 
 
@@ -196,18 +195,18 @@ KERNELS = _Kernels(RangeKernel(_make_key), RangeKernel(_make_leaf))
 def make_leaves(
     gpu: Gpu, triangles: Triangles, corners: DeviceArray, nodes: Nodes, bits: int
 ) -> DeviceArray:
-    """Begin to write the leaves of a tree, in the order of their keys.
+    """Launch the kernels that write the leaves of a tree in key order.
 
     Parameters
     ----------
     gpu : Gpu
     triangles : Triangles
     corners : DeviceArray of shape (F, 3, 3), float32
-        Those of the triangles.
+        The triangles' corners.
     nodes : Nodes
-        Their rows are written.
+        Its leaf rows are written.
     bits : int
-        Of a key along each axis.
+        Key bits per axis.
 
     Returns
     -------
@@ -217,7 +216,7 @@ def make_leaves(
     Raises
     ------
     CudaError
-        If there is no memory for keys.
+        If device memory runs out.
     """
     prim_ids = gpu.upload("prim_ids", triangles.prim_ids)
     keys = gpu.empty("keys", nodes.leaf_count, np.uint64)

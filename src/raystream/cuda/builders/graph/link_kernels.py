@@ -1,4 +1,4 @@
-"""The kernels that link sectors; `linker` says in which order they run."""
+"""Kernels that link sectors, launched by `linker`."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ class Raw(NamedTuple):
     Attributes
     ----------
     nodes : uint64
-        Address of three uint64 each: the node of the tree, which becomes the link to it, and its
-        raw links.
+        Address of three uint64 each: the node of the tree, later replaced by the link to it, and
+        its raw links.
     heights : uint64
-        Address of a byte each: 1 for those that link to no raw node, and so on.
+        Address of a byte each: 1 if it links to no raw node, else 1 more than the highest of them.
     tops : uint64
         Address of the greatest height, uint32.
     ends : uint64
-        Address of where the CPU's batches end, uint64.
+        Address of the ends of the CPU's batches, uint64.
     first : uint64
-        The candidate with which they begin.
+        The first candidate among them.
     """
 
     nodes: np.uint64
@@ -112,7 +112,7 @@ def _count_raw(sector, leaves, tree, is_covered, counts):
 
 @kernel
 def _spread_covered(i, first, nodes, is_covered):
-    """Mark what the link nodes of node first + i need, if it is covered."""
+    """Mark the subtrees that the link nodes of node first + i need, if it is covered."""
     propagate_marks(nodes, first + i, is_covered)
 
 
@@ -125,7 +125,7 @@ def _makes_node(nodes, node, face, is_covered):
 
 @kernel
 def _mark_covered(i, nodes, by_row, row_count, is_covered, marks):
-    """Mark what becomes a link node, in the CPU's order: last rows first, and of each six faces."""
+    """Mark link nodes in the CPU's order: last rows first, six faces per row."""
     row = row_count - ONE_U64 - i // _SIX
     node = np.uint64(load(np.uint32, by_row + row * WORD))
     found = _makes_node(nodes, node, i % _SIX, is_covered)
@@ -141,7 +141,7 @@ def _candidate(node, face, order):
 
 @kernel
 def _put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
-    """Write the links to node first + i where they are no new nodes, and the contents of those."""
+    """Write the links to node first + i, or the contents of link nodes that it needs."""
     node = first + i
     axis, child, _ = split_of(nodes, node)
     plane_bits = np.uint64(load(np.uint32, nodes + node * NODE_BYTES))
@@ -181,7 +181,7 @@ def _height(raw, link):
 
 @kernel
 def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
-    """Write the raw nodes and raw links of a sector, and how high they are."""
+    """Write the raw nodes of a sector, their heights, and its raw links."""
     pending = scratch(PENDING_BYTES)
     at = firsts + sector * BYTES_64
     first, number = load(np.uint64, at), load(np.uint64, at + BYTES_64)
@@ -200,7 +200,7 @@ def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
 
 @device
 def _raw_candidate(raw, i):
-    """Batches are in the order of sectors, and each is gone through from its end."""
+    """The candidate of raw node i: batches are in sector order, each numbered from its end."""
     begin, at = ZERO_U64, raw.ends
     while load(np.uint64, at) <= i:
         begin = load(np.uint64, at)
@@ -217,7 +217,7 @@ def _resolved(raw, link):
 
 @kernel
 def _put_raw(i, height, nodes, raw, table):
-    """Write the content of raw node i, if it is of a height."""
+    """Write the content of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) != height:
         return
     at = raw.nodes + i * _RAW_BYTES
@@ -231,7 +231,7 @@ def _put_raw(i, height, nodes, raw, table):
 
 @kernel
 def _share_raw(i, height, raw, table):
-    """Find the slot of raw node i, if it is of a height."""
+    """Find the slot of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) == height:
         slot = share_slot(table, _raw_candidate(raw, i))
         store(raw.nodes + i * _RAW_BYTES, LINK | slot)
@@ -239,7 +239,7 @@ def _share_raw(i, height, raw, table):
 
 @kernel
 def _place_links(sector, links, raw, table, rows):
-    """Write a sector's links; planes without a sector behind go to infinity."""
+    """Write a sector's links; planes with no sector behind them move to infinity."""
     row = rows + sector * SECTOR_BYTES
     for face in range(_SIX):
         link = _resolved(raw, load(np.uint64, links + sector * RAW_LINKS + face * BYTES_64))

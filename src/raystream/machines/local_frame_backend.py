@@ -1,4 +1,4 @@
-"""LocalBackend: base of backends that trace blocks of rays in the scene's local frame."""
+"""LocalFrameBackend: base of backends that trace blocks of rays in the scene's local frame."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Backend
 from raystream.machines.ray_block import blocks
 
-__all__ = ["LocalBackend"]
+__all__ = ["LocalFrameBackend"]
 
 
-class LocalBackend(Backend):
+class LocalFrameBackend(Backend):
     """Transforms rays to the local frame, a block at a time, and distances back; see `ray_block`.
 
     All hits are counted before they are written, to allocate memory for them: counters include

@@ -10,10 +10,10 @@ from raystream.core.options import Options
 from raystream.machines.devices import Device, device_of
 from raystream.structures import StructureOptions, options_of
 
-__all__ = ["Chosen", "choose"]
+__all__ = ["Configuration", "configure"]
 
 
-class Chosen(NamedTuple):
+class Configuration(NamedTuple):
     """A structure, a device and a machine.
 
     Attributes
@@ -34,12 +34,12 @@ class Chosen(NamedTuple):
     options: Mapping[str, Any]
 
 
-def choose(
+def configure(
     structure: str | StructureOptions | None,
     device: str | DeviceOptions,
     machine: str | MachineOptions | None,
     options: Mapping[str, Any],
-) -> Chosen:
+) -> Configuration:
     """Check the arguments of a tracer.
 
     Parameters
@@ -80,8 +80,8 @@ def choose(
     if structure is None:
         for option in rest:
             raise TypeError(f"{kind}: has no option {option!r}")
-        return Chosen(None, name, kind, device_options, own)
-    return Chosen(options_of(structure, rest), name, kind, device_options, own)
+        return Configuration(None, name, kind, device_options, own)
+    return Configuration(options_of(structure, rest), name, kind, device_options, own)
 
 
 def _options_given(one: Any, options: Mapping[str, Any]) -> dict[str, Any]:

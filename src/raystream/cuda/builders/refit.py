@@ -1,4 +1,4 @@
-"""Refitting a BVH on the device to triangles that moved, and what tracing it then costs."""
+"""Refit of a BVH on the device to moved triangles, and its tracing cost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from raystream.structures.bvh.refit import refit_leaves, refit_node
 
 __all__ = ["KERNELS", "cost_of", "refit"]
 
-#: Threads that add up costs, each of some nodes.
+#: Threads that sum costs, each over some nodes.
 _ADDING_THREADS = 1 << 12
 
 _AXIS_BYTES = np.uint64(64)
@@ -26,14 +26,14 @@ _HIGH = np.uint64(32)
 
 @kernel
 def _move_leaves(row, nodes, leaves, block_count, corners):
-    """Write the leaves of a node, and their boxes."""
+    """Update the leaves of a node and their boxes."""
     last_block = leaves + block_count * BLOCK
     refit_leaves(nodes + row * np.uint64(NODE_BYTES), corners, leaves, last_block)
 
 
 @kernel
 def _move_nodes(i, first, nodes):
-    """Write the boxes of the children of node first + i that are nodes."""
+    """Update the boxes of the inner children of node first + i."""
     refit_node(nodes + (first + i) * np.uint64(NODE_BYTES), nodes)
 
 
@@ -45,7 +45,7 @@ def _extent(node, lane, axis):
 
 @kernel
 def _add_costs(i, thread_count, node_count, nodes, costs):
-    """Sum the areas of the children of each `thread_count`-th node; of a leaf, for each block."""
+    """Sum the areas of the children of every `thread_count`-th node; a leaf counts per block."""
     total = 0.0
     row = i
     while row < node_count:
@@ -72,20 +72,20 @@ KERNELS = _Kernels(RangeKernel(_move_leaves), RangeKernel(_move_nodes), RangeKer
 
 
 def refit(gpu: Gpu, tree: WideTree, corners: DeviceArray) -> None:
-    """Begin to take over new positions of all triangles, in place; see `structures.bvh.refit`.
+    """Launch an in-place refit to new positions of all triangles; see `structures.bvh.refit`.
 
     Parameters
     ----------
     gpu : Gpu
     tree : WideTree
-        Changed; no query may run meanwhile.
+        Modified; no query may run meanwhile.
     corners : DeviceArray of shape (F, 3, 3), float32
         By prim_id; one with a NaN is never hit.
 
     Raises
     ------
     CudaError
-        If it cannot be launched.
+        If a kernel cannot be launched.
     """
     nodes, leaves, levels = tree
     block_count = np.uint64(leaves.shape[0])
@@ -96,9 +96,9 @@ def refit(gpu: Gpu, tree: WideTree, corners: DeviceArray) -> None:
 
 
 def cost_of(gpu: Gpu, tree: WideTree) -> float:
-    """Nodes and leaf blocks that a random line through the bounds meets; waits for the device.
+    """Expected nodes and leaf blocks on a random line through the bounds; waits for the device.
 
-    The same, but for rounding, as `structures.bvh.structure.trace_cost`.
+    Equal to `structures.bvh.structure.trace_cost` up to rounding.
     """
     nodes = tree.nodes
     thread_count = min(_ADDING_THREADS, nodes.shape[0])

@@ -1,4 +1,4 @@
-"""A tree that was grown on a device, in the CPU's order and as its traversals read it."""
+"""Final layout of a kd-tree grown on a device: the CPU's order, as traversals read it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.cuda.builders.kdtree.grow import GrownTree
-from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import ONE_U64, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
@@ -27,7 +27,7 @@ _ABSENT = np.int32(-1)
 
 
 class WrittenTree(NamedTuple):
-    """As `kdtree.layout.KdArrays`, on a device.
+    """`kdtree.layout.KdArrays` in device memory.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def _write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
 
 @kernel
 def _extend_children(i, first, nodes, numbering, extended):
-    """Write the bounds of the children of node first + i that are splits, which has its own."""
+    """Write the bounds of the children of node first + i that are splits, given its own."""
     node = first + i
     axis, child = split_at(nodes, node)
     if axis == _LEAF:
@@ -99,23 +99,23 @@ KERNELS = _Kernels(RangeKernel(_write_tree_node), RangeKernel(_extend_children))
 def write_tree(
     gpu: Gpu, tree: GrownTree, numbers: Numbers, corners: DeviceArray, is_extended: bool
 ) -> WrittenTree:
-    """Begin to write a tree.
+    """Launch the kernels that write a tree.
 
     Parameters
     ----------
     gpu : Gpu
     tree : GrownTree
     numbers : Numbers
-        Of it.
+        Of this tree.
     corners : DeviceArray of shape (F, 3, 3), float32
-        Those of the triangles.
+        The triangles' corners.
     is_extended : bool
-        Whether it needs what backtracking reads.
+        Whether to write the bounds that backtracking reads.
 
     Raises
     ------
     CudaError
-        If there is no memory for it.
+        If device memory runs out.
     """
     count = len(tree.nodes)
     block_count = int(numbers.rooms.part(0, 1).host()[0]) // 4
@@ -131,11 +131,11 @@ def write_tree(
 
 
 def _extended(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> DeviceArray:
-    """Begin to write what backtracking needs of splits."""
+    """Launch the kernels that write the bounds of splits for backtracking."""
     extended = gpu.empty("bounds of splits", (len(tree.nodes) // 2, 8), np.float32)
     if len(extended):
         root = np.array([-np.inf] * 3 + [np.inf] * 3 + [0.0] * 2, np.float32)
-        # Without a parent, but in row 0, which is what compact nodes are told.
+        # The root is in row 0, which the compact layout stores in place of a parent.
         extended.part(0, 8).fill(root)
     for first, end in zip(tree.levels, tree.levels[1:], strict=False):
         given = np.uint64(first), tree.nodes.address, numbers.at, extended.address
