@@ -110,6 +110,22 @@ def test_ambient_occlusion_traces_32_rays_per_hit():
     }
 
 
+def test_kajiya_traces_the_rays_of_the_poster():
+    """Visibility and two interreflection rays, first hits; a shadow ray from each of the hits."""
+    scene = rs.load("cornell")
+    tracer = RecordingTracer(scene)
+    frame_seconds(render_context(tracer, (16, 12)), tracer, "kajiya", (16, 12))
+    first, shadows = (
+        [one.ray_count for one in tracer.queries if one.query == query]
+        for query in ("first_hit", "any_hit")
+    )
+    band_count = len(first) // 3
+    assert len(first) == 3 * band_count, "1 + 2 per band"
+    assert len(shadows) <= 3 * band_count
+    assert 2 * 16 * 12 < sum(first) <= 3 * 16 * 12
+    assert 0 < sum(shadows) <= sum(first)
+
+
 def test_images_get_smaller_only_as_far_as_needed():
     assert affordable_size(1e-6, (1024, 768), 1.0, (256, 192)) == (1024, 768)
     assert affordable_size(3e-6, (1024, 768), 1.0, (256, 192)) == (512, 384)

@@ -60,7 +60,8 @@ def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:
         raise ValueError(f"clamp: expected a number above 0, got {clamp}")
     with np.errstate(over="ignore", under="ignore"):
         most = np.float32(clamp)
-    return {"rules": PathOptions(bounces, samples_lights, ROULETTE_BOUNCE, most)}
+    follows_last = bool(options.get("follows_last", True))
+    return {"rules": PathOptions(bounces, samples_lights, ROULETTE_BOUNCE, most, follows_last)}
 
 
 PATH_STAGES = (find_surfaces, shade_surfaces, trace_shadow_rays)

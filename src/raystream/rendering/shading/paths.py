@@ -81,12 +81,16 @@ class PathOptions(NamedTuple):
         Russian roulette starts at this bounce.
     clamp : float32
         Bound on each channel of indirect light that a path adds at once; inf for no bound.
+    follows_last : bool
+        Whether the last surface that scatters light sends a ray on, to find emitted light. If
+        not, its light is that of the samples alone.
     """
 
     max_bounces: int
     samples_lights: bool
     roulette_bounce: int
     clamp: np.float32 = _INF
+    follows_last: bool = True
 
 
 @device
@@ -118,16 +122,21 @@ def _emission(tables, lights, options, point, back, distance, pdf, weights, mask
 
 
 @device
-def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights, mask):
-    """A sample of the lights for each point: `LightSample`, its light, and where there is any."""
+def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights, mask, is_alone):
+    """A sample of the lights for each point: `LightSample`, its light, and where there is any.
+
+    `is_alone` says that no scattered ray may find the same light.
+    """
     pixel, sample, dimension = numbers
     u, v = draw_pair_lanes(sampler, pixel, sample, dimension)
     choice = draw_lanes(sampler, pixel, sample, dimension + 2)
     found = sample_light(tables, lights, point, choice, u, v)
     color, diffuse_pdf, specular_pdf = eval_reflection(lobes, point, back, found.toward)
     mask &= found.is_valid & (color[0] + color[1] + color[2] > _NULL)
-    other = reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf)
-    share = select(found.pdf < _INF, _mis_weight(found.pdf, other), _WHOLE)
+    share = f32x16(_WHOLE)
+    if not is_alone:
+        other = reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf)
+        share = select(found.pdf < _INF, _mis_weight(found.pdf, other), _WHOLE)
     light = scaled(times(times(weights, color), found.color), share)
     return found, light, mask
 
@@ -190,14 +199,17 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, options, onwa
     if bounce >= options.max_bounces:
         return onward, rays
 
+    is_last = not options.follows_last and bounce + 1 >= options.max_bounces
     lobes = lobes_at(tables, point)
     if options.samples_lights and not lights.is_dark:
         numbers = key, samples, dimension
         found, light, is_lit = _light_sampled(
-            tables, lights, sampler, numbers, point, lobes, back, weights, is_hit
+            tables, lights, sampler, numbers, point, lobes, back, weights, is_hit, is_last
         )
         light = _clamped(light, most_sampled)
         rays = put_shadow_rays(rays, is_lit, pixels, tables, point, found, light)
+    if is_last:
+        return onward, rays
 
     u, v = draw_pair_lanes(sampler, key, samples, dimension + 4)
     choice = draw_lanes(sampler, key, samples, dimension + 6)
