@@ -424,10 +424,7 @@ class Tracer(TracedScene):
         return result
 
     def bands_on_device(self, context: Any) -> Any:
-        """The renderer on the tracer's device; None if the host renders.
-
-        The host renders if the backend does not shade, or if a subclass overrides queries, which
-        the renderer must then call.
+        """The renderer on the tracer's device; None if it does not shade, or queries are needed.
 
         Parameters
         ----------
@@ -443,15 +440,14 @@ class Tracer(TracedScene):
 
     @property
     def loop_machine(self) -> Any:
-        """The machine that runs a renderer as one loop, see `machines.ray_loop`; None elsewhere."""
-        is_able = self._backend.capabilities.loops and not self._needs_queries()
-        return self._backend if is_able else None
+        """The machine that runs a renderer as one loop, see `machines.ray_loop`; or None."""
+        loops = self._backend.capabilities.loops and not self._needs_queries()
+        return self._backend if loops else None
 
     def _needs_queries(self) -> bool:
         """Whether a renderer must call the queries: they count, or a subclass overrides them."""
-        own = type(self)
-        is_inherited = own.first_hit is Tracer.first_hit and own.any_hit is Tracer.any_hit
-        return self._counts or not is_inherited
+        queries = type(self).first_hit, type(self).any_hit
+        return self._counts or queries != (Tracer.first_hit, Tracer.any_hit)
 
     def _rays(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""

@@ -33,6 +33,8 @@ def pixels(path) -> np.ndarray:
             ["--mode", "ao", "--option", "rays=2", "--option", "distance=90"],
             {"mode": "ao", "rays": 2, "distance": 90.0},
         ),
+        (["--mode", "path", "--preset", "arnold"], {"mode": "path", "preset": "arnold"}),
+        (["--mode", "whitted", "--option", "shadows=false"], {"mode": "whitted", "shadows": False}),
         (["--mode", "path", "--sampler", "random"], {"mode": "path", "sampler": "random"}),
         (["--mode", "path", "--seed", 3], {"mode": "path", "seed": 3}),
         (["--mode", "vis", "--seed", 3], {"mode": "vis", "seed": 3}),
@@ -48,6 +50,15 @@ def test_options_reach_the_renderer(run, arguments, wanted):
     np.testing.assert_array_equal(pixels("out.png"), image.to_bytes())
     without = rs.render(scene, wanted["mode"], size=(16, 12), samples=2)
     assert (without.pixels != image.pixels).any()
+
+
+@pytest.mark.parametrize(
+    ("mode", "says"), [("path", "expected 'arnold'"), ("ao", "expected none, in mode 'ao'")]
+)
+def test_unknown_presets_are_refused(run, mode, says):
+    complaint = run("render", "cornell", *SIZE, "--mode", mode, "--preset", "renderman").complaint
+    assert complaint.startswith("--preset: ")
+    assert says in complaint
 
 
 def test_options_of_the_tracer_go_with_those_of_the_mode(run):

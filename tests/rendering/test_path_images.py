@@ -98,6 +98,21 @@ def test_light_in_glass_leaves_it_thinner():
     assert_mean(path(scene, max_bounces=2), expected)
 
 
+def test_arnold_sees_diffuse_reflection_only():
+    """Purcell 2002, section 3.1.4: as if the materials had nothing else."""
+    scene = room()
+    plain = [rs.Material(diffuse=one.diffuse, emission=one.emission) for one in scene.materials]
+    options = {"size": (16, 16), "samples": 4}
+    arnold = rs.render(scene, "path", preset="arnold", **options)
+    usual = rs.render(scene, "path", **options, max_bounces=2, light_samples=False)
+    bare = scene.replace(materials=plain)
+    expected = rs.render(bare, "path", **options, max_bounces=2, light_samples=False)
+    assert_same_bits(arnold.pixels, expected.pixels)
+    assert (arnold.pixels != usual.pixels).any()
+    deeper = rs.render(scene, "path", preset="arnold", max_bounces=3, **options)
+    assert (deeper.pixels != arnold.pixels).any(), "options override a preset's"
+
+
 def matte():
     """A room without mirrors and glass."""
     return rs.load("cornell")

@@ -23,6 +23,8 @@ MODES = {
     "vis": {},
     "shadow": {},
     "whitted": {"max_bounces": 5},
+    "whitted, no shadows": {"shadows": False},
+    "arnold": {"preset": "arnold"},
     "path": {"max_bounces": 4},
     "kajiya": {},
     "ao": {"rays": 6},
@@ -48,8 +50,8 @@ CASES = [
 
 @pytest.fixture(scope="module")
 def scene():
-    """Mirrors, glass, and an area light."""
-    return rs.load("spheres")
+    """Mirrors, glass, points of light, and a sky."""
+    return rs.load("spheres").replace(background=(0.2, 0.3, 0.4))
 
 
 def looped(scene, structure="grid", scheduler="threshold", **options):
@@ -68,7 +70,7 @@ def assert_one_loop(image, sample_count=2):
 
 @pytest.mark.parametrize(("mode", "structure", "scheduler"), CASES)
 def test_images_have_the_bits_of_the_stages(scene, mode, structure, scheduler):
-    options = MODES[mode]
+    options, mode = MODES[mode], {"arnold": "path"}.get(mode, mode.partition(",")[0])
     expected = render(scene, mode, **options)
     image = render(looped(scene, structure, scheduler), mode, **options)
     assert_one_loop(image)

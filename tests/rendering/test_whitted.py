@@ -45,3 +45,15 @@ def test_differences_from_float64_are_those_of_rays_that_float32_moves(view):
         changes = np.abs(moved - expected[:, doubtful]).max(axis=2)
         allowed = np.maximum(allowed, 1e-5 + changes)
     assert (differences[:, doubtful] <= allowed).all()
+
+
+def test_without_shadows_nothing_blocks_light():
+    """A ray caster, where there are no mirrors; brighter than with shadows where they fall."""
+    scene = rs.load("cornell")
+    bright, dark = (
+        rs.render(scene, "whitted", (32, 32), shadows=shadows).pixels for shadows in (False, True)
+    )
+    raycast = rs.render(scene, "raycast", (32, 32)).pixels
+    np.testing.assert_allclose(bright, raycast, rtol=1e-5, atol=1e-6)
+    assert (bright >= dark).all()
+    assert (bright > dark).any()

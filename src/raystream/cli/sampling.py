@@ -60,6 +60,14 @@ class SamplingOptions:
             "the length of its rays [default: a tenth of the scene's diagonal; inf for unlimited]",
         ),
     ] = None
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Mode path: options by name; arnold is Purcell's path tracer, of two diffuse "
+            "bounces, without samples of the lights.",
+        ),
+    ] = None
     sampler: Annotated[
         str | None,
         options.choice(
@@ -131,6 +139,8 @@ def _own_options(
             raise _only_with("--max-bounces", owners["max_bounces"])
         if given.setdefault("max_bounces", sampling.max_bounces) != sampling.max_bounces:
             raise BadInputError("--option: max_bounces differs from --max-bounces")
+    if sampling.preset is not None:
+        given["preset"] = sampling.preset
     return given
 
 
@@ -153,10 +163,12 @@ def _converted(where: str, value: Any, default: Any) -> Any:
 
 def _check_own(renderer: Integrator, given: Mapping[str, Any], sampling: SamplingOptions) -> None:
     try:
-        renderer.check({**renderer.options, **given})
+        renderer.check(renderer.complete(given))
     except ValueError as error:
         name, _, reason = str(error).partition(": ")
         by_name = name == "max_bounces" and sampling.max_bounces is not None
+        if name == "preset":
+            raise BadInputError(f"--{error}") from error
         raise BadInputError(
             f"--max-bounces: {reason}" if by_name else f"--option: {error}"
         ) from error

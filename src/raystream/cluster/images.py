@@ -111,7 +111,8 @@ def render(
     check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
-    own = {name: options.pop(name, default) for name, default in renderer.options.items()}
+    given = [name for name in (*renderer.options, "preset") if name in options]
+    own = renderer.complete({name: options.pop(name) for name in given})
     chosen = renderer.check(own)
     numbers = Sampler.of(sampler, seed, limits.samples)
     bundle = pack_tracer(scene, structure, device, options, for_rendering=True)

@@ -46,7 +46,7 @@ def frame_seconds(
     **options
     """
     renderer = RENDERERS[mode]
-    chosen = renderer.check({**renderer.options, **options})
+    chosen = renderer.check(renderer.complete(options))
     width, height = size
     own = replace(context, tracer=tracer, width=width, height=height, options=chosen)
     started = time.perf_counter()

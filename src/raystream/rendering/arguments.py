@@ -20,6 +20,7 @@ __all__ = [
     "check_number",
     "check_samples",
     "check_size",
+    "check_switch",
     "check_whole",
     "make_tracer",
 ]
@@ -96,6 +97,13 @@ def check_whole(name: str, value: Any, least: int, most: int) -> int:
     if not least <= number <= most:
         raise ValueError(f"{name}: expected {least} to {most}, got {number}")
     return number
+
+
+def check_switch(name: str, value: Any) -> bool:
+    """Check a bool; raises ValueError for anything else."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name}: expected True or False, got {value!r:.40}")
+    return value
 
 
 def check_number(name: str, value: Any) -> float:

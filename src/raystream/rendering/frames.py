@@ -147,7 +147,7 @@ def split_options(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any]
     for name in _SINGLE_IMAGE_OPTIONS:
         if name in options:
             raise TypeError(f"{name}: only for a single image; render each frame by itself")
-    own = set(inspect.signature(render).parameters) | set(RENDERERS[mode].options)
+    own = set(inspect.signature(render).parameters) | {*RENDERERS[mode].options, "preset"}
     image_options = {name: value for name, value in options.items() if name in own}
     return image_options, {name: value for name, value in options.items() if name not in own}
 

@@ -11,7 +11,7 @@ before it is added to the film.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.punctual_lights import PunctualLights, punctual_lights_of
 from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
 from raystream.rendering.shading.streams import Paths, ShadingBatch
-from raystream.rendering.shading.tables import SceneTables, tables_of
+from raystream.rendering.shading.tables import EMITS, IS_TEXTURED, SceneTables, tables_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
@@ -138,6 +138,8 @@ def make_context(
 ) -> RenderContext:
     """Prepare a tracer's scene for shading; see `tables_of` for warnings."""
     tables, kept_tables = tables_of(tracer.scene)
+    if options.get("diffuse_only"):
+        tables = tables._replace(kinds=tables.kinds & (EMITS | IS_TEXTURED))
     lights, kept_lights = lights_of(tracer.scene, chosen_lights)
     punctual, kept_punctual = punctual_lights_of(tracer.scene, camera, chosen_lights)
     kept = kept_tables, kept_lights, kept_punctual
@@ -222,6 +224,8 @@ class Integrator:
     rays_per_pixel : callable
         Largest number of rays per pixel that a stage makes at once, for a context: the more,
         the smaller are bands.
+    presets : mapping of str to mapping
+        Named sets of options.
     """
 
     name: str
@@ -230,6 +234,24 @@ class Integrator:
     options: Mapping[str, Any]
     check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
     rays_per_pixel: Callable[[RenderContext], int] = lambda _: 1
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def complete(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """All options: those given, then those of the preset that is given, then defaults.
+
+        Raises
+        ------
+        ValueError
+            If the mode has no such preset.
+        """
+        chosen = dict(given)
+        preset = chosen.pop("preset", None)
+        if preset is None:
+            return {**self.options, **chosen}
+        if preset not in self.presets:
+            known = " or ".join(map(repr, self.presets)) or f"none, in mode {self.name!r}"
+            raise ValueError(f"preset: expected {known}, got {preset!r:.40}")
+        return {**self.options, **self.presets[preset], **chosen}
 
     def bands_of(self, context: RenderContext) -> DeviceBands | None:
         """The renderer of its samples on a device; None if the host renders, as for layers."""

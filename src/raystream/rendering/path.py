@@ -1,7 +1,7 @@
-"""path: path tracing, one path per sample (Purcell 2002, 3.2).
+"""path: path tracing, one path per sample (Purcell 2002, 3.1.4; Kajiya 1986).
 
-With two bounces it is Purcell's path tracer ("one path per sample"); with more, Kajiya's (1986),
-with next-event estimation at each surface.
+With next-event estimation at each surface; without, and with two bounces of diffuse reflection, it
+is Purcell's path tracer: the preset ``"arnold"``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.rendering.arguments import check_number, check_whole
+from raystream.rendering.arguments import check_number, check_switch, check_whole
 from raystream.rendering.integrator import (
     MAX_BOUNCES,
     Band,
@@ -50,26 +50,31 @@ def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
 
 
 def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Path options, checked; ``light_samples`` may be missing."""
+    """Path options, checked; ``light_samples`` and ``diffuse_only`` may be missing."""
     bounces = check_whole("max_bounces", options["max_bounces"], 0, MAX_BOUNCES)
-    samples_lights = options.get("light_samples", True)
-    if not isinstance(samples_lights, bool):
-        raise ValueError(f"light_samples: expected True or False, got {samples_lights!r:.40}")
+    samples_lights = check_switch("light_samples", options.get("light_samples", True))
+    diffuse_only = check_switch("diffuse_only", options.get("diffuse_only", False))
     clamp = check_number("clamp", options["clamp"])
     if not clamp > 0.0:
         raise ValueError(f"clamp: expected a number above 0, got {clamp}")
     with np.errstate(over="ignore", under="ignore"):
         most = np.float32(clamp)
     follows_last = bool(options.get("follows_last", True))
-    return {"rules": PathOptions(bounces, samples_lights, ROULETTE_BOUNCE, most, follows_last)}
+    rules = PathOptions(bounces, samples_lights, ROULETTE_BOUNCE, most, follows_last)
+    return {"rules": rules, "diffuse_only": diffuse_only}
 
 
 PATH_STAGES = (find_surfaces, shade_surfaces, trace_shadow_rays)
+
+#: Purcell's path tracer, which "emulates the Arnold renderer" (2002, section 3.1.4): two bounces of
+#: Lambert's reflection, until a ray hits a light.
+PRESETS = {"arnold": {"max_bounces": 2, "light_samples": False, "diffuse_only": True}}
 
 PATH = Integrator(
     "path",
     "global illumination, one path per sample (Kajiya 1986, Purcell 2002)",
     PATH_STAGES,
-    {"max_bounces": 8, "light_samples": True, "clamp": math.inf},
+    {"max_bounces": 8, "light_samples": True, "clamp": math.inf, "diffuse_only": False},
     check_path,
+    presets=PRESETS,
 )

@@ -93,6 +93,11 @@ def _punctual_lights(context: RenderContext, _: int) -> tuple[Any, ...]:
     return (context.punctual,)
 
 
+def _whitted_arguments(context: RenderContext, _: int) -> tuple[Any, ...]:
+    options = context.options
+    return context.punctual, float(options["min_weight"]), bool(options["casts_shadows"])
+
+
 #: The modes, by the stage that shades.
 _MODES: MappingProxyType[PathStage, _Mode] = MappingProxyType(
     {
@@ -106,7 +111,7 @@ _MODES: MappingProxyType[PathStage, _Mode] = MappingProxyType(
         ),
         sample_all_lights: _Mode(
             SHADE_WHITTED,
-            lambda context, _: (context.punctual, float(context.options["min_weight"])),
+            _whitted_arguments,
             _whitted_spawns,
             lambda context: int(context.options["max_bounces"]),
         ),

@@ -76,9 +76,11 @@ def render(
     **options
         Of the mode: ``max_bounces``, the maximum number of surfaces that scatter light
         (``"path"`` and ``"whitted"``: 8, ``"kajiya"``: 3); ``min_weight``, below which rays end
-        (``"whitted"``: 1/512); ``light_samples=False`` turns next-event estimation off
-        (``"path"``); ``clamp``, a bound on the indirect light of a sample (``"path"`` and
-        ``"kajiya"``: inf); ``rays`` per hit, and their length ``distance`` (``"ao"``: 32, a
+        (``"whitted"``: 1/512); ``shadows=False``, without shadow rays (``"whitted"``);
+        ``light_samples=False`` turns next-event estimation off, ``diffuse_only=True`` all
+        reflection but the diffuse one, and ``preset="arnold"`` both, with two bounces: Purcell's
+        path tracer (``"path"``); ``clamp``, a bound on the indirect light of a sample (``"path"``
+        and ``"kajiya"``: inf); ``rays`` per hit, and their length ``distance`` (``"ao"``: 32, a
         tenth of the diagonal of the scene's bounds; inf for unlimited); ``opacity`` of a sheet,
         or ``absorption`` of solids per world unit (``"xray"``: 0.2, None). All others are
         passed to the tracer.
@@ -142,8 +144,8 @@ def render(
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
     limits = Limits(samples, noise, time_limit)
-    own = {name: options.pop(name, usual) for name, usual in renderer.options.items()}
-    chosen = renderer.check(own)
+    own = [name for name in (*renderer.options, "preset") if name in options]
+    chosen = renderer.check(renderer.complete({name: options.pop(name) for name in own}))
     numbers = Sampler.of(sampler, seed, samples)
     tracer = make_tracer(scene, structure, device, options)
     view = camera or tracer.scene.camera_for(width / height)

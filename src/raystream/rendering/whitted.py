@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from raystream.rendering.arguments import check_number, check_whole
+from raystream.rendering.arguments import check_number, check_switch, check_whole
 from raystream.rendering.integrator import (
     MAX_BOUNCES,
     Band,
@@ -23,7 +23,7 @@ from raystream.rendering.integrator import (
 )
 from raystream.rendering.shading.shadow_rays import ShadowRays
 from raystream.rendering.shading.streams import Paths
-from raystream.rendering.shading.whitted import shade_whitted
+from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted
 
 __all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sample_all_lights"]
 
@@ -38,8 +38,7 @@ def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
         shading_batch(stream, band),
         context.tables,
         context.punctual,
-        continues,
-        context.options["min_weight"],
+        WhittedOptions(continues, context.options["min_weight"], context.options["casts_shadows"]),
         onward,
         rays,
     )
@@ -48,16 +47,17 @@ def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
 
 def lights_per_pixel(context: RenderContext) -> int:
     """Shadow rays of a pixel's first hit."""
-    return int(context.punctual.light_count)
+    return int(context.punctual.light_count) if context.options.get("casts_shadows", True) else 0
 
 
 def check_whitted(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The options ``max_bounces`` [default: 0] and ``min_weight`` [default: 0], checked."""
+    """Options, checked: ``max_bounces`` and ``min_weight`` [default: 0], ``shadows`` [True]."""
     bounces = check_whole("max_bounces", options.get("max_bounces", 0), 0, MAX_BOUNCES)
     weight = check_number("min_weight", options.get("min_weight", 0.0))
     if not (math.isfinite(weight) and weight >= 0.0):
         raise ValueError(f"min_weight: expected a number of at least 0, got {weight}")
-    return {"max_bounces": bounces, "min_weight": weight}
+    shadows = check_switch("shadows", options.get("shadows", True))
+    return {"max_bounces": bounces, "min_weight": weight, "casts_shadows": shadows}
 
 
 WHITTED_STAGES = (find_surfaces, sample_all_lights, trace_shadow_rays)
@@ -66,7 +66,7 @@ WHITTED = Integrator(
     "whitted",
     "shadows, mirrors and glass, without recursion (Whitted 1980, Christen 2005)",
     WHITTED_STAGES,
-    {"max_bounces": 8, "min_weight": 1.0 / 512.0},
+    {"max_bounces": 8, "min_weight": 1.0 / 512.0, "shadows": True},
     check_whitted,
     lights_per_pixel,
 )

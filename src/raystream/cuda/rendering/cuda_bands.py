@@ -67,10 +67,12 @@ class CudaBands:
     def takes(self, stages: Sequence[PathStage]) -> bool:
         """Whether the device supports all stages of a renderer.
 
-        Sampling all lights is supported without further bounces, so that no two threads share a
-        pixel.
+        Sampling all lights is supported with shadows and without further bounces, so that no two
+        threads share a pixel.
         """
         context = self._context
+        if not context.options.get("casts_shadows", True):
+            return False
         if sample_all_lights in stages and context.options.get("max_bounces", 0) > 0:
             return False
         return context.opacity is None and all(stage in STAGES for stage in stages)

@@ -23,7 +23,7 @@ from raystream.rendering.shading.single_lanes import (
     unshadowed,
 )
 from raystream.rendering.shading.streams import StreamAddresses, StreamCursor
-from raystream.rendering.shading.whitted import shade_whitted_path
+from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted_path
 
 __all__ = [
     "ADD_UNBLOCKED",
@@ -100,7 +100,8 @@ def _shade_facing_ratio(i, batch, tables, lights):
 def _sample_all_lights(i, batch, tables, lights, rays):
     none = StreamCursor(batch.paths, ZERO_U64)
     start = _begin_slots(rays, i)
-    _, ray_end = shade_whitted_path(i, batch, tables, lights, False, 0.0, none, start)
+    options = WhittedOptions(False, 0.0)
+    _, ray_end = shade_whitted_path(i, batch, tables, lights, options, none, start)
     _end_slots(rays, i, ray_end)
 
 

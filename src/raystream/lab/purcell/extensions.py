@@ -227,7 +227,7 @@ def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
         return tracer.sums
     renderer = RENDERERS[_ROWS[row].mode]
     assert isinstance(renderer, Integrator)
-    options = renderer.check({**renderer.options, **_ROWS[row].options})
+    options = renderer.check(renderer.complete(_ROWS[row].options))
     context = make_context(tracer, camera, (size, size), Sampler.of("sobol", 0, samples), options)
     step = max(_BAND // size, 1)
     for sample in range(samples):

@@ -34,7 +34,7 @@ from raystream.rendering.shading.streams import (
     add_light,
 )
 from raystream.rendering.shading.tables import SceneTables
-from raystream.rendering.shading.whitted import shade_whitted_path
+from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted_path
 
 __all__ = [
     "PIXEL",
@@ -308,11 +308,9 @@ def _shade_path(row, bounce, batch, shading, onward, shadows):
 @device
 def _shade_whitted(row, bounce, batch, shading, onward, shadows):
     """Shadow, reflected and refracted rays; see `whitted.sample_all_lights`."""
-    lights, min_weight = shading.more
-    continues = bounce < shading.rows.last_bounce
-    return shade_whitted_path(
-        row, batch, shading.tables, lights, continues, min_weight, onward, shadows
-    )
+    lights, min_weight, casts_shadows = shading.more
+    options = WhittedOptions(bounce < shading.rows.last_bounce, min_weight, casts_shadows)
+    return shade_whitted_path(row, batch, shading.tables, lights, options, onward, shadows)
 
 
 @device

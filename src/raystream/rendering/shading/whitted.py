@@ -9,6 +9,8 @@ weight holds its contribution to its pixel (Purcell 2002, section 3.2; Christen 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
@@ -31,7 +33,25 @@ from raystream.rendering.shading.surface_points import spawn_origin, surface_poi
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import added, dot, mirrored, scaled, times
 
-__all__ = ["shade_whitted", "shade_whitted_path"]
+__all__ = ["WhittedOptions", "shade_whitted", "shade_whitted_path"]
+
+
+class WhittedOptions(NamedTuple):
+    """Options of Whitted ray tracing.
+
+    Attributes
+    ----------
+    continues : bool
+        Whether mirrors and glass continue paths.
+    min_weight : float
+        Paths end where no channel weighs more.
+    casts_shadows : bool
+        Whether light is added by shadow rays; if not, at once, as if nothing blocked it.
+    """
+
+    continues: bool
+    min_weight: float
+    casts_shadows: bool = True
 
 
 @device
@@ -45,14 +65,21 @@ def _continue(onward, pixel, tables, point, toward, weights, color, min_weight):
 
 
 @device
-def _sample_all_lights(rays, pixel, tables, lights, lobes, point, back, weights):
-    """Write a shadow ray to each light that a surface faces; returns the cursor."""
+def _sample_all_lights(rays, pixel, batch, tables, lights, lobes, point, back, weights, shadows):
+    """Add the light of each light that a surface faces, or write its shadow ray.
+
+    Returns the cursor of shadow rays.
+    """
     for number in range(lights.light_count):
         found = incident_light(tables, lights, number, point)
         if not found.is_valid:
             continue
         color, _, _ = eval_reflection(lobes, point, back, found.toward)
         if color[0] + color[1] + color[2] <= 0.0:
+            continue
+        if not shadows:
+            row = pixel - batch.first_pixel
+            add_light(batch.radiance, row, weights, times(color, found.color), 1.0)
             continue
         light = (
             weights[0] * color[0] * found.color[0],
@@ -64,7 +91,7 @@ def _sample_all_lights(rays, pixel, tables, lights, lobes, point, back, weights)
 
 
 @device
-def shade_whitted_path(i, batch, tables, lights, continues, min_weight, onward, rays):
+def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
     """Shade path i at the surface that its ray hits.
 
     Parameters
@@ -72,7 +99,7 @@ def shade_whitted_path(i, batch, tables, lights, continues, min_weight, onward, 
     i : uint64
     batch : ShadingBatch
         Of addresses.
-    tables, lights, continues, min_weight
+    tables, lights, options
         See `shade_whitted`.
     onward, rays : StreamCursor
         Of `Paths` and `ShadowRays`.
@@ -104,9 +131,21 @@ def shade_whitted_path(i, batch, tables, lights, continues, min_weight, onward, 
         )
     lobes = lobes_at(tables, point)
     add_light(radiance, pixel, weights, times(lobes.diffuse, lights.ambient), 1.0)
-    rays = _sample_all_lights(rays, pixel_id, tables, lights, lobes, point, back, weights)
-    if not continues:
+    rays = _sample_all_lights(
+        rays,
+        pixel_id,
+        batch,
+        tables,
+        lights,
+        lobes,
+        point,
+        back,
+        weights,
+        options.casts_shadows,
+    )
+    if not options.continues:
         return onward, rays
+    min_weight = options.min_weight
 
     normal, clear = (point.nx, point.ny, point.nz), 0.0
     through = lobes.transmission
@@ -125,7 +164,7 @@ def shade_whitted_path(i, batch, tables, lights, continues, min_weight, onward, 
 
 
 @kernel
-def shade_whitted(batch, tables, lights, continues, min_weight, onward, rays):
+def shade_whitted(batch, tables, lights, options, onward, rays):
     """Shade paths at the surfaces that their rays hit, under every light.
 
     Parameters
@@ -134,10 +173,7 @@ def shade_whitted(batch, tables, lights, continues, min_weight, onward, rays):
         Emitted and ambient light are added at once.
     tables : SceneTables
     lights : PunctualLights
-    continues : bool
-        Whether mirrors and glass continue paths.
-    min_weight : float
-        Paths end where no channel weighs more.
+    options : WhittedOptions
     onward : Paths
         Room for twice as many; reflected and refracted rays are written.
     rays : ShadowRays
@@ -153,6 +189,6 @@ def shade_whitted(batch, tables, lights, continues, min_weight, onward, rays):
     ray_end = StreamCursor(addresses_of(rays), np.uint64(0))
     for i in range(np.uint64(batch.path_count)):
         path_end, ray_end = shade_whitted_path(
-            i, places, tables, lights, continues, min_weight, path_end, ray_end
+            i, places, tables, lights, options, path_end, ray_end
         )
     return np.int64(path_end.row), np.int64(ray_end.row)
