@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.jit.threads import Progress, part_of
-from raystream.kernels.hits import HitAddresses, Sink
+from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.tally import new_tallies
 from raystream.machines.backend import Capabilities
@@ -106,7 +106,8 @@ class MultipassBackend(LocalFrameBackend):
         ----------
         observer : callable
             Receives a `PassSnapshot`. Where rays are traced in parts, to bound memory or because
-            their stacks overflowed, each part has its own first pass.
+            their stacks overflowed, each part has its own first pass. That of a renderer's loop
+            comes after its eye rays.
         """
         machine = copy.copy(self)
         machine.observer = observer
@@ -175,7 +176,9 @@ class MultipassBackend(LocalFrameBackend):
         )
         streams = RayStreams.of(steps, arguments, job)
         if self.observer is not None:
-            streams.on_run = self._snapshots(self.observer, streams, stacks, goal, job)
+            streams.on_run = self._snapshots(
+                self.observer, streams, stacks, goal.out, job.tallies
+            )
             streams.on_run(None)
         self._run(streams, progress)
         if self.passes is not None and runs is not None:
@@ -251,6 +254,10 @@ class MultipassBackend(LocalFrameBackend):
         """Run a loop whose eye rays are made, in parts where it needs more room."""
         steps, count = loop_steps(steps_of(self.structure), loop), len(arrays["state"])
         streams = self._streams_of(loop, steps, arrays)
+        if self.observer is not None:
+            none = np.empty((0, 0), np.uint8)
+            streams.on_run = self._snapshots(self.observer, streams, none, None, None)
+            streams.on_run(None)
         for kernel, waiting in streams.schedule(self.scheduler, self.compaction):
             if progress:
                 progress(count - sum(waiting), count)
@@ -274,14 +281,14 @@ class MultipassBackend(LocalFrameBackend):
         observer: Observer,
         streams: RayStreams,
         stacks: NDArray[np.uint8],
-        goal: HitGoal,
-        job: RayJob,
+        hits: HitArrays | None,
+        tallies: NDArray[np.uint32] | None,
     ) -> Callable[[StepKernel | None], None]:
         """The callback that shows the rays to an observer after each kernel."""
 
         def show(kernel: StepKernel | None) -> None:
             arrays = {name: stream.array for name, stream in streams.streams.items()}
-            observer(PassSnapshot(kernel, arrays, stacks, goal.out, job.tallies))
+            observer(PassSnapshot(kernel, arrays, stacks, hits, tallies))
 
         return show
 

@@ -23,10 +23,12 @@ class PassSnapshot(NamedTuple):
         The kernel that ran; None before the first pass.
     streams : dict of str to ndarray of shape (N,)
         ``ray``, ``wanted``, ``found``, ``place`` and ``state``: see `records`, and `PLACE` in the
-        structure's module of `steps`. The field ``number`` of ``wanted`` is the ray's index.
+        structure's module of `steps`. The field ``number`` of ``wanted`` is the ray's index. In a
+        renderer's loop also ``pixel`` and ``span``.
     stacks : ndarray of shape (R, B), uint8
         Each ray's stack, by its index; B is 0 for stackless traversals. A kd-tree's
         stack is in the first ``top`` bytes: node (uint32) and end of its interval (float32).
+        Empty in a renderer's loop.
     hits : HitArrays or None
         Hits so far, if they are kept, with t in the local frame.
     tallies : ndarray of shape (R, 8), uint32, or None
