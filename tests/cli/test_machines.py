@@ -204,3 +204,10 @@ def test_damaged_structure_is_blamed_whatever_the_machine(run, tmp_path):
     (tmp_path / "damaged.npz").write_bytes(b"PK\x03\x04 no archive")
     complaint = run("info", "damaged.npz", "--machine", "multipass").complaint
     assert complaint.startswith("damaged.npz: ")
+
+
+def test_passes_of_an_image_are_counted(run):
+    arguments = ("render", "cornell", "--size", "16x12", "--mode", "shadow", "--json")
+    figures = run(*arguments, "--machine", "multipass", "--structure", "grid").figures
+    assert list(figures["passes"]) == ["eye rays", "set up", "traverse", "intersect", "shade"]
+    assert "passes" not in run(*arguments).figures

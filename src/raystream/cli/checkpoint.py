@@ -134,9 +134,14 @@ class PathProgress:
         return (image.figures["samples"] - self.samples_before) * self._pixel_count
 
     def figures(self, image: Image) -> dict[str, Any]:
-        """Return samples and error for ``--json``; null if one sample gives no error estimate."""
+        """Return samples, error and passes, if there are any, for ``--json``.
+
+        The error is null if one sample gives no estimate.
+        """
         error = image.figures["error"]
+        passes = image.figures.get("passes")
         return {
+            **({} if passes is None else {"passes": passes}),
             "samples_taken": image.figures["samples"],
             "samples_before": self.samples_before,
             "error": error if math.isfinite(error) else None,
