@@ -176,9 +176,7 @@ class MultipassBackend(LocalFrameBackend):
         )
         streams = RayStreams.of(steps, arguments, job)
         if self.observer is not None:
-            streams.on_run = self._snapshots(
-                self.observer, streams, stacks, goal.out, job.tallies
-            )
+            streams.on_run = self._snapshots(self.observer, streams, stacks, goal.out, job.tallies)
             streams.on_run(None)
         self._run(streams, progress)
         if self.passes is not None and runs is not None:
