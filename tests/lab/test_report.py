@@ -95,9 +95,26 @@ def test_page_is_whole_and_safe(about: About, outcomes: list[Outcome], tmp_path:
     assert all("onclick" not in one for one in checker.bold)
     assert "<script" not in page
     assert "raystream lab purcell --only what --size 64 -o out" in page
-    assert "holds in part" in page
+    assert "<td class=part>holds in 1 of 2</td>" in page
     assert "a &lt;processor&gt;" in page
     assert "3 measurements were reused" in page
+
+
+@pytest.mark.parametrize(
+    ("verdict", "cell"),
+    [
+        ("holds", "<td class=holds>holds</td>"),
+        ("holds in 11 of 12", "<td class=part>holds in 11 of 12</td>"),
+        ("does not hold (0 of 12)", "<td class=not>does not hold (0 of 12)</td>"),
+        ("not measured", "<td>not measured</td>"),
+        ("holds in some", "<td>holds in some</td>"),
+    ],
+)
+def test_verdicts_have_a_colour(about: About, verdict: str, cell: str) -> None:
+    result = Result(claims=[Claim("claim", "source", verdict, "holds in 1 of 2 scenes")])
+    page = as_html([Outcome(Experiment("purcell-x", "X", "nowhere.x"), result)], about, {})
+    assert cell in page
+    assert "<td>holds in 1 of 2 scenes</td>" in page
 
 
 def test_markdown_tables_keep_their_columns(about: About, outcomes: list[Outcome]) -> None:

@@ -40,8 +40,9 @@ def test_comparison_adds_ratios_of_numbers() -> None:
     ("cases", "verdict"),
     [
         ({"a": True, "b": True}, "holds"),
-        ({"a": True, "b": False}, "holds in part"),
-        ({"a": False}, "does not hold"),
+        ({"a": True, "b": False}, "holds in 1 of 2"),
+        ({"a": True, "b": False, "c": True}, "holds in 2 of 3"),
+        ({"a": False, "b": False}, "does not hold (0 of 2)"),
         ({}, "not measured"),
     ],
 )

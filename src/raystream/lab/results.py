@@ -18,7 +18,6 @@ __all__ = [
     "Result",
     "Series",
     "Table",
-    "Verdict",
     "comparison",
     "listed",
 ]
@@ -30,8 +29,6 @@ Cell = str | int | float | None
 
 #: Columns of comparison tables.
 COMPARED = ("quantity", "published", "ours", "ratio", "why they differ")
-
-Verdict = Literal["holds", "holds in part", "does not hold", "not measured"]
 
 
 @dataclass(frozen=True)
@@ -178,25 +175,33 @@ class Claim:
         The claim in our words.
     source : str
         Paper and place.
-    verdict : Verdict
+    verdict : str
+        See `judged`.
     evidence : str
         The figures that decide it.
     """
 
     text: str
     source: str
-    verdict: Verdict
+    verdict: str
     evidence: str
 
     @classmethod
     def judged(cls, text: str, source: str, cases: Mapping[str, bool], evidence: str) -> Claim:
-        """Judge a claim by several cases: it holds in all, in part, or in none."""
-        verdict: Verdict = "not measured"
-        if cases:
-            held = sum(cases.values())
-            verdict = (
-                "holds" if held == len(cases) else "holds in part" if held else "does not hold"
-            )
+        """Judge a claim by several cases.
+
+        The verdict is ``"holds"`` (in all cases), ``"holds in 2 of 3"``, ``"does not hold (0 of
+        3)"``, or ``"not measured"`` without cases.
+        """
+        held, count = sum(cases.values()), len(cases)
+        if not cases:
+            verdict = "not measured"
+        elif held == count:
+            verdict = "holds"
+        elif held:
+            verdict = f"holds in {held} of {count}"
+        else:
+            verdict = f"does not hold (0 of {count})"
         return cls(text, source, verdict, evidence)
 
 

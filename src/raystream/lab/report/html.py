@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -46,7 +47,10 @@ div.pictures { display: flex; flex-wrap: wrap; gap: 1rem } div.pictures figure {
 .holds { color: var(--good) } .part { color: var(--part) } .not { color: var(--bad) }
 """
 
-_VERDICT_CLASSES = {"holds": "holds", "holds in part": "part", "does not hold": "not"}
+#: Class of a verdict's cell, the name of the group that matches; see `Claim.judged`.
+_VERDICT = re.compile(
+    r"(?P<holds>holds)|(?P<part>holds in \d+ of \d+)|(?P<not>does not hold \(0 of \d+\))"
+)
 
 
 def as_html(
@@ -142,8 +146,8 @@ def _table(table: Table, level: int = 3) -> str:
 def _cell_class(cell: Cell) -> str:
     if is_number(cell) or cell is None:
         return " class=number"
-    name = _VERDICT_CLASSES.get(str(cell))
-    return f" class={name}" if name else ""
+    verdict = _VERDICT.fullmatch(str(cell))
+    return f" class={verdict.lastgroup}" if verdict else ""
 
 
 def _plot(plot: Plot, path: Path) -> str:
