@@ -16,6 +16,7 @@ from raystream.lab.frame_timing import report_image
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
+from raystream.lab.threshold_rule import threshold_claim
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
@@ -327,19 +328,11 @@ def _inefficient(found: dict[str, list[_Passes]]) -> Claim:
 
 def _threshold(sweeps: dict[str, dict[str, int]]) -> Claim:
     source = published("christen", "scheduling")
-    share = f"{source.values['threshold']:g}"
-    cases, evidence = {}, []
-    for letter, sweep in sweeps.items():
-        best = min(sweep, key=lambda name: sweep[name])
-        cases[letter] = sweep[share] == sweep[best]
-        evidence.append(
-            f"{letter}: {sweep[share]:,} at {share}, fewest {sweep[best]:,} at {best} "
-            f"({sweep[share] / sweep[best] - 1.0:.1%} more)"
-        )
-    return Claim.judged(
-        f"testing triangles once {float(share):.0%} of the rays wait for it takes the fewest "
-        "kernel calls",
+    return threshold_claim(
         source.source,
-        cases,
-        "; ".join(evidence),
+        source.values["threshold"],
+        {
+            letter: {float(share): count for share, count in sweep.items()}
+            for letter, sweep in sweeps.items()
+        },
     )

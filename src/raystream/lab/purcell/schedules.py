@@ -14,6 +14,7 @@ from raystream.lab.purcell.scene_statistics import (
 )
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, comparison, listed
 from raystream.lab.runner import Runner
+from raystream.lab.threshold_rule import near_fewest, threshold_claim
 from raystream.lab.views import PURCELL_VIEWS
 from raystream.lab.walks import Replay, Walks, record, replay, sweep
 from raystream.machines.schedulers import SCHEDULERS
@@ -188,8 +189,8 @@ def _thresholds(found: dict[str, dict[str, Any]]) -> Table:
     usual = published("purcell", "schedule").values["threshold"]
     for name, ours in found.items():
         best_percent, best = min(ours["sweep"], key=lambda one: one[1])
-        near = [percent for percent, passes in ours["sweep"] if passes <= 1.1 * best]
-        within = f"{near[0]} to {near[-1]}"
+        near = near_fewest(_by_share(ours))
+        within = f"{100 * near[0]:.0f} to {100 * near[-1]:.0f}"
         at_usual = dict(map(tuple, ours["sweep"]))[round(100 * usual)]
         rows.append([name, best_percent, best, at_usual, at_usual / best, within])
     return Table.of(
@@ -199,6 +200,11 @@ def _thresholds(found: dict[str, dict[str, Any]]) -> Table:
         rows,
         "Replays of recorded walks, for thresholds from 1 to 90 %.",
     )
+
+
+def _by_share(ours: dict[str, Any]) -> dict[float, int]:
+    """Passes by threshold, as a share of the active rays."""
+    return {percent / 100: passes for percent, passes in ours["sweep"]}
 
 
 def _plot(found: dict[str, dict[str, Any]]) -> Plot:
@@ -224,12 +230,11 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
     schedule = published("purcell", "schedule")
     factor = schedule.values["naive_over_threshold"]
     low, high = schedule.values["best_over_optimal"]
-    naive, optimal, usual, total = {}, {}, {}, {}
+    naive, optimal, total = {}, {}, {}
     for name, ours in found.items():
         passes = ours["schedulers"]
         naive[name] = passes["naive"] / passes["threshold"]
         optimal[name] = passes["threshold"] / ours["optimal"]
-        usual[name] = ours["passes"] / min(one for _, one in ours["sweep"])
         total[name] = ours["passes"]
     place = schedule.source
     return [
@@ -245,11 +250,10 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
             {name: ratio <= high for name, ratio in optimal.items()},
             listed(optimal, ".2f"),
         ),
-        Claim.judged(
-            "A threshold of 20 % gives the fewest passes (here: within a tenth of the best)",
+        threshold_claim(
             place,
-            {name: ratio <= 1.1 for name, ratio in usual.items()},
-            "passes at 20 % over the best: " + listed(usual, ".2f"),
+            schedule.values["threshold"],
+            {name: _by_share(ours) for name, ours in found.items()},
         ),
         Claim.judged(
             "An image takes 1000 to 3000 passes",
