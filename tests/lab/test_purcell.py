@@ -124,6 +124,16 @@ def test_unrolling_by_hand() -> None:
     assert found["added"] == pytest.approx(more / once - 1)
 
 
+def test_fewer_instructions_are_a_changed_reading(runner: Runner) -> None:
+    result = run(runner, "unrolling")
+    added = [float(row["instructions added"] or 0.0) for row in result.tables[0].records()[1:]]
+    assert min(added) < 0.0 < max(added) < 0.1
+    claim = result.claims[1]
+    assert claim.verdict == "holds"
+    assert "a changed reading" in claim.text
+    assert "fewer in 1 of 2" in claim.evidence
+
+
 def test_cache_sees_every_reference(runner: Runner) -> None:
     result = run(runner, "cache")
     rates = next(one for one in result.tables if one.name == "purcell-hit-rates").records()

@@ -63,10 +63,12 @@ def loop_unrolling(runner: Runner) -> Result:
             listed(saved, ".0%") + "; with reads suppressed " + listed(suppressed, ".0%"),
         ),
         Claim.judged(
-            "It adds less than a tenth to the instructions",
+            "It adds less than a tenth to the instructions (a changed reading: our model charges "
+            "the overhead of a pass once for all its steps, so their number can fall)",
             paper.source,
             {name: one < values["instructions_added"] for name, one in added.items()},
-            listed(added, ".0%"),
+            f"{listed(added, '.0%')}; fewer in {sum(one < 0.0 for one in added.values())} of "
+            f"{len(added)}, where the paper's grow",
         ),
     ]
     return result
