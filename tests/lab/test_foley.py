@@ -24,6 +24,7 @@ from raystream.lab.foley.schedulers import RecordingScheduler, SwitchRatio
 from raystream.lab.foley.secondary_rays import first_hits, ray_kinds
 from raystream.lab.foley.sensitivity import Trial, explain_difference, is_near, nearest
 from raystream.lab.foley.settings import PBRT_BONUS, settings_of
+from raystream.lab.foley.time_claims import time_claims
 from raystream.lab.published import published
 from raystream.lab.results import Result
 from raystream.lab.runner import Runner
@@ -233,3 +234,33 @@ def test_published_ratios_are_those_of_the_text():
         assert 1.0 + theirs["up"] / theirs["down"] == pytest.approx(backtrack, abs=0.005)
         assert restart < limits["restart_over_stack"]
         assert backtrack < limits["backtrack_over_stack"]
+
+
+def lead_claims(grid):
+    """The claims on grid and kd-tree, if the grid takes a multiple of the better tree's time."""
+    costs = {"grid": grid, "restart": 1.5, "backtrack": 1.0, "brute": 100.0}
+    times = {"robots": {name: {"best": cost, "rays": 1} for name, cost in costs.items()}}
+    counts = {
+        "robots": {name: {"steps": cost, "leaves": 0, "tests": 0} for name, cost in costs.items()}
+    }
+    claims = time_claims({"branching": times, "multipass": times}, counts, {"robots": 100})
+    ahead, most = claims[:2]
+    assert "are faster than a grid" in ahead.text
+    assert "up to 8 times faster" in most.text
+    return ahead, most
+
+
+@pytest.mark.parametrize(
+    ("grid", "ahead", "most"),
+    [
+        (41.0, "holds", "does not hold (0 of 4)"),
+        (9.0, "holds", "holds"),
+        (3.0, "holds", "does not hold (0 of 4)"),
+        (0.5, "does not hold (0 of 4)", "does not hold (0 of 4)"),
+    ],
+)
+def test_up_to_eight_times_is_not_eight_or_more(grid, ahead, most):
+    claims = lead_claims(grid)
+    assert [claim.verdict for claim in claims] == [ahead, most]
+    assert "published 8.82" in claims[1].evidence
+    assert ("a different ratio" in claims[1].evidence) == (most != "holds")

@@ -44,7 +44,7 @@ def kernel_runs(structure: str, each: Mapping[str, float]) -> float:
 
 
 def lead(each: Mapping[str, float]) -> float:
-    """Kernel runs of the grid over those of the better stackless kd-tree."""
+    """The grid's cost over that of the better stackless kd-tree."""
     return each["grid"] / min(each["restart"], each["backtrack"])
 
 
