@@ -11,6 +11,7 @@ import raystream as rs
 from meshes import dented_sphere, soup
 from raystream.lab.experiments import EXPERIMENTS
 from raystream.lab.foley.node_visits import TreeWalker, distinct_share
+from raystream.lab.foley.paper_figures import brute_prices, full_rate_times, kernel_rates
 from raystream.lab.foley.scenes import (
     SIZE,
     count_states,
@@ -219,7 +220,7 @@ def test_missing_scenes_are_noted(runner, monkeypatch):
 
     monkeypatch.setattr(runner, "view", refuse)
     for one in EXPERIMENTS:
-        if one.paper == "foley" and "kernel" not in one.name:
+        if one.paper == "foley" and one.name not in ("foley-kernels", "foley-paper"):
             result: Result = runner.run(one.name, one.function())
             assert not result.tables
             assert "left out" in result.notes[0]
@@ -234,6 +235,54 @@ def test_published_ratios_are_those_of_the_text():
         assert 1.0 + theirs["up"] / theirs["down"] == pytest.approx(backtrack, abs=0.005)
         assert restart < limits["restart_over_stack"]
         assert backtrack < limits["backtrack_over_stack"]
+
+
+def test_printed_times_of_brute_force_contradict_its_rate(runner):
+    """262,144 rays; 350 million tests per second (section 3) are 2.86 ns a test."""
+    found = brute_prices()
+    assert found.in_text == pytest.approx(2.857, abs=0.001)
+    assert found.by_bandwidth == pytest.approx(64 / 20.7, abs=0.001)
+    assert found.by_scene == pytest.approx(
+        {"cornell": 2.742, "bunny": 0.2538, "robots": 0.2538, "kitchen": 0.2536}, rel=1e-3
+    )
+    assert found.shortfall("bunny") == pytest.approx(11.26, abs=0.01)
+    claim = runner.run("foley-paper", paper_experiment()).claims[0]
+    assert claim.verdict == "holds in 1 of 4"
+    assert "bunny 11.3, robots 11.3, kitchen 11.3" in claim.evidence
+    assert "cornell 2.74" in claim.evidence
+
+
+def test_the_factor_of_five_follows_from_the_paper_s_tables(runner):
+    millions = {kernel: rate / 1e6 for kernel, rate in kernel_rates().items()}
+    assert millions["kd down"] == pytest.approx(207, abs=0.5)
+    assert millions["kd up"] == pytest.approx(255, abs=0.5)
+    assert millions["kd intersect"] == pytest.approx(113, abs=0.5)
+    totals = {case: sum(parts.values()) for case, parts in full_rate_times().items()}
+    assert totals == pytest.approx(
+        {
+            "robots restart": 214,
+            "robots backtrack": 164,
+            "kitchen restart": 158,
+            "kitchen backtrack": 135,
+        },
+        abs=0.5,
+    )
+    result = runner.run("foley-paper", paper_experiment())
+    assert result.claims[1].verdict == "holds in 3 of 4"
+    factors = {row["scene and traversal"]: row["factor"] for row in result.tables[1].records()}
+    assert factors == pytest.approx(
+        {
+            "robots restart": 4.5,
+            "robots backtrack": 5.8,
+            "kitchen restart": 6.3,
+            "kitchen backtrack": 6.3,
+        },
+        abs=0.05,
+    )
+
+
+def paper_experiment():
+    return next(one.function() for one in EXPERIMENTS if one.name == "foley-paper")
 
 
 def lead_claims(grid):

@@ -224,7 +224,8 @@ def _claims(
     source = "Foley 2005, section 3.4"
     return [
         Claim.judged(
-            f"Low utilisation costs more than a factor of {factor}",
+            f"Low utilisation costs more than a factor of {factor} (read as: all lanes over those "
+            "that work, not time)",
             "Foley 2005, section 5",
             {case: cost > factor for case, cost in idle.items()},
             "all lanes / lanes that work, with Foley's scheduler: " + listed(idle),

@@ -17,6 +17,7 @@ from raystream.lab.foley.other_views import (
     other_views,
     other_views_table,
 )
+from raystream.lab.foley.paper_figures import brute_prices
 from raystream.lab.foley.scenes import (
     PATIENCE,
     SCENES,
@@ -216,6 +217,7 @@ def _relative_table(
     both: Mapping[str, Found], counts: Found, views: Mapping[str, ViewCosts]
 ) -> Table:
     theirs = published("foley", "table 1").values
+    prices = brute_prices()
     rows: list[Sequence[Cell]] = []
     for name, each in both["branching"].items():
         for structure in ("brute", "grid", "restart", "stack", "bvh"):
@@ -228,6 +230,8 @@ def _relative_table(
             if structure in passes:
                 slow = _milliseconds(passes[structure]) / _milliseconds(passes["backtrack"])
             why = f"steps and tests x {work:.3g}, time of each x {own / work:.3g}"
+            if structure == "brute":
+                why += f"; published x {prices.shortfall(name):.3g} at section 3's rate"
             if structure == "grid" and name in views:
                 leads = sorted(lead(each) for each in views[name].values())
                 why += f"; other views x {leads[0]:.3g} to {leads[-1]:.3g}"
