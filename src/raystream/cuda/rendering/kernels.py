@@ -100,7 +100,7 @@ def _shade_facing_ratio(i, batch, tables, lights):
 def _sample_all_lights(i, batch, tables, lights, rays):
     none = StreamCursor(batch.paths, ZERO_U64)
     start = _begin_slots(rays, i)
-    options = WhittedOptions(False, 0.0)
+    options = WhittedOptions(False, 0.0, True)
     _, ray_end = shade_whitted_path(i, batch, tables, lights, options, none, start)
     _end_slots(rays, i, ray_end)
 

@@ -51,7 +51,7 @@ class WhittedOptions(NamedTuple):
 
     continues: bool
     min_weight: float
-    casts_shadows: bool = True
+    casts_shadows: bool
 
 
 @device
