@@ -2,7 +2,7 @@
 
     python benchmarks/christen.py --size 256 --bounces 5
 
-Renders three scenes with ``whitted``, with 1 to 5 bounces, and the same with the tests'
+Renders five scenes with ``whitted``, with 1 to 5 bounces, and the same with the tests'
 recursive reference in float64, along the same camera rays. Differences are those of linear
 radiance, the largest of a pixel's three channels. Two references:
 
@@ -29,8 +29,8 @@ import raystream as rs
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from rendering.recursive_reference import MOVED, Reference
 
-#: Christen's scenes A, B and C; A with surfaces that mirror.
-SCENES = ("cornell_mirrors", "spheres", "boxes")
+#: Christen's scenes A, B and C; then mirrors that face each other, and smooth mirrors and glass.
+SCENES = ("three_boxes", "cubes", "boxes", "cornell_mirrors", "spheres")
 
 COLUMNS = ("scene", "bounces", "same rays", "over", "own rays", "over", "explained", "faults")
 

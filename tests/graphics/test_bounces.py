@@ -29,7 +29,7 @@ def differing(ours, theirs, allowed=1e-4):
 
 @pytest.mark.parametrize("bounces", range(5))
 def test_scene_a_has_the_iterations_of_equation_5_1(bounces):
-    """Mirrors on all walls: every iteration shows."""
+    """Every surface mirrors: every iteration shows."""
     ours, theirs = pictures(christen_scene("A"), bounces)
     assert ours.figures["iterations"] == bounces + 1
     assert ours.pixels.max() > 0.1
@@ -38,7 +38,7 @@ def test_scene_a_has_the_iterations_of_equation_5_1(bounces):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("letter", ["B", "C"])
-def test_scenes_with_smooth_and_with_small_mirrors(letter):
+def test_scenes_with_many_and_with_curved_mirrors(letter):
     ours, theirs = pictures(christen_scene(letter), 3)
     assert differing(ours, theirs) <= 10
 

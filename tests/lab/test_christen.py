@@ -26,14 +26,14 @@ def test_scenes_have_as_many_triangles_as_his():
         assert all(max(material.transmission) == 0.0 for material in scene.materials)
 
 
-def test_matte_walls_reflect_fewer_rays():
+def test_a_matte_base_reflects_fewer_rays():
     counts = {
         name: [len(one.directions) for one in scenes.bounces_of(scene, 32, 3)]
-        for name in ("A", scenes.MATTE_WALLS)
+        for name in ("A", scenes.MATTE_BASE)
         for scene in [scenes.christen_scene(name)]
     }
-    assert counts["A"][0] == counts[scenes.MATTE_WALLS][0]
-    assert 0 < counts[scenes.MATTE_WALLS][1] < counts["A"][1] / 2
+    assert counts["A"][0] == counts[scenes.MATTE_BASE][0]
+    assert 0 < counts[scenes.MATTE_BASE][1] < counts["A"][1] / 2
 
 
 def test_bounces_are_mirrored_rays():
@@ -43,13 +43,13 @@ def test_bounces_are_mirrored_rays():
     _, directions = scene.camera_for(1.0).rays(16, 16)
     np.testing.assert_allclose(first.directions, directions.reshape(-1, 3), atol=1e-6)
     hits = rs.Tracer(scene).first_hit(first.origins, first.directions)
-    # Every surface but the lamp mirrors.
+    # Every surface mirrors.
     mirrors = hits.is_hit
     assert len(second.directions) <= mirrors.sum()
     assert len(third.directions) <= len(second.directions)
     starts = hits.positions[mirrors]
     for origin in second.origins[::17]:
-        assert np.linalg.norm(starts - origin, axis=1).min() < 0.01  # millimetres
+        assert np.linalg.norm(starts - origin, axis=1).min() < 1e-4  # metres
     assert first.light_ray_count > 0
 
 
@@ -79,7 +79,7 @@ def test_passes_run_on_all_that_rays_meet():
 
 
 def test_calls_have_rows_for_every_bounce(runner, monkeypatch):
-    monkeypatch.setattr(kernel_calls, "SCENES", {})  # leaves the one with matte walls
+    monkeypatch.setattr(kernel_calls, "SCENES", {})  # leaves the one with a matte base
     result = kernel_calls.kernel_calls(runner)
     (table, kernels, sweep) = result.tables
     rows = table.records()

@@ -46,7 +46,18 @@ __all__ = [
 ]
 
 #: The library's names, for help and completion; a test compares them.
-SCENES = ("cornell", "cornell_mirrors", "spheres", "boxes", "building", "forest", "robots")
+SCENES = (
+    "cornell",
+    "cornell_mirrors",
+    "cornell_open",
+    "three_boxes",
+    "cubes",
+    "spheres",
+    "boxes",
+    "building",
+    "forest",
+    "robots",
+)
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 SAMPLERS = ("sobol", "stratified", "random")
 TONES = ("linear", "reinhard", "aces")

@@ -20,6 +20,7 @@ BOX = {"floor", "ceiling", "back wall", "right wall", "left wall", "light"}
 OPEN = {
     "cornell": BOX,
     "cornell_mirrors": BOX,
+    "cornell_open": BOX | {"short block", "tall block"},
     "boxes": {"lamp"},
     "building": {"lawn"},
     "forest": {"ground", "leaves"},
@@ -30,6 +31,9 @@ OPEN = {
 DEFAULTS = {
     "cornell": (36, 0),
     "cornell_mirrors": (36, 0),
+    "cornell_open": (32, 0),
+    "three_boxes": (36, 0),
+    "cubes": (2064, 0),
     "spheres": (2064, 0),
     "boxes": (61_562, 0),
     "building": (1_500_000, 15_000),
@@ -144,6 +148,39 @@ def test_polished_cornell_box_makes_no_light():
         assert after.emission == before.emission
         seen.add(after.reflection[0])
     assert seen == {0.0, 0.3, 0.8}
+
+
+@pytest.mark.parametrize("target", [32, 1000])
+def test_blocks_of_the_open_cornell_box_lack_only_their_bottoms(target):
+    for mesh in generate("cornell_open", target).meshes[5:7]:
+        corners = mesh.vertices[mesh.faces].astype(np.float64)
+        assert (corners[..., 1].max(axis=1) > 0.0).all()
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # The normals of the sides cancel, that of the top has no counterpart.
+        np.testing.assert_allclose(normals.sum(axis=0)[[0, 2]], 0.0, atol=0.05)
+        assert normals[:, 1].sum() / 2 > 20_000.0  # the top, square millimetres
+    closed, opened = generate("cornell"), generate("cornell_open")
+    for one, other in zip(closed.meshes, opened.meshes, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+
+
+def test_cubes_are_apart_and_inside_the_room():
+    room, cubes = generate("cubes").meshes
+    corners = cubes.vertices.reshape(-1, 8, 3)
+    assert len(corners) == 171
+    assert (room.vertices.min(axis=0) < cubes.vertices.min(axis=0)).all()
+    assert (cubes.vertices.max(axis=0) < room.vertices.max(axis=0)).all()
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    overlap = (low[:, None] <= high[None]) & (low[None] <= high[:, None])
+    np.testing.assert_array_equal(overlap.all(axis=2), np.eye(171, dtype=bool))
+
+
+def test_three_boxes_stand_on_each_other():
+    base, *boxes = generate("three_boxes").meshes
+    assert len(boxes) == 2
+    for mesh in boxes:
+        assert mesh.vertices[:, 1].min() == base.vertices[:, 1].max() == 0.0
+        assert (np.abs(mesh.vertices) < np.abs(base.vertices).max(axis=0))[:, [0, 2]].all()
 
 
 def test_walls_of_the_cornell_box_face_inward():

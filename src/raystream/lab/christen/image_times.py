@@ -69,8 +69,8 @@ def image_times(runner: Runner) -> Result:
             "given. They are from a GeForce 6 in 2005; the only devices here are CPUs so far."
         ),
         (
-            "As in his renderer, scene B's glass is opaque here, and rays are never terminated "
-            "for a small weight. Unlike his, ours also traces shadow rays."
+            "As in his renderer, rays are never terminated for a small weight. Unlike his, ours "
+            "also traces shadow rays."
         ),
     ]
     return result

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from raystream.lab.christen.scenes import (
-    MATTE_WALLS,
+    MATTE_BASE,
     SCENES,
     Bounce,
     bounces_of,
@@ -44,7 +44,7 @@ def kernel_calls(runner: Runner) -> Result:
     result = Result()
     found: dict[str, list[_Passes]] = {}
     sweeps: dict[str, dict[str, int]] = {}
-    for letter in (*SCENES, MATTE_WALLS):
+    for letter in (*SCENES, MATTE_BASE):
         scene = christen_scene(letter)
         found[letter] = _measured(runner, scene, letter)
         sweeps[letter] = _swept(runner, scene, letter)
@@ -286,7 +286,7 @@ def _few(found: dict[str, list[_Passes]], pixels: int) -> Claim:
         source.source,
         {letter: share <= FEW for letter, share in shares.items()},
         "; ".join(f"{letter}: {share:.2%}" for letter, share in shares.items())
-        + "; in A everything but the lamp is a mirror, and his mirrors are not known",
+        + "; mirrors are all surfaces of A and a third of B's cubes: his are not known",
     )
 
 

@@ -19,7 +19,7 @@ from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
 __all__ = [
-    "MATTE_WALLS",
+    "MATTE_BASE",
     "SCENES",
     "Bounce",
     "bounces_of",
@@ -31,17 +31,17 @@ __all__ = [
 #: Our versions of his scenes, and the known differences.
 SCENES = {
     "A": (
-        "cornell_mirrors",
+        "three_boxes",
         (
-            "his has three boxes; ours is the Cornell box with two blocks, whose walls reflect "
-            "0.3 and whose blocks reflect 0.8 of the light"
+            "his arrangement and mirrors are not known; ours are two boxes that reflect 0.6 of the "
+            "light, on a flat one that reflects 0.3"
         ),
     ),
     "B": (
-        "spheres",
+        "cubes",
         (
-            "his has cubes in a room; ours has cubes and spheres in a room, with one mirror "
-            "material and some that reflect 0.08"
+            "his places and mirrors are not known; ours are 171 cubes that float in a room, a "
+            "third of them mirrors, the others reflect 0.1"
         ),
     ),
     "C": (
@@ -53,11 +53,8 @@ SCENES = {
     ),
 }
 
-#: Scene A with mirroring blocks only: his mirrors are not known.
-MATTE_WALLS = "A, matte walls"
-
-#: Materials that reflect less belong to scene A's walls.
-_BLOCKS_MIRROR = 0.5
+#: Scene A with a flat box that is no mirror: his mirrors are not known.
+MATTE_BASE = "A, matte base"
 
 
 class Bounce(NamedTuple):
@@ -79,23 +76,12 @@ class Bounce(NamedTuple):
 
 
 def christen_scene(letter: str) -> Scene:
-    """Scene A, B, C or `MATTE_WALLS`, without refraction, which his renderer lacks."""
-    name, _ = SCENES["A" if letter == MATTE_WALLS else letter]
-    scene = load(name)
-    opaque = [replace(one, transmission=(0.0, 0.0, 0.0)) for one in scene.materials]
-    if letter == MATTE_WALLS:
-        opaque = [
-            one if max(one.reflection) >= _BLOCKS_MIRROR else replace(one, reflection=(0.0,) * 3)
-            for one in opaque
-        ]
-    return Scene(
-        scene.meshes,
-        materials=opaque,
-        lights=scene.lights,
-        camera=scene.camera,
-        background=scene.background,
-        name=scene.name,
-    )
+    """Scene A, B, C or `MATTE_BASE`; none refracts, which his renderer lacks."""
+    if letter != MATTE_BASE:
+        return load(SCENES[letter][0])
+    scene = load(SCENES["A"][0])
+    base, *boxes = scene.materials
+    return scene.replace(materials=[replace(base, reflection=(0.0, 0.0, 0.0)), *boxes])
 
 
 def image_size(runner: Runner) -> int:

@@ -49,7 +49,7 @@ PATIENCE = 8.0
 
 #: Names for `load` by the names of the published figures.
 SCENES = MappingProxyType(
-    {"cornell": "cornell", "bunny": "bunny", "robots": "bart_robots", "kitchen": "kitchen"}
+    {"cornell": "cornell_open", "bunny": "bunny", "robots": "bart_robots", "kitchen": "kitchen"}
 )
 
 #: Sums over all rays by traversal.

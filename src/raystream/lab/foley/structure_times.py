@@ -171,9 +171,8 @@ def _scene_table(triangles: Mapping[str, int], size: int) -> Table:
     theirs = published("foley", "scenes").values
     rows: list[tuple[str, Cell, Cell, str]] = []
     for name, count in triangles.items():
-        why = "another model of the same box" if name == "cornell" else "another model"
-        same = theirs[name]["triangles"] == count
-        rows.append((f"{name}: triangles", theirs[name]["triangles"], count, "" if same else why))
+        why = "" if theirs[name]["triangles"] == count else "another model"
+        rows.append((f"{name}: triangles", theirs[name]["triangles"], count, why))
     return comparison(
         "foley-scenes",
         f"The scenes: {published('foley', 'scenes').source}",

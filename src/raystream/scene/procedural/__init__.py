@@ -9,9 +9,11 @@ from typing import NamedTuple
 from raystream.scene.procedural import boxes as _boxes
 from raystream.scene.procedural import building as _building
 from raystream.scene.procedural import cornell as _cornell
+from raystream.scene.procedural import cubes as _cubes
 from raystream.scene.procedural import forest as _forest
 from raystream.scene.procedural import robots as _robots
 from raystream.scene.procedural import spheres as _spheres
+from raystream.scene.procedural import three_boxes as _three_boxes
 from raystream.scene.procedural.size import MAX_TRIANGLES, MIN_TRIANGLES
 from raystream.scene.scene import Scene
 
@@ -41,7 +43,7 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
     {
         "cornell": Builtin(
             _cornell.cornell,
-            "the Cornell box: five walls, a light and two blocks (Christen's scene A)",
+            "the Cornell box: five walls, a light and two blocks",
             _cornell.DEFAULT_TRIANGLES,
         ),
         "cornell_mirrors": Builtin(
@@ -49,9 +51,24 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
             "the Cornell box with polished walls and blocks, for many bounces",
             _cornell.DEFAULT_TRIANGLES,
         ),
+        "cornell_open": Builtin(
+            _cornell.cornell_open,
+            "the Cornell box with blocks without bottoms (Foley's 32 triangles)",
+            _cornell.OPEN_TRIANGLES,
+        ),
+        "three_boxes": Builtin(
+            _three_boxes.three_boxes,
+            "two boxes on a flat one, all of them mirrors (Christen's scene A)",
+            _three_boxes.DEFAULT_TRIANGLES,
+        ),
+        "cubes": Builtin(
+            _cubes.cubes,
+            "coloured and mirroring cubes that float in a room (Christen's scene B)",
+            _cubes.DEFAULT_TRIANGLES,
+        ),
         "spheres": Builtin(
             _spheres.spheres,
-            "mirrors, glass and cubes in a room (after Christen's scene B)",
+            "mirrors, glass and cubes in a room",
             _spheres.DEFAULT_TRIANGLES,
         ),
         "boxes": Builtin(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,21 @@ from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.procedural.parts import Part, merge, to_mesh
 from raystream.scene.procedural.shapes import box, patch
-from raystream.scene.procedural.size import check_triangles
+from raystream.scene.procedural.size import check_triangles, closest_divisions
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "cornell", "cornell_mirrors"]
+__all__ = [
+    "DEFAULT_TRIANGLES",
+    "OPEN_TRIANGLES",
+    "cornell",
+    "cornell_mirrors",
+    "cornell_open",
+]
 
 DEFAULT_TRIANGLES = 36
+
+#: Blocks without bottoms have 10 triangles each.
+OPEN_TRIANGLES = 32
 
 WHITE, RED, GREEN, LIGHT, BLOCK = range(5)
 
@@ -60,7 +68,7 @@ BLOCKS = (
 
 
 def cornell(triangles: int = DEFAULT_TRIANGLES) -> Scene:
-    """Make the Cornell box, the scene A of Christen 2005 (a box of Foley 2005 also).
+    """Make the Cornell box.
 
     The measured corners, colours and camera are those of Cornell's program of computer
     graphics. The two blocks are closed and stand on the floor.
@@ -81,16 +89,45 @@ def cornell(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     ------
     ValueError
         If the target is out of range.
-
-    References
-    ----------
-    Christen 2005, section 6.2.1, scene A; Foley 2005, section 4.
     """
     return Scene(
         _surfaces(check_triangles(triangles), WHITE),
         materials=MATERIALS,
         camera=CAMERA,
         name="cornell",
+    )
+
+
+def cornell_open(triangles: int = OPEN_TRIANGLES) -> Scene:
+    """Make the Cornell box with blocks without bottoms, in 32 triangles as in Foley 2005.
+
+    Foley gives the count only: five walls and a light of 2 triangles, and two blocks of 10.
+
+    Parameters
+    ----------
+    triangles : int
+        Target count: 32 without subdivision, else every surface is divided evenly. The actual
+        count comes as close as that of `cornell`.
+
+    Returns
+    -------
+    Scene
+        As `cornell`, without the triangles on which the blocks stand.
+
+    Raises
+    ------
+    ValueError
+        If the target is out of range.
+
+    References
+    ----------
+    Foley 2005, section 4.
+    """
+    return Scene(
+        _surfaces(check_triangles(triangles), WHITE, bottoms=False),
+        materials=MATERIALS,
+        camera=CAMERA,
+        name="cornell_open",
     )
 
 
@@ -132,9 +169,14 @@ def _polished(material: Material, share: float) -> Material:
     )
 
 
-def _surfaces(triangles: int, block_id: int) -> list[Mesh]:
+def _surfaces(triangles: int, block_id: int, *, bottoms: bool = True) -> list[Mesh]:
     """Make the walls, the blocks of this material, and the light."""
-    across, along = _divisions(triangles)
+
+    def count(across: int, along: int) -> int:
+        closed = 12 * across * along + 8 * (2 * across * along + across * across)
+        return closed if bottoms else closed - 4 * across * across
+
+    across, along = closest_divisions(triangles, count)
     meshes = []
     names = ("floor", "ceiling", "back wall", "right wall", "left wall")
     for name, (material_id, corners) in zip(names, WALLS, strict=True):
@@ -142,6 +184,8 @@ def _surfaces(triangles: int, block_id: int) -> list[Mesh]:
         meshes.append(to_mesh(wall, name))
     for name, (footprint, height) in zip(("short block", "tall block"), BLOCKS, strict=True):
         block = _block(footprint, height, (across, along, across)).painted(block_id)
+        if not bottoms:
+            block = _without_bottom(block)
         meshes.append(to_mesh(block, name))
     light = patch(LIGHT_CORNERS, (across, along)).painted(LIGHT)
     meshes.append(to_mesh(merge([light]), "light"))
@@ -162,16 +206,10 @@ def _block(
     return Part(vertices.astype(np.float32), part.faces, part.material_ids)
 
 
-def _divisions(triangles: int) -> tuple[int, int]:
-    """Choose cells across and along each wall for the closest count to the target."""
-
-    def count(across: int, along: int) -> int:
-        return 12 * across * along + 8 * (2 * across * along + across * across)
-
-    middle = math.isqrt(triangles // 36)
-    pairs = [
-        (across, along)
-        for across in range(max(1, middle - 2), middle + 2)
-        for along in range(across, across + max(4, across // 4) + 1)
-    ]
-    return min(pairs, key=lambda pair: abs(count(*pair) - triangles))
+def _without_bottom(block: Part) -> Part:
+    """Drop the triangles on the floor, and the vertices that only they use."""
+    standing = (block.vertices[block.faces, 1] > 0.0).any(axis=1)
+    used, faces = np.unique(block.faces[standing], return_inverse=True)
+    return Part(
+        block.vertices[used], faces.reshape(-1, 3).astype(np.int32), block.material_ids[standing]
+    )

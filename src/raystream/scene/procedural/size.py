@@ -1,10 +1,12 @@
-"""Size: limits on the triangle count of a built-in scene."""
+"""Size: the triangle count of a built-in scene, its limits and how to come close to it."""
 
 from __future__ import annotations
 
+import math
 import operator
+from collections.abc import Callable
 
-__all__ = ["MAX_TRIANGLES", "MIN_TRIANGLES", "check_triangles"]
+__all__ = ["MAX_TRIANGLES", "MIN_TRIANGLES", "check_triangles", "closest_divisions"]
 
 #: Below this a scene would be unrecognisable.
 MIN_TRIANGLES = 24
@@ -35,3 +37,22 @@ def check_triangles(triangles: int) -> int:
             f"triangles: expected {MIN_TRIANGLES:,} to {MAX_TRIANGLES:,}, got {count:,}"
         )
     return count
+
+
+def closest_divisions(triangles: int, count: Callable[[int, int], int]) -> tuple[int, int]:
+    """Choose cells across and along each face for the closest count to the target.
+
+    Parameters
+    ----------
+    triangles : int
+        Target count.
+    count : callable
+        ``count(across, along)`` returns the triangles of the scene.
+    """
+    middle = math.isqrt(triangles // count(1, 1))
+    pairs = [
+        (across, along)
+        for across in range(max(1, middle - 2), middle + 2)
+        for along in range(across, across + max(4, across // 4) + 1)
+    ]
+    return min(pairs, key=lambda pair: abs(count(*pair) - triangles))

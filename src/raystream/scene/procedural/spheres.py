@@ -27,10 +27,10 @@ WALL, FLOOR, FIRST_CUBE, FIRST_SPHERE = 0, 1, 2, 5
 
 
 def spheres(triangles: int = DEFAULT_TRIANGLES) -> Scene:
-    """Make a room with spheres and cubes, after the scene B of Christen 2005.
+    """Make a room with spheres and cubes.
 
-    By default there are 2,064 triangles, as many as in that scene: 12 for the room,
-    10 spheres of 192, and 11 cubes. Some spheres are mirrors, some are glass.
+    By default there are 2,064 triangles: 12 for the room, 10 spheres of 192, and 11 cubes. Some
+    spheres are mirrors, some are glass. `cubes` has as many triangles in cubes only.
 
     Parameters
     ----------
@@ -47,10 +47,6 @@ def spheres(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     ------
     ValueError
         If the target is out of range.
-
-    References
-    ----------
-    Christen 2005, section 6.2.1, scene B.
     """
     # A cube has 12 triangles, a sphere a multiple of that.
     units = max(1, round((check_triangles(triangles) - 12) / 12))
