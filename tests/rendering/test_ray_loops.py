@@ -88,6 +88,8 @@ def test_a_ray_caster_shades_once(scene):
     found = rs.render(looped(scene), "raycast", size=SIZE).figures["passes"]
     assert found == {"eye rays": 1, "set up": 1, **passes}
     assert passes["shade"] == 1
+    compact = rs.render(looped(scene, compaction=True), "raycast", size=SIZE).figures["passes"]
+    assert compact["shade"] > 1, "rays that have ended are shaded before they are dropped"
 
 
 @pytest.mark.parametrize("traversal", TRAVERSALS["kdtree"])
@@ -139,20 +141,44 @@ def test_memory_does_not_grow_with_mirrors(monkeypatch):
 
 
 def test_glass_takes_more_room_in_parts(scene, monkeypatch):
-    monkeypatch.setattr(ray_loops, "MAX_BYTES", 1 << 17)
     expected = render(scene, "whitted", min_weight=0.0)
-    rooms = []
-    plain = ray_loops._Columns.grown
+    parts = []
+    begin, grown = MultipassBackend.run_loop, ray_loops._Columns.grown
 
-    def grown(self, numbers, room, shadows):
-        rooms.append((len(numbers), room))
-        return plain(self, numbers, room, shadows)
+    def run_loop(self, *arguments):
+        monkeypatch.setattr(ray_loops, "MAX_BYTES", 1 << 15)  # after the size of bands was chosen
+        begin(self, *arguments)
 
-    monkeypatch.setattr(ray_loops._Columns, "grown", grown)
+    def note(self, numbers, room, shadows):
+        parts.append((id(self), room))
+        return grown(self, numbers, room, shadows)
+
+    monkeypatch.setattr(MultipassBackend, "run_loop", run_loop)
+    monkeypatch.setattr(ray_loops._Columns, "grown", note)
     image = render(looped(scene), "whitted", min_weight=0.0)
-    assert image.figures["passes"]["eye rays"] > 2, "bands"
-    assert max(room for _, room in rooms) >= 4
+    assert len(parts) > len(set(parts)), "several parts of one band"
+    assert max(room for _, room in parts) >= 4
     assert_same_bits(image.pixels, expected.pixels)
+
+
+def test_bands_fit_in_memory(scene, monkeypatch):
+    monkeypatch.setattr(ray_loops, "MAX_BYTES", 1 << 17)
+    image = render(looped(scene), "whitted")
+    assert image.figures["passes"]["eye rays"] > 2
+    assert_same_bits(image.pixels, render(scene, "whitted").pixels)
+
+
+def test_progress_within_a_sample_can_end_it(scene):
+    shown = []
+
+    def progress(done, total):
+        shown.append(done / total)
+        if 0.0 < done < total:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        rs.render(looped(scene), "whitted", SIZE, progress=progress)
+    assert 0.0 < shown[-1] < 1.0
 
 
 @pytest.mark.parametrize("what", ["layers", "camera", "opacity", "counters"])

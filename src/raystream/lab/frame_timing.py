@@ -48,7 +48,7 @@ def frame_seconds(
     renderer = RENDERERS[mode]
     chosen = renderer.check(renderer.complete(options))
     width, height = size
-    own = replace(context, tracer=tracer, width=width, height=height, options=chosen)
+    own = replace(context, tracer=tracer, width=width, height=height, options=chosen).with_bands()
     started = time.perf_counter()
     trace_sample(renderer, own, 0)
     return time.perf_counter() - started

@@ -217,8 +217,8 @@ class MultipassBackend(LocalFrameBackend):
         arrays = {**empty_rays(steps, count), **loop_arrays(count, loop.pixel)}
         begun = self._streams_of(loop, eye_ray_steps(steps, loop), arrays)
         begun.run(0, None)
-        passes["eye rays"] += 1
-        self._run_loop(loop, begun.arrays(), passes, progress)
+        passes.update(begun.passes)
+        self._run_loop(loop, begun.arrays(), passes, progress, count)
         if progress:
             progress(count, count)
 
@@ -248,8 +248,12 @@ class MultipassBackend(LocalFrameBackend):
         arrays: dict[str, NDArray[Any]],
         passes: Counter[str],
         progress: Progress | None,
+        total: int,
     ) -> None:
-        """Run a loop whose eye rays are made, in parts where it needs more room."""
+        """Run a loop whose eye rays are made, in parts where it needs more room.
+
+        `total` is the number of all pixels, of which others are finished.
+        """
         steps, count = loop_steps(steps_of(self.structure), loop), len(arrays["state"])
         streams = self._streams_of(loop, steps, arrays)
         if self.observer is not None:
@@ -258,16 +262,16 @@ class MultipassBackend(LocalFrameBackend):
             streams.on_run(None)
         for kernel, waiting in streams.schedule(self.scheduler, self.compaction):
             if progress:
-                progress(count - sum(waiting), count)
+                progress(total - min(count, sum(waiting)), total)
             streams.run(kernel, None)
-            passes[steps.kernels[kernel].name] += 1
+        passes.update(streams.passes)
         left = streams.arrays()
         waits = left["state"] == RayState.NO_ROOM
         left = {name: array[waits] for name, array in left.items()}
         left["state"][:] = RayState.SHADING
         for part, larger in loop.grow(left["wanted"]) if waits.any() else ():
             rest = {name: np.ascontiguousarray(array[part]) for name, array in left.items()}
-            self._run_loop(larger, rest, passes, None)
+            self._run_loop(larger, rest, passes, progress, total)
 
     def loop_bytes(self, pixel: np.dtype[Any]) -> int:
         """Memory of a pixel of `run_loop`, with the renderer's record."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.machines.ray_job import RayJob
-from raystream.machines.records import FOUND, RAY, WANTED, RayState, StepArguments
+from raystream.machines.records import FOUND, NO_ROOM, RAY, WANTED, RayState, StepArguments
 from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams import Counters, Kernel, Stream
@@ -88,6 +89,8 @@ class RayStreams:
     ----------
     counts : ndarray of shape (N,), uint32
         Hits of the rays that have ended.
+    passes : Counter
+        Passes of each kernel so far.
     on_run : callable or None
         Called with each `StepKernel` after it has run.
     """
@@ -102,6 +105,7 @@ class RayStreams:
         kept: object = None,
     ) -> None:
         self._spawns, self._kept = spawns, kept
+        self.passes: Counter[str] = Counter()
         self._steps = steps
         self._query = query
         self._constants = constants
@@ -155,9 +159,15 @@ class RayStreams:
         states = self._streams["state"].array
         return [int(np.count_nonzero(states == state)) for state in self._waited_for]
 
+    def _stuck(self) -> int:
+        """Rays that wait for more room."""
+        states = self._streams["state"].array
+        return int(np.count_nonzero(states == NO_ROOM)) if self._spawns else 0
+
     def run(self, kernel: int, counters: Counters | None) -> int:
         """Run a kernel on the rays that wait for it; returns their number."""
         count = self._kernels[kernel].execute(counters=counters)
+        self.passes[self._steps.kernels[kernel].name] += 1
         if self.on_run is not None:
             self.on_run(self._steps.kernels[kernel])
         return count
@@ -194,7 +204,7 @@ class RayStreams:
         waiting = self.waiting()
         while any(waiting):
             searching = sum(waiting[: shading + spawns])
-            if compaction and searching <= _COMPACTION * len(self):
+            if compaction and searching + self._stuck() <= _COMPACTION * len(self):
                 if waiting[shading] and not spawns:
                     self.run(shading, counters)
                 self.drop_ended()

@@ -8,6 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.threads import Progress
+
 __all__ = ["DeviceBands"]
 
 
@@ -16,18 +18,26 @@ class DeviceBands(Protocol):
 
     Attributes
     ----------
-    pixels_at_once : int
-        Upper bound for a band.
+    is_serial : bool
+        Whether bands are rendered one after another, each on all threads and with progress.
     """
 
-    pixels_at_once: int
+    is_serial: bool
+
+    def pixels_at_once(self, stages: Sequence[Callable[..., Any]], rays_per_pixel: int) -> int:
+        """Upper bound for a band, for the rays that its stages make of a pixel at once."""
+        ...
 
     def takes(self, stages: Sequence[Callable[..., Any]]) -> bool:
         """Whether it implements all of an integrator's stages."""
         ...
 
     def trace(
-        self, stages: Sequence[Callable[..., Any]], rows: range, sample: int
+        self,
+        stages: Sequence[Callable[..., Any]],
+        rows: range,
+        sample: int,
+        progress: Progress | None = None,
     ) -> NDArray[np.float32]:
         """Render one sample of each pixel of some rows; see `Integrator.trace`."""
         ...

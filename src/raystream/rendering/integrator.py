@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
+from raystream.jit.threads import Progress
 from raystream.programs.filters import Bound
 from raystream.rendering.device_bands import DeviceBands
 from raystream.rendering.opacity import Opacity, filter_of
@@ -119,12 +120,13 @@ class RenderContext:
 
     def with_bands(self) -> RenderContext:
         """The same with `bands` of the tracer's device or machine."""
-        bands, machine = self.tracer.bands_on_device(self), self.tracer.loop_machine
+        bare = replace(self, bands=None)  # else each would keep the one before
+        bands, machine = self.tracer.bands_on_device(bare), self.tracer.loop_machine
         if machine is not None:
             from raystream.rendering.ray_loops import MultipassBands
 
-            bands = MultipassBands(self, machine)
-        return replace(self, bands=bands)
+            bands = MultipassBands(bare, machine)
+        return replace(bare, bands=bands)
 
 
 def make_context(
@@ -259,7 +261,12 @@ class Integrator:
         return bands if bands and not context.layers and bands.takes(self.stages) else None
 
     def trace(
-        self, context: RenderContext, rows: range, sample: int, aovs: AovBuffers | None = None
+        self,
+        context: RenderContext,
+        rows: range,
+        sample: int,
+        aovs: AovBuffers | None = None,
+        progress: Progress | None = None,
     ) -> NDArray[np.float32]:
         """Render one sample of each pixel of some rows.
 
@@ -270,6 +277,8 @@ class Integrator:
         sample : int
         aovs : AovBuffers, optional
             Receives the first hits of the sample, if layers are rendered.
+        progress : callable, optional
+            Called with (pixels done, pixels), where bands are serial.
 
         Returns
         -------
@@ -278,7 +287,7 @@ class Integrator:
         """
         bands = self.bands_of(context)
         if bands is not None and aovs is None:
-            return bands.trace(self.stages, rows, sample)
+            return bands.trace(self.stages, rows, sample, progress)
         count = len(rows) * context.width
         radiance = np.zeros((count, 3), np.float32)
         band = Band(context, sample, rows.start * context.width, radiance)

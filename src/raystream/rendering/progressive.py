@@ -273,13 +273,23 @@ def trace_sample(
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
     aovs = AovBuffers.empty(width * height) if context.layers else None
 
+    def trace_band(band: int, serial: Progress | None = None) -> None:
+        here = rows[height * band // band_count : height * (band + 1) // band_count]
+        first = (here.start - rows.start) * width
+        last = first + len(here) * width
+        part = None if aovs is None else aovs.part(first, last)
+        report = part_of(serial, first, width * height)
+        light[first:last] = renderer.trace(context, here, sample, part, report)
+
+    bands = renderer.bands_of(context)
+    if bands is not None and bands.is_serial:
+        for band in range(band_count):
+            trace_band(band, progress)
+        return light, aovs
+
     def trace(begin: int, end: int) -> None:
         for band in range(begin, end):
-            here = rows[height * band // band_count : height * (band + 1) // band_count]
-            first = (here.start - rows.start) * width
-            last = first + len(here) * width
-            part = None if aovs is None else aovs.part(first, last)
-            light[first:last] = renderer.trace(context, here, sample, part)
+            trace_band(band)
 
     report = None
     if progress is not None:
@@ -294,7 +304,7 @@ def _rows_per_band(renderer: Integrator, context: RenderContext, rows: int) -> i
     bands = renderer.bands_of(context)
     per_pixel = max(renderer.rays_per_pixel(context), 1)
     if bands is not None:
-        pixels = bands.pixels_at_once // per_pixel
+        pixels = bands.pixels_at_once(renderer.stages, per_pixel)
     else:
         share = -(-context.width * rows // (4 * thread_count()))
         pixels = min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)

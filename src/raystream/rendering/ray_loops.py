@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.machines import MultipassBackend
 from raystream.machines.ray_loop import RayLoop
@@ -78,6 +79,11 @@ class _Mode(NamedTuple):
     spawned: Callable[[RenderContext], tuple[int, int]]
     last_bounce: Callable[[RenderContext], int] = lambda _: 0
 
+    def room(self, context: RenderContext) -> tuple[int, int]:
+        """Rows of a pixel at first: paths of a bounce, and shadow rays of each."""
+        paths, shadows = self.spawned(context)
+        return (paths if self.last_bounce(context) > 0 else 0) or 1, shadows
+
 
 def _ambient_arguments(context: RenderContext, sample: int) -> tuple[Any, ...]:
     options = OcclusionOptions(int(context.options["rays"]), distance_of(context))
@@ -97,6 +103,9 @@ def _whitted_arguments(context: RenderContext, _: int) -> tuple[Any, ...]:
     options = context.options
     return context.punctual, float(options["min_weight"]), bool(options["casts_shadows"])
 
+
+#: Modes whose stages end with `trace_shadow_rays`.
+_SHADOWED = frozenset({shade_surfaces, sample_all_lights, spawn_ambient_rays})
 
 #: The modes, by the stage that shades.
 _MODES: MappingProxyType[PathStage, _Mode] = MappingProxyType(
@@ -133,11 +142,16 @@ class MultipassBands:
     machine : MultipassBackend
     """
 
+    is_serial = True
+
     def __init__(self, context: RenderContext, machine: MultipassBackend) -> None:
         self._context, self._machine = context, machine
         self._passes: Counter[str] = Counter()
-        bytes_each = machine.loop_bytes(PIXEL) + 2 * _PATH_BYTES + _SHADOW_BYTES
-        self.pixels_at_once = MAX_BYTES // bytes_each
+
+    def pixels_at_once(self, stages: Sequence[PathStage], _: int) -> int:
+        """Upper bound for a band: of the memory for its rays and the machine's."""
+        room, shadows = _MODES[stages[1]].room(self._context)
+        return max(MAX_BYTES // (_row_bytes(room, shadows) + self._machine.loop_bytes(PIXEL)), 1)
 
     def takes(self, stages: Sequence[PathStage]) -> bool:
         """Whether a renderer's stages can be one loop.
@@ -149,19 +163,25 @@ class MultipassBands:
         if context.opacity is not None or context.camera.projection != "perspective":
             return False
         first, shading, *rest = stages
-        return first is find_surfaces and shading in _MODES and rest in ([], [trace_shadow_rays])
+        if first is not find_surfaces or shading not in _MODES:
+            return False
+        return rest == [trace_shadow_rays] * (shading in _SHADOWED)
 
-    def trace(self, stages: Sequence[PathStage], rows: range, sample: int) -> NDArray[np.float32]:
+    def trace(
+        self,
+        stages: Sequence[PathStage],
+        rows: range,
+        sample: int,
+        progress: Progress | None = None,
+    ) -> NDArray[np.float32]:
         """Render one sample of each pixel of some rows; see `Integrator.trace`."""
         context, mode = self._context, _MODES[stages[1]]
         count = len(rows) * context.width
         radiance = np.zeros((count, 3), np.float32)
-        band = _Band(context, mode, rows.start, sample, radiance)
-        passes: Counter[str] = Counter()
-        self._machine.run_loop(
-            band.loop(_Columns.empty(count, band.first_room, band.shadows)), count, passes
-        )
-        self._passes.update(passes)
+        more = self._machine.loop_bytes(PIXEL)
+        band = _Band(context, mode, rows.start, sample, radiance, more)
+        columns = _Columns.empty(count, *mode.room(context))
+        self._machine.run_loop(band.loop(columns), count, self._passes, progress)
         return radiance
 
     def start(self) -> None:
@@ -169,8 +189,13 @@ class MultipassBands:
         self._passes.clear()
 
     def figures(self) -> Mapping[str, Any]:
-        """The number of passes of each kernel since `start`."""
-        return {"passes": dict(self._passes)}
+        """The number of passes of each kernel since `start`, if there were any."""
+        return {"passes": dict(self._passes)} if self._passes else {}
+
+
+def _row_bytes(room: int, shadows: int) -> int:
+    """Memory of a pixel's rows."""
+    return room * (2 * _PATH_BYTES + shadows * _SHADOW_BYTES)
 
 
 class _Columns(NamedTuple):
@@ -222,27 +247,19 @@ class _Band(NamedTuple):
     first_row: int
     sample: int
     radiance: NDArray[np.float32]
-
-    @property
-    def first_room(self) -> int:
-        """Paths of a pixel and bounce that there is room for at first: what one may spawn."""
-        return max(self.mode.spawned(self.context)[0], 1)
-
-    @property
-    def shadows(self) -> int:
-        """Shadow rays of a path."""
-        return self.mode.spawned(self.context)[1]
+    machine_bytes: int
 
     def loop(self, columns: _Columns) -> RayLoop:
         """The loop over pixels with these rows."""
         context, mode = self.context, self.mode
+        shadows = mode.room(context)[1]
         hits = HitAddresses.of(columns.hits)
         rows = Rows(
             _addresses(columns.paths),
             hits,
             _addresses(columns.shadows),
             np.uint64(columns.room),
-            np.uint64(columns.room * self.shadows),
+            np.uint64(columns.room * shadows),
             np.uint64(mode.spawned(context)[0]),
             mode.last_bounce(context),
             len(columns.paths.pixels),
@@ -260,7 +277,7 @@ class _Band(NamedTuple):
 
         def grow(wanted: NDArray[Any]) -> Iterator[tuple[slice, RayLoop]]:
             room = 2 * columns.room
-            each = 2 * room * _PATH_BYTES + room * self.shadows * _SHADOW_BYTES
+            each = _row_bytes(room, shadows) + self.machine_bytes
             size = max(1, MAX_BYTES // each)
             for first in range(0, len(wanted), size):
                 part = slice(first, min(first + size, len(wanted)))
@@ -270,7 +287,7 @@ class _Band(NamedTuple):
                 half, k = divmod(at, columns.room)
                 mine["number"] = np.arange(len(mine))
                 mine["first"] = (np.arange(len(mine)) * 2 + half) * room + k
-                yield part, self.loop(columns.grown(numbers, room, self.shadows))
+                yield part, self.loop(columns.grown(numbers, room, shadows))
 
         return RayLoop(
             begin_pixel,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.cuda.rendering.device_band import DeviceBand, RenderScene
 from raystream.cuda.rendering.stages import STAGES
 from raystream.jit.cuda import Gpu
+from raystream.jit.threads import Progress
 from raystream.rendering.whitted import sample_all_lights
 
 if TYPE_CHECKING:
@@ -58,11 +59,17 @@ class CudaBands:
         *,
         is_sorted: bool = False,
     ) -> None:
-        self.pixels_at_once = min(max_pixels, MAX_PIXELS)
+        self._max_pixels = min(max_pixels, MAX_PIXELS)
         self._context, self._staging_streams = context, staging_streams
         self._queries = gpu, kernels, resident, frame, is_sorted
         self._lock = threading.Lock()
         self._scene: RenderScene | None = None
+
+    is_serial = False
+
+    def pixels_at_once(self, _: Sequence[PathStage], rays_per_pixel: int) -> int:
+        """Upper bound for a band."""
+        return self._max_pixels // rays_per_pixel
 
     def takes(self, stages: Sequence[PathStage]) -> bool:
         """Whether the device supports all stages of a renderer.
@@ -77,7 +84,13 @@ class CudaBands:
             return False
         return context.opacity is None and all(stage in STAGES for stage in stages)
 
-    def trace(self, stages: Sequence[PathStage], rows: range, sample: int) -> NDArray[np.float32]:
+    def trace(
+        self,
+        stages: Sequence[PathStage],
+        rows: range,
+        sample: int,
+        progress: Progress | None = None,  # noqa: ARG002 - it is called between bands
+    ) -> NDArray[np.float32]:
         """Render one sample of each pixel of some rows.
 
         Raises
