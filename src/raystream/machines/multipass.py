@@ -107,7 +107,7 @@ class MultipassBackend(LocalFrameBackend):
         observer : callable
             Receives a `PassSnapshot`. Where rays are traced in parts, to bound memory or because
             their stacks overflowed, each part has its own first pass. That of a renderer's loop
-            comes after its eye rays.
+            comes after its eye rays; where pixels need more room, they have other numbers then.
         """
         machine = copy.copy(self)
         machine.observer = observer

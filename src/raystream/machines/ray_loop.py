@@ -75,7 +75,7 @@ class RayLoop(NamedTuple):
     pixel : dtype
         The record of a pixel between passes.
     shading : NamedTuple
-        Constants of both functions: numbers and addresses.
+        Constants of these functions: numbers and addresses.
     hits : HitAddresses
         Rows for the nearest hits, world t.
     grow : callable

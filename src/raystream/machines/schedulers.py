@@ -89,7 +89,7 @@ class Naive:
     """Intersect as soon as any ray waits for it (Purcell 2002, section 3.2).
 
     Otherwise the last of the other kernels for which rays wait runs, and shading when all rays
-    have ended.
+    have ended, or like the other kernels if it spawns rays.
     """
 
     def choose(self, queues: Queues) -> int:
@@ -103,7 +103,8 @@ class Naive:
 class Threshold:
     """Intersect once a share of the active rays waits for it (Purcell 2002, section 3.2).
 
-    Until then the fullest of the other kernels runs, and shading when all rays have ended.
+    Until then the fullest of the other kernels runs, and shading when all rays have ended, or like
+    the other kernels if it spawns rays.
 
     Parameters
     ----------

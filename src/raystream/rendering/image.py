@@ -38,7 +38,7 @@ class Image:
     layers : mapping of str to array_like of shape (H, W) or (H, W, 3), optional
         Further values per pixel: ``"depth"``, ``"normal"``, ``"albedo"``, ``"prim_id"``,
         ``"variance"`` or any other name.
-    figures : mapping of str to number or str, optional
+    figures : mapping of str to number, str or dict, optional
         Metadata of the image, not saved to files.
 
     Attributes
