@@ -152,7 +152,7 @@ class Ours(Raystream):
         """Build, or take what is built."""
         del geometry  # the scene's
         made = rs.Tracer.__new__(rs.Tracer)
-        chosen = made._choose(self._structure, "cuda", self._machine, False, self._options)
+        chosen = made._configure(self._structure, "cuda", self._machine, False, self._options)
         how = chosen.device_options
         self.built = chosen.structure, how.build, how.method
         for other in self._others:
