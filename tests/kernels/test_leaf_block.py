@@ -28,7 +28,7 @@ _ONE = np.uint64(1)
 
 
 def numbers_of(count):
-    """Numbers of triangles in blocks, -1 where there is none."""
+    """Numbers of triangles in blocks, -1 in unused lanes."""
     padded = np.full(-(-count // BLOCK_SIZE) * BLOCK_SIZE, -1, np.int32)
     padded[:count] = np.arange(count)[::-1]
     return padded.reshape(-1, BLOCK_SIZE)

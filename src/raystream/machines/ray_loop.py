@@ -3,8 +3,8 @@
 The streaming ray tracer of Purcell 2002, section 3 and Figure 2: a kernel generates eye rays, the
 kernels of a structure traverse and intersect, and shading gives its pixel the next ray, which goes
 back to set-up in the same loop. A pixel has one ray at a time, so its records have a fixed size,
-and nothing recurses (Christen 2005, section 5.2). The renderer hands over two functions, and
-records and constants that only they know.
+and nothing recurses (Christen 2005, section 5.2). The renderer hands over three functions,
+and records and constants that only they know.
 """
 
 from __future__ import annotations

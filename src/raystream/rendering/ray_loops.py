@@ -39,10 +39,7 @@ from raystream.rendering.shading.pixel_rays import (
     has_room,
 )
 from raystream.rendering.shading.shadow_rays import ShadowRays
-from raystream.rendering.shading.streams import (
-    Paths,
-    StreamAddresses,
-)
+from raystream.rendering.shading.streams import Paths, StreamAddresses
 from raystream.rendering.shading.tables import HAS_TRANSMISSION
 from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
@@ -67,7 +64,7 @@ class _Mode(NamedTuple):
     shade : callable
         See `RayLoop.shade`.
     more : callable
-        ``more(context, sample)``: `Shading.more`.
+        ``more(context, sample)``: `LoopShading.more`.
     spawned : callable
         ``spawned(context)``: most paths and shadow rays that a path spawns.
     last_bounce : callable
@@ -91,7 +88,7 @@ def _ambient_arguments(context: RenderContext, sample: int) -> tuple[Any, ...]:
 
 
 def _whitted_spawns(context: RenderContext) -> tuple[int, int]:
-    """Only glass reflects and refracts."""
+    """Two paths behind glass, which reflects and refracts; a shadow ray to each light."""
     return (2 if context.tables.kinds & HAS_TRANSMISSION else 1), lights_per_pixel(context)
 
 
