@@ -38,7 +38,7 @@ html_theme = "furo"
 html_title = "raystream"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_extra_path = ["extra"]  # the report of the lab, as it was written
+html_extra_path = ["extra"]  # a ray's walk, as the lab wrote it
 
 add_module_names = False
 autodoc_member_order = "bysource"
