@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from typing import Any
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
@@ -17,7 +17,7 @@ _PLACE = re.compile(r"^\s*┌─ .*:(\d+):(\d+)\s*$", re.MULTILINE)
 _NOTE = re.compile(r"^\s*= (.*)$", re.MULTILINE)
 
 
-def check_source(opened: OpenDevice, name: str, source: str, line_count: int) -> Any:
+def check_source(opened: OpenDevice, name: str, source: str, line_count: int) -> None:
     """Compile a program.
 
     Parameters
@@ -35,12 +35,21 @@ def check_source(opened: OpenDevice, name: str, source: str, line_count: int) ->
     GraphicsError
         With the kernel's name and the line, if it does not compile.
     """
+    logger = logging.getLogger("wgpu")
+    logger.addFilter(_is_no_detail)
     try:
         shader_module(opened, source, name)
     except GraphicsError as error:
         if opened.is_lost:
             raise
         raise GraphicsError(_told(name, str(error), line_count)) from error
+    finally:
+        logger.removeFilter(_is_no_detail)
+
+
+def _is_no_detail(record: logging.LogRecord) -> bool:
+    """Whether it is not a detail of an error, which the compiler logs before it fails."""
+    return record.funcName != "_logger_callback"
 
 
 def _told(name: str, report: str, line_count: int) -> str:

@@ -192,9 +192,9 @@ class Stream(RecordStream):
     def _write(self, records: NDArray[Any]) -> None:
         self._copy = None
         width, height = self.size
-        channels = len(self.format.partition("32")[0])
+        channels, components = len(self.format.partition("32")[0]), self.component_count
         texels = np.zeros((height * width, channels), self.dtype)
-        texels[: len(self), : self.component_count] = records.reshape(len(self), -1)
+        texels[: len(self), :components] = records.reshape(len(self), components)
         with guarded(self.opened):
             self._front.write(texels.reshape(height, width, channels))
 
