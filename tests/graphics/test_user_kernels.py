@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import operator
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,10 @@ from raystream.core.errors import LoopLimitError
 from raystream.graphics import streams as gpu
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.streams import INDEX, Count, Counters, GatherArray, Kernel, Stream, While
+
+EXAMPLE = runpy.run_path(
+    str(Path(__file__).resolve().parents[2] / "examples" / "reaction_diffusion.py")
+)
 
 COUNT_UP = """
 fn count_up(value: f32, step: f32) -> f32 {
@@ -117,6 +123,44 @@ def test_chains_of_kernels_with_several_outputs_as_on_the_cpu():
     assert counts[0] == counts[1]
     assert results[0] == results[1]
     assert results[0][0] == [1] * 199
+
+
+def react(at, i, spread, feed, kill, field):
+    height, width = field.shape
+    row, column = i // width, i % width
+    result = (
+        field[(row + 1) % height, column],
+        field[row - 1, column],
+        field[row, (column + 1) % width],
+        field[row, column - 1],
+    )
+    first = result[0][0] + result[1][0] + result[2][0] + result[3][0]
+    second = result[0][1] + result[1][1] + result[2][1] + result[3][1]
+    reaction = at[0] * at[1] * at[1]
+    change = feed * (1.0 - at[0]) - reaction, reaction - (feed + kill) * at[1]
+    return (
+        at[0] + spread[0] * (first - 4.0 * at[0]) + change[0],
+        at[1] + spread[1] * (second - 4.0 * at[1]) + change[1],
+    )
+
+
+def test_reaction_and_diffusion_as_on_the_cpu(rng):
+    """The example's kernel: the CPU's is written in another language, and nothing else differs."""
+    start = rng.random((24, 40, 2)).astype(np.float32).reshape(-1, 2)
+    fields = []
+    for module, source in ((cpu, react), (gpu, EXAMPLE["REACT"])):
+        field = module.Stream(start)
+        kernel = module.Kernel(
+            source,
+            inputs={"at": field, "i": INDEX},
+            outputs=field,
+            gathers={"field": module.GatherArray(field, (24, 40))},
+            constants={"spread": (0.2, 0.1), "feed": 0.037, "kill": 0.06},
+        )
+        assert module.Repeat(60, kernel).run() == Count(60, 60, 57600, (Count(60, 60, 57600),))
+        fields.append(field.array)
+    np.testing.assert_allclose(*fields, atol=2e-6)
+    assert np.ptp(fields[0][:, 1]) > 0.01
 
 
 # Records

@@ -77,7 +77,7 @@ class Declarations:
             self.is_single,
         )
 
-    def name_of(self, stream: Stream) -> str | None:
+    def name_of(self, stream: RecordStream) -> str | None:
         """The stream's own name, else that of the parameter that reads it."""
         keys = [key for key, one in self.inputs.items() if one is stream]
         return stream.name or (keys[0] if keys else None)

@@ -55,14 +55,9 @@ class Declarations:
     def name_of(self) -> dict[int, str]:
         """Names of streams for counters, by their ids: their own, else those of parameters."""
         names = {id(one): f"output {k}" for k, one in enumerate(self.outputs)}
-        keys = {id(one): key for key, one in self.inputs.items()}
-        own = {id(one): one.name for one in [*self.inputs.values(), *self.outputs] if one_name(one)}
-        return {**names, **keys, **own}  # type: ignore[dict-item]
-
-
-def one_name(stream: Any) -> str | None:
-    """A stream's own name; None for INDEX."""
-    return stream.name if isinstance(stream, Stream) else None
+        names |= {id(one): key for key, one in reversed(self.inputs.items())}
+        streams = [one for one in (*self.inputs.values(), *self.outputs) if one is not INDEX]
+        return names | {id(one): one.name for one in streams if one.name}
 
 
 def declare(
@@ -149,7 +144,7 @@ def _check_names(name: str, found: Declarations) -> None:
     for key in declared:
         if declared.count(key) > 1:
             raise TypeError(f"{name}: {key!r} is declared twice")
-        if not isinstance(key, str) or not _NAME.fullmatch(key):
+        if not _NAME.fullmatch(str(key)):
             raise TypeError(f"{name}: {key!r} is not a name in WGSL")
     parameters = [one.name for one in found.function.parameters]
     for key in parameters:
