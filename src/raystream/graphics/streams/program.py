@@ -11,7 +11,7 @@ from raystream.graphics.streams.declarations import PREFIX, Declarations
 from raystream.graphics.streams.gather import GatherArray
 from raystream.graphics.streams.stream import Stream
 from raystream.graphics.streams.wgsl_text import Member
-from raystream.graphics.streams.wgsl_types import of_components, type_of
+from raystream.graphics.streams.wgsl_types import CONSTANT_TYPES, of_components, type_of
 from raystream.graphics.textures import sampled
 from raystream.streams import INDEX
 from raystream.streams.condition import Condition
@@ -79,13 +79,11 @@ def make_program(
     may_reject = condition is not None or declared.text.has_word("discard")
     kinds = 2 + 2 * len(declared.gathers) if is_counted else int(may_reject)
     reads = reads_of(declared, condition)
-    constants = [(key, declared.types[key]) for key in declared.constants]
-    if condition is not None:
-        constants.append(("", type_of(condition.stream.dtype, 1)))
+    constants = (*declared.constants, *([""] if condition is not None else []))
     groups = _groups(declared)
     layout = ["uniform"] if constants else []
     layout += ["scatter"] if kinds else []
-    lines = [*_resources(constants, kinds, reads, len(layout)), *_counting(kinds)]
+    lines = [*_resources(len(constants), kinds, reads, len(layout)), *_counting(kinds)]
     places = {id(stream): number for number, stream in enumerate(reads)}
     for number, (key, table) in enumerate(declared.gathers.items()):
         stream = table.stream(declared.opened)
@@ -99,7 +97,7 @@ def make_program(
         reads,
         groups,
         may_reject,
-        tuple(key for key, _ in constants),
+        constants,
         kinds,
     )
 
@@ -139,18 +137,13 @@ def _scalar(stream: Stream) -> str:
     return _SCALARS[sampled(stream.format)]
 
 
-def _resources(
-    constants: list[tuple[str, str]], kinds: int, reads: tuple[Stream, ...], binding: int
-) -> list[str]:
+def _resources(constants: int, kinds: int, reads: tuple[Stream, ...], binding: int) -> list[str]:
     lines = []
     if constants:
-        members = [
-            f"    @align(16) @size(16) {_member(key)}: {type_},\n" for key, type_ in constants
-        ]
-        lines += [
-            f"struct {PREFIX}Constants {{\n{''.join(members)}}}",
-            f"@group(0) @binding(0) var<uniform> {PREFIX}constants: {PREFIX}Constants;",
-        ]
+        # Words: translators to other languages keep no padding of a structure's members.
+        lines.append(
+            f"@group(0) @binding(0) var<uniform> {PREFIX}constants: array<vec4u, {constants}>;"
+        )
     if kinds:
         lines.append(
             f"@group(0) @binding({binding - 1}) var<storage, read_write> {PREFIX}counters: "
@@ -164,8 +157,10 @@ def _resources(
     return lines
 
 
-def _member(key: str) -> str:
-    return f"of_{key}" if key else "condition"
+def _constant(place: int, type_: str) -> str:
+    """The expression for a constant in the uniform."""
+    components, _ = CONSTANT_TYPES[type_]
+    return f"bitcast<{type_}>({PREFIX}constants[{place}]{_SWIZZLES[components]})"
 
 
 def _counting(kinds: int) -> list[str]:
@@ -259,7 +254,7 @@ def _entry(
     if condition is not None:
         assert isinstance(condition.stream, Stream)
         value = _load(places[id(condition.stream)], at, condition.stream)
-        compared = f"{PREFIX}constants.{_member('')}"
+        compared = _constant(len(declared.constants), type_of(condition.stream.dtype, 1))
         lines.append(f"    if !({value} {condition.operation} {compared}) {{ discard; }}")
     if kinds:
         lines += [
@@ -284,7 +279,7 @@ def _shift(stream: Stream) -> int:
 def _argument(declared: Declarations, parameter: Member, places: dict[int, int]) -> str:
     """The expression for a parameter of the function."""
     if parameter.name in declared.constants:
-        return f"{PREFIX}constants.{_member(parameter.name)}"
+        return _constant([*declared.constants].index(parameter.name), parameter.type)
     stream = declared.inputs[parameter.name]
     if stream is INDEX:
         return f"{parameter.type}({PREFIX}i)"
