@@ -18,6 +18,7 @@ MODULES = (
     "cluster",
     "cuda.streams",
     "graphics",
+    "graphics.streams",
     "lab.caches",
     "lab.cost_model",
     "lab.stepper",
