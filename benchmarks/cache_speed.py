@@ -18,7 +18,7 @@ import time
 
 import numpy as np
 
-from raystream.lab.caches import Cache, ReuseDistances
+from raystream_lab.caches import Cache, ReuseDistances
 
 MILLION = 1_000_000
 CHUNK, CHUNK_COUNT = MILLION, 20

@@ -13,6 +13,7 @@ from extras import ROOMS, missing_of, need
 __all__ = ["Docstrings"]
 
 PACKAGE = Path(raystream.__file__).parent
+LAB = Path(__file__).parents[1] / "lab"
 
 
 class Docstrings:
@@ -40,7 +41,9 @@ class Docstrings:
 
 
 def _packages_of(file: Path) -> tuple[str, ...]:
-    """Packages needed to import a module of the package."""
+    """Packages needed to import a module of ours."""
+    if LAB in file.parents:
+        return ("raystream_lab",)
     is_ours = PACKAGE in file.parents
     return ROOMS.get(file.relative_to(PACKAGE).parts[0], ()) if is_ours else ()
 
@@ -49,5 +52,5 @@ class _Room(pytest.File):
     """A module that cannot be imported: it skips."""
 
     def collect(self) -> list[pytest.Item]:
-        need(*_packages_of(self.path), whose=self.path.relative_to(PACKAGE).as_posix())
+        need(*_packages_of(self.path), whose=self.path.name)
         return []

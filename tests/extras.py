@@ -1,7 +1,7 @@
 """Optional packages: tests that need a missing one skip and say how to install it.
 
-`[test]` has none of them, `[dev]` all. Two variables of the environment let CI run the tests that
-skipped, once it has installed the rest:
+`[test]` has none of them, `[dev]` all but the lab, which is a distribution of its own. Two
+variables of the environment let CI run the tests that skipped, once it has installed the rest:
 
 - ``RAYSTREAM_TEST_SKIPPED=FILE`` writes their ids to a file that pytest takes as ``@FILE``;
 - ``RAYSTREAM_TEST_EXTRAS=1`` makes a missing package a failure.
@@ -18,7 +18,7 @@ import pytest
 __all__ = ["REMEDY", "ROOMS", "Skipped", "missing_of", "need"]
 
 #: The command that installs all of them.
-REMEDY = 'pip install -e ".[dev]"'
+REMEDY = 'pip install -e ".[dev]" -e ./lab'
 
 #: Rooms of the package that cannot be imported without these.
 ROOMS = {"cluster": ("dask", "distributed"), "cuda": ("numba_cuda",)}

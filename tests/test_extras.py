@@ -13,7 +13,7 @@ def test_a_missing_package_skips_with_what_to_do(monkeypatch):
     monkeypatch.delenv("RAYSTREAM_TEST_EXTRAS", raising=False)
     with pytest.raises(pytest.skip.Exception) as caught:
         need("pytest", "no_such_package")
-    assert str(caught.value) == 'needs no_such_package: pip install -e ".[dev]"'
+    assert str(caught.value) == 'needs no_such_package: pip install -e ".[dev]" -e ./lab'
 
 
 def test_a_missing_package_fails_where_all_are_wanted(monkeypatch):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCE = ROOT / "src" / "raystream"
+SOURCES = (ROOT / "src" / "raystream", ROOT / "lab" / "src" / "raystream_lab")
 
 #: What not to write, and what to write instead.
 PHRASES = {
@@ -91,7 +91,7 @@ def files() -> list[Path]:
     """All files with prose of ours."""
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.rst")]
     for kind in ("*.py", "*.js", "*.html"):
-        found += SOURCE.rglob(kind)
+        found += [path for source in SOURCES for path in source.rglob(kind)]
     return sorted(path for path in found if "_build" not in path.parts)
 
 

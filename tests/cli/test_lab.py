@@ -6,13 +6,15 @@ import json
 
 import pytest
 
-from raystream.cli import options
-from raystream.lab import EXPERIMENTS, PAPERS
-from raystream.lab.experiments import choose
+from extras import need
+
+need("raystream_lab")
+
+from raystream_lab import EXPERIMENTS, PAPERS
+from raystream_lab.experiments import choose
 
 
-def test_names_are_those_of_the_library():
-    assert options.PAPERS == PAPERS
+def test_experiments_have_names_of_their_own_and_of_a_paper():
     assert {one.paper for one in EXPERIMENTS} <= set(PAPERS)
     assert len({one.name for one in EXPERIMENTS}) == len(EXPERIMENTS)
 
@@ -46,7 +48,7 @@ def small(monkeypatch):
     """Purcell's experiments with only the built-in scenes, in a small part."""
     views = ("forest top",)
     for module in ("scene_statistics", "schedules", "loop_unrolling", "image_costs"):
-        monkeypatch.setattr(f"raystream.lab.purcell.{module}.PURCELL_VIEWS", views)
+        monkeypatch.setattr(f"raystream_lab.purcell.{module}.PURCELL_VIEWS", views)
 
 
 def test_report_is_written_and_a_run_resumes(run, tmp_path, small):
@@ -75,7 +77,7 @@ def test_interruption_says_how_to_resume(run, monkeypatch, small):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("raystream.lab.purcell.loop_unrolling.compare", stop)
+    monkeypatch.setattr("raystream_lab.purcell.loop_unrolling.compare", stop)
     found = run("lab", "purcell", "--only", "unrolling", "--quick", "--size", "32", "-o", "out")
     assert found.code == 130
     assert "measurements are saved in out; rerun with --resume" in found.err

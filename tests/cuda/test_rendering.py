@@ -16,13 +16,13 @@ from raystream.core.errors import RaystreamError
 from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
-from raystream.lab.recording_tracer import RecordingTracer
 from raystream.rendering.integrator import make_context
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.keep_alive import kept_arrays
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.tables import SceneTables, tables_of
+from raystream_lab.recording_tracer import RecordingTracer
 
 #: Images with sines, powers and exponentials in float64, which a GPU may round differently.
 ROUNDED = () if is_simulated() else ("image", "raycast", "shadow")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.lab.christen.scenes import christen_scene
+from raystream_lab.christen.scenes import christen_scene
 
 pytestmark = pytest.mark.usefixtures("opened")
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from extras import need
+
+need("raystream_lab")
+
 from raystream.jit.cpu import kernel
-from raystream.lab.caches.kernels.fast_division import divisor, quotient
+from raystream_lab.caches.kernels.fast_division import divisor, quotient
 
 
 def test_quotients_are_exact(rng):

@@ -7,8 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from extras import need
+
+need("raystream_lab")
+
 from cache_oracles import direct_misses, lines_of, lru_misses, stack_distances
-from raystream.lab.caches import Cache, LineCounts, ReuseDistances
+from raystream_lab.caches import Cache, LineCounts, ReuseDistances
 
 KINDS = ("cells", "lists", "vertices")
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
-from raystream.lab.cameras import orbit, turn
+from raystream_lab.cameras import orbit, turn
 
 
 def test_orbit_keeps_its_distance_and_its_target() -> None:

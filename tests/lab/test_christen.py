@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
-from raystream.lab import Runner, Store
-from raystream.lab.christen import image_times, kernel_calls, scenes
-from raystream.lab.frame_timing import render_context
-from raystream.lab.published import published
+from raystream_lab import Runner, Store
+from raystream_lab.christen import image_times, kernel_calls, scenes
+from raystream_lab.frame_timing import render_context
+from raystream_lab.published import published
 
 
 @pytest.fixture

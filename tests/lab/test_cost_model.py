@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from raystream.lab.cost_model import Counts, cost, prices, unrolled
+from extras import need
+
+need("raystream_lab")
+
+from raystream_lab.cost_model import Counts, cost, prices, unrolled
 
 
 def test_an_image_is_priced_by_hand() -> None:

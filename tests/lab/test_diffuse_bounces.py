@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
-from raystream.lab.diffuse_bounces import bounce_rays, cosine_directions
+from raystream_lab.diffuse_bounces import bounce_rays, cosine_directions
 
 
 def test_directions_follow_the_cosine() -> None:

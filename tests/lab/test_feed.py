@@ -5,7 +5,11 @@ import threading
 import numpy as np
 import pytest
 
-from raystream.lab.caches import Cache, ReuseDistances, feed_chunks
+from extras import need
+
+need("raystream_lab")
+
+from raystream_lab.caches import Cache, ReuseDistances, feed_chunks
 
 
 def _chunks(count: int) -> list[np.ndarray]:

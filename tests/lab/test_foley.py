@@ -7,12 +7,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
 from meshes import dented_sphere, soup
-from raystream.lab.experiments import EXPERIMENTS
-from raystream.lab.foley.node_visits import TreeWalker, distinct_share
-from raystream.lab.foley.paper_figures import brute_prices, full_rate_times, kernel_rates
-from raystream.lab.foley.scenes import (
+from raystream.machines import MultipassBackend
+from raystream.scene.camera import Camera
+from raystream_lab.experiments import EXPERIMENTS
+from raystream_lab.foley.node_visits import TreeWalker, distinct_share
+from raystream_lab.foley.paper_figures import brute_prices, full_rate_times, kernel_rates
+from raystream_lab.foley.scenes import (
     SIZE,
     count_states,
     figures_of,
@@ -21,18 +27,16 @@ from raystream.lab.foley.scenes import (
     published_figures,
     trace_counters,
 )
-from raystream.lab.foley.schedulers import RecordingScheduler, SwitchRatio
-from raystream.lab.foley.secondary_rays import first_hits, ray_kinds
-from raystream.lab.foley.sensitivity import Trial, explain_difference, is_near, nearest
-from raystream.lab.foley.settings import PBRT_BONUS, settings_of
-from raystream.lab.foley.time_claims import time_claims
-from raystream.lab.published import published
-from raystream.lab.results import Result
-from raystream.lab.runner import Runner
-from raystream.lab.store import Store
-from raystream.lab.views import View
-from raystream.machines import MultipassBackend
-from raystream.scene.camera import Camera
+from raystream_lab.foley.schedulers import RecordingScheduler, SwitchRatio
+from raystream_lab.foley.secondary_rays import first_hits, ray_kinds
+from raystream_lab.foley.sensitivity import Trial, explain_difference, is_near, nearest
+from raystream_lab.foley.settings import PBRT_BONUS, settings_of
+from raystream_lab.foley.time_claims import time_claims
+from raystream_lab.published import published
+from raystream_lab.results import Result
+from raystream_lab.runner import Runner
+from raystream_lab.store import Store
+from raystream_lab.views import View
 
 pytestmark = pytest.mark.usefixtures("few_objects")
 

@@ -7,8 +7,12 @@ from typing import Any
 
 import pytest
 
-from raystream.lab import Runner, Store, published
-from raystream.lab.purcell import compiled_kernels
+from extras import need
+
+need("raystream_lab")
+
+from raystream_lab import Runner, Store, published
+from raystream_lab.purcell import compiled_kernels
 
 FIGURES = {
     "code": 100,

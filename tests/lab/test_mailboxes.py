@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 from lab.walking import walks_of
-from raystream.lab.walks import repeated_tests
+from raystream_lab.walks import repeated_tests
 
 
 def triangles_of(walks, ray):

@@ -7,9 +7,13 @@ from collections import deque
 import numpy as np
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
 from lab.walking import walks_of
-from raystream.lab.walks import (
+from raystream_lab.walks import (
     ALIGNMENT,
     Kind,
     StateWords,

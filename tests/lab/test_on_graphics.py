@@ -6,16 +6,20 @@ from pathlib import Path
 
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 from conftest import skip_without_adapter
-from raystream.lab import EXPERIMENTS, Result, Runner, Store
-from raystream.lab.experiments import choose
+from raystream_lab import EXPERIMENTS, Result, Runner, Store
+from raystream_lab.experiments import choose
 
 
 @pytest.fixture
 def runner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
     skip_without_adapter()
-    monkeypatch.setattr("raystream.lab.purcell.on_graphics.PURCELL_VIEWS", ("forest top",))
-    monkeypatch.setattr("raystream.lab.christen.on_graphics.SCENES", ("A",))
+    monkeypatch.setattr("raystream_lab.purcell.on_graphics.PURCELL_VIEWS", ("forest top",))
+    monkeypatch.setattr("raystream_lab.christen.on_graphics.SCENES", ("A",))
     store = Store(tmp_path / "measurements.json", {}, "test")
     return Runner(tmp_path, store, size=16, quick=True)
 

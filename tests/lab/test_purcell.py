@@ -6,13 +6,17 @@ from pathlib import Path
 
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
-from raystream.lab import EXPERIMENTS, Result, Runner, Store
-from raystream.lab.cost_model import prices
-from raystream.lab.purcell.image_counts import count_image, grid_options, grid_tracer
-from raystream.lab.purcell.loop_unrolling import compare
-from raystream.lab.purcell.schedules import image_schedule
-from raystream.lab.purcell.zbuffer import _crossing
+from raystream_lab import EXPERIMENTS, Result, Runner, Store
+from raystream_lab.cost_model import prices
+from raystream_lab.purcell.image_counts import count_image, grid_options, grid_tracer
+from raystream_lab.purcell.loop_unrolling import compare
+from raystream_lab.purcell.schedules import image_schedule
+from raystream_lab.purcell.zbuffer import _crossing
 
 SIZE = 32
 
@@ -36,10 +40,10 @@ def runner(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
         "image_costs",
         "texture_cache",
     ):
-        monkeypatch.setattr(f"raystream.lab.purcell.{module}.PURCELL_VIEWS", VIEWS)
-    monkeypatch.setattr("raystream.lab.purcell.mailbox.PURCELL_VIEWS", VIEWS)
-    monkeypatch.setattr("raystream.lab.purcell.small_memory._VIEWS", VIEWS[1:])
-    monkeypatch.setattr("raystream.lab.purcell.texture_cache._VARIED", VIEWS[1:])
+        monkeypatch.setattr(f"raystream_lab.purcell.{module}.PURCELL_VIEWS", VIEWS)
+    monkeypatch.setattr("raystream_lab.purcell.mailbox.PURCELL_VIEWS", VIEWS)
+    monkeypatch.setattr("raystream_lab.purcell.small_memory._VIEWS", VIEWS[1:])
+    monkeypatch.setattr("raystream_lab.purcell.texture_cache._VARIED", VIEWS[1:])
     store = Store(folder / "measurements.json", {}, "test")
     store.read()
     return Runner(folder, store, size=SIZE, quick=True)

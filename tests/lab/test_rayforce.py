@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
-from raystream.lab import Runner, Store
-from raystream.lab.frame_timing import affordable_size, frame_seconds, render_context
-from raystream.lab.rayforce import graph_statistics, hidden_triangles, layers, render_modes, scenes
-from raystream.lab.recording_tracer import RecordingTracer
-from raystream.lab.results import Result
-from raystream.lab.views import view
+from raystream_lab import Runner, Store
+from raystream_lab.frame_timing import affordable_size, frame_seconds, render_context
+from raystream_lab.rayforce import graph_statistics, hidden_triangles, layers, render_modes, scenes
+from raystream_lab.recording_tracer import RecordingTracer
+from raystream_lab.results import Result
+from raystream_lab.views import view
 
 
 @pytest.fixture

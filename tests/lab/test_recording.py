@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
 from lab.walking import PLACED, scene_and_rays, tracer_of, walks_of
 from raystream.kernels.tally import COLUMNS
-from raystream.lab.walks import Run, record
 from raystream.machines.records import RayState
+from raystream_lab.walks import Run, record
 
 QUERIES = {"first hits": False, "any hits": True}
 
@@ -163,7 +167,7 @@ def test_progress_goes_through_both_searches():
 def test_rays_are_recorded_in_blocks_and_on_all_threads(monkeypatch):
     _, rays = scene_and_rays()
     monkeypatch.setattr("raystream.machines.ray_block.RAYS_PER_BLOCK", 150)
-    monkeypatch.setattr("raystream.lab.walks.recording._CHUNK", 37)
+    monkeypatch.setattr("raystream_lab.walks.recording._CHUNK", 37)
     in_blocks = record(tracer_of("grid"), **rays, visits=True)
     for name in ("run_splits", "run_kernels", "run_lengths", "runs", "prim_ids", "visits"):
         np.testing.assert_array_equal(getattr(in_blocks, name), getattr(walks_of("grid"), name))

@@ -7,11 +7,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
 from lab.walking import PLACED, scene_and_rays, walks_of
-from raystream.lab.walks import record, replay, sweep
 from raystream.machines import Queues
 from raystream.machines.schedulers import SCHEDULERS, Double, MostWork, Naive, Threshold
+from raystream_lab.walks import record, replay, sweep
 
 #: Scheduler and threshold, traversal steps and intersections in a pass.
 WAYS = [
@@ -88,9 +92,9 @@ def test_a_sweep_is_one_replay_for_each_threshold():
 def test_more_passes_than_a_call_has_room_for(monkeypatch):
     walks = walks_of("grid")
     whole = list(replay(walks))
-    monkeypatch.setattr("raystream.lab.walks.replaying._PASSES_PER_CALL", 7)
+    monkeypatch.setattr("raystream_lab.walks.replaying._PASSES_PER_CALL", 7)
     assert list(replay(walks)) == whole
-    monkeypatch.setattr("raystream.lab.walks.replaying._PASSES_PER_CALL", len(whole))
+    monkeypatch.setattr("raystream_lab.walks.replaying._PASSES_PER_CALL", len(whole))
     assert list(replay(walks)) == whole
 
 

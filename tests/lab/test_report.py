@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from extras import need
-from raystream.lab import (
+from raystream_lab import (
     About,
     Claim,
     Experiment,
@@ -23,7 +23,7 @@ from raystream.lab import (
     Series,
     Table,
 )
-from raystream.lab.report import as_html, as_markdown, write_report
+from raystream_lab.report import as_html, as_markdown, write_report
 
 EVIL = '</script><b onclick="x()">&|`code`'
 

@@ -9,10 +9,14 @@ from typing import Any
 
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 from raystream.core.errors import FileFormatError
-from raystream.lab import Claim, Store, Table, comparison, published
-from raystream.lab.published import _file
-from raystream.lab.report.cell_text import cell_text
+from raystream_lab import Claim, Store, Table, comparison, published
+from raystream_lab.published import _file
+from raystream_lab.report.cell_text import cell_text
 
 
 def test_rows_have_as_many_cells_as_columns() -> None:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from raystream.lab.christen.kernel_calls import _threshold
-from raystream.lab.purcell.schedules import _claims
-from raystream.lab.threshold_rule import near_fewest, threshold_claim
+from extras import need
+
+need("raystream_lab")
+
+from raystream_lab.christen.kernel_calls import _threshold
+from raystream_lab.purcell.schedules import _claims
+from raystream_lab.threshold_rule import near_fewest, threshold_claim
 
 
 @pytest.mark.parametrize(

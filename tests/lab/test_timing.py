@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from raystream.lab.timing import median_times, time_in_turn
+from extras import need
+
+need("raystream_lab")
+
+from raystream_lab.timing import median_times, time_in_turn
 
 
 def test_calls_take_turns():

@@ -6,7 +6,7 @@ from functools import cache
 
 import raystream as rs
 from meshes import dented_sphere
-from raystream.lab.walks import record
+from raystream_lab.walks import record
 
 #: One of each traversal whose steps are recorded with places.
 PLACED = {

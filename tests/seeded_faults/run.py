@@ -35,7 +35,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 FAULTS = Path(__file__).with_name("faults.toml")
-SOURCES = "src/raystream"
+SOURCES, LAB = "src/raystream", "lab/src/raystream_lab"
 
 #: Seconds that pytest gets to end by itself after a failure: other tests may not come back.
 GRACE = 30.0
@@ -45,7 +45,7 @@ _MARK = "RAYSTREAM_SEEDED_RUN"
 
 #: A failure as pytest-xdist prints it when it happens, and as it is in pytest's summary.
 _LIVE = re.compile(r"\[gw\d+\] \[ *\d+%\] (?:FAILED|ERROR) (?P<test>.+)")
-_SUMMARY = re.compile(r"(?:FAILED|ERROR) (?P<test>(?:tests|src)/.+?)(?: - .*)?")
+_SUMMARY = re.compile(r"(?:FAILED|ERROR) (?P<test>(?:tests|src|lab)/.+?)(?: - .*)?")
 
 #: Not needed in the copy; and the faults' own tests, which would notice every fault.
 _LEFT_OUT = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "_build", "seeded_faults")
@@ -71,11 +71,12 @@ class Fault:
     @property
     def path(self) -> str:
         """The file, from the repository's root."""
-        return f"{SOURCES}/{self.file}"
+        room, _, rest = self.file.partition("/")
+        return f"{LAB}/{rest}" if room == "lab" else f"{SOURCES}/{self.file}"
 
     @property
     def room(self) -> str:
-        """The package of raystream that it is in, or a top-level module."""
+        """The package of raystream that it is in, or a top-level module; or ``lab``."""
         return self.file.partition("/")[0].removesuffix(".py")
 
     @property
@@ -148,7 +149,7 @@ class Runner:
         self._options = ["--maxfail=1", "--verbose", "--tb=short", f"--numprocesses={workers}"]
         self._environment = {
             **os.environ,
-            "PYTHONPATH": str(copy / "src"),
+            "PYTHONPATH": os.pathsep.join([str(copy / "src"), str(copy / "lab" / "src")]),
             "RAYSTREAM_CACHE_DIR": str(cache),
         }
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.lab.stepper import walk
 from raystream.scene.camera import Camera
+from raystream.stepper import walk
 from raystream.viewer.messages import MessageError
 from raystream.viewer.picking import hits_along, pixel_ray
 from raystream.viewer.walks import MAX_STEPS, walk_along

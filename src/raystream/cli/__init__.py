@@ -24,7 +24,7 @@ from raystream.cli.console import (
 )
 from raystream.cli.info import info
 from raystream.cli.interrupts import end_quietly, keep_interrupts
-from raystream.cli.lab import lab
+from raystream.cli.plugins import add_commands
 from raystream.cli.query import query
 from raystream.cli.render import render
 from raystream.cli.view import view
@@ -51,9 +51,9 @@ app.command()(info)
 app.command()(query)
 app.command()(compare)
 app.command()(bench)
-app.command()(lab)
 app.command()(view)
 app.command()(warm)
+add_commands(app)
 
 
 @dataclass

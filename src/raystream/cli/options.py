@@ -25,7 +25,6 @@ __all__ = [
     "HEATMAPS",
     "LIGHTS",
     "MODES",
-    "PAPERS",
     "PEERS",
     "RAY_SETS",
     "SAMPLERS",
@@ -67,7 +66,6 @@ DEVICES = ("cpu", "graphics", "cuda")
 #: Default machine of each device.
 DEFAULT_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
-PAPERS = ("purcell", "foley", "rayforce", "christen")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
 
 CAMERA_PARTS = {

@@ -9,9 +9,9 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.tally import COLUMNS
-from raystream.lab.stepper import Spot, Step, Walk, walk
 from raystream.machines import Branching
 from raystream.machines.counters import answer_counting
+from raystream.stepper import Spot, Step, Walk, walk
 from raystream.tracer import Tracer
 from raystream.viewer.messages import Message, finite_or_none
 from raystream.viewer.picking import PixelRay

@@ -5,28 +5,32 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("raystream_lab")
+
 import raystream as rs
 from conftest import TRACERS, assert_same_bits
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
-from raystream.lab.kernels.bandwidth import copy_bandwidth, kernel_speeds, measure_speed
-from raystream.lab.kernels.costs import cost_of, stream_words, words_fetched, words_of
-from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only
-from raystream.lab.kernels.instructions import count_instructions
-from raystream.lab.kernels.memory_accesses import accesses
-from raystream.lab.kernels.recirculation import (
+from raystream.machines import Branching
+from raystream.machines.steps import steps_of
+from raystream.streams import Counters
+from raystream_lab.kernels.bandwidth import copy_bandwidth, kernel_speeds, measure_speed
+from raystream_lab.kernels.costs import cost_of, stream_words, words_fetched, words_of
+from raystream_lab.kernels.fetch_only import FETCH_ONLY, fetch_only
+from raystream_lab.kernels.instructions import count_instructions
+from raystream_lab.kernels.memory_accesses import accesses
+from raystream_lab.kernels.recirculation import (
     PassTime,
     Recirculation,
     by_occupancy,
     measure_recirculation,
 )
-from raystream.lab.kernels.record_code import compile_steps
-from raystream.lab.kernels.snapshots import Search, busiest, local_rays, snapshots
-from raystream.machines import Branching
-from raystream.machines.steps import steps_of
-from raystream.streams import Counters
+from raystream_lab.kernels.record_code import compile_steps
+from raystream_lab.kernels.snapshots import Search, busiest, local_rays, snapshots
 
 #: Each recompiles its kernels: inspected code is not cached on disk.
 #: That of the graph takes them as long as all of the others.

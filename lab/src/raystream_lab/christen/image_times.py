@@ -1,0 +1,205 @@
+"""Times of scenes A, B and C against grid size and bounces (Christen 2005, section 6.2)."""
+
+from __future__ import annotations
+
+import statistics
+from typing import Any
+
+from raystream.rendering.integrator import RenderContext
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+from raystream_lab.christen.scenes import (
+    SCENES,
+    christen_scene,
+    image_size,
+    timed_iterations,
+)
+from raystream_lab.frame_timing import affordable_size, render_context, report_image
+from raystream_lab.published import published
+from raystream_lab.results import Cell, Plot, Result, Series, Table, comparison
+from raystream_lab.runner import Runner
+
+__all__ = ["GRIDS", "ITERATIONS", "image_times"]
+
+#: Cells along each axis, and those that also run on the multipass machine.
+GRIDS = (5, 10, 20, 50, 100)
+_MULTIPASS_GRIDS = (5, 20, 100)
+_QUICK_GRIDS = (10, 20)
+
+#: Surfaces per path: five bounces after the first surface.
+ITERATIONS = 6
+
+ROUNDS = 3
+
+#: Maximum seconds per image; larger ones are reduced.
+_LIMIT = 2.0
+
+#: The multipass machine needs a pass per triangle test of the longest ray; above this it is
+#: skipped.
+_MAX_TESTS = 1500
+
+_Times = dict[str, Any]
+
+
+def image_times(runner: Runner) -> Result:
+    """Times of images on every device and machine."""
+    grids = _QUICK_GRIDS if runner.quick else GRIDS
+    result = Result()
+    found: dict[tuple[str, int, str], _Times] = {}
+    triangles: dict[str, int] = {}
+    for letter in SCENES:
+        scene = christen_scene(letter)
+        triangles[letter] = scene.triangle_count
+        for grid in grids:
+            found[letter, grid, "branching"] = _branching(runner, scene, letter, grid)
+        for grid in grids:
+            if grid in _MULTIPASS_GRIDS:
+                found[letter, grid, "multipass"] = _multipass(runner, scene, letter, grid)
+        title = f"Scene {letter}, {ITERATIONS} iterations"
+        name = f"christen {letter}"
+        bounces = {"max_bounces": ITERATIONS - 1, "min_weight": 0.0}
+        result.images.append(
+            report_image(runner, name, title, scene, "whitted", (256, 256), samples=4, **bounces)
+        )
+    result.tables = [_scenes(triangles), _table(runner, found)]
+    result.plots = [_grid_plot(found, 1), _grid_plot(found, ITERATIONS), _bounce_plot(found)]
+    result.notes = [
+        (
+            "The values of his Figures 6.8 to 6.10 are not in our copy, so no published times are "
+            "given. They are from a GeForce 6 in 2005; the only devices here are CPUs so far."
+        ),
+        (
+            "As in his renderer, rays are never terminated for a small weight. Unlike his, ours "
+            "also traces shadow rays."
+        ),
+    ]
+    return result
+
+
+def _branching(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
+    size = image_size(runner)
+
+    def measure() -> _Times:
+        tracer = Tracer(scene, "grid", resolution=grid)
+        context = render_context(tracer, (size, size))
+        least = max(size // 8, 1)
+        timed_iterations(context, tracer, 8, ITERATIONS)  # compiles
+        small = timed_iterations(context, tracer, least, ITERATIONS)[0][-1] / least**2
+        chosen, _ = affordable_size(small, (size, size), _LIMIT, (least, least))
+        rounds = 1 if runner.quick else ROUNDS
+        return _timed(context, tracer, chosen, rounds)
+
+    values: _Times = runner.measure(f"{letter}, {grid} cells, branching", measure)
+    return values
+
+
+def _multipass(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
+    """The same, once; only the reason if too many passes are needed."""
+    size = image_size(runner)
+
+    def measure() -> _Times:
+        counting = Tracer(scene, "grid", resolution=grid, counters=True)
+        counting.first_hit(*scene.camera_for(1.0).rays(64, 64))
+        most = int(counting.counters.tests.max())
+        if most > _MAX_TESTS:
+            return {"most_tests": most}
+        tracer = Tracer(scene, "grid", resolution=grid, machine="multipass")
+        context = render_context(tracer, (size, size))
+        timed_iterations(context, tracer, 8, ITERATIONS)  # compiles
+        return _timed(context, tracer, size, 1)
+
+    values: _Times = runner.measure(f"{letter}, {grid} cells, multipass", measure)
+    return values
+
+
+def _timed(context: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
+    """Median times after each iteration, over rounds."""
+    runs = [timed_iterations(context, tracer, size, ITERATIONS) for _ in range(rounds)]
+    seconds = [statistics.median(one) for one in zip(*(run[0] for run in runs), strict=True)]
+    return {"size": size, "seconds": seconds, "light": runs[0][1]}
+
+
+def _scenes(triangles: dict[str, int]) -> Table:
+    theirs = published("christen", "table 6.1")
+    return comparison(
+        "christen-scenes",
+        f"Triangles of the scenes: {theirs.source}",
+        [
+            (f"{letter}: `{SCENES[letter][0]}`", theirs.values[letter], count, SCENES[letter][1])
+            for letter, count in triangles.items()
+        ],
+        "His scenes were published as images only; the column says how ours differ.",
+    )
+
+
+def _milliseconds(lab_size: int, one: _Times) -> list[float | None]:
+    """Milliseconds of a whole image after each iteration."""
+    if "seconds" not in one:
+        return [None] * ITERATIONS
+    scale = (lab_size / one["size"]) ** 2
+    return [1000.0 * scale * seconds for seconds in one["seconds"]]
+
+
+def _table(runner: Runner, found: dict[tuple[str, int, str], _Times]) -> Table:
+    size = image_size(runner)
+    rows: list[list[Cell]] = []
+    for (letter, grid, machine), one in found.items():
+        drawn = f"{one['size']} x {one['size']}" if "size" in one else "too many passes"
+        rows.append([letter, f"{grid}³", "cpu", machine, drawn, *_milliseconds(size, one)])
+    reasons = [
+        f"{letter} with {grid}³ cells: its longest ray tests {one['most_tests']:,} triangles, one "
+        f"per pass; above {_MAX_TESTS:,} the multipass machine is skipped."
+        for (letter, grid, _), one in found.items()
+        if "most_tests" in one
+    ]
+    return Table.of(
+        "christen-times",
+        f"Milliseconds of an image of {size} x {size} pixels, by the number of iterations",
+        ["scene", "grid", "device", "machine", "drawn", *map(str, range(1, ITERATIONS + 1))],
+        rows,
+        "An iteration is a surface on a path: n iterations are n - 1 bounces after the first "
+        f"surface. Branching: medians of {ROUNDS} rounds; multipass: once. Times of reduced "
+        "images are scaled by the number of pixels.",
+        *reasons,
+    )
+
+
+def _labelled(found: dict[tuple[str, int, str], _Times]) -> dict[str, dict[int, list[Any]]]:
+    """Milliseconds by scene and machine, then by grid."""
+    whole = max(one.get("size", 1) for one in found.values())
+    lines: dict[str, dict[int, list[Any]]] = {}
+    for (letter, grid, machine), one in found.items():
+        lines.setdefault(f"{letter}, {machine}", {})[grid] = _milliseconds(whole, one)
+    return lines
+
+
+def _grid_plot(found: dict[tuple[str, int, str], _Times], iteration: int) -> Plot:
+    return Plot(
+        f"christen-grids-{iteration}",
+        f"Time against grid size, {iteration} iteration{'s' if iteration > 1 else ''}",
+        "cells along each axis",
+        "milliseconds per image",
+        [
+            Series(label, list(line), [each[iteration - 1] for each in line.values()])
+            for label, line in _labelled(found).items()
+            if any(each[0] is not None for each in line.values())
+        ],
+        log_x=True,
+        log_y=True,
+    )
+
+
+def _bounce_plot(found: dict[tuple[str, int, str], _Times]) -> Plot:
+    grid = published("christen", "settings").values["resolution"]
+    return Plot(
+        "christen-iterations",
+        f"Time against iterations, {grid}³ cells",
+        "iterations",
+        "milliseconds per image",
+        [
+            Series(label, list(range(1, ITERATIONS + 1)), line[grid])
+            for label, line in _labelled(found).items()
+            if any(line[grid])
+        ],
+        log_y=True,
+    )

@@ -1,0 +1,205 @@
+"""The list of experiments, selection by paper and name, and running them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, NamedTuple
+
+from raystream.core.errors import RaystreamError
+from raystream_lab.results import Result
+
+if TYPE_CHECKING:
+    from raystream_lab.runner import Runner
+
+__all__ = ["DEVICES", "EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
+
+#: Papers by their name on the command line, in the order of the report.
+PAPERS = ("purcell", "foley", "rayforce", "christen")
+
+#: Devices that have experiments.
+DEVICES = ("cpu", "graphics")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One question of a paper, put to raystream.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``"purcell-statistics"``; begins with the paper's name.
+    title : str
+    module : str
+        Below `raystream_lab`; imported on first use. Its function has the same name.
+    device : str
+        The device that it measures; ``"cpu"`` by default.
+    """
+
+    name: str
+    title: str
+    module: str
+    device: str = "cpu"
+
+    @property
+    def paper(self) -> str:
+        """One of `PAPERS`."""
+        return self.name.partition("-")[0]
+
+    def function(self) -> Callable[[Runner], Result]:
+        """The function that runs it."""
+        module = import_module(f"raystream_lab.{self.module}")
+        function: Callable[[Runner], Result] = getattr(module, self.module.rpartition(".")[2])
+        return function
+
+
+class Outcome(NamedTuple):
+    """An experiment, its result, and the seconds that its measurements took."""
+
+    experiment: Experiment
+    result: Result
+    seconds: float = 0.0
+
+
+EXPERIMENTS = (
+    Experiment("purcell-statistics", "Work per ray: v, t and s", "purcell.scene_statistics"),
+    Experiment(
+        "purcell-resolution",
+        "Grids from coarse to fine: steps against tests",
+        "purcell.grid_resolution",
+    ),
+    Experiment("purcell-passes", "Passes and schedulers", "purcell.schedules"),
+    Experiment("purcell-costs", "Compute and bandwidth", "purcell.image_costs"),
+    Experiment("purcell-speed", "Triangle tests per second", "purcell.triangle_rate"),
+    Experiment("purcell-unrolling", "Several steps per pass", "purcell.loop_unrolling"),
+    Experiment(
+        "purcell-cache",
+        "The texture cache over the machines' own references",
+        "purcell.texture_cache",
+    ),
+    Experiment("purcell-mailbox", "Savings of a mailbox", "purcell.mailbox"),
+    Experiment("purcell-memory", "Geometry in a small memory", "purcell.small_memory"),
+    Experiment("purcell-zbuffer", "Ray tracing against the Z-buffer", "purcell.zbuffer"),
+    Experiment("purcell-kernels", "Our own kernels, compiled", "purcell.compiled_kernels"),
+    Experiment("purcell-extensions", "Shadows, mirrors and paths", "purcell.extensions"),
+    Experiment(
+        "purcell-graphics",
+        "Ray casting on a current graphics pipeline",
+        "purcell.on_graphics",
+        "graphics",
+    ),
+    Experiment("foley-times", "Brute force, grid and kd-trees: times", "foley.structure_times"),
+    Experiment("foley-counts", "The cost of having no stack: ray states", "foley.state_counts"),
+    Experiment("foley-kernels", "Reads and bottlenecks of the key kernels", "foley.key_kernels"),
+    Experiment(
+        "foley-costs", "A step costs 8 tests: the cost model of the tree", "foley.tree_costs"
+    ),
+    Experiment("foley-schedule", "When to switch kernels: schedulers", "foley.schedulers"),
+    Experiment(
+        "foley-recirculation", "The cost of carrying rays from pass to pass", "foley.recirculation"
+    ),
+    Experiment("foley-secondary", "Coherence of secondary rays", "foley.coherence"),
+    Experiment("foley-paper", "The paper's figures against each other", "foley.paper_figures"),
+    Experiment("rayforce-modes", "Four render modes in three scenes", "rayforce.render_modes"),
+    Experiment("rayforce-layers", "Multi-hit against the number of layers", "rayforce.layers"),
+    Experiment(
+        "rayforce-hidden", "Cost per ray against hidden geometry", "rayforce.hidden_triangles"
+    ),
+    Experiment(
+        "rayforce-graph",
+        "The graph compared with the other structures",
+        "rayforce.graph_statistics",
+    ),
+    Experiment("christen-times", "Time against grid size and bounces", "christen.image_times"),
+    Experiment(
+        "christen-calls", "Kernel calls, and rays that are masked out", "christen.kernel_calls"
+    ),
+    Experiment(
+        "christen-graphics",
+        "Bounces on a current graphics pipeline",
+        "christen.on_graphics",
+        "graphics",
+    ),
+)
+
+
+def choose(
+    papers: Sequence[str], only: Sequence[str] = (), device: str = "cpu"
+) -> list[Experiment]:
+    """Select experiments.
+
+    Parameters
+    ----------
+    papers : sequence of str
+        Names in `PAPERS`, or ``"all"``.
+    only : sequence of str
+        Names of experiments, with or without the paper [default: all].
+    device : str
+        One of `DEVICES`.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown, or not of these papers and this device; or if the papers have no
+        experiment for the device.
+    """
+    if device not in DEVICES:
+        raise ValueError(f"device: expected {' or '.join(DEVICES)}, got {device!r}")
+    for paper in papers:
+        if paper not in (*PAPERS, "all"):
+            raise ValueError(f"expected {', '.join((*PAPERS, 'all'))}, got {paper!r}")
+    chosen = [
+        one
+        for one in EXPERIMENTS
+        if ("all" in papers or one.paper in papers) and one.device == device
+    ]
+    if not chosen:
+        available = dict.fromkeys(one.paper for one in EXPERIMENTS if one.device == device)
+        raise ValueError(f"device {device!r}: has experiments of {', '.join(available)}")
+    if not only:
+        return chosen
+    for name in only:
+        if not any(_is_called(one, name) for one in chosen):
+            known = ", ".join(one.name for one in chosen)
+            raise ValueError(f"no experiment {name!r}; there are {known}")
+    return [one for one in chosen if any(_is_called(one, name) for name in only)]
+
+
+def _is_called(experiment: Experiment, name: str) -> bool:
+    return name in (experiment.name, experiment.name.partition("-")[2])
+
+
+def run_all(
+    runner: Runner,
+    experiments: Sequence[Experiment],
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Outcome]:
+    """Run experiments in sequence.
+
+    Parameters
+    ----------
+    runner : Runner
+    experiments : sequence of Experiment
+    progress : callable, optional
+        Called with (experiments done, experiments).
+
+    Notes
+    -----
+    An experiment that lacks a model or memory reports it in its notes; the others run.
+    """
+    outcomes = []
+    for number, one in enumerate(experiments):
+        try:
+            result = runner.run(one.name, partial(_call, one))
+        except (RaystreamError, MemoryError) as error:
+            result = Result(notes=[f"{one.name} was not measured: {error}"])
+        outcomes.append(Outcome(one, result, runner.seconds))
+        if progress:
+            progress(number + 1, len(experiments))
+    return outcomes
+
+
+def _call(experiment: Experiment, runner: Runner) -> Result:
+    return experiment.function()(runner)

@@ -1,0 +1,240 @@
+"""Render modes vis, x-ray, ao and kajiya in three scenes (Rayforce 2013, Figure 3)."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+from raystream.rendering.ao import REACH
+from raystream.rendering.integrator import RenderContext
+from raystream.scene.scene import Scene
+from raystream_lab.frame_timing import (
+    Size,
+    affordable_size,
+    frame_seconds,
+    render_context,
+    report_image,
+)
+from raystream_lab.published import published
+from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
+from raystream_lab.recording_tracer import RecordingTracer
+from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream_lab.runner import Runner
+from raystream_lab.views import View
+
+__all__ = ["MODES", "render_modes"]
+
+#: Modes, and the poster's description of each.
+MODES = {
+    "vis": "visible surfaces, shaded by the cosine between normal and view",
+    "xray": "all surfaces along a ray as clear sheets",
+    "ao": "the first surface, and 32 any-hit rays",
+    "kajiya": "the first surface, any-hit shadows and two diffuse bounces",
+}
+
+ROUNDS = 3
+
+#: Maximum seconds per frame; larger images are reduced.
+_LIMIT = 1.0
+_QUICK_LIMIT = 0.2
+
+#: May be rendered smaller than the others, which share a size.
+_SLOW = "grid"
+
+_IMAGE_SIZE = (320, 240)
+
+
+#: Frames of a scene and mode, by structure.
+_Frames = dict[str, dict[str, Any]]
+
+
+class _Contenders:
+    """Tracers of all structures for one scene, built on first use."""
+
+    def __init__(self, runner: Runner, view: View) -> None:
+        self._runner = runner
+        self._view = view
+
+    def seconds(self, structure: str, mode: str, size: Size) -> float:
+        """Render and time a frame."""
+        return frame_seconds(self.context, self.tracers[structure], mode, size)
+
+    @cached_property
+    def scene(self) -> Scene:
+        return prepared(self._view.scene)
+
+    @cached_property
+    def tracers(self) -> dict[str, RecordingTracer]:
+        scene, progress = self.scene, self._runner.progress
+        return {name: RecordingTracer(scene, name, progress=progress) for name in STRUCTURES}
+
+    @cached_property
+    def context(self) -> RenderContext:
+        return render_context(self.tracers[REFERENCE], frame_size(self._runner))
+
+
+def frame_size(runner: Runner) -> Size:
+    """The poster's 1024 x 768, or the user's size."""
+    width, height = published("rayforce", "figure 3").values["size"]
+    chosen = runner.size(width)
+    return chosen, max(chosen * height // width, 1)
+
+
+def render_modes(runner: Runner) -> Result:
+    """Whole frames of four modes with every structure except brute force."""
+    result = Result()
+    found: dict[str, dict[str, _Frames]] = {mode: {} for mode in MODES}
+    for view in scenes(runner, result):
+        contenders = _Contenders(runner, view)
+        for mode in MODES:
+            found[mode][view.name] = _measured(runner, contenders, view.name, mode)
+            title = f"{view.name}: {mode}, one sample a pixel"
+            name = f"rayforce {view.name} {mode}"
+            result.images.append(
+                report_image(runner, name, title, contenders.scene, mode, _IMAGE_SIZE)
+            )
+    size = frame_size(runner)
+    result.tables = [_table(mode, frames, size) for mode, frames in found.items()]
+    result.plots = [_plot(found, size)]
+    result.claims = [_claim(found, size)]
+    result.notes += list(_notes(found, size))
+    return result
+
+
+def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> _Frames:
+    """Times of rounds in which structures take turns."""
+    size = frame_size(runner)
+    small = max(size[0] // 4, 1), max(size[1] // 4, 1)
+
+    def measure() -> _Frames:
+        frames: _Frames = {}
+        for structure in contenders.tracers:
+            contenders.seconds(structure, mode, small)  # compiles
+            seconds = contenders.seconds(structure, mode, small)
+            limit = _QUICK_LIMIT if runner.quick else _LIMIT
+            pixel = seconds / (small[0] * small[1])
+            frames[structure] = {
+                "size": affordable_size(pixel, size, limit, small),
+                "small_pixel": pixel,
+                "seconds": [],
+            }
+        # Pixels of small frames take longer: compared frames share a size.
+        common = min(frames[one]["size"] for one in STRUCTURES if one != _SLOW)
+        for structure, frame in frames.items():
+            frame["size"] = min(frame["size"], common) if structure == _SLOW else common
+        for number in range(2 if runner.quick else ROUNDS + 1):
+            for structure, tracer in contenders.tracers.items():
+                tracer.queries.clear()
+                frame = frames[structure]
+                taken = contenders.seconds(structure, mode, frame["size"])
+                if number:  # the first one may compile: kernels depend on the number of rays
+                    frame["seconds"].append(taken)
+                frame["rays"] = sum(one.ray_count for one in tracer.queries)
+        return frames
+
+    frames: _Frames = runner.measure(f"{name}, {mode}", measure)
+    return frames
+
+
+def _pixel_seconds(frame: dict[str, Any]) -> float:
+    width, height = frame["size"]
+    return statistics.median(frame["seconds"]) / (width * height)
+
+
+def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
+    rows: list[list[Cell]] = []
+    for name, frames in found.items():
+        reference = _pixel_seconds(frames[REFERENCE])
+        for structure, frame in frames.items():
+            pixel = _pixel_seconds(frame)
+            width, height = frame["size"]
+            seconds = pixel * size[0] * size[1]
+            rows.append(
+                [
+                    name,
+                    structure,
+                    f"{width} x {height}",
+                    frame["rays"] / (width * height),
+                    1000.0 * seconds,
+                    1.0 / seconds,
+                    frame["rays"] / (width * height) / pixel / 1e6,
+                    pixel / reference,
+                ]
+            )
+    return Table.of(
+        f"rayforce-{mode}",
+        f"{mode}: {MODES[mode]}; frames of {size[0]} x {size[1]} pixels",
+        ["scene", "structure", "drawn", "rays per pixel", "ms", "frames/s"]
+        + ["Mrays/s", f"time / {REFERENCE}'s"],
+        rows,
+        f"Whole frames without display, medians of {ROUNDS} rounds in which structures take "
+        "turns. Material tables are built once per scene. Times of reduced frames are scaled by "
+        "the number of pixels.",
+    )
+
+
+def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
+    bars = [f"{name}, {mode}" for mode, scenes in found.items() for name in scenes]
+    series = []
+    for structure in STRUCTURES:
+        rates: list[float | None] = [
+            frames[structure]["rays"]
+            / (frames[structure]["size"][0] * frames[structure]["size"][1])
+            / _pixel_seconds(frames[structure])
+            / 1e6
+            for scenes in found.values()
+            for frames in scenes.values()
+        ]
+        series.append(Series(structure, bars, rates))
+    return Plot(
+        "rayforce-modes",
+        f"Rays per second in whole frames of {size[0]} x {size[1]} pixels",
+        "",
+        "million rays per second",
+        series,
+        kind="bars",
+    )
+
+
+def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
+    """The poster's figure had numbers for this; without them it cannot be judged."""
+    rates = {
+        mode: [1.0 / (_pixel_seconds(one[REFERENCE]) * size[0] * size[1]) for one in each.values()]
+        for mode, each in found.items()
+    }
+    evidence = "; ".join(
+        f"{mode}: {min(values):.2g} to {max(values):.2g} frames/s" for mode, values in rates.items()
+    )
+    return Claim.judged(
+        "ambient occlusion and the other modes render at interactive rates",
+        published("rayforce", "figure 3").source,
+        {},
+        "the poster's values are lost, and its GeForce GTX 690 is not comparable with a CPU; the "
+        f"{REFERENCE} here: {evidence}",
+    )
+
+
+def _notes(found: dict[str, dict[str, _Frames]], size: Size) -> Iterator[str]:
+    yield (
+        "The values of the poster's Figure 3 and its three scenes are not in our copy, so no "
+        "published column is given. The scenes here are interiors with details of different "
+        "sizes, or small built-in ones instead. Scenes without lights get one near the camera, "
+        f"and all surfaces are made opaque. Rays of ao are {REACH:g} of the scene's diagonal long; "
+        "the poster does not give their length."
+    )
+    ratios = [
+        frame["small_pixel"] / _pixel_seconds(frame)
+        for scenes in found.values()
+        for frames in scenes.values()
+        for frame in frames.values()
+        if frame["size"][0] > size[0] // 4
+    ]
+    if ratios:
+        yield (
+            "Accuracy of scaling: where more than a quarter of the width was rendered, a pixel of "
+            f"a quarter-width frame took {min(ratios):.2g} to {max(ratios):.2g} times as long "
+            f"(median {statistics.median(ratios):.2g}). Scaled times may be too long by as much; "
+            f"{', '.join(one for one in STRUCTURES if one != _SLOW)} are rendered at the same size."
+        )
