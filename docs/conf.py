@@ -6,6 +6,7 @@ import os
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 from typing import ClassVar
 
 from docutils import nodes
@@ -13,6 +14,8 @@ from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
 
 from raystream import __version__
+
+sys.path.insert(0, str(Path(__file__).with_name("_ext")))
 
 project = "raystream"
 copyright = "the raystream authors"
@@ -24,6 +27,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "myst_nb",
     "numpydoc",
+    "paper_map",
 ]
 exclude_patterns = ["_build", "extra"]
 
@@ -38,7 +42,7 @@ html_theme = "furo"
 html_title = "raystream"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_extra_path = ["extra"]  # the report of the lab, as it was written
+html_extra_path = ["extra"]  # a ray's walk, as the lab wrote it
 
 add_module_names = False
 autodoc_member_order = "bysource"

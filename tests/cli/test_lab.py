@@ -56,7 +56,7 @@ def test_report_is_written_and_a_run_resumes(run, tmp_path, small):
     first = run(*arguments, "--json")
     assert first.code == 0
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"report.html", "report.md", "report.json", "measurements.json"} <= names
+    assert {"index.md", "purcell.md", "html", "report.json", "measurements.json"} <= names
     table = first.figures["experiments"]["purcell-unrolling"]["tables"][0]
     assert [row["view"] for row in table["rows"]] == ["the paper", "forest top"]
     # Existing measurements are not repeated: a changed figure stays as it is.

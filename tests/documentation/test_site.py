@@ -82,7 +82,7 @@ def test_styles_load_nothing_from_other_hosts(site):
 @pytest.mark.documentation
 def test_pictures_have_an_alternative_text(site):
     for page in site.rglob("*.html"):
-        if "lab" in page.relative_to(site).parts:  # the report, as the lab wrote it
+        if page.name == "walk.html":  # as the lab wrote it
             continue
         reader = Reader()
         reader.feed(page.read_text(encoding="utf-8"))

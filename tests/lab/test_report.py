@@ -1,4 +1,4 @@
-"""Reports: pages, Markdown and JSON of the same results."""
+"""Reports: pages as Markdown and HTML, and JSON, of the same results."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from extras import need
+from raystream.core.errors import RaystreamError
 from raystream_lab import (
     About,
     Claim,
@@ -23,7 +24,7 @@ from raystream_lab import (
     Series,
     Table,
 )
-from raystream_lab.report import as_html, as_markdown, write_report
+from raystream_lab.report import as_pages, build_html, write_report
 
 EVIL = '</script><b onclick="x()">&|`code`'
 
@@ -62,63 +63,44 @@ def outcomes(tmp_path: Path) -> list[Outcome]:
     return [Outcome(Experiment("purcell-what", "What <it> is", "nowhere.x"), result)]
 
 
-class Checker(HTMLParser):
-    """Collects tags, and whether they close."""
-
-    VOID = ("meta", "img", "br", "link", "input")
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.sources: list[str] = []
-        self.bold: list[dict[str, str | None]] = []
-
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        given = dict(attributes)
-        self.sources += [given[key] or "" for key in ("src", "href") if key in given]
-        if tag == "b":
-            self.bold.append(given)
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
+def page_of(outcomes: list[Outcome], about: About, name: str, *arguments: Any) -> str:
+    return dict(as_pages(outcomes, about, *arguments))[name]
 
 
-def test_page_is_whole_and_safe(about: About, outcomes: list[Outcome], tmp_path: Path) -> None:
-    page = as_html(outcomes, about, {"p-1": tmp_path / "scene.png"})
-    checker = Checker()
-    checker.feed(page)
-    assert checker.open == []
-    assert checker.sources
-    assert all(one.startswith(("#", "data:image/png")) for one in checker.sources)
-    assert all("onclick" not in one for one in checker.bold)
-    assert "<script" not in page
-    assert "raystream lab purcell --only what --size 64 -o out" in page
-    assert "<td class=part>holds in 1 of 2</td>" in page
-    assert "a &lt;processor&gt;" in page
-    assert "3 measurements were reused" in page
+def test_index_counts_the_verdicts(about: About, outcomes: list[Outcome]) -> None:
+    text = page_of(outcomes, about, "index", (), "walk.html")
+    assert "| Purcell 2002 | 1 | 0 | 1 | 0 | 0 |" in text
+    assert "](purcell.md)" in text
+    assert 'href="walk.html"' in text
+    assert "3 measurements were reused" in text
+    assert "a &lt;processor>" in text
 
 
 @pytest.mark.parametrize(
-    ("verdict", "cell"),
+    ("verdict", "counts"),
     [
-        ("holds", "<td class=holds>holds</td>"),
-        ("holds in 11 of 12", "<td class=part>holds in 11 of 12</td>"),
-        ("does not hold (0 of 12)", "<td class=not>does not hold (0 of 12)</td>"),
-        ("not measured", "<td>not measured</td>"),
-        ("holds in some", "<td>holds in some</td>"),
+        ("holds", "1 | 0 | 0 | 0"),
+        ("holds in 11 of 12", "0 | 1 | 0 | 0"),
+        ("does not hold (0 of 12)", "0 | 0 | 1 | 0"),
+        ("not measured", "0 | 0 | 0 | 1"),
     ],
 )
-def test_verdicts_have_a_colour(about: About, verdict: str, cell: str) -> None:
+def test_verdicts_have_a_group(about: About, verdict: str, counts: str) -> None:
     result = Result(claims=[Claim("claim", "source", verdict, "holds in 1 of 2 scenes")])
-    page = as_html([Outcome(Experiment("purcell-x", "X", "nowhere.x"), result)], about, {})
-    assert cell in page
-    assert "<td>holds in 1 of 2 scenes</td>" in page
+    outcomes = [Outcome(Experiment("purcell-x", "X", "nowhere.x"), result)]
+    assert f"| Purcell 2002 | 1 | {counts} |" in page_of(outcomes, about, "index")
+
+
+def test_a_command_repeats_one_experiment(about: About) -> None:
+    command = "raystream lab purcell foley --only a --only b --size 64 -o 'my folder'"
+    several = about._replace(command=command)
+    assert several.command_for("foley-times") == (
+        "raystream lab foley --only times --size 64 -o 'my folder'"
+    )
 
 
 def test_markdown_tables_keep_their_columns(about: About, outcomes: list[Outcome]) -> None:
-    text = as_markdown(outcomes, about, ["p-1"])
+    text = page_of(outcomes, about, "purcell", ["p-1"])
     rows = [line for line in text.splitlines() if line.startswith("|")]
     table = rows[rows.index("| what | number |") :]
     assert table[1] == "| --- | ---: |"
@@ -134,12 +116,59 @@ def test_report_is_written_with_plots(
     folder = tmp_path / "report"
     folder.mkdir()
     files = write_report(folder, outcomes, about)
-    assert [one.name for one in files] == ["report.html", "report.md", "report.json"]
+    assert [one.name for one in files] == ["index.md", "purcell.md", "report.json", "about.json"]
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     table = content["experiments"]["purcell-what"]["tables"][0]
     assert table["rows"] == [{"what": EVIL, "number": 1.5}, {"what": "none", "number": None}]
-    need("matplotlib")
+    assert json.loads((folder / "about.json").read_text(encoding="utf-8")) == content["about"]
     for name in ("p-1", "p-2", "p-3"):
         with Image.open(folder / "plots" / f"{name}.png") as image:
             assert image.width > 300
             assert len(np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)) > 3
+
+
+class Checker(HTMLParser):
+    """Collects what a page loads, and bold text with handlers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.handlers: list[str] = []
+        self.cells: list[str] = []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        given = dict(attributes)
+        names = {"img": "src", "script": "src", "link": "href"}
+        if tag in names and given.get(names[tag]):
+            self.loaded.append(given[names[tag]] or "")
+        self.handlers += [name for name in given if name.startswith("on")]
+
+    def handle_data(self, data: str) -> None:
+        self.cells.append(data)
+
+
+def test_pages_are_built_safe_and_load_nothing_from_elsewhere(
+    about: About, outcomes: list[Outcome], tmp_path: Path
+) -> None:
+    folder = tmp_path / "report"
+    (folder / "pictures").mkdir(parents=True)
+    (tmp_path / "scene.png").rename(folder / "pictures" / "scene.png")
+    (folder / "walk.html").write_text("<!doctype html><title>walk</title>")
+    write_report(folder, outcomes, about, folder / "walk.html")
+    page = build_html(folder, folder / "walk.html")
+    assert page == folder / "html" / "index.html"
+    assert (folder / "html" / "walk.html").exists()
+    checker = Checker()
+    checker.feed((folder / "html" / "purcell.html").read_text(encoding="utf-8"))
+    assert any("p-1" in one for one in checker.loaded)
+    assert not [one for one in checker.loaded if "//" in one]
+    assert not checker.handlers
+    assert any(
+        '</script><b onclick="x()">' in one.replace("“", '"').replace("”", '"')
+        for one in checker.cells
+    )
+
+
+def test_what_sphinx_cannot_build_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RaystreamError, match="sphinx failed"):
+        build_html(tmp_path)

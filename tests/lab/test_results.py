@@ -94,7 +94,7 @@ def leaves(values: Any) -> Iterator[Any]:
 def test_every_published_value_has_a_place() -> None:
     for paper, places in _file().items():
         for place, entry in places.items():
-            if place in ("name", "title"):
+            if place in ("name", "title", "authors", "venue", "doi"):
                 continue
             found = published(paper, place)
             assert found.place

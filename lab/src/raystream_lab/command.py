@@ -110,7 +110,8 @@ def lab(
     choose_threads(threads)
     with refuse(OSError, where=str(output)):
         (output / "pictures").mkdir(parents=True, exist_ok=True)
-    from raystream_lab import Runner, Store, run_all, write_report
+    from raystream_lab import Runner, Store, run_all
+    from raystream_lab.report import build_html, write_report
     from raystream_lab.store import FILE_NAME
     from raystream_lab.walk_page import write_page
 
@@ -134,12 +135,13 @@ def lab(
     about = _about(papers or ["all"], only or [], output, settings, store.foreign_count)
     with refuse(OSError, where=str(output)):
         walk = None
-        if len(experiments) == len(choose(["all"])):
+        if not only and "all" in (papers or ["all"]):
             walk = output / "walk.html"
             write_page(walk)
-        files = write_report(output, outcomes, about, walk)
+        write_report(output, outcomes, about, walk)
+        page = build_html(output, walk)
     _show(outcomes, about, json)
-    write_note(f"wrote {', '.join(map(str, files))}")
+    write_note(f"wrote {output / 'index.md'}, {page} and {output / 'report.json'}")
 
 
 def _source() -> str:
@@ -189,6 +191,7 @@ def _about(
         dt.date.today().isoformat(),
         foreign_count,
         settings["quick"],
+        settings.get("device", "cpu"),
     )
 
 

@@ -9,9 +9,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple
 
 from raystream.core.errors import RaystreamError
-from raystream_lab.results import Result
 
 if TYPE_CHECKING:
+    from raystream_lab.results import Result
     from raystream_lab.runner import Runner
 
 __all__ = ["DEVICES", "EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
@@ -189,6 +189,8 @@ def run_all(
     -----
     An experiment that lacks a model or memory reports it in its notes; the others run.
     """
+    from raystream_lab.results import Result
+
     outcomes = []
     for number, one in enumerate(experiments):
         try:

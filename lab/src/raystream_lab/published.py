@@ -8,7 +8,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-__all__ = ["Published", "paper_name", "published"]
+__all__ = ["Published", "paper_name", "paper_reference", "paper_title", "published"]
 
 
 class Published(NamedTuple):
@@ -43,6 +43,18 @@ def _file() -> Mapping[str, Any]:
 def paper_name(paper: str) -> str:
     """The name by which a paper is cited."""
     return str(_file()[paper]["name"])
+
+
+def paper_title(paper: str) -> str:
+    """A paper's title."""
+    return str(_file()[paper]["title"])
+
+
+def paper_reference(paper: str) -> str:
+    """A paper's authors, title, venue and, if it has one, its DOI, as Markdown."""
+    entry = _file()[paper]
+    doi = f", <https://doi.org/{entry['doi']}>" if "doi" in entry else ""
+    return f"{entry['authors']}: {entry['title']}, {entry['venue']}{doi}"
 
 
 def published(paper: str, place: str) -> Published:

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+import pandas as pd
+
 from raystream.core.errors import RaystreamError
 
 __all__ = [
@@ -40,16 +42,15 @@ class Table:
     name : str
         Short and unique in a report: names it in JSON and its anchor in the page.
     title : str
-    columns : tuple of str
-    rows : tuple of tuples of cells
+    frame : pandas.DataFrame
+        Of cells as they are: dtype object.
     notes : tuple of str
         Explanations, a sentence each.
     """
 
     name: str
     title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    frame: pd.DataFrame
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -74,7 +75,17 @@ class Table:
         for row in kept:
             if len(row) != len(columns):
                 raise ValueError(f"{name}: {len(columns)} columns, but a row is {row}")
-        return cls(name, title, tuple(columns), kept, notes)
+        return cls(name, title, pd.DataFrame(kept, columns=list(columns), dtype=object), notes)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self.frame.columns)
+
+    @property
+    def rows(self) -> tuple[tuple[Cell, ...], ...]:
+        """The cells, row by row."""
+        return tuple(self.frame.itertuples(index=False, name=None))
 
     def records(self) -> list[dict[str, Cell]]:
         """Rows as mappings from column names."""

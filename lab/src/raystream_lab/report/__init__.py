@@ -1,8 +1,7 @@
-"""Reports of results as HTML, Markdown and JSON."""
+"""Reports of results as Markdown, HTML and JSON."""
 
 from raystream_lab.report.about import About
-from raystream_lab.report.html import as_html
-from raystream_lab.report.markdown import as_markdown
-from raystream_lab.report.write import write_report
+from raystream_lab.report.markdown import Page, as_pages
+from raystream_lab.report.write import build_html, write_report
 
-__all__ = ["About", "as_html", "as_markdown", "write_report"]
+__all__ = ["About", "Page", "as_pages", "build_html", "write_report"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Any, NamedTuple
 
 __all__ = ["About"]
@@ -23,6 +24,10 @@ class About(NamedTuple):
     foreign_count : int
         Measurements reused from another version of the sources.
     quick : bool
+    device : str
+        Name of the device that was measured, see `experiments.DEVICES`.
+    adapter : str
+        The graphics adapter or GPU; empty for the processor.
     """
 
     command: str
@@ -32,16 +37,26 @@ class About(NamedTuple):
     date: str
     foreign_count: int
     quick: bool
+    device: str = "cpu"
+    adapter: str = ""
+
+    @property
+    def device_name(self) -> str:
+        """The device in words."""
+        return {"cpu": "CPU", "graphics": "graphics device", "cuda": "CUDA GPU"}[self.device]
 
     def command_for(self, experiment: str) -> str:
         """The command that repeats one experiment."""
         paper, _, name = experiment.partition("-")
-        words = self.command.split(" ")
+        words = shlex.split(self.command)
         start = words.index("lab") + 1
         while start < len(words) and not words[start].startswith("-"):
             del words[start]
+        while "--only" in words:
+            at = words.index("--only")
+            del words[at : at + 2]
         words[start:start] = [paper, "--only", name]
-        return " ".join(words)
+        return shlex.join(words)
 
     def lines(self) -> list[str]:
         """The provenance as sentences."""

@@ -1,8 +1,7 @@
-"""Plots of the report, drawn with matplotlib if installed."""
+"""Plots of the report, drawn with matplotlib."""
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from PIL import Image
 from raystream.core.atomic_write import atomic_write
 from raystream_lab.results import Plot
 
-__all__ = ["can_draw", "draw"]
+__all__ = ["draw"]
 
 #: A palette for all kinds of colour vision (Okabe and Ito 2008).
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a")
@@ -24,11 +23,6 @@ _DPI = 110
 
 #: Lines of more points than this have no markers.
 _MANY = 30
-
-
-def can_draw() -> bool:
-    """Whether matplotlib is installed."""
-    return importlib.util.find_spec("matplotlib") is not None
 
 
 def draw(plot: Plot, path: Path) -> None:
