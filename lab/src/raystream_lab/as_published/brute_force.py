@@ -6,17 +6,20 @@ stream of rays with a single triangle at a time, passed in using constant argume
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.jit.cpu import device
 from raystream.kernels.local_frame import LocalRays
+from raystream.machines.records import INTERSECTING, RayState
+from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams import Counters, Kernel, Stream
 from raystream_lab.as_published.triangle import PrintedHit, intersect_triangle
 
-__all__ = ["HIT", "RAY", "BruteForce", "triangle_pass"]
+__all__ = ["HIT", "RAY", "BruteForce", "brute_steps", "triangle_pass"]
 
 RAY = np.dtype([("origin", np.float32, 3), ("direction", np.float32, 3)])
 HIT = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4")])
@@ -61,12 +64,34 @@ class BruteForce:
         )
 
     def run(self, counters: Counters | None = None) -> int:
-        """Trace the rays anew; returns the number of passes."""
+        """Trace the rays from the start; returns the number of passes."""
         self.hits.array[:] = self._start
         for prim_id in self.triangles.prim_ids.tolist():
             self._kernel.set_constants(**_constants(self.triangles.corners[prim_id], prim_id))
             self._kernel.execute(counters=counters)
         return len(self.triangles.prim_ids)
+
+
+class _Triangle(NamedTuple):
+    """The constants of a pass."""
+
+    v0: tuple[np.float32, np.float32, np.float32]
+    v1: tuple[np.float32, np.float32, np.float32]
+    v2: tuple[np.float32, np.float32, np.float32]
+    prim_id: np.int32
+
+
+_test = device(triangle_pass)
+
+
+def _intersect(ray, place, tree):
+    return _test(ray, place, tree.v0, tree.v1, tree.v2, tree.prim_id), INTERSECTING
+
+
+def brute_steps() -> Steps:
+    """The kernel as that of a traversal, for `kernels.costs`; `BruteForce` runs it."""
+    kernel = StepKernel("intersect", RayState.INTERSECTING, device(_intersect), ("place",))
+    return Steps((kernel,), HIT, _Triangle(**_constants(np.zeros((3, 3), np.float32), -1)))
 
 
 def _constants(corners: NDArray[np.float32], prim_id: int) -> dict[str, Any]:
