@@ -14,7 +14,6 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.hits import Sink
 from raystream.machines.devices import device_of
 from raystream.machines.traced_scene import TracedScene
 from raystream.programs.filters import Bound, Filter
@@ -138,6 +137,7 @@ class Tracer(TracedScene):
         t_max: Any = np.inf,
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
+        near: Any = None,
         progress: Progress | None = None,
     ) -> Hits:
         """Find the nearest triangle along each ray.
@@ -155,6 +155,9 @@ class Tracer(TracedScene):
             Triangles that each ray ignores, such as the one that it starts on; -1 ignores
             nothing. The filter is not called for them. With rays in arrays on a GPU, it may be
             an array there, of int32 or int64.
+        near : array_like that broadcasts to S, int, optional
+            Where rays start, for a graph: `Hits.sectors` of the hits that they leave; -1 where it
+            is unknown. It changes no answer: the search begins there instead of at a bin.
         progress : callable, optional
             Called with (rays done, rays).
 
@@ -168,7 +171,8 @@ class Tracer(TracedScene):
         Raises
         ------
         ValueError, TypeError
-            If shapes disagree or an array does not hold real numbers; and see `trace`.
+            If shapes disagree or an array does not hold real numbers; if `near` is given where
+            hits have no sectors, or is not a sector; and see `trace`.
         RuntimeError
             If the filter raises; the exception is the cause.
 
@@ -176,7 +180,7 @@ class Tracer(TracedScene):
         -----
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
-        rays = self._rays(origins, directions, t_min, t_max)
+        rays = self._rays(origins, directions, t_min, t_max, near)
         query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
@@ -190,6 +194,7 @@ class Tracer(TracedScene):
             prim_id.reshape(shape),
             sink.status.reshape(shape),
             self.structure.triangles,
+            None if sink.sectors is None else sink.sectors.reshape(shape),
         )
 
     def any_hit(
@@ -201,13 +206,14 @@ class Tracer(TracedScene):
         t_max: Any = np.inf,
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
+        near: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.bool_]:
         """Find whether anything blocks each ray; cheaper than the nearest hit.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, near, progress
             See `first_hit`.
 
         Returns
@@ -221,7 +227,7 @@ class Tracer(TracedScene):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        rays = self._rays(origins, directions, t_min, t_max)
+        rays = self._rays(origins, directions, t_min, t_max, near)
         query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             seen: NDArray[np.bool_] = self._backend.answer_on_device(query, rays, progress)
@@ -449,14 +455,6 @@ class Tracer(TracedScene):
         queries = type(self).first_hit, type(self).any_hit
         return self._counts or queries != (Tracer.first_hit, Tracer.any_hit)
 
-    def _rays(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch | RayArrays:
-        """The rays as flat arrays on the host; or as they are, if the backend reads them."""
-        if self._backend.capabilities.device_arrays and not self._counts:
-            arrays = RayArrays(origins, directions, t_min, t_max)
-            if arrays.is_on_gpu():
-                return arrays
-        return RayBatch(origins, directions, t_min, t_max)
-
     def _query(
         self,
         kind: Kind,
@@ -487,13 +485,3 @@ class Tracer(TracedScene):
             )
         if not self._backend.capabilities.programs:
             raise ValueError("on_hit, skip_prim_ids: programs do not run on this tracer's device")
-
-    def _answer(
-        self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None
-    ) -> Sink:
-        if not self._counts:
-            return self._backend.answer(query, rays, progress, records)
-        from raystream.machines.counters import answer_counting
-
-        sink, self._latest = answer_counting(self._backend, query, rays, progress)
-        return sink

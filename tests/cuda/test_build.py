@@ -54,7 +54,11 @@ def test_grids_are_the_cpus(device, name):
     assert_same_lists(ours.structure, rs.Tracer(case.scene, "grid").structure)
 
 
-@pytest.mark.parametrize("options", [{"resolution": (1, 40, 3)}, {"min_resolution": 5}])
+@pytest.mark.parametrize(
+    "options",
+    [{"resolution": (1, 40, 3)}, {"min_resolution": 5}, {"min_resolution": 9, "overlap": "exact"}],
+    ids=str,
+)
 def test_grids_of_a_given_resolution_are_the_cpus(device, options):
     scene = case_of("closed_mesh").scene
     ours = built(scene, "grid", **options).structure

@@ -39,6 +39,8 @@ def test_trees_are_the_cpus(device, name):
     [
         {"max_depth": 4, "empty_bonus": 0.0},
         {"max_leaf_size": 9, "traversal_cost": 0.5, "intersection_cost": 2.0},
+        {"intersection_cost": 12.0, "overlap": "exact"},
+        {"intersection_cost": 12.0, "overlap": "box"},
     ],
     ids=str,
 )

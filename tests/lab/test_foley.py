@@ -31,6 +31,8 @@ from raystream_lab.foley.schedulers import RecordingScheduler, SwitchRatio
 from raystream_lab.foley.secondary_rays import first_hits, ray_kinds
 from raystream_lab.foley.sensitivity import Trial, explain_difference, is_near, nearest
 from raystream_lab.foley.settings import PBRT_BONUS, settings_of
+from raystream_lab.foley.state_counts import state_counts
+from raystream_lab.foley.structure_times import _Scene
 from raystream_lab.foley.time_claims import time_claims
 from raystream_lab.published import published
 from raystream_lab.results import Result
@@ -216,6 +218,33 @@ def test_experiments_run_and_resume(name, runner, monkeypatch):
 
     monkeypatch.setattr(runner._store, "save", refuse)
     assert runner.run(name, function).as_json() == result.as_json()
+
+
+def test_builders_of_table_2(runner):
+    result = runner.run("foley-counts", state_counts)
+    (table,) = [one for one in result.tables if one.name == "foley-builders"]
+    theirs, own, usual, clipped, boxes = table.records()[:5]
+    assert theirs["builder"] == "published"
+    lengths = [one["references"] for one in (clipped, usual, boxes)]
+    assert lengths == sorted(lengths)
+    assert clipped["longer than clipped"] == 0.0 < usual["longer than clipped"]
+    trees = foley_trees(runner.view("bart_robots").scene, empty_bonus=0.2)
+    assert own["references"] == trees["stack"].quality()["references"]
+    (counts,) = [one for one in result.tables if one.name == "foley-table-2"]
+    assert counts.records()[0]["ours"] == usual["backtrack: Down"]
+
+
+def test_the_baseline_has_pbrt_s_bonus(view):
+    assert foley_tree(view.scene).options.empty_bonus == PBRT_BONUS
+    assert foley_tree(view.scene, empty_bonus=0.0).options.empty_bonus == 0.0
+
+
+def test_brute_force_runs_by_passes_in_the_cornell_box(tmp_path):
+    runner = Runner(tmp_path, Store(tmp_path / "m.json", {}, "x"), size=SIDE, quick=True)
+    scene = _Scene(runner, "cornell", runner.view("cornell_open"))
+    timed = scene.multipass()
+    assert list(timed) == ["grid", "restart", "backtrack", "brute"]
+    assert timed["brute"]["best"] > 0.0
 
 
 def test_missing_scenes_are_noted(runner, monkeypatch):

@@ -30,6 +30,7 @@ def test_kernels_stand_beside_their_rows(tmp_path: Path, monkeypatch: pytest.Mon
         return [{"kernel": name, **FIGURES} for name in names]
 
     monkeypatch.setattr(compiled_kernels, "cost_figures", figures)
+    monkeypatch.setattr(compiled_kernels, "published_figures", lambda runner: figures(runner, ""))
     runner = Runner(tmp_path, Store(tmp_path / "measurements.json", {}, ""), quick=True)
     (table,) = compiled_kernels.compiled_kernels(runner).tables
     rows = {row["kernel"]: row for row in table.records()}
@@ -42,3 +43,5 @@ def test_kernels_stand_beside_their_rows(tmp_path: Path, monkeypatch: pytest.Mon
     assert rows["grid: intersect"]["M"] == paper["multipass"]["intersect"]["memory"]
     assert rows["grid: set up"]["W"] == paper["multipass"]["set up"]["written"]
     assert rows["grid: shade"]["Table 1"] is None
+    printed = rows["grid, as published: intersect"]
+    assert printed["Table 1"] == paper["multipass"]["intersect"]["instructions"]

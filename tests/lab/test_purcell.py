@@ -36,6 +36,7 @@ def runner(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
         "scene_statistics",
         "grid_resolution",
         "schedules",
+        "exact_lists",
         "loop_unrolling",
         "image_costs",
         "texture_cache",
@@ -86,6 +87,28 @@ def test_replayed_passes_are_the_machines(runner: Runner, name: str) -> None:
     unrolled = rs.Tracer(view.scene, "grid", traversal_steps=4, intersections=2, **options)
     unrolled.first_hit(*view.rays(SIZE))
     assert found["unrolled"]["passes"] == len(unrolled.counters.passes)
+
+
+def test_both_lists_are_those_of_tracers(runner: Runner) -> None:
+    prices, figure, table = run(runner, "lists").tables
+    view = runner.view("forest top")
+    options = {**grid_options(view, quick=True), "counters": True}
+    for overlap, column in (("plane", "planes"), ("exact", "exact")):
+        tracer = rs.Tracer(view.scene, "grid", overlap=overlap, **options)
+        tracer.first_hit(*view.rays(SIZE))
+        rows = {row["quantity"]: row[column] for row in (*figure.records(), *table.records())}
+        assert rows["forest top: triangles per ray (t)"] == tracer.counters.tests.mean()
+        assert rows["forest top: cells per ray (v)"] == tracer.counters.steps.mean()
+        row = prices.records()[0]
+        assert row[f"references, {column}"] == len(tracer.structure.lists.references)
+        machine = rs.Tracer(view.scene, "grid", overlap=overlap, machine="multipass", **options)
+        machine.first_hit(*view.rays(SIZE))
+        assert rows["forest top: passes"] == len(machine.counters.passes)
+    assert all(float(row["longer by"] or 0.0) > 0.1 for row in prices.records())
+    # Nothing but the lists differs: cells and hits are the same.
+    for row in figure.records():
+        if "triangles" not in str(row["quantity"]):
+            assert row["planes"] == row["exact"]
 
 
 def test_shares_of_costs_add_up(runner: Runner) -> None:

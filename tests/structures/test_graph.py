@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 import raystream as rs
 from cases import CASES
+from conftest import assert_same_bits
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
+from raystream.jit.simd import address
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import prepare_ray
 from raystream.machines.ray_block import blocks
@@ -20,6 +22,8 @@ from raystream.structures.graph.steps import (
     clip_to_scene,
     exit_face,
     follow_link,
+    near_sector,
+    sector_number,
     sector_ray,
     start_sector,
     walk_to,
@@ -233,3 +237,148 @@ def test_a_graph_is_dumped_as_text(tmp_path):
         np.testing.assert_array_equal(getattr(graph, name), getattr(structure.graph, name))
     np.testing.assert_array_equal(corners, structure.triangles.corners)
     assert [path.name for path in tmp_path.iterdir()] == ["graph.txt"]
+
+
+# ---- Displacement: hits carry their sector, and rays that leave them begin there.
+
+
+def bounces(tracer, rng, count=3000):
+    """Hits of rays into a scene, and rays that leave them."""
+    low, high = tracer.scene.bounds
+    origins = rng.uniform(low, high, (count, 3))
+    hits = tracer.first_hit(origins, rng.normal(size=(count, 3)))
+    return hits, hits.spawn(rng.normal(size=(count, 3)))
+
+
+@pytest.mark.parametrize("name", ["spheres", "cornell"])
+def test_hits_carry_the_sector_in_which_they_are(name, rng):
+    tracer = rs.Tracer(rs.load(name), "graph", crossing_cost=2.0)
+    low, high = tracer.scene.bounds
+    origins, directions = rng.uniform(low, high, (2000, 3)), rng.normal(size=(2000, 3))
+    hits = tracer.first_hit(origins.reshape(40, 50, 3), directions.reshape(40, 50, 3))
+    assert hits.sectors.shape == (40, 50)
+    assert hits.sectors.dtype == np.int32
+    assert np.array_equal(hits.sectors >= 0, hits.is_hit)
+    structure = tracer.structure
+    rays = local_rays(structure, origins, directions)
+    # Distances in the local frame, where directions are scaled by a power of two.
+    scale = np.linalg.norm(rays.directions, axis=1) / np.linalg.norm(directions, axis=1)
+    is_hit = hits.is_hit.ravel()
+    t = np.where(is_hit, hits.t.ravel() / scale * structure.triangles.scale**-1, 0.0)
+    rows = structure.start_sectors(rays, t.astype(np.float32)).rows
+    same = rows[is_hit] == SECTOR_ROWS * hits.sectors.ravel()[is_hit]
+    assert same.mean() > 0.99  # rounding of t above
+    assert len(np.unique(hits.sectors)) > 3
+    one = hits[3, ::2]
+    assert np.array_equal(one.sectors, hits.sectors[3, ::2])
+
+
+@pytest.mark.parametrize("name", ["spheres", "cornell"])
+def test_a_known_sector_changes_no_answer(name, rng):
+    tracer = rs.Tracer(rs.load(name), "graph", crossing_cost=2.0)
+    hits, rays = bounces(tracer, rng)
+    count = tracer.structure.sector_count
+    expected, seen = tracer.first_hit(*rays), tracer.any_hit(*rays, t_max=0.5)
+    anywhere = rng.integers(-1, count, len(hits.t))
+    for near in (hits.sectors, anywhere, np.int64(-1), [count - 1], anywhere.astype(np.uint8) % 2):
+        found = tracer.first_hit(*rays, near=near)
+        for column in ("t", "u", "v", "prim_id", "status", "sectors"):
+            assert_same_bits(getattr(found, column), getattr(expected, column))
+        assert_same_bits(tracer.any_hit(*rays, t_max=0.5, near=near), seen)
+    counting = rs.Tracer.of_structure(tracer.structure, tracer.scene, counters=True)
+    totals = []
+    for near in (None, hits.sectors):
+        assert_same_bits(counting.first_hit(*rays, near=near).t, expected.t)
+        totals.append(counting.counters.total)
+    assert totals[0] == totals[1]
+
+
+@kernel
+def begin_near(graph, max_coordinate, rays, last, rows):
+    """The sector of each ray by `near_sector`; `last` is cleared before each."""
+    o, d = rays.origins, rays.directions
+    for i in range(np.uint64(len(rows))):
+        last[i, 0] = last[i, 1] = 0
+        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        is_active, t_in, _ = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
+        rows[i] = NOWHERE
+        if is_active:
+            at = address(last) + i * np.uint64(16)
+            sector = near_sector(graph, sector_ray(ray), ray, t_in, i, at)
+            rows[i] = SECTOR_ROWS * np.int64(sector_number(graph, sector))
+
+
+def test_bins_are_used_only_where_no_sector_near_is_known(rng):
+    tracer = rs.Tracer(rs.load("spheres"), "graph", crossing_cost=2.0)
+    structure = tracer.structure
+    hits, (origins, directions) = bounces(tracer, rng)
+    kept = hits.is_hit
+    rays = local_rays(structure, origins[kept], directions[kept])
+    near = np.where(rng.random(kept.sum()) < 0.3, -1, hits.sectors[kept]).astype(np.int32)
+    graph = structure.arrays._replace(starts=np.uint64(near.ctypes.data))
+    rows, last = np.empty(len(near), np.int64), np.ones((len(near), 2), np.uint64)
+    begin_near(graph, np.float32(structure.triangles.max_coordinate), rays, last, rows)
+    np.testing.assert_array_equal(rows, structure.start_sectors(rays).rows)
+    uses_bin = last[:, 0] != 0
+    active = rows >= 0
+    assert (uses_bin[active] == (near[active] < 0)).mean() > 0.99
+
+
+@pytest.mark.parametrize(
+    ("options", "near", "error", "words"),
+    [
+        (
+            {"structure": "bvh"},
+            [0],
+            ValueError,
+            "near: expected None, since only structure='graph'",
+        ),
+        ({"machine": "multipass"}, [0], ValueError, "near: expected None"),
+        ({}, [0.5], TypeError, "near: expected integers, got float64"),
+        ({}, [-2], ValueError, "near: expected -1 to"),
+        ({}, [10**6], ValueError, "near: expected -1 to"),
+        ({}, [0, 0, 0], ValueError, r"near: shape \(3,\) does not broadcast to the rays' \(2,\)"),
+    ],
+)
+def test_known_sectors_are_checked(options, near, error, words):
+    tracer = rs.Tracer(rs.load("cornell"), **{"structure": "graph", **options})
+    with pytest.raises(error, match=words):
+        tracer.first_hit(np.zeros((2, 3)), np.ones((2, 3)), near=near)
+    with pytest.raises(error, match=words):
+        tracer.any_hit(np.zeros((2, 3)), np.ones((2, 3)), near=near)
+
+
+def test_only_the_graph_s_branching_machine_knows_sectors():
+    scene = rs.load("cornell")
+    for options in ({"structure": "kdtree"}, {"structure": "graph", "machine": "multipass"}):
+        hits = rs.Tracer(scene, **options).first_hit(np.zeros((2, 3)), np.ones((2, 3)))
+        assert hits.sectors is None
+        assert hits[0].sectors is None
+
+
+@pytest.mark.parametrize("mode", ["ao", "kajiya"])
+def test_renderers_begin_where_their_rays_leave(mode, monkeypatch):
+    """Every secondary ray knows its sector, and images have the bits of other structures."""
+    scene = rs.load("spheres")
+    known = []
+
+    def watch(name):
+        original = getattr(rs.Tracer, name)
+
+        def query(self, *rays, near=None, **options):
+            known.append((name, len(rays[0]), near))
+            return original(self, *rays, near=near, **options)
+
+        monkeypatch.setattr(rs.Tracer, name, query)
+
+    watch("first_hit")
+    watch("any_hit")
+    image = rs.render(scene, mode, size=(24, 16), structure="graph", seed=3)
+    primary = known[0]
+    assert primary[0] == "first_hit"
+    assert primary[2] is None
+    later = [near for _, count, near in known[1:] if count]
+    assert len(later) >= (1 if mode == "ao" else 5)
+    assert all(near is not None and (near >= 0).all() for near in later)
+    expected = rs.render(scene, mode, size=(24, 16), structure="bvh", seed=3)
+    assert_same_bits(image.pixels, expected.pixels)

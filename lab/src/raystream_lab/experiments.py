@@ -71,6 +71,11 @@ EXPERIMENTS = (
         "purcell.grid_resolution",
     ),
     Experiment("purcell-passes", "Passes and schedulers", "purcell.schedules"),
+    Experiment(
+        "purcell-lists",
+        "Exact lists, as published: v, t, s and passes, and the price of equal bits",
+        "purcell.exact_lists",
+    ),
     Experiment("purcell-costs", "Compute and bandwidth", "purcell.image_costs"),
     Experiment("purcell-speed", "Triangle tests per second", "purcell.triangle_rate"),
     Experiment("purcell-unrolling", "Several steps per pass", "purcell.loop_unrolling"),

@@ -198,6 +198,9 @@ class Hits(_HitColumns):
         Triangle, counted over the whole scene; a miss has -1.
     status : ndarray of shape S, uint8
         A `RayStatus` for each ray.
+    sectors : ndarray of shape S, int32, or None
+        With ``structure="graph"`` on the CPU's branching machine, and without a filter: the number
+        of the sector in which the hit is; a miss has -1. For `near` of rays that leave the hits.
     """
 
     def __init__(
@@ -208,8 +211,10 @@ class Hits(_HitColumns):
         prim_id: NDArray[np.int32],
         status: NDArray[np.uint8],
         triangles: Triangles,
+        sectors: NDArray[np.int32] | None = None,
     ) -> None:
         self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
+        self.sectors = sectors
         self._triangles = triangles
 
     def __getitem__(self, index: Any) -> Hits:
@@ -221,6 +226,7 @@ class Hits(_HitColumns):
             np.asarray(self.prim_id[index]),
             np.asarray(self.status[index]),
             self._triangles,
+            None if self.sectors is None else np.asarray(self.sectors[index]),
         )
 
     @property

@@ -72,6 +72,8 @@ class RayBatch:
     t_min, t_max : ndarray of shape (N,), float32
     limits : tuple of two ndarray of shape (N,) or (1,), float32
         The same, not repeated where one value serves all rays.
+    near : ndarray of shape (N,), int32, or None
+        The number of a sector near the start of each ray, -1 for none; see `Tracer.first_hit`.
 
     Raises
     ------
@@ -84,6 +86,7 @@ class RayBatch:
     shape: tuple[int, ...]
     origins: NDArray[Any]
     directions: NDArray[Any]
+    near: NDArray[np.int32] | None = None
 
     def __init__(
         self, origins: Any, directions: Any, t_min: Any = 0.0, t_max: Any = np.inf

@@ -349,6 +349,8 @@ class Sink:
         not set. Called from several threads.
     records : ndarray of shape (N,) or (N, k)
         Of `Kind.TRACE`: each ray's payload, changed in place; None if the program takes none.
+    sectors : ndarray of shape (N,), int32, or None
+        Of `Kind.FIRST_HIT` in a graph, from the branching machine: the sectors of the hits.
     tallies : ndarray of shape (N, 8), uint32
         If the query counts: each ray's counts are added to its row; see `kernels.tally`.
     """
@@ -364,6 +366,7 @@ class Sink:
         "hits",
         "memory",
         "records",
+        "sectors",
         "seen",
         "splits",
         "status",
@@ -383,6 +386,7 @@ class Sink:
         self.visitor = visitor
         self.records = records
         self.tallies = tallies
+        self.sectors: NDArray[np.int32] | None = None
 
     @classmethod
     def of(

@@ -294,7 +294,7 @@ def ray_queries(
         scene = RayScene(source, frame, arrays, stack, out.status)
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
-            search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, None, tally))
+            search, _ = search_ray(i, scene, Goal(_ONE, None, i, False, None, tally))
             add_to(tally, SHADINGS, search.hit_count)
             store(out.seen + i, np.uint8(search.hit_count != _NONE))
 

@@ -100,7 +100,8 @@ class Branching(Backend):
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         kernel = structure.queries[query.kind]
         output = output_of(query, sink, structure.has_duplicates)
-        shared = source, structure.frame if frame is None else frame, structure.arrays, sink.tallies
+        arrays = structure.arrays_for(query, rays, sink)
+        shared = source, structure.frame if frame is None else frame, arrays, sink.tallies
 
         def body(begin: int, end: int) -> None:
             kernel(begin, end, *shared, *output)

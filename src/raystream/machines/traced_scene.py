@@ -8,8 +8,14 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from raystream.core.choices import DeviceOptions, MachineOptions
+from raystream.core.query import Query
+from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
 from raystream.kernels.move_triangles import move_triangles
 from raystream.machines.backend import Backend
 from raystream.machines.configuration import Configuration, configure
@@ -269,6 +275,53 @@ class TracedScene:
         tracer._configure(None, device, machine, counters, options)
         tracer._set(scene, structure)
         return tracer
+
+    def _rays(
+        self, origins: Any, directions: Any, t_min: Any, t_max: Any, near: Any = None
+    ) -> RayBatch | RayArrays:
+        """The rays as flat arrays on the host; or as they are, if the backend reads them."""
+        if self._backend.capabilities.device_arrays and not self._counts:
+            arrays = RayArrays(origins, directions, t_min, t_max)
+            if arrays.is_on_gpu():
+                if near is not None:
+                    raise ValueError("near: expected None for rays on a GPU")
+                return arrays
+        rays = RayBatch(origins, directions, t_min, t_max)
+        if near is not None:
+            rays.near = self._checked_sectors(near, rays.shape)
+        return rays
+
+    def _checked_sectors(self, near: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
+        """`near` of `Tracer.first_hit`, flat."""
+        is_branching = self.device == "cpu" and self.machine == "branching"
+        count = self.structure.sector_count if is_branching else None
+        if count is None:
+            raise ValueError(
+                "near: expected None, since only structure='graph' on the CPU's branching machine "
+                "knows sectors"
+            )
+        sectors = np.asarray(near)
+        if sectors.dtype.kind not in "iu":
+            raise TypeError(f"near: expected integers, got {sectors.dtype}")
+        if sectors.size and not (sectors.min() >= -1 and sectors.max() < count):
+            raise ValueError(f"near: expected -1 to {count - 1:,}")
+        try:
+            sectors = np.broadcast_to(sectors, shape)
+        except ValueError:
+            raise ValueError(
+                f"near: shape {sectors.shape} does not broadcast to the rays' {shape}"
+            ) from None
+        return np.ascontiguousarray(sectors, np.int32).reshape(-1)
+
+    def _answer(
+        self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None
+    ) -> Sink:
+        if not self._counts:
+            return self._backend.answer(query, rays, progress, records)
+        from raystream.machines.counters import answer_counting
+
+        sink, self._latest = answer_counting(self._backend, query, rays, progress)
+        return sink
 
     def __repr__(self) -> str:
         triangle_count = len(self.structure.triangles)

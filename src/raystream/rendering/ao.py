@@ -18,6 +18,7 @@ from raystream.rendering.integrator import (
     PathStream,
     RenderContext,
     find_surfaces,
+    sectors_of,
     shading_batch,
     trace_shadow_rays,
 )
@@ -46,7 +47,8 @@ def spawn_ambient_rays(stream: PathStream, band: Band) -> PathStream:
         OcclusionOptions(count, distance_of(context)),
         rays,
     )
-    return PathStream(stream.paths.first(0), rays=rays.first(ray_count))
+    sectors = sectors_of(stream, band)
+    return PathStream(stream.paths.first(0), rays=rays.first(ray_count), sectors=sectors)
 
 
 def sampler_of(context: RenderContext) -> Sampler:

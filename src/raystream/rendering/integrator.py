@@ -46,6 +46,7 @@ __all__ = [
     "camera_paths",
     "find_surfaces",
     "make_context",
+    "sectors_of",
     "shading_batch",
     "take_no_options",
     "trace_shadow_rays",
@@ -208,12 +209,16 @@ class PathStream:
         Of their rays, once traced.
     rays : ShadowRays, optional
         To be traced.
+    sectors : ndarray of shape (P,), int32, optional
+        For each pixel of the band, the sector of the hit that its rays leave, -1 for none; in a
+        graph. See `Hits.sectors`.
     """
 
     paths: Paths
     bounce: int = 0
     hits: Hits | None = None
     rays: ShadowRays | None = None
+    sectors: NDArray[np.int32] | None = None
 
     def __len__(self) -> int:
         return len(self.paths.pixels)
@@ -371,12 +376,31 @@ def shading_batch(stream: PathStream, band: Band) -> ShadingBatch:
     return ShadingBatch(len(stream), stream.paths, rows, band.first_pixel, band.radiance)
 
 
+def sectors_of(stream: PathStream, band: Band) -> NDArray[np.int32] | None:
+    """The sectors of a stream's hits, by pixel, for the rays that shading spawns.
+
+    To be called before shading, which writes other paths to the same rows.
+    """
+    hits = stream.hits
+    if hits is None or hits.sectors is None:
+        return None
+    sectors = np.full(len(band.radiance), -1, np.int32)
+    sectors[stream.paths.pixels - band.first_pixel] = hits.sectors
+    return sectors
+
+
+def _starts(stream: PathStream, pixels: NDArray[np.int64], band: Band) -> NDArray[np.int32] | None:
+    """The sectors in which rays of some pixels begin, as far as they are known."""
+    return None if stream.sectors is None else stream.sectors[pixels - band.first_pixel]
+
+
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: trace the paths' rays, unless their hits are known."""
     if stream.hits is not None:
         return stream
     context, rays = band.context, (stream.paths.origins, stream.paths.directions)
-    hits = context.tracer.first_hit(*rays, on_hit=context.filter(*rays))
+    near = _starts(stream, stream.paths.pixels, band)
+    hits = context.tracer.first_hit(*rays, on_hit=context.filter(*rays), near=near)
     return replace(stream, hits=hits)
 
 
@@ -386,6 +410,11 @@ def trace_shadow_rays(stream: PathStream, band: Band) -> PathStream:
     assert rays is not None
     if len(rays.pixels):
         context, asked = band.context, (rays.origins, rays.directions)
-        blocked = context.tracer.any_hit(*asked, t_max=rays.t_max, on_hit=context.filter(*asked))
+        blocked = context.tracer.any_hit(
+            *asked,
+            t_max=rays.t_max,
+            on_hit=context.filter(*asked),
+            near=_starts(stream, rays.pixels, band),
+        )
         add_unblocked(rays, blocked, band.first_pixel, band.radiance)
     return replace(stream, rays=None)

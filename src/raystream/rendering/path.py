@@ -19,6 +19,7 @@ from raystream.rendering.integrator import (
     Integrator,
     PathStream,
     find_surfaces,
+    sectors_of,
     shading_batch,
     trace_shadow_rays,
 )
@@ -35,7 +36,7 @@ ROULETTE_BOUNCE = 3
 def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: add emitted light, sample the lights by shadow rays, and scatter the paths."""
     context, paths = band.context, stream.paths
-    rays = ShadowRays.empty(len(stream))
+    rays, sectors = ShadowRays.empty(len(stream)), sectors_of(stream, band)
     path_count, ray_count = shade_paths(
         shading_batch(stream, band),
         context.tables,
@@ -46,7 +47,8 @@ def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
         paths,
         rays,
     )
-    return PathStream(paths.first(path_count), stream.bounce + 1, rays=rays.first(ray_count))
+    left = paths.first(path_count)
+    return PathStream(left, stream.bounce + 1, rays=rays.first(ray_count), sectors=sectors)
 
 
 def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -115,6 +115,15 @@ class Structure(ABC):
     def arrays(self) -> NamedTuple:
         """The view that the traversal reads: numbers, and addresses of arrays."""
 
+    def arrays_for(
+        self,
+        query: Query,
+        rays: RayBatch,
+        sink: Sink,
+    ) -> NamedTuple:
+        """The view for a query that the branching machine answers ray by ray."""
+        return self.arrays
+
     @property
     @abstractmethod
     def memory(self) -> dict[str, NDArray[Any]]:
@@ -144,6 +153,11 @@ class Structure(ABC):
     def quality(self) -> dict[str, float]:
         """Figures such as node counts and the expected traversal cost."""
         return {}
+
+    @property
+    def sector_count(self) -> int | None:
+        """The number of sectors that hits can name; None if they name none."""
+        return None
 
     def rays_per_call(self) -> int:
         """Most rays per call of a compiled loop."""

@@ -21,7 +21,7 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 
-__all__ = ["BOUND", "BOX_BYTES", "HIGH", "WORD", "clip_to_plane"]
+__all__ = ["BOUND", "BOX_BYTES", "HIGH", "SLIVER", "WORD", "clip_to_plane", "corner_at"]
 
 #: How far triangles' boxes and planes are grown, in units of the scene's largest coordinate E.
 #: Origins have coordinates of up to 5 E (`kernels.ray.FAR`), so rounded lengths are up to 6 E.
@@ -32,7 +32,7 @@ BOUND = 2.0**-17
 
 #: Below this sine of the angle between two sides a triangle's plane is too uncertain, even in
 #: float64, and only its box is used.
-_SLIVER = 2.0**-28
+SLIVER = 2.0**-28
 
 #: Bytes of a box (low x, y, z, high x, y, z: float32), of its low corner, and of a number.
 BOX_BYTES = np.uint64(24)
@@ -46,7 +46,8 @@ _THIRD = np.uint64(24)
 
 
 @device
-def _corner(at):
+def corner_at(at):
+    """The three numbers at an address, in float64."""
     return (
         np.float64(load(np.float32, at)),
         np.float64(load(np.float32, at + _Y)),
@@ -94,9 +95,9 @@ def clip_to_plane(triangle, bound, box):
     bool
         Whether they overlap.
     """
-    ax, ay, az = _corner(triangle)
-    bx, by, bz = _corner(triangle + _SECOND)
-    cx, cy, cz = _corner(triangle + _THIRD)
+    ax, ay, az = corner_at(triangle)
+    bx, by, bz = corner_at(triangle + _SECOND)
+    cx, cy, cz = corner_at(triangle + _THIRD)
     px, py, pz = bx - ax, by - ay, bz - az
     qx, qy, qz = cx - ax, cy - ay, cz - az
     nx = py * qz - pz * qy
@@ -104,7 +105,7 @@ def clip_to_plane(triangle, bound, box):
     nz = px * qy - py * qx
     normal = abs(nx) + abs(ny) + abs(nz)
     longest = (abs(px) + abs(py) + abs(pz)) * (abs(qx) + abs(qy) + abs(qz))
-    if not normal > _SLIVER * longest:
+    if not normal > SLIVER * longest:
         return True
     reach = bound * normal
     x, y, z = np.uint64(0), _Y, _Z

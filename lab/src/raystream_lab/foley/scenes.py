@@ -18,6 +18,7 @@ from raystream.scene.scene import Scene
 from raystream.structures import Structure
 from raystream.structures.kdtree.options import KdTree
 from raystream.structures.kdtree.structure import KdTreeStructure
+from raystream_lab.foley.settings import PBRT_BONUS
 from raystream_lab.published import published
 from raystream_lab.results import Result
 from raystream_lab.runner import Runner
@@ -64,7 +65,7 @@ def available_views(
 
 
 def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTreeStructure:
-    """Build a tree as in Foley 2005, section 3.2: packed nodes, and a step 8 times a test's cost.
+    """Build a tree as in Foley 2005, section 3.2: packed, steps of 8 tests' cost, pbrt's bonus.
 
     Parameters
     ----------
@@ -75,7 +76,13 @@ def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -
         Options of ``"kdtree"`` that replace Foley's or raystream's.
     """
     cost = float(published("foley", "claims").values["traversal_cost"])
-    chosen = {"layout": "foley", "traversal": "backtrack", "traversal_cost": cost, **options}
+    chosen = {
+        "layout": "foley",
+        "traversal": "backtrack",
+        "traversal_cost": cost,
+        "empty_bonus": PBRT_BONUS,
+        **options,
+    }
     return KdTreeStructure(scene.triangles, KdTree(**chosen), progress=progress)
 
 

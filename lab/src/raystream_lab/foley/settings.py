@@ -12,11 +12,15 @@ import numpy as np
 
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
+from raystream.structures.kdtree.options import KdTree
 
-__all__ = ["PBRT_BONUS", "Setting", "settings_of"]
+__all__ = ["OWN_BONUS", "PBRT_BONUS", "Setting", "settings_of"]
 
 #: pbrt's bonus for empty space: Foley's builder is "based on" its first edition's.
 PBRT_BONUS = 0.5
+
+#: raystream's.
+OWN_BONUS = KdTree().empty_bonus
 
 #: ``kitchen.aff`` has a static view in its block ``v``, besides its moving camera.
 _STILL_VIEWS = MappingProxyType(
@@ -28,7 +32,7 @@ _STILL_VIEWS = MappingProxyType(
 )
 
 _COSTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-_BONUSES = (0.0, 0.2, PBRT_BONUS, 0.8)
+_BONUSES = (0.0, OWN_BONUS, PBRT_BONUS, 0.8)
 _DEPTHS = (16, 18, 20, 24, 64)
 _LEAF_SIZES = (2, 4, 8, 16)
 _ANGLES = (0.5, 0.75, 1.25, 1.5)
@@ -87,7 +91,7 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
     quick : bool
         Only a few settings.
     """
-    yield Setting("as we have it", "first frame, costs 8:1, bonus 0.2")
+    yield Setting("as we have it", f"first frame, costs 8:1, bonus {PBRT_BONUS}")
     if name in _STILL_VIEWS:
         still = _STILL_VIEWS[name]
         yield Setting("camera", "the file's block v", camera=lambda _: still)
@@ -99,17 +103,19 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
         yield Setting("resolution", f"{other} x {other}", size=(other, other))
     for cost in _COSTS[::3] if quick else _COSTS:
         yield Setting("cost of a step", f"{cost:g}:1", options={"traversal_cost": cost})
-    for bonus in (PBRT_BONUS,) if quick else _BONUSES:
-        label = f"{bonus:g}" + (", pbrt's" if bonus == PBRT_BONUS else "")
+    for bonus in (OWN_BONUS,) if quick else _BONUSES:
+        label = f"{bonus:g}" + (", raystream's" if bonus == OWN_BONUS else "")
         yield Setting("bonus for empty space", label, options={"empty_bonus": bonus})
     for depth in () if quick else _DEPTHS:
         yield Setting("depth", f"{depth} at most", options={"max_depth": depth})
     for leaf_size in () if quick else _LEAF_SIZES:
         label = f"at most {leaf_size} triangles not split"
         yield Setting("leaf size", label, options={"max_leaf_size": leaf_size})
+    for overlap, label in (("exact", "clipped triangles"), ("box", "whole boxes, pbrt's")):
+        yield Setting("lists", label, options={"overlap": overlap})
     yield from _frames("frame", scene, quick, {})
-    pbrt = {"empty_bonus": PBRT_BONUS}
-    yield from _frames("frame, with pbrt's bonus", scene, quick, pbrt)
+    own = {"empty_bonus": OWN_BONUS}
+    yield from _frames("frame, with raystream's bonus", scene, quick, own)
 
 
 def _frames(group: str, scene: Scene, quick: bool, options: Mapping[str, Any]) -> Iterator[Setting]:

@@ -75,6 +75,8 @@ class KernelCost:
         Words of 4 bytes of the records that a pass reads and writes for the ray, by stream, as
         `streams.Counters` counts them: whole records, without the state word that a pass reads for
         every ray and writes for this one.
+    used_in, used_out : int
+        Words of them that the code reads and writes; a field that it passes on is neither.
     fetched : dict of str to Fetched
         Reads from the structure by array, such as ``"tree.corners"``; ``"state"`` where a ray's
         state holds the address, ``"several"`` if the array is ambiguous. A word read on two paths
@@ -87,6 +89,8 @@ class KernelCost:
     machine: int
     words_in: Mapping[str, int]
     words_out: Mapping[str, int]
+    used_in: int
+    used_out: int
     fetched: Mapping[str, Fetched]
 
     @property
@@ -143,6 +147,8 @@ def cost_of(steps: Steps, number: int) -> KernelCost:
         count_machine_code(code.assembly, code.name),
         words_in,
         words_out,
+        _words_used(record, found, "load"),
+        _words_used(record, found, "store"),
         words_fetched(record, found),
     )
 
@@ -164,6 +170,11 @@ def stream_words(record: RecordCode, found: Iterable[Access], opcode: str) -> di
             name = _name_of(record, one.root)
             words[name] = words.get(name, 0) + -(-one.byte_count // _WORD)
     return words
+
+
+def _words_used(record: RecordCode, found: Iterable[Access], opcode: str) -> int:
+    words = stream_words(record, found, opcode)
+    return sum(count for name, count in words.items() if name != "state")
 
 
 def words_fetched(record: RecordCode, found: Iterable[Access]) -> dict[str, Fetched]:

@@ -56,6 +56,8 @@ class Search:
         See `machines.schedulers`.
     compaction : bool
         Whether to drop finished rays from the streams.
+    steps : Steps, optional
+        Other kernels than the structure's own, such as those of `as_published`.
 
     Attributes
     ----------
@@ -71,9 +73,10 @@ class Search:
         rays: LocalRays,
         scheduler: str = "threshold",
         compaction: bool = False,
+        steps: Steps | None = None,
     ) -> None:
         count = len(rays.t_min)
-        self.steps = steps_of(structure)
+        self.steps = steps_of(structure) if steps is None else steps
         self.hits = HitArrays.empty(count)
         self.hits.t.fill(np.inf)
         self.hits.prim_id.fill(-1)

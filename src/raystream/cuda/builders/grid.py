@@ -110,6 +110,6 @@ def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:
         return build_lists(gpu, triangles, corners, lattice, most)
 
     lattice, lists = choose_and_build(
-        triangles, options.counts, options.min_resolution, options.levels, make
+        triangles, options.counts, options.min_resolution, options.levels, options.is_exact, make
     )
     return DeviceGrid(triangles, gpu, lattice, lists, corners, options, started)

@@ -169,4 +169,5 @@ def as_numbers(lattice: Lattice) -> Lattice:
         for x, y, z in (lattice.low, lattice.high, lattice.size)
     )
     counts: Any = tuple(map(np.int64, lattice.counts))
-    return Lattice(low, high, size, counts, np.float64(lattice.growth))
+    is_exact: Any = np.bool_(lattice.is_exact)
+    return Lattice(low, high, size, counts, np.float64(lattice.growth), is_exact)

@@ -18,6 +18,7 @@ from raystream.jit.threads import parallel_for
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import prepare_ray
 from raystream.structures.graph.steps import (
+    MAX_WALK,
     GraphAddresses,
     clip_to_scene,
     sector_ray,
@@ -29,9 +30,6 @@ __all__ = ["StartSectors", "find_sectors"]
 
 #: Rays per call of the kernel.
 _CHUNK = 1 << 13
-
-#: Most sectors that a walk from a nearby sector leaves before it falls back to the bins.
-MAX_WALK = 16
 
 _LIMIT = np.uint64(MAX_WALK)
 _ROW = np.uint64(4)  # a row's 16 bytes, as a shift

@@ -30,18 +30,24 @@ from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 
 __all__ = [
+    "MAX_WALK",
     "Face",
     "GraphAddresses",
     "SectorRay",
     "clip_to_scene",
     "exit_face",
     "follow_link",
+    "near_sector",
     "sector_blocks",
+    "sector_number",
     "sector_ray",
     "start_sector",
     "start_sector_cached",
     "walk_to",
 ]
+
+#: Most sectors that a walk from a nearby sector leaves before it falls back to the bins.
+MAX_WALK = 16
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -64,6 +70,10 @@ _ABOVE = np.uint64(12)
 _ROW = np.uint64(4)  # a row's 16 bytes, as a shift
 _NODE_BIT = np.uint64(1 << 31)
 _NO_LIMIT = np.uint64(2**63)
+_NEARBY = np.uint64(MAX_WALK)
+
+_SECTOR = np.uint64(6)  # a sector's 64 bytes, as a shift
+_INDEX = np.uint64(2)  # a number's four bytes, as a shift
 
 
 class GraphAddresses(NamedTuple):
@@ -86,6 +96,11 @@ class GraphAddresses(NamedTuple):
         Bins per unit of length; 0 along an axis on which the box is flat.
     low, high : tuple of three float32
         The scene's box.
+    starts : uint64
+        Address of an int32 per ray: the number of a sector near its start, or -1; 0 without.
+    ends : uint64
+        Address of an int32 per ray, written if it hits anything: the number of the sector of its
+        hit; 0 without.
     """
 
     rows: np.uint64
@@ -96,6 +111,8 @@ class GraphAddresses(NamedTuple):
     bin_scales: tuple[np.float32, np.float32, np.float32]
     low: tuple[np.float32, np.float32, np.float32]
     high: tuple[np.float32, np.float32, np.float32]
+    starts: np.uint64
+    ends: np.uint64
 
 
 class SectorRay(NamedTuple):
@@ -347,8 +364,10 @@ def start_sector_cached(graph, line, ray, t, last):
 
     Returns
     -------
-    uint64
-        The sector's address.
+    sector : uint64
+        Its address.
+    step_count : uint64
+        Sectors left on the way there.
     """
     row = _bin_row(graph, ray, t)
     if load(np.uint64, last) == row + _ONE:
@@ -356,9 +375,42 @@ def start_sector_cached(graph, line, ray, t, last):
     else:
         sector = _bin_sector(graph, row)
         store(last, row + _ONE)
-    sector, _ = walk_to(graph, line, sector, t, _NO_LIMIT)
+    sector, step_count = walk_to(graph, line, sector, t, _NO_LIMIT)
     store(last + _TWO_WORDS, sector)
+    return sector, step_count
+
+
+@device
+def near_sector(graph, line, ray, t, number, last):
+    """The sector in which a ray is at t: displaced from a nearby one where that is given.
+
+    Parameters
+    ----------
+    graph, line, ray, t, last
+        See `start_sector_cached`, which is the route otherwise, and after a long walk.
+    number : uint64
+        The ray's, for `GraphAddresses.starts`.
+
+    Returns
+    -------
+    uint64
+        The sector's address.
+    """
+    if graph.starts != _NONE:
+        start = load(np.int32, graph.starts + (number << _INDEX))
+        if start >= np.int32(0):
+            known = graph.rows + (np.uint64(start) << _SECTOR)
+            sector, step_count = walk_to(graph, line, known, t, _NEARBY)
+            if step_count != _NEARBY:
+                return sector
+    sector, _ = start_sector_cached(graph, line, ray, t, last)
     return sector
+
+
+@device
+def sector_number(graph, sector):
+    """The number of a sector, as `GraphAddresses.starts` and `ends` have it."""
+    return np.int32((sector - graph.rows) >> _SECTOR)
 
 
 @device

@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.atomic_write import atomic_write
+from raystream.core.query import Kind, Query
+from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
+from raystream.kernels.hits import Sink
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.kernels.local_frame import LocalRays
 from raystream.structures.base import BuildReport, Structure
@@ -75,6 +78,11 @@ class GraphStructure(Structure):
         return addresses_of(self.triangles, self.graph.bins.shape, rows, blocks, bins)
 
     @property
+    def sector_count(self) -> int:
+        """The number of sectors."""
+        return self.graph.sector_count
+
+    @property
     def rows(self) -> NDArray[np.uint32]:
         """The graph's rows as kernels read them: planes without a sector behind are at infinity."""
         return self._rows
@@ -88,6 +96,16 @@ class GraphStructure(Structure):
     def memory(self) -> dict[str, NDArray[Any]]:
         """Sectors and links, leaf blocks, and bins."""
         return {"rows": self._rows, "blocks": self.blocks, "bins": self.graph.bins}
+
+    def arrays_for(self, query: Query, rays: RayBatch, sink: Sink) -> GraphAddresses:
+        """The view for rays whose start is known, and whose hits keep their sectors."""
+        starts = ends = np.uint64(0)
+        if rays.near is not None and query.kind in (Kind.FIRST_HIT, Kind.ANY_HIT):
+            starts = np.uint64(rays.near.ctypes.data)
+        if query.kind is Kind.FIRST_HIT:
+            sink.sectors = np.full(len(rays), -1, np.int32)
+            ends = np.uint64(sink.sectors.ctypes.data)
+        return self._addresses._replace(starts=starts, ends=ends)
 
     def start_sectors(
         self,
@@ -142,7 +160,8 @@ def addresses_of(
     sizes = box[1] - box[0]
     scales = [n / size if size > 0.0 else 0.0 for n, size in zip(bin_counts, sizes, strict=True)]
     box_of = _triple(bin_counts), _triple(box[0]), _triple(scales)
-    return GraphAddresses(rows, blocks, bins, *box_of, _triple(low), _triple(high))
+    no_rays = np.uint64(0), np.uint64(0)
+    return GraphAddresses(rows, blocks, bins, *box_of, _triple(low), _triple(high), *no_rays)
 
 
 def _open_sides(rows: NDArray[np.uint32]) -> None:

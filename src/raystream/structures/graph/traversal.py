@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import prefetch
+from raystream.jit.simd import prefetch, store
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS, add_to
@@ -13,9 +13,10 @@ from raystream.structures.graph.steps import (
     clip_to_scene,
     exit_face,
     follow_link,
+    near_sector,
     sector_blocks,
+    sector_number,
     sector_ray,
-    start_sector_cached,
 )
 
 __all__ = ["STACK_BYTES", "traverse"]
@@ -27,6 +28,14 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _LANES = np.uint64(4)
 _LINE = np.uint64(64)
+_INDEX = np.uint64(2)  # a number's four bytes, as a shift
+
+
+@device
+def _note_end(graph, search, sector):
+    """Write the sector of a first hit: that in which its search ends."""
+    if graph.ends != _NONE and search.hit_count != _NONE:
+        store(graph.ends + (search.first_row << _INDEX), sector_number(graph, sector))
 
 
 @device
@@ -36,7 +45,7 @@ def traverse(graph, ray, search, stack):
     if not is_active:
         return search
     line, triangle_ray = sector_ray(ray), block_ray(ray)
-    sector = start_sector_cached(graph, line, ray, t_in, stack)
+    sector = near_sector(graph, line, ray, t_in, search.first_row, stack)
     while True:
         add_to(search.counters, STEPS, _ONE)
         face = exit_face(line, sector)
@@ -62,6 +71,7 @@ def traverse(graph, ray, search, stack):
                 block += BLOCK
                 left -= min(left, _LANES)
         if is_last or is_over(search, t_out):
+            _note_end(graph, search, sector)
             return search
         add_to(search.counters, LINK_NODES, node_count)
         sector, t_in = next_sector, t_out

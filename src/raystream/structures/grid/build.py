@@ -51,6 +51,7 @@ def build_grid(
     resolution: tuple[int, int, int] | None,
     min_resolution: int | None,
     levels: int = 1,
+    is_exact: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Lattice, GridArrays]:
     """Choose a lattice and list the triangles of each cell.
@@ -63,6 +64,8 @@ def build_grid(
     levels : int
         See `lattice.choose_lattice`. Without a resolution, cells are made coarser until lists are
         short.
+    is_exact : bool
+        See `Lattice`.
     progress : callable, optional
         Called with (triangles placed, triangles).
 
@@ -85,7 +88,7 @@ def build_grid(
     def make(lattice: Lattice, limit: int, option: str) -> GridArrays:
         return build_lists(triangles, lattice, limit, option, progress)
 
-    return choose_and_build(triangles, resolution, min_resolution, levels, make)
+    return choose_and_build(triangles, resolution, min_resolution, levels, is_exact, make)
 
 
 def choose_and_build(
@@ -93,6 +96,7 @@ def choose_and_build(
     resolution: tuple[int, int, int] | None,
     min_resolution: int | None,
     levels: int,
+    is_exact: bool,
     make: Callable[[Lattice, int, str], Lists],
 ) -> tuple[Lattice, Lists]:
     """Choose a lattice, coarser if there are too many references, and make its lists.
@@ -101,7 +105,7 @@ def choose_and_build(
     ----------
     triangles : Triangles
         At least one that can be hit.
-    resolution, min_resolution, levels
+    resolution, min_resolution, levels, is_exact
         See `build_grid`.
     make : callable
         ``make(lattice, limit, option)`` makes lists; it raises `TooManyError` if there are more
@@ -118,6 +122,7 @@ def choose_and_build(
     coarser = 0
     while True:
         lattice = choose_lattice(triangles, resolution, min_resolution, levels, coarser)
+        lattice = lattice._replace(is_exact=is_exact)
         # One cell needs one reference per triangle, so coarsening ends.
         limit = reference_limit(count) if is_free else MAX_REFERENCES
         try:

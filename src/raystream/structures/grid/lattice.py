@@ -51,6 +51,8 @@ class Lattice(NamedTuple):
         Cells along each axis. An axis on which the scene is flat has one, of size 0.
     growth : float
         Distance within which a cell lists triangles.
+    is_exact : bool
+        Whether it lists only triangles that come so near, not all whose box and plane do.
     """
 
     low: tuple[float, float, float]
@@ -58,6 +60,7 @@ class Lattice(NamedTuple):
     size: tuple[float, float, float]
     counts: tuple[int, int, int]
     growth: float
+    is_exact: bool = False
 
     @property
     def cell_count(self) -> int:

@@ -6,7 +6,7 @@ import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from raystream.core.options import Range
 from raystream.structures.registry import StructureOptions, register_structure
@@ -37,6 +37,11 @@ class Grid(StructureOptions):
     levels : {1, 2}
         With 2, cells with many triangles are subdivided (Purcell 2002, section 5.1): for
         scenes with details of many sizes.
+    overlap : {"plane", "exact"}
+        Which cells list a triangle: those that its box and its plane overlap, or only those that
+        the triangle overlaps, by separating axes (Christen 2005, section 5.1.1).
+        ``"exact"`` is for comparison with the papers: lists are shorter, but hits may differ from
+        those of other structures, or be missed, where a ray grazes a triangle's edge.
 
     Raises
     ------
@@ -69,11 +74,17 @@ class Grid(StructureOptions):
     resolution: int | Sequence[int] | None = None
     min_resolution: int | None = None
     levels: Annotated[int, Range(1, 2)] = 1
+    overlap: Literal["plane", "exact"] = "plane"
 
     @property
     def counts(self) -> tuple[int, int, int] | None:
         """`resolution` after validation: one number per axis."""
         return self.resolution  # type: ignore[return-value]
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether cells list only the triangles that overlap them."""
+        return self.overlap == "exact"
 
     def __post_init__(self) -> None:
         super().__post_init__()

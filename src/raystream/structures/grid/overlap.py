@@ -3,6 +3,7 @@
 A hit lies near its triangle's plane and near its triangle's box (docs/decisions/0010-grid), so
 these are the cells that overlap both, grown. A triangle's edges cannot be used to cull more: a
 ray that lies in a triangle's plane, within rounding, may cross it beyond an edge and hit there.
+A lattice that `is_exact` uses them all the same, as the papers do.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
+from raystream.structures.exact_overlap import edges_overlap
 
 __all__ = ["ListWriter", "each_cell", "list_in_layers", "list_triangle", "range_along"]
 
@@ -121,6 +123,23 @@ def list_in_layers(lattice, corners, i, axis, begin, end, writer):
 
 
 @device
+def _edges_overlap(lattice, corners, i, u, place):
+    """Whether a cell, grown, overlaps a triangle, given that it overlaps its box and its plane.
+
+    The cell's place is along axes u, u + 1 and u + 2.
+    """
+    size, growth = lattice.size, lattice.growth
+    middle_x = lattice.low[0] + size[0] * (place[(3 - u) % 3] + 0.5)
+    middle_y = lattice.low[1] + size[1] * (place[(4 - u) % 3] + 0.5)
+    middle_z = lattice.low[2] + size[2] * (place[(5 - u) % 3] + 0.5)
+    half = (0.5 * size[0] + growth, 0.5 * size[1] + growth, 0.5 * size[2] + growth)
+    a = (corners[i, 0, 0] - middle_x, corners[i, 0, 1] - middle_y, corners[i, 0, 2] - middle_z)
+    b = (corners[i, 1, 0] - middle_x, corners[i, 1, 1] - middle_y, corners[i, 1, 2] - middle_z)
+    c = (corners[i, 2, 0] - middle_x, corners[i, 2, 1] - middle_y, corners[i, 2, 2] - middle_z)
+    return edges_overlap(a, b, c, half)
+
+
+@device
 def each_cell(lattice, corners, i, first, last, mark, to):
     """Call a function for each cell that a triangle is listed in.
 
@@ -193,7 +212,9 @@ def each_cell(lattice, corners, i, first, last, mark, to):
                 begin = np.int64(min(max(low - 1.0, np.float64(begin)), np.float64(end)))
                 end = np.int64(max(min(high + 1.0, np.float64(end)), np.float64(begin)))
             for m in range(begin, end + _ONE):
-                if abs(away + slope * m) <= reach:
+                if abs(away + slope * m) <= reach and (
+                    not lattice.is_exact or _edges_overlap(lattice, corners, i, u, (m, j, k))
+                ):
                     cell = stride[u] * m + stride[v] * j + stride[w] * k
                     mark(np.uint64(cell), i, np.uint64(total), to)
                     total += _ONE

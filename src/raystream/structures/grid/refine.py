@@ -136,7 +136,7 @@ def _list_cells(begin, end, lattice, lists, cells, counts, firsts, corners, outp
             lattice.size[1] / count[1],
             lattice.size[2] / count[2],
         )
-        fine = Lattice(low, low, size, count, lattice.growth)
+        fine = Lattice(low, low, size, count, lattice.growth, lattice.is_exact)
         at = position_at + np.uint64(4) * np.uint64(firsts[row])
         writer = ListWriter(at, reference_at, is_fill)
         for place in range(np.uint64(splits[cell]), np.uint64(splits[cell + 1])):

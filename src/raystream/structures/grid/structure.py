@@ -70,7 +70,12 @@ class GridStructure(Structure):
     ) -> None:
         started = time.perf_counter()
         lattice, lists = build_grid(
-            triangles, options.counts, options.min_resolution, options.levels, progress
+            triangles,
+            options.counts,
+            options.min_resolution,
+            options.levels,
+            options.is_exact,
+            progress,
         )
         fine = refine(triangles, lattice, lists) if options.levels == 2 else FineArrays.none()
         self._set(triangles, lattice, lists, fine, options, started)
@@ -160,7 +165,7 @@ class GridStructure(Structure):
         started = time.perf_counter()
         counts = take(arrays, "counts", np.int64, (3,)).tolist()
         check_cells("counts", counts)
-        lattice = _saved_lattice(arrays, counts, triangles)
+        lattice = _saved_lattice(arrays, counts, triangles)._replace(is_exact=options.is_exact)
         if list(lattice.counts) != counts:
             raise ValueError("the number of cells does not fit the bounding box")
         solid = np.zeros(len(triangles), np.bool_)

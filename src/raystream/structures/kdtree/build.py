@@ -116,7 +116,8 @@ class _Builder:
         self.prim_ids = triangles.prim_ids
         max_depth = min(settings.max_depth, MAX_DEPTH)
         self.settings = settings._replace(max_depth=max_depth)
-        self.triangles = GrownTriangles(triangles.corners, float(triangles.max_coordinate) * BOUND)
+        bound = float(triangles.max_coordinate) * BOUND
+        self.triangles = GrownTriangles(triangles.corners, bound, settings.overlap)
         self.subtree_size = subtree_size(len(self.prim_ids))
 
     def build(self, progress: Progress | None) -> KdArrays:

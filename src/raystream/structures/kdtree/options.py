@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from raystream.core.options import Range
 from raystream.structures.registry import StructureOptions, register_structure
 
-__all__ = ["LAYOUTS", "MAX_DEPTH", "TRAVERSALS", "KdTree"]
+__all__ = ["LAYOUTS", "MAX_DEPTH", "OVERLAPS", "TRAVERSALS", "KdTree"]
 
 #: Greatest depth that the builder makes and the traversal supports.
 MAX_DEPTH = 64
@@ -40,6 +40,12 @@ class KdTree(StructureOptions):
     max_leaf_size : int
         Cells with at most this many triangles are not split, 1 to 1024. Leaves may have more
         where splits do not pay or `max_depth` is reached.
+    overlap : {"plane", "exact", "box"}
+        Which cells list a triangle: those that its box and its plane overlap; only those that the
+        triangle overlaps, clipped to the cell ("perfect splits"); or all those that its box
+        overlaps, as in pbrt. ``"exact"`` is for comparison with the papers: lists are shorter, but
+        hits may differ from those of other structures, or be missed, where a ray grazes a
+        triangle's edge.
 
     Raises
     ------
@@ -65,10 +71,14 @@ class KdTree(StructureOptions):
     empty_bonus: Annotated[float, Range(0, 1)] = 0.2
     max_depth: Annotated[int | None, Range(0, MAX_DEPTH)] = None
     max_leaf_size: Annotated[int, Range(1, 1024)] = 1
+    overlap: Literal["plane", "exact", "box"] = "plane"
 
 
 #: How a search continues after a leaf, in the order of `state.STACK` and so on.
 TRAVERSALS = KdTree.choices("traversal")
+
+#: Which cells list a triangle, in the order of `subtree.EXACT` and so on.
+OVERLAPS = KdTree.choices("overlap")
 
 #: Node layouts: 8 bytes, or Foley's 12.
 LAYOUTS = KdTree.choices("layout")

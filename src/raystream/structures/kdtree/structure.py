@@ -18,7 +18,7 @@ from raystream.structures.kdtree.build import build_arrays
 from raystream.structures.kdtree.foley_layout import LEAF_BIT, FoleyArrays, extend, pack
 from raystream.structures.kdtree.layout import KdArrays, check_arrays, default_depth, measure
 from raystream.structures.kdtree.nodes import KdAddresses
-from raystream.structures.kdtree.options import TRAVERSALS, KdTree
+from raystream.structures.kdtree.options import OVERLAPS, TRAVERSALS, KdTree
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.state import STACK_BYTES
 from raystream.structures.kdtree.subtree import BuildSettings
@@ -184,4 +184,5 @@ def settings_of(options: KdTree, triangle_count: int) -> BuildSettings:
     if max_depth is None:
         max_depth = default_depth(triangle_count)
     costs = Costs(options.traversal_cost, options.intersection_cost, options.empty_bonus)
-    return BuildSettings(costs, max_depth, options.max_leaf_size)
+    overlap = OVERLAPS.index(options.overlap)
+    return BuildSettings(costs, max_depth, options.max_leaf_size, overlap)

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD, clip_to_plane
+from raystream.structures.exact_overlap import clip_to_triangle
 from raystream.structures.kdtree.layout import LEAF_AXIS
-from raystream.structures.kdtree.options import MAX_DEPTH
+from raystream.structures.kdtree.options import MAX_DEPTH, OVERLAPS
 from raystream.structures.kdtree.split import LEAF, WORK_BYTES, Costs, choose_split
 
 __all__ = [
@@ -37,6 +38,9 @@ _TRIANGLE = np.uint64(36)
 _LEAF_BITS = np.int32(LEAF_AXIS)
 _ABSENT = np.int32(-1)
 
+#: See `KdTree`; for kernels.
+_EXACT, _BOX = np.int64(OVERLAPS.index("exact")), np.int64(OVERLAPS.index("box"))
+
 #: A pending cell: begin, end, node, depth, bad splits and room (uint64), and the box.
 _PENDING = np.uint64(72)
 _PENDING_BYTES = 72 * (MAX_DEPTH + 2)
@@ -54,11 +58,14 @@ class BuildSettings(NamedTuple):
         Splits on a path.
     max_leaf_size : int
         Cells of at most this many references are not split.
+    overlap : int
+        Which cells list a triangle: an index of `options.OVERLAPS`.
     """
 
     costs: Costs
     max_depth: int
     max_leaf_size: int
+    overlap: int = 0
 
 
 class GrownTriangles(NamedTuple):
@@ -69,10 +76,13 @@ class GrownTriangles(NamedTuple):
     corners : ndarray of shape (F, 3, 3), float32
     bound : float
         How far boxes and planes are grown, see `clip.BOUND`.
+    overlap : int
+        What references are clipped to, see `BuildSettings`.
     """
 
     corners: NDArray[np.float32]
     bound: float
+    overlap: int
 
 
 class References(NamedTuple):
@@ -149,15 +159,27 @@ def copy_box(to, source):
 
 
 @device
-def split_reference(box, triangle, bound, step, position, to_below, to_above):
+def _clip(triangle, triangles, box):
+    """Clip a reference's box to its triangle; returns whether anything is left."""
+    if triangles.overlap == _BOX:
+        return True
+    if triangles.overlap == _EXACT:
+        return clip_to_triangle(triangle, triangles.bound, box)
+    return clip_to_plane(triangle, triangles.bound, box)
+
+
+@device
+def split_reference(box, triangle, triangles, step, position, to_below, to_above):
     """Split a reference at a plane: find its sides, and write its box on each.
 
     Parameters
     ----------
     box : uint64
         Address of its box.
-    triangle, bound
-        See `clip.clip_to_plane`.
+    triangle : uint64
+        Address of its triangle.
+    triangles : GrownTriangles
+        For what it is clipped to.
     step : uint64
         Bytes from a box's x to the plane's axis.
     position : float32
@@ -177,13 +199,13 @@ def split_reference(box, triangle, bound, step, position, to_below, to_above):
         copy_box(to_below, box)
         if is_cut:
             store(to_below + HIGH + step, position)
-            is_below = clip_to_plane(triangle, bound, to_below)
+            is_below = _clip(triangle, triangles, to_below)
     if is_above:
         copy_box(to_above, box)
         if is_cut:
             store(to_above + step, position)
             # Rounding must not lose it on both sides.
-            is_above = clip_to_plane(triangle, bound, to_above) or not is_below
+            is_above = _clip(triangle, triangles, to_above) or not is_below
     return is_below, is_above
 
 
@@ -195,7 +217,7 @@ def room_above(room, below_count, above_count):
 
 
 @device_call
-def _partition(boxes, ids, begin, end, axis, position, corners, bound):
+def _partition(boxes, ids, begin, end, axis, position, triangles):
     """Partition a cell's references at a plane, and split those that it cuts.
 
     Those above are written from row `begin` on; those below from row `end` on.
@@ -205,13 +227,14 @@ def _partition(boxes, ids, begin, end, axis, position, corners, bound):
     above_end, below_end : uint64
     """
     above, below = begin, end
+    corners = address(triangles.corners)
     step = axis * WORD
     for i in range(begin, end):
         box, prim_id = boxes + i * BOX_BYTES, load(np.int32, ids + i * WORD)
         triangle = corners + np.uint64(prim_id) * _TRIANGLE
         to_below, to_above = boxes + below * BOX_BYTES, boxes + above * BOX_BYTES
         is_below, is_above = split_reference(
-            box, triangle, bound, step, position, to_below, to_above
+            box, triangle, triangles, step, position, to_below, to_above
         )
         if is_above:
             store(ids + above * WORD, prim_id)
@@ -257,8 +280,8 @@ def split_range(references, cell, triangles, costs, result):
     )
     result[0], result[1] = axis, bad
     if axis != LEAF:
-        ids, corners = address(references.ids), address(triangles.corners)
-        above, below = _partition(boxes, ids, _NONE, end, axis, position, corners, triangles.bound)
+        ids = address(references.ids)
+        above, below = _partition(boxes, ids, _NONE, end, axis, position, triangles)
         result[2], result[3] = above, below
     return position
 
@@ -312,7 +335,7 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
         return
     box_at, id_at = address(references.boxes), address(references.ids)
     node_at, leaf_at = address(tree.nodes), address(tree.prim_ids)
-    corners, bound, node_limit = address(triangles.corners), triangles.bound, len(tree.nodes)
+    node_limit = len(tree.nodes)
     pending, work = scratch(_PENDING_BYTES), scratch(WORK_BYTES)
     count, room = np.uint64(references.size), np.uint64(cell.room)
     depth, bad_splits = np.uint64(cell.depth), np.uint64(cell.bad_splits)
@@ -344,7 +367,7 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
             continue
         store(node, position)
         store(node + WORD, np.int32(node_end << _TWO | axis))
-        above_end, below_end = _partition(box_at, id_at, begin, end, axis, position, corners, bound)
+        above_end, below_end = _partition(box_at, id_at, begin, end, axis, position, triangles)
         # Those below move down, so that all free rows follow them.
         below_count = below_end - end
         for i in range(below_count):

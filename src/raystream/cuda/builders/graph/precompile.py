@@ -37,7 +37,7 @@ def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
         partition.Made(*_at(3)),
     )
     numbers = numbering.Numbering(*_at(5))
-    grown = partition.GrownTriangles(NULL, np.float64(0.0))
+    grown = partition.GrownTriangles(NULL, np.float64(0.0), np.int64(0))
     return [
         (planes.KERNELS.try_planes, (refs, level, _COSTS, NULL, tried)),
         (planes.KERNELS.choose_plane, (level, _COSTS, NULL, tried, choices)),

@@ -140,6 +140,7 @@ class _Grower:
         self.costs = as_numbers(settings.costs)
         self.max_depth = min(settings.max_depth, MAX_DEPTH)
         self.max_leaf_size = settings.max_leaf_size
+        self.overlap = np.int64(settings.overlap)
         self.bound = float(triangles.max_coordinate) * BOUND
         self.room = MAX_REFERENCES * len(triangles.prim_ids) + LEAST_ROOM
         self.ids = gpu.empty("references of leaves", self.room, np.int32)
@@ -221,7 +222,7 @@ class _Grower:
         splits = gpu.pooled("splits", cell_count + 1, np.uint64)
         counts = Counts(parts.address, splits.address)
         kernels.confirm.launch(gpu, cell_count, (cells.at, choices, counts))
-        triangles = GrownTriangles(self.corners.address, np.float64(self.bound))
+        triangles = GrownTriangles(self.corners.address, np.float64(self.bound), self.overlap)
         given = choices, triangles, counts
         kernels.count_parts.launch(gpu, count, (lists.at, *given))
         found, split = _scanned(gpu, parts), _scanned(gpu, splits)

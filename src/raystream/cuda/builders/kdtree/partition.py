@@ -70,10 +70,13 @@ class GrownTriangles(NamedTuple):
         Address of their corners.
     bound : float64
         See `structures.clip`.
+    overlap : int64
+        See `kdtree.subtree.BuildSettings`.
     """
 
     corners: np.uint64
     bound: np.float64
+    overlap: np.int64
 
 
 @device
@@ -117,7 +120,7 @@ def _part(i, refs, choices, triangles, below, above):
         return False, False
     triangle = triangles.corners + np.uint64(load(np.int32, refs.ids + i * WORD)) * _TRIANGLE
     box = refs.boxes + i * BOX_BYTES
-    return split_reference(box, triangle, triangles.bound, axis * WORD, position, below, above)
+    return split_reference(box, triangle, triangles, axis * WORD, position, below, above)
 
 
 @kernel
