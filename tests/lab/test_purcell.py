@@ -89,7 +89,7 @@ def test_replayed_passes_are_the_machines(runner: Runner, name: str) -> None:
 
 
 def test_shares_of_costs_add_up(runner: Runner) -> None:
-    by_kernel, by_kind = run(runner, "costs").tables
+    by_kernel, by_kind, _ = run(runner, "costs").tables
     sums: dict[tuple[object, object], list[float]] = {}
     for row in by_kernel.rows:
         view, architecture, part, instructions, _, moved, _ = row

@@ -15,13 +15,11 @@ from raystream_lab.foley.scenes import (
     published_figures,
 )
 from raystream_lab.foley.settings import Setting, settings_of
+from raystream_lab.results import TOLERANCE, is_near
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
 __all__ = ["TOLERANCE", "Trial", "distance", "explain_difference", "is_near", "nearest", "sweep"]
-
-#: Maximum relative deviation of counts that are called equal.
-TOLERANCE = 0.25
 
 #: Image size of the sweep: figures are means, and depend little on the resolution.
 _SWEEP_SIZE = SIZE // 4
@@ -97,11 +95,6 @@ def sweep(runner: Runner, name: str, view: View) -> list[Trial]:
             Trial(setting.group, setting.label, setting.time, dict(setting.options), figures)
         )
     return tried
-
-
-def is_near(ours: float, theirs: float) -> bool:
-    """Whether two values agree within `TOLERANCE`."""
-    return abs(ours / theirs - 1.0) <= TOLERANCE
 
 
 def distance(figures: Mapping[str, float], theirs: Mapping[str, float]) -> float:
