@@ -121,6 +121,7 @@ EXPERIMENTS = (
     Experiment(
         "christen-calls", "Kernel calls, and rays that are masked out", "christen.kernel_calls"
     ),
+    Experiment("christen-memory", "Memory of a pixel against iterations", "christen.pixel_memory"),
     Experiment(
         "christen-graphics",
         "Bounces on a current graphics pipeline",
