@@ -6,6 +6,7 @@ as one loop of the multipass machine, whose records also hold the pixel's rays.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from raystream.rendering.ray_loops import MAX_BYTES
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.streams import Paths
-from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 from raystream_lab.christen.scenes import SCENES, christen_scene
 from raystream_lab.published import published
@@ -34,8 +34,7 @@ _COLOR_BITS = 3 * 32
 def pixel_memory(runner: Runner) -> Result:
     """Bytes of a pixel's records by the number of iterations, and bits of its result."""
     found: dict[str, dict[str, int]] = {
-        letter: runner.measure(letter, lambda letter=letter: _measured(christen_scene(letter)))
-        for letter in SCENES
+        letter: runner.measure(letter, partial(_measured, letter)) for letter in SCENES
     }
     source = published("christen", "memory")
     bits, theirs = result_bits(), source.values["bits_per_pixel"]
@@ -84,8 +83,8 @@ def pixel_memory(runner: Runner) -> Result:
     )
 
 
-def _measured(scene: Scene) -> dict[str, int]:
-    tracer = Tracer(scene, "grid", machine="multipass", resolution=5)
+def _measured(letter: str) -> dict[str, int]:
+    tracer = Tracer(christen_scene(letter), "grid", machine="multipass", resolution=5)
     return {str(count): loop_bytes(tracer, count) for count in _ITERATIONS}
 
 

@@ -105,7 +105,7 @@ def _table_2(runner: Runner, found: dict[str, dict[str, Any]], size: int) -> Tab
         f"Passes: {source}; threshold 20 %, {size} x {size}",
         rows,
         "Camera: the one of the sweep for Figure 6 whose longest walks are nearest to the paper's, "
-        "in steps and tests at once; scheduled anew at the full size.",
+        "in steps and tests at once; scheduled again at the full size.",
         "Other passes: set-up and shading. The paper also makes eye rays in a pass, and takes two "
         "for set-up.",
     )
