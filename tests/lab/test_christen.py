@@ -14,6 +14,7 @@ from raystream_lab import Runner, Store
 from raystream_lab.christen import image_times, kernel_calls, pixel_memory, scenes
 from raystream_lab.frame_timing import render_context
 from raystream_lab.published import published
+from raystream_lab.recording_tracer import RecordingTracer
 
 
 @pytest.fixture
@@ -106,8 +107,19 @@ def test_iterations_match_the_renderer():
     seconds, light = scenes.timed_iterations(render_context(tracer, (12, 12)), tracer, 12, 4)
     assert len(seconds) == 4
     assert seconds == sorted(seconds)
-    image = rs.render(scene, "whitted", (12, 12), max_bounces=3, min_weight=0.0)
+    options = {"max_bounces": 3, "min_weight": 0.0}
+    image = rs.render(scene, "whitted", (12, 12), shadows=False, **options)
     assert light == pytest.approx(float(image.pixels.mean(dtype=np.float64)), rel=1e-6)
+
+
+def test_times_are_without_shadow_rays():
+    scene = scenes.christen_scene("B")
+    for shadows in (False, True):
+        tracer = RecordingTracer(scene, "grid", resolution=5)
+        context = render_context(tracer, (12, 12))
+        tracer.queries.clear()
+        scenes.timed_iterations(context, tracer, 12, 3, shadows=shadows)
+        assert ("any_hit" in {one.query for one in tracer.queries}) == shadows
 
 
 def test_passes_run_on_all_that_rays_meet():

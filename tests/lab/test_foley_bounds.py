@@ -178,11 +178,14 @@ def test_rates_of_the_text_follow_from_table_1(runner):
     found = rates()
     assert found["bunny"]["grid"] == pytest.approx(734_297, abs=1)
     result = runner.run("foley-paper", paper_figures)
-    grid, trees = result.claims[2:]
+    grid, trees, voxels = result.claims[2:]
     assert grid.verdict == "holds"
     # The kitchen's backtracking is 306 thousand.
     assert trees.verdict == "holds in 3 of 4"
     assert "kitchen backtrack 306" in trees.evidence
+    # 50 cubed is 125,000, 51 cubed more than 2 to the 17th.
+    assert voxels.verdict == "holds"
+    assert "robots 50³ = 125,000" in voxels.evidence
 
 
 @pytest.mark.parametrize(("seconds", "verdict"), [(0.5, "holds"), (2.0, "does not hold (0 of 2)")])

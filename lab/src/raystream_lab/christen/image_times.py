@@ -72,8 +72,8 @@ def image_times(runner: Runner) -> Result:
             "given. They are from a GeForce 6 in 2005; the only devices here are CPUs so far."
         ),
         (
-            "As in his renderer, rays are never terminated for a small weight. Unlike his, ours "
-            "also traces shadow rays."
+            "As in his renderer, no shadow rays are traced, and no ray is terminated for a small "
+            "weight. The pictures have shadows."
         ),
     ]
     return result

@@ -9,7 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.core.errors import RaystreamError
-from raystream.rendering.integrator import Band, PathStream, RenderContext, camera_paths
+from raystream.rendering.integrator import (
+    Band,
+    Integrator,
+    PathStream,
+    RenderContext,
+    camera_paths,
+)
 from raystream.rendering.render import RENDERERS
 from raystream.scene.load import load
 from raystream.scene.scene import Scene
@@ -119,7 +125,7 @@ def image_size(runner: Runner) -> int:
 
 
 def timed_iterations(
-    context: RenderContext, tracer: Tracer, size: int, iterations: int
+    context: RenderContext, tracer: Tracer, size: int, iterations: int, *, shadows: bool = False
 ) -> tuple[list[float], float]:
     """Render an image with ``whitted``, all pixels together, and time each bounce.
 
@@ -132,6 +138,8 @@ def timed_iterations(
         Width and height.
     iterations : int
         Maximum surfaces per path.
+    shadows : bool
+        Trace shadow rays, which his renderer does not.
 
     Returns
     -------
@@ -141,7 +149,9 @@ def timed_iterations(
         Mean radiance of the image, to compare two.
     """
     renderer = RENDERERS["whitted"]
-    options = renderer.check({"max_bounces": iterations - 1, "min_weight": 0.0})
+    assert isinstance(renderer, Integrator)
+    own_options = {"max_bounces": iterations - 1, "min_weight": 0.0, "shadows": shadows}
+    options = renderer.check(renderer.complete(own_options))
     own = replace(context, tracer=tracer, width=size, height=size, options=options)
     radiance = np.zeros((size * size, 3), np.float32)
     band = Band(own, 0, 0, radiance)
@@ -159,7 +169,8 @@ def timed_iterations(
 def bounces_of(scene: Scene, size: int, iterations: int) -> list[Bounce]:
     """The rays that ``whitted`` traces for an image, by bounce."""
     tracer = RecordingTracer(scene, keep_rays=True)
-    timed_iterations(render_context(tracer, (size, size)), tracer, size, iterations)
+    context = render_context(tracer, (size, size))
+    timed_iterations(context, tracer, size, iterations, shadows=True)
     found: list[Bounce] = []
     for one in tracer.queries:
         if one.query == "first_hit":

@@ -91,7 +91,12 @@ def paper_figures(runner: Runner) -> Result:  # noqa: ARG001 - as every experime
     slowdowns = _slowdowns()
     return Result(
         tables=[_brute_table(prices), _slowdown_table(slowdowns), _rate_table()],
-        claims=[_brute_claim(prices), _slowdown_claim(slowdowns), *_rate_claims()],
+        claims=[
+            _brute_claim(prices),
+            _slowdown_claim(slowdowns),
+            *_rate_claims(),
+            _voxel_claim(),
+        ],
     )
 
 
@@ -116,6 +121,23 @@ def _rate_table() -> Table:
             for name, each in found.items()
         ],
         f"{SIZE} x {SIZE} rays over the printed times.",
+    )
+
+
+def _voxel_claim() -> Claim:
+    """The grids of the large scenes are the finest cubic ones that fit."""
+    most = published("foley", "grids")
+    cells = {
+        name: row["resolution"]
+        for name, row in published("foley", "scenes").values.items()
+        if name != "cornell"
+    }
+    return Claim.judged(
+        f"Grids have at most {most.values['voxels']:,} voxels: those of the large scenes are the "
+        "finest cubic ones",
+        most.source,
+        {name: n**3 <= most.values["voxels"] < (n + 1) ** 3 for name, n in cells.items()},
+        "; ".join(f"{name} {n}³ = {n**3:,}" for name, n in cells.items()),
     )
 
 
