@@ -73,7 +73,7 @@ def image_times(runner: Runner) -> Result:
         ),
         (
             "As in his renderer, no shadow rays are traced, and no ray is terminated for a small "
-            "weight. The pictures have shadows."
+            "weight. The images above have shadows."
         ),
     ]
     return result
