@@ -145,9 +145,9 @@ def lab(
 
 
 def _source() -> str:
-    from raystream_lab.store import source_hash
+    from raystream_lab.source_key import source_key
 
-    return source_hash()
+    return source_key()
 
 
 def _watch(bars: Bars) -> Any:

@@ -106,6 +106,11 @@ EXPERIMENTS = (
         "foley-recirculation", "The cost of carrying rays from pass to pass", "foley.recirculation"
     ),
     Experiment("foley-secondary", "Coherence of secondary rays", "foley.coherence"),
+    Experiment(
+        "foley-convergence", "Whether climbing halves the nodes of a group", "foley.convergence"
+    ),
+    Experiment("foley-bounds", "Worst cases of the stackless traversals", "foley.bounds"),
+    Experiment("foley-memory", "Memory of nodes and of rays", "foley.memory_use"),
     Experiment("foley-paper", "The paper's figures against each other", "foley.paper_figures"),
     Experiment("rayforce-modes", "Four render modes in three scenes", "rayforce.render_modes"),
     Experiment("rayforce-layers", "Multi-hit against the number of layers", "rayforce.layers"),
@@ -121,6 +126,7 @@ EXPERIMENTS = (
     Experiment(
         "christen-calls", "Kernel calls, and rays that are masked out", "christen.kernel_calls"
     ),
+    Experiment("christen-memory", "Memory of a pixel against iterations", "christen.pixel_memory"),
     Experiment(
         "christen-graphics",
         "Bounces on a current graphics pipeline",

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
+from raystream.jit.threads import thread_count
 from raystream.rendering.ao import REACH
 from raystream.rendering.integrator import RenderContext
 from raystream.scene.scene import Scene
@@ -20,7 +21,7 @@ from raystream_lab.frame_timing import (
 from raystream_lab.published import published
 from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
 from raystream_lab.recording_tracer import RecordingTracer
-from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
@@ -33,6 +34,9 @@ MODES = {
     "ao": "the first surface, and 32 any-hit rays",
     "kajiya": "the first surface, any-hit shadows and two diffuse bounces",
 }
+
+#: Frames per second that count as interactive: our choice.
+INTERACTIVE = 10.0
 
 ROUNDS = 3
 
@@ -199,20 +203,19 @@ def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
 
 
 def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
-    """The poster's figure had numbers for this; without them it cannot be judged."""
+    """The poster's values are lost: whether rates are interactive is judged by our own bound."""
     rates = {
-        mode: [1.0 / (_pixel_seconds(one[REFERENCE]) * size[0] * size[1]) for one in each.values()]
-        for mode, each in found.items()
+        f"{name}, {mode}": 1.0 / (_pixel_seconds(each[REFERENCE]) * size[0] * size[1])
+        for mode, scenes in found.items()
+        for name, each in scenes.items()
     }
-    evidence = "; ".join(
-        f"{mode}: {min(values):.2g} to {max(values):.2g} frames/s" for mode, values in rates.items()
-    )
     return Claim.judged(
-        "ambient occlusion and the other modes render at interactive rates",
+        "ambient occlusion and the other modes render at interactive rates (read as: at least "
+        f"{INTERACTIVE:g} frames/s, on this processor)",
         published("rayforce", "figure 3").source,
-        {},
-        "the poster's values are lost, and its GeForce GTX 690 is not comparable with a CPU; the "
-        f"{REFERENCE} here: {evidence}",
+        {case: rate >= INTERACTIVE for case, rate in rates.items()},
+        f"the {REFERENCE} with {thread_count()} threads, frames/s: {listed(rates, '.2g')}; the "
+        "poster's GeForce GTX 690 is not comparable with a CPU",
     )
 
 

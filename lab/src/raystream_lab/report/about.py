@@ -18,7 +18,7 @@ class About(NamedTuple):
     machine : dict of str to Any
         See `bench.machine.describe_machine`.
     version, source : str
-        Version of raystream, and hash of its sources.
+        Version of raystream, and the key of the sources that measure, see `source_key`.
     date : str
         ISO 8601.
     foreign_count : int
