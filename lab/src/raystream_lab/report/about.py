@@ -15,7 +15,7 @@ class About(NamedTuple):
     command : str
         Repeats all measurements.
     machine : dict of str to Any
-        See `bench.machine.describe_machine`.
+        See `bench.machine.describe_machine`; and the ``device``, unless it is the CPU.
     version, source : str
         Version of raystream, and hash of its sources.
     date : str
@@ -57,6 +57,8 @@ class About(NamedTuple):
         ]
         made = f"raystream {self.version} (source {self.source})"
         lines = [f"Measured by `{self.command}`, {self.date}, {made}.", ", ".join(parts) + "."]
+        if "device" in machine:
+            lines.append(f"Device {machine['device']}.")
         if self.quick:
             lines.append(
                 "Quick: small scenes, images and sweeps, as a smoke test. Do not compare the "
