@@ -14,18 +14,18 @@ from raystream_lab.published import published
 from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 
-__all__ = ["key_kernels"]
+__all__ = ["KERNEL_NAMES", "KEY_STRUCTURES", "key_kernels"]
 
 _SIZE = 512
 
 #: Foley's structures; the kitchen's rays, as in section 4.2.
-_STRUCTURES: dict[str, dict[str, Any]] = {
+KEY_STRUCTURES: dict[str, dict[str, Any]] = {
     "brute": {},
     "grid": {"resolution": 50},
     "kdtree": {"traversal": "backtrack", "layout": "foley", "traversal_cost": 8.0},
 }
 
-_NAMES = {
+KERNEL_NAMES = {
     ("brute", "intersect"): "brute intersect",
     ("grid", "traverse"): "grid traverse",
     ("grid", "intersect"): "grid intersect",
@@ -45,14 +45,14 @@ def key_kernels(runner: Runner) -> Result:
     bound: dict[str, bool] = {}
     runs = _QUICK_RUNS if runner.quick else published("foley", "claims").values["kernel_runs"]
     size = runner.size(_SIZE)
-    for structure, options in _STRUCTURES.items():
+    for structure, options in KEY_STRUCTURES.items():
         try:
             found = _measure(runner, structure, options, size, runs)
         except RaystreamError as error:
             result.notes.append(f"the kitchen's kernels are omitted: {error}")
             return result
         for kernel, one in found.items():
-            name = _NAMES[structure, kernel]
+            name = KERNEL_NAMES[structure, kernel]
             theirs = published("foley", "table 3").values[name]
             rows += _rows(name, theirs, one)
             speeds.append(

@@ -142,7 +142,7 @@ def _count_rows(name: str, each: Mapping[str, _Figures]) -> list[Row]:
         for structure, one in figures.items()
         if "error" not in one
         for what in ("steps", "leaves", "tests", "passes")
-        if one["device"][what]
+        if one["cpu"][what]
     ]
 
 
