@@ -13,9 +13,10 @@ from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 from raystream.structures.graph.structure import GraphStructure
 from raystream.tracer import Tracer
+from raystream_lab.agreement import Row, agreement_claim, agreement_table
 from raystream_lab.frame_timing import report_image
 from raystream_lab.published import published
-from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES
+from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, device_options
 from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
@@ -103,6 +104,15 @@ def hidden_triangles(runner: Runner) -> Result:
         plots=[_plot(found, place, part) for place in PLACES for part in ("steps", "tests")],
         claims=[_claim(found, factors)],
     )
+    if runner.device != "cpu":
+        rows = _agreement_rows(found)
+        title = "Hidden geometry: the device's counts against the CPU's"
+        result.tables.append(
+            agreement_table("rayforce-hidden-agreement", title, runner.device, rows)
+        )
+        result.claims.append(agreement_claim(runner.device, rows))
+        result.notes.append(runner.facts.note)
+        return result
     for place in PLACES:
         scene = scene_with_hidden(place, factors[-1])
         name = f"rayforce {place}"
@@ -113,21 +123,25 @@ def hidden_triangles(runner: Runner) -> Result:
 
 def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
     def measure() -> dict[str, Any]:
-        scene, size = scene_with_hidden(place, factor), runner.size(SIZE)
+        scene, size = scene_with_hidden(place, factor), runner.device_size(SIZE)
         rays = scene.camera_for(1.0).rays(size, size)
         alone = Tracer(scene_with_hidden(place, 0)).first_hit(*rays)
         values: dict[str, Any] = {"triangles": scene.triangle_count}
         for name in STRUCTURES:
-            tracer = Tracer(scene, name, progress=runner.progress)
+            options = device_options(runner.device, name)
+            tracer = Tracer(scene, name, progress=runner.progress, **options)
             rounds = 1 if runner.quick else ROUNDS
             seconds = median_times({name: partial(tracer.first_hit, *rays)}, rounds)[name]
-            counting = Tracer(scene, name, counters=True)
+            counting = Tracer(scene, name, counters=True, **options)
             hits = counting.first_hit(*rays)
             total, count = counting.counters.total, size * size
+            if runner.device != "cpu":
+                reference = Tracer(scene, name, counters=True)
+                reference.first_hit(*rays)
+                values.setdefault("cpu", {})[name] = _per_ray(reference.counters.total, count)
             values[name] = {
                 "price": _graph_cost(counting, total, count),
-                "steps": (total["steps"] + total["link_nodes"]) / count,
-                "tests": total["tests"] / count,
+                **_per_ray(total, count),
                 "nanoseconds": 1e9 * seconds / count,
                 "changed": int(np.count_nonzero(hits.prim_id != alone.prim_id)),
             }
@@ -135,6 +149,13 @@ def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
 
     values: dict[str, Any] = runner.measure(f"{factor} times as many, {place}", measure)
     return values
+
+
+def _per_ray(total: Mapping[str, int], count: int) -> dict[str, float]:
+    return {
+        "steps": (total["steps"] + total["link_nodes"]) / count,
+        "tests": total["tests"] / count,
+    }
 
 
 def _graph_cost(tracer: Tracer, total: Mapping[str, int], count: int) -> float | None:
@@ -159,7 +180,7 @@ def _table(runner: Runner, found: _Found) -> Table:
                 [place, factor, values["triangles"], name]
                 + [one[part] for part in ("steps", "tests", "price", "nanoseconds", "changed")]
             )
-    size = runner.size(SIZE)
+    size = runner.device_size(SIZE)
     return Table.of(
         "rayforce-hidden",
         f"Work per ray as hidden geometry grows: {VISIBLE}, {size} x {size} rays",
@@ -170,6 +191,15 @@ def _table(runner: Runner, found: _Found) -> Table:
         "nodes and tests by the costs of the graph's builder, which trades steps for tests. "
         "Times are of the BVH's kernels for many rays, and of single rays in the others.",
     )
+
+
+def _agreement_rows(found: _Found) -> list[Row]:
+    return [
+        (f"{place}, {factor} times, {name}: {part}", cpu[part], values[name][part])
+        for (place, factor), values in found.items()
+        for name, cpu in values["cpu"].items()
+        for part in ("steps", "tests")
+    ]
 
 
 def _claim(found: _Found, factors: tuple[int, ...]) -> Claim:

@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
+from raystream.core.errors import RaystreamError
 from raystream.rendering.ao import REACH
 from raystream.rendering.integrator import RenderContext
 from raystream.scene.scene import Scene
+from raystream_lab.agreement import Row, agreement_claim, agreement_table
 from raystream_lab.frame_timing import (
     Size,
     affordable_size,
@@ -18,7 +20,7 @@ from raystream_lab.frame_timing import (
     report_image,
 )
 from raystream_lab.published import published
-from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
+from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, device_options, prepared, scenes
 from raystream_lab.recording_tracer import RecordingTracer
 from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
@@ -67,8 +69,19 @@ class _Contenders:
 
     @cached_property
     def tracers(self) -> dict[str, RecordingTracer]:
-        scene, progress = self.scene, self._runner.progress
-        return {name: RecordingTracer(scene, name, progress=progress) for name in STRUCTURES}
+        device, progress = self._runner.device, self._runner.progress
+        return {
+            name: RecordingTracer(
+                self.scene, name, progress=progress, **device_options(device, name)
+            )
+            for name in STRUCTURES
+        }
+
+    def ray_count(self, mode: str, size: Size) -> int:
+        """Rays of a frame on the CPU."""
+        tracer = RecordingTracer(self.scene)
+        frame_seconds(self.context, tracer, mode, size)
+        return sum(one.ray_count for one in tracer.queries)
 
     @cached_property
     def context(self) -> RenderContext:
@@ -78,7 +91,7 @@ class _Contenders:
 def frame_size(runner: Runner) -> Size:
     """The poster's 1024 x 768, or the user's size."""
     width, height = published("rayforce", "figure 3").values["size"]
-    chosen = runner.size(width)
+    chosen = runner.device_size(width)
     return chosen, max(chosen * height // width, 1)
 
 
@@ -89,7 +102,17 @@ def render_modes(runner: Runner) -> Result:
     for view in scenes(runner, result):
         contenders = _Contenders(runner, view)
         for mode in MODES:
-            found[mode][view.name] = _measured(runner, contenders, view.name, mode)
+            frames = _measured(runner, contenders, view.name, mode)
+            found[mode][view.name] = {
+                name: one for name, one in frames.items() if "refused" not in one
+            }
+            result.notes += [
+                f"{view.name}, {mode}, {name}: {one['refused']}"
+                for name, one in frames.items()
+                if "refused" in one
+            ]
+            if runner.device != "cpu":
+                continue
             title = f"{view.name}: {mode}, one sample a pixel"
             name = f"rayforce {view.name} {mode}"
             result.images.append(
@@ -100,7 +123,24 @@ def render_modes(runner: Runner) -> Result:
     result.plots = [_plot(found, size)]
     result.claims = [_claim(found, size)]
     result.notes += list(_notes(found, size))
+    if runner.device != "cpu":
+        rows = _agreement_rows(found)
+        title = "Rays of a frame: the device's against the CPU's"
+        result.tables.append(agreement_table("rayforce-mode-rays", title, runner.device, rows))
+        result.claims.append(agreement_claim(runner.device, rows))
+        result.notes.append(runner.facts.note)
     return result
+
+
+def _agreement_rows(found: dict[str, dict[str, _Frames]]) -> list[Row]:
+    """Rays by structure; a device that shades does not count them, and has none."""
+    return [
+        (f"{name}, {mode}, {structure}", frame["cpu_rays"], frame["own_rays"])
+        for mode, scenes in found.items()
+        for name, frames in scenes.items()
+        for structure, frame in frames.items()
+        if frame["own_rays"]
+    ]
 
 
 def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> _Frames:
@@ -110,9 +150,14 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
 
     def measure() -> _Frames:
         frames: _Frames = {}
+        refused: _Frames = {}
         for structure in contenders.tracers:
-            contenders.seconds(structure, mode, small)  # compiles
-            seconds = contenders.seconds(structure, mode, small)
+            try:
+                contenders.seconds(structure, mode, small)  # compiles
+                seconds = contenders.seconds(structure, mode, small)
+            except RaystreamError as error:
+                refused[structure] = {"refused": str(error)}
+                continue
             limit = _QUICK_LIMIT if runner.quick else _LIMIT
             pixel = seconds / (small[0] * small[1])
             frames[structure] = {
@@ -121,18 +166,22 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
                 "seconds": [],
             }
         # Pixels of small frames take longer: compared frames share a size.
-        common = min(frames[one]["size"] for one in STRUCTURES if one != _SLOW)
+        common = min(frames[one]["size"] for one in frames if one != _SLOW)
         for structure, frame in frames.items():
             frame["size"] = min(frame["size"], common) if structure == _SLOW else common
         for number in range(2 if runner.quick else ROUNDS + 1):
-            for structure, tracer in contenders.tracers.items():
+            for structure, frame in frames.items():
+                tracer = contenders.tracers[structure]
                 tracer.queries.clear()
-                frame = frames[structure]
                 taken = contenders.seconds(structure, mode, frame["size"])
                 if number:  # the first one may compile: kernels depend on the number of rays
                     frame["seconds"].append(taken)
                 frame["rays"] = sum(one.ray_count for one in tracer.queries)
-        return frames
+        if runner.device != "cpu":
+            for frame in frames.values():
+                frame["own_rays"] = frame["rays"]
+                frame["rays"] = frame["cpu_rays"] = contenders.ray_count(mode, frame["size"])
+        return frames | refused
 
     frames: _Frames = runner.measure(f"{name}, {mode}", measure)
     return frames
@@ -141,6 +190,12 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
 def _pixel_seconds(frame: dict[str, Any]) -> float:
     width, height = frame["size"]
     return statistics.median(frame["seconds"]) / (width * height)
+
+
+def _ray_rate(frame: dict[str, Any]) -> float:
+    """Million rays per second."""
+    width, height = frame["size"]
+    return float(frame["rays"]) / (width * height) / _pixel_seconds(frame) / 1e6
 
 
 def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
@@ -159,7 +214,7 @@ def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
                     frame["rays"] / (width * height),
                     1000.0 * seconds,
                     1.0 / seconds,
-                    frame["rays"] / (width * height) / pixel / 1e6,
+                    _ray_rate(frame),
                     pixel / reference,
                 ]
             )
@@ -180,10 +235,7 @@ def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
     series = []
     for structure in STRUCTURES:
         rates: list[float | None] = [
-            frames[structure]["rays"]
-            / (frames[structure]["size"][0] * frames[structure]["size"][1])
-            / _pixel_seconds(frames[structure])
-            / 1e6
+            _ray_rate(frames[structure]) if structure in frames else None
             for scenes in found.values()
             for frames in scenes.values()
         ]
@@ -211,7 +263,7 @@ def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
         "ambient occlusion and the other modes render at interactive rates",
         published("rayforce", "figure 3").source,
         {},
-        "the poster's values are lost, and its GeForce GTX 690 is not comparable with a CPU; the "
+        "the poster's values are lost, and its GeForce GTX 690 is not comparable with ours; the "
         f"{REFERENCE} here: {evidence}",
     )
 
