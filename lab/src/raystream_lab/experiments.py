@@ -148,9 +148,7 @@ EXPERIMENTS = (
         "The graph compared with the other structures",
         "rayforce.graph_statistics",
     ),
-    Experiment(
-        "rayforce-build", "Building on the device", "rayforce.build_on_device", ("cuda",)
-    ),
+    Experiment("rayforce-build", "Building on the device", "rayforce.build_on_device", ("cuda",)),
     Experiment(
         "christen-times", "Time against grid size and bounces", "christen.image_times", DEVICES
     ),

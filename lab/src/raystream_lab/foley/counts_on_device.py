@@ -43,9 +43,7 @@ _TITLES = {
 _Found = dict[str, dict[str, dict[str, Any]]]
 
 
-def count_kernel_runs(
-    tree: KdTreeStructure, view: View, rays: Any, device: str
-) -> dict[str, Any]:
+def count_kernel_runs(tree: KdTreeStructure, view: View, rays: Any, device: str) -> dict[str, Any]:
     """Trace rays by passes, and count the rays that each kernel ran on.
 
     Parameters

@@ -24,9 +24,7 @@ def statistics_on_device(runner: Runner) -> Result:
     counts: list[Row] = []
     size = runner.device_size(SIZE)
     views = PURCELL_VIEWS[::2] if runner.quick else PURCELL_VIEWS
-    for name, (cpu, ours) in result.available(
-        views, lambda name: _counted(runner, name, size)
-    ):
+    for name, (cpu, ours) in result.available(views, lambda name: _counted(runner, name, size)):
         theirs = published("purcell", "figure 6").values[paper_view(name)]
         for key, what in STATISTICS.items():
             is_near = abs(ours[key] / theirs[key] - 1.0) <= TOLERANCE
@@ -61,9 +59,7 @@ def _counted(runner: Runner, name: str, size: int) -> tuple[ImageCounts, ImageCo
         view = runner.view(name)
         grid = Tracer(view.scene, "grid", **grid_options(view, runner.quick)).structure
         return [
-            count_image(
-                Tracer.of_structure(grid, view.scene, device, counters=True), view, size
-            )
+            count_image(Tracer.of_structure(grid, view.scene, device, counters=True), view, size)
             for device in ("cpu", runner.device)
         ]
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.errors import RaystreamError
+from raystream.core.hits import Hits
 from raystream.scene.load import load
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -112,6 +114,11 @@ def hidden_triangles(runner: Runner) -> Result:
         )
         result.claims.append(agreement_claim(runner.device, rows))
         result.notes.append(runner.facts.note)
+        result.notes += [
+            f"{factor} times as many, {place}, {name}: {reason}"
+            for (place, factor), values in found.items()
+            for name, reason in values.get("refused", {}).items()
+        ]
         return result
     for place in PLACES:
         scene = scene_with_hidden(place, factors[-1])
@@ -128,26 +135,37 @@ def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
         alone = Tracer(scene_with_hidden(place, 0)).first_hit(*rays)
         values: dict[str, Any] = {"triangles": scene.triangle_count}
         for name in STRUCTURES:
-            options = device_options(runner.device, name)
-            tracer = Tracer(scene, name, progress=runner.progress, **options)
-            rounds = 1 if runner.quick else ROUNDS
-            seconds = median_times({name: partial(tracer.first_hit, *rays)}, rounds)[name]
-            counting = Tracer(scene, name, counters=True, **options)
-            hits = counting.first_hit(*rays)
-            total, count = counting.counters.total, size * size
-            if runner.device != "cpu":
-                reference = Tracer(scene, name, counters=True)
-                reference.first_hit(*rays)
-                values.setdefault("cpu", {})[name] = _per_ray(reference.counters.total, count)
-            values[name] = {
-                "price": _graph_cost(counting, total, count),
-                **_per_ray(total, count),
-                "nanoseconds": 1e9 * seconds / count,
-                "changed": int(np.count_nonzero(hits.prim_id != alone.prim_id)),
-            }
+            try:
+                values[name] = _traced(runner, scene, name, rays, alone)
+            except RaystreamError as error:
+                if runner.device == "cpu" or name == REFERENCE:
+                    raise
+                values.setdefault("refused", {})[name] = str(error)
         return values
 
     values: dict[str, Any] = runner.measure(f"{factor} times as many, {place}", measure)
+    return values
+
+
+def _traced(runner: Runner, scene: Scene, name: str, rays: Any, alone: Hits) -> dict[str, Any]:
+    """Counts and times of a structure; the CPU's counts, too, if another device traces it."""
+    options = device_options(runner.device, name)
+    tracer = Tracer(scene, name, progress=runner.progress, **options)
+    rounds = 1 if runner.quick else ROUNDS
+    seconds = median_times({name: partial(tracer.first_hit, *rays)}, rounds)[name]
+    counting = Tracer(scene, name, counters=True, **options)
+    hits = counting.first_hit(*rays)
+    total, count = counting.counters.total, hits.t.size
+    values = {
+        "price": _graph_cost(counting, total, count),
+        **_per_ray(total, count),
+        "nanoseconds": 1e9 * seconds / count,
+        "changed": int(np.count_nonzero(hits.prim_id != alone.prim_id)),
+    }
+    if runner.device != "cpu":
+        reference = Tracer(scene, name, counters=True)
+        reference.first_hit(*rays)
+        values["cpu"] = _per_ray(reference.counters.total, count)
     return values
 
 
@@ -171,10 +189,15 @@ def _graph_cost(tracer: Tracer, total: Mapping[str, int], count: int) -> float |
 _Found = dict[tuple[str, int], dict[str, Any]]
 
 
+def _present(values: dict[str, Any]) -> list[str]:
+    """The structures that were traced."""
+    return [name for name in STRUCTURES if name in values]
+
+
 def _table(runner: Runner, found: _Found) -> Table:
     rows: list[list[Cell]] = []
     for (place, factor), values in found.items():
-        for name in STRUCTURES:
+        for name in _present(values):
             one = values[name]
             rows.append(
                 [place, factor, values["triangles"], name]
@@ -197,7 +220,8 @@ def _agreement_rows(found: _Found) -> list[Row]:
     return [
         (f"{place}, {factor} times, {name}: {part}", cpu[part], values[name][part])
         for (place, factor), values in found.items()
-        for name, cpu in values["cpu"].items()
+        for name in _present(values)
+        for cpu in [values[name]["cpu"]]
         for part in ("steps", "tests")
     ]
 
@@ -231,7 +255,7 @@ def _plot(found: _Found, place: str, part: str) -> Plot:
             Series(
                 name,
                 [values["triangles"] for values in chosen.values()],
-                [values[name][part] for values in chosen.values()],
+                [values[name][part] if name in values else None for values in chosen.values()],
             )
             for name in STRUCTURES
         ],

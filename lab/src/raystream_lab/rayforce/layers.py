@@ -126,9 +126,7 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
         size = runner.device_size(SIZE)
         rays = scene.camera_for(1.0).rays(size, size)
         device = runner.device
-        tracers = {
-            name: Tracer(scene, name, **device_options(device, name)) for name in STRUCTURES
-        }
+        tracers = {name: Tracer(scene, name, **device_options(device, name)) for name in STRUCTURES}
         calls = {
             f"{name}, {title}": partial(query, tracer, rays)
             for name, tracer in tracers.items()
