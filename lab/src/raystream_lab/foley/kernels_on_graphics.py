@@ -137,7 +137,8 @@ def _measure(runner: Runner, structure: str, scene: str, size: int) -> _Figures:
                     "runs": scheduler.runs[name],
                     "passes": scheduler.passes[name],
                 }
-        return found
+        names = [kernel for one, kernel in KERNEL_NAMES if one == structure]
+        return {kernel: found[kernel] for kernel in names if kernel in found}
 
     found: _Figures = runner.measure(f"{structure} in {scene}, {size} x {size}", measure)
     return found

@@ -149,7 +149,7 @@ def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
 
 def _traced(runner: Runner, scene: Scene, name: str, rays: Any, alone: Hits) -> dict[str, Any]:
     """Counts and times of a structure; the CPU's counts, too, if another device traces it."""
-    options = device_options(runner.device, name)
+    options = device_options(runner, name)
     tracer = Tracer(scene, name, progress=runner.progress, **options)
     rounds = 1 if runner.quick else ROUNDS
     seconds = median_times({name: partial(tracer.first_hit, *rays)}, rounds)[name]

@@ -125,8 +125,8 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
         scene = layered_scene(count)
         size = runner.device_size(SIZE)
         rays = scene.camera_for(1.0).rays(size, size)
-        device = runner.device
-        tracers = {name: Tracer(scene, name, **device_options(device, name)) for name in STRUCTURES}
+        options = {name: device_options(runner, name) for name in STRUCTURES}
+        tracers = {name: Tracer(scene, name, **chosen) for name, chosen in options.items()}
         calls = {
             f"{name}, {title}": partial(query, tracer, rays)
             for name, tracer in tracers.items()
@@ -137,8 +137,8 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
             name: {
                 "rays": size * size,
                 "seconds": {title: seconds[f"{name}, {title}"] for title in QUERIES},
-                **_counted(scene, name, rays, device),
-                **({"cpu": _counted(scene, name, rays, "cpu")} if device != "cpu" else {}),
+                **_counted(scene, name, rays, options[name]),
+                **({} if runner.device == "cpu" else {"cpu": _counted(scene, name, rays, {})}),
             }
             for name in STRUCTURES
         }
@@ -147,9 +147,9 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
     return values
 
 
-def _counted(scene: Scene, structure: str, rays: Any, device: str) -> dict[str, Any]:
+def _counted(scene: Scene, structure: str, rays: Any, options: dict[str, Any]) -> dict[str, Any]:
     """Steps and tests for the nearest and for all hits, and the number of hits."""
-    tracer = Tracer(scene, structure, counters=True, **device_options(device, structure))
+    tracer = Tracer(scene, structure, counters=True, **options)
     tracer.first_hit(*rays)
     first = tracer.counters.total
     hits = int(tracer.count_hits(*rays).sum())

@@ -69,10 +69,10 @@ class _Contenders:
 
     @cached_property
     def tracers(self) -> dict[str, RecordingTracer]:
-        device, progress = self._runner.device, self._runner.progress
+        runner = self._runner
         return {
             name: RecordingTracer(
-                self.scene, name, progress=progress, **device_options(device, name)
+                self.scene, name, progress=runner.progress, **device_options(runner, name)
             )
             for name in STRUCTURES
         }
@@ -127,9 +127,7 @@ def render_modes(runner: Runner) -> Result:
         rows = _agreement_rows(found)
         title = "Rays of a frame: the device's against the CPU's"
         if rows:
-            result.tables.append(
-                agreement_table("rayforce-mode-rays", title, runner.device, rows)
-            )
+            result.tables.append(agreement_table("rayforce-mode-rays", title, runner.device, rows))
             result.claims.append(agreement_claim(runner.device, rows))
         result.notes.append(runner.facts.note)
     return result

@@ -41,10 +41,15 @@ _LIGHT_SHIFT = 0.25
 _BRIGHTNESS = 4.0
 
 
-def device_options(device: str, structure: str) -> dict[str, Any]:
-    """Options of a tracer for this device: CUDA builds the graph itself."""
-    is_built_there = device == "cuda" and structure == REFERENCE
-    return {"device": device, **({"build": "device"} if is_built_there else {})}
+def device_options(runner: Runner, structure: str) -> dict[str, Any]:
+    """Options of a tracer for the runner's device: a CUDA GPU builds the graph itself.
+
+    The simulator of one does not: it runs threads one by one.
+    """
+    is_built_there = (
+        runner.device == "cuda" and structure == REFERENCE and not runner.facts.is_software
+    )
+    return {"device": runner.device, **({"build": "device"} if is_built_there else {})}
 
 
 def prepared(scene: Scene) -> Scene:
