@@ -11,6 +11,7 @@ from raystream.core.errors import RaystreamError
 from raystream.rendering.ao import REACH
 from raystream.rendering.integrator import RenderContext
 from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
 from raystream_lab.agreement import Row, agreement_claim, agreement_table
 from raystream_lab.frame_timing import (
     Size,
@@ -68,20 +69,30 @@ class _Contenders:
         return prepared(self._view.scene)
 
     @cached_property
-    def tracers(self) -> dict[str, RecordingTracer]:
+    def tracers(self) -> dict[str, Tracer]:
+        """On the CPU those that record; elsewhere plain ones, which may render on the device."""
         runner = self._runner
+        kind = RecordingTracer if runner.device == "cpu" else Tracer
         return {
-            name: RecordingTracer(
-                self.scene, name, progress=runner.progress, **device_options(runner, name)
-            )
+            name: kind(self.scene, name, progress=runner.progress, **device_options(runner, name))
             for name in STRUCTURES
         }
 
-    def ray_count(self, mode: str, size: Size) -> int:
-        """Rays of a frame on the CPU."""
-        tracer = RecordingTracer(self.scene)
-        frame_seconds(self.context, tracer, mode, size)
-        return sum(one.ray_count for one in tracer.queries)
+    @cached_property
+    def _reference(self) -> RecordingTracer:
+        return RecordingTracer(self.scene)
+
+    def ray_counts(self, structure: str, mode: str, size: Size) -> tuple[int, int]:
+        """Rays of a frame by the queries of the device, and of the CPU."""
+        device = RecordingTracer.of_structure(
+            self.tracers[structure].structure, self.scene, self._runner.device
+        )
+        counts = []
+        for tracer in (device, self._reference):
+            tracer.queries.clear()
+            frame_seconds(self.context, tracer, mode, size)
+            counts.append(sum(one.ray_count for one in tracer.queries))
+        return counts[0], counts[1]
 
     @cached_property
     def context(self) -> RenderContext:
@@ -126,21 +137,18 @@ def render_modes(runner: Runner) -> Result:
     if runner.device != "cpu":
         rows = _agreement_rows(found)
         title = "Rays of a frame: the device's against the CPU's"
-        if rows:
-            result.tables.append(agreement_table("rayforce-mode-rays", title, runner.device, rows))
-            result.claims.append(agreement_claim(runner.device, rows))
+        result.tables.append(agreement_table("rayforce-mode-rays", title, runner.device, rows))
+        result.claims.append(agreement_claim(runner.device, rows))
         result.notes.append(runner.facts.note)
     return result
 
 
 def _agreement_rows(found: dict[str, dict[str, _Frames]]) -> list[Row]:
-    """Rays by structure; a device that shades does not count them, and has none."""
     return [
-        (f"{name}, {mode}, {structure}", frame["cpu_rays"], frame["own_rays"])
+        (f"{name}, {mode}, {structure}", frame["cpu_rays"], frame["rays"])
         for mode, scenes in found.items()
         for name, frames in scenes.items()
         for structure, frame in frames.items()
-        if frame["own_rays"]
     ]
 
 
@@ -175,15 +183,17 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
         for number in range(2 if runner.quick else ROUNDS + 1):
             for structure, frame in frames.items():
                 tracer = contenders.tracers[structure]
-                tracer.queries.clear()
+                if isinstance(tracer, RecordingTracer):
+                    tracer.queries.clear()
                 taken = contenders.seconds(structure, mode, frame["size"])
                 if number:  # the first one may compile: kernels depend on the number of rays
                     frame["seconds"].append(taken)
-                frame["rays"] = sum(one.ray_count for one in tracer.queries)
-        if runner.device != "cpu":
-            for frame in frames.values():
-                frame["own_rays"] = frame["rays"]
-                frame["rays"] = frame["cpu_rays"] = contenders.ray_count(mode, frame["size"])
+                if isinstance(tracer, RecordingTracer):
+                    frame["rays"] = sum(one.ray_count for one in tracer.queries)
+        for structure, frame in frames.items():
+            if "rays" not in frame:
+                counts = contenders.ray_counts(structure, mode, frame["size"])
+                frame["rays"], frame["cpu_rays"] = counts
         return frames | refused
 
     frames: _Frames = runner.measure(f"{name}, {mode}", measure)
