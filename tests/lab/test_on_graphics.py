@@ -15,6 +15,7 @@ import raystream as rs
 from conftest import skip_without_adapter
 from meshes import dented_sphere, soup
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.multipass.backend import MultipassBackend
 from raystream_lab import EXPERIMENTS, Result, Runner, Store
 from raystream_lab.devices import DEVICES
 from raystream_lab.experiments import choose
@@ -137,8 +138,17 @@ def test_a_refusal_is_a_row_and_a_note(runner: Runner, monkeypatch: pytest.Monke
     assert {claim.verdict for claim in result.claims} == {"not measured"}
 
 
-def test_states_are_counted_by_the_kernels(runner: Runner) -> None:
+def test_states_are_counted_by_the_kernels(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    structures = []
+    run_chunk = MultipassBackend._run
+
+    def note(machine: MultipassBackend, chunk: Any) -> Any:
+        structures.append(machine.structure.options.traversal)
+        return run_chunk(machine, chunk)
+
+    monkeypatch.setattr(MultipassBackend, "_run", note)
     result = run(runner, "foley-counts")
+    assert {*structures} == {"restart", "backtrack"}  # the device ran the passes
     assert_equal(result, "foley-device-states")
     assert_explained(result)
     runs = {

@@ -81,6 +81,7 @@ def _measure(runner: Runner, letter: str, grid: int) -> dict[str, Any]:
         if most > MAX_TESTS:
             return {"most_tests": most}
         bounces = bounces_of(scene, image_size(runner), ITERATIONS)
+        options: dict[str, dict[str, Any]]
         options = {loop: {"device": runner.device, "loop": loop} for loop in LOOPS[runner.device]}
         found: dict[str, Any] = {}
         calls = {}

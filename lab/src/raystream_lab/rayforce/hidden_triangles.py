@@ -156,7 +156,7 @@ def _traced(runner: Runner, scene: Scene, name: str, rays: Any, alone: Hits) -> 
     counting = Tracer(scene, name, counters=True, **options)
     hits = counting.first_hit(*rays)
     total, count = counting.counters.total, hits.t.size
-    values = {
+    values: dict[str, Any] = {
         "price": _graph_cost(counting, total, count),
         **_per_ray(total, count),
         "nanoseconds": 1e9 * seconds / count,
