@@ -171,7 +171,7 @@ def test_times_are_cumulative(runner, monkeypatch):
 
 
 def test_a_crowded_grid_is_left_out_with_its_reason(runner, monkeypatch):
-    monkeypatch.setattr(image_times, "_MAX_TESTS", 1)
+    monkeypatch.setattr(image_times, "MAX_TESTS", 1)
     scene = scenes.christen_scene("A")
     value = runner.run("x", lambda runner: image_times._multipass(runner, scene, "A", 20))
     assert value["most_tests"] > 1

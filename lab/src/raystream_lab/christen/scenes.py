@@ -121,7 +121,7 @@ def teapot_model() -> tuple[Scene, str]:
 
 def image_size(runner: Runner) -> int:
     """Width and height of his images, 256, or the user's size."""
-    return runner.size(published("christen", "settings").values["size"])
+    return runner.device_size(published("christen", "settings").values["size"])
 
 
 def timed_iterations(
