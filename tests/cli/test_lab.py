@@ -63,10 +63,10 @@ def test_a_report_names_its_device(run, tmp_path):
     skip_without_adapter()
     arguments = ("lab", "foley", "--only", "kernels", "--quick", "--size", "16", "-o", "out")
     found = run(*arguments, "--device", "graphics", "--json")
-    device = found.figures["about"]["machine"]["device"]
-    assert device == f"graphics: {open_facts('graphics').text}"
-    assert "--device graphics" in found.figures["about"]["command"]
-    assert f"Device {device}." in (tmp_path / "out" / "report.md").read_text()
+    about = found.figures["about"]
+    assert (about["device"], about["adapter"]) == ("graphics", open_facts("graphics").text)
+    assert "--device graphics" in about["command"]
+    assert f"Device graphics: {about['adapter']}." in (tmp_path / "out" / "index.md").read_text()
     # Measurements of one device are not those of another.
     assert "device graphics" in run(*arguments, "--resume").complaint
 

@@ -144,8 +144,7 @@ def lab(
                 "continue"
             ) from None
     about = _about(papers or ["all"], only or [], output, settings, store.foreign_count)
-    if run.device != "cpu":
-        about.machine["device"] = f"{run.device}: {facts.text}"
+    about = about._replace(adapter=facts.text)
     with refuse(OSError, where=str(output)):
         walk = None
         if run.device == "cpu" and not only and "all" in (papers or ["all"]):

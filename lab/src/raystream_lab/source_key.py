@@ -45,9 +45,17 @@ _ENGINE_OUT = (
 
 #: Parts of the lab that run experiments and lay out their results, or are for other devices.
 _LAB_OUT = (
+    "agreement.py",
+    "christen/loops_on_device.py",
     "christen/on_graphics.py",
     "command.py",
-    "purcell/on_graphics.py",
+    "devices.py",
+    "foley/counts_on_device.py",
+    "foley/kernels_on_graphics.py",
+    "foley/times_on_device.py",
+    "purcell/on_device.py",
+    "purcell/statistics_on_device.py",
+    "rayforce/build_on_device.py",
     "report",
     "runner.py",
     "source_key.py",

@@ -6,8 +6,8 @@ from raystream.tracer import Tracer
 from raystream_lab.agreement import Row, agreement_claim, agreement_table
 from raystream_lab.published import published
 from raystream_lab.purcell.image_counts import SIZE, ImageCounts, count_image, grid_options
-from raystream_lab.purcell.scene_statistics import STATISTICS, TOLERANCE, paper_view
-from raystream_lab.results import Cell, Result, comparison
+from raystream_lab.purcell.scene_statistics import STATISTICS, paper_view
+from raystream_lab.results import Cell, Result, comparison, is_near
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS
 
@@ -27,9 +27,9 @@ def statistics_on_device(runner: Runner) -> Result:
     for name, (cpu, ours) in result.available(views, lambda name: _counted(runner, name, size)):
         theirs = published("purcell", "figure 6").values[paper_view(name)]
         for key, what in STATISTICS.items():
-            is_near = abs(ours[key] / theirs[key] - 1.0) <= TOLERANCE
+            is_like = is_near(ours[key], theirs[key])
             why = f"the CPU counts {cpu[key]:.4g}: causes are in purcell-statistics of the CPU"
-            figure.append((f"{name}: {what}", theirs[key], ours[key], "" if is_near else why))
+            figure.append((f"{name}: {what}", theirs[key], ours[key], "" if is_like else why))
         counts += [(f"{name}: {key.replace('_', ' ')}", cpu[key], ours[key]) for key in _COUNTED]
     source = published("purcell", "figure 6").source
     result.tables = [

@@ -67,9 +67,11 @@ def start_walks(graph: GraphStructure, rays: LocalRays, sectors: NDArray[np.int6
     if not (np.array_equal(rows, bins.rows) and np.array_equal(rows, displaced.rows)):
         raise RuntimeError("routes to a start sector end in different sectors")
     is_out = bins.rows < 0
-    found = [np.where(is_out, -1, one) for one in (bins.step_counts, steps, displaced.step_counts)]
+    by_bins, cached, near = (
+        np.where(is_out, -1, one) for one in (bins.step_counts, steps, displaced.step_counts)
+    )
     beyond = displaced.step_counts[~is_out] >= MAX_WALK
-    return Walks(*found, float(np.mean(beyond)) if beyond.size else 0.0)
+    return Walks(by_bins, cached, near, float(np.mean(beyond)) if beyond.size else 0.0)
 
 
 @kernel

@@ -72,8 +72,8 @@ class About(NamedTuple):
         ]
         made = f"raystream {self.version} (source {self.source})"
         lines = [f"Measured by `{self.command}`, {self.date}, {made}.", ", ".join(parts) + "."]
-        if "device" in machine:
-            lines.append(f"Device {machine['device']}.")
+        if self.adapter:
+            lines.append(f"Device {self.device}: {self.adapter}.")
         if self.quick:
             lines.append(
                 "Quick: small scenes, images and sweeps, as a smoke test. Do not compare the "
