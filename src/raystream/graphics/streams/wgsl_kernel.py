@@ -72,8 +72,9 @@ class Kernel:
     and a shader's compiler may fuse or reorder float operations: results equal the CPU's for
     integers, and nearly for floats. NaN and infinity are not guaranteed.
 
-    A source is run as it is, within the limits of ``graphics/streams/wgsl_text.py``. It can read its own streams and gather arrays only, but nothing limits its time: a loop without
-    an end blocks the device until its driver resets it.
+    A source is run as it is, within the limits of ``graphics/streams/wgsl_text.py``. It can read
+    its own streams and gather arrays only, but nothing limits its time: a loop without an end
+    blocks the device until its driver resets it.
 
     Examples
     --------
