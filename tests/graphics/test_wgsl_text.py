@@ -73,6 +73,26 @@ def test_any_text_keeps_its_length_and_lines(text):
     assert read.with_word("a", "a") == text
 
 
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("x" * 4_000 + ";" + "y " * 4_000 + "{" * 100 + "}" * 100, None),
+        ("\n" + "x" * 4_001 + ";", (2, "a statement has more than 4,000 characters")),
+        ("y " * 4_001, (1, "a statement has more than 4,000 characters")),
+        ("\n\n" + "(" * 101, (3, "brackets are nested over 100 deep")),
+        ("/*" + "(" * 5_000 + "*/", None),
+        ("fn a() {}" * 1000, None),
+        (
+            "fn a() {}" * 1000 + "\nelse",
+            (2, "the source has more than 1,000 declarations and branches"),
+        ),
+        (";" * 100_001, (1, "the source has more than 100,000 characters")),
+    ],
+)
+def test_sources_that_would_exhaust_the_compiler(text, found):
+    assert WgslText(text).too_large() == found
+
+
 def test_a_long_source_takes_linear_time():
     text = "fn a(x: f32) -> f32 { return x; }\n" + "/* // ( { < */ b(c);\n" * 20_000
     assert len(WgslText(text).functions()) == 1

@@ -79,6 +79,8 @@ def declare(
     if not isinstance(source, str):
         raise TypeError(f"{name or 'kernel'}: expected a source in WGSL, got {source!r:.60}")
     text = WgslText(source)
+    if excess := text.too_large():
+        raise ValueError(f"{name or 'kernel'}, line {excess[0]}: {excess[1]}")
     entry = _find_function(name or "kernel", text, function)
     name = name or entry.name
     _check_text(name, text)

@@ -64,7 +64,7 @@ class Kernel:
         If the function's parameters are not those declared, or an argument has a wrong type.
     ValueError
         If the streams differ in length, an output is given twice, or the source declares
-        entry points or bindings.
+        entry points or bindings, or is larger than the compiler can take.
 
     Notes
     -----
@@ -72,8 +72,9 @@ class Kernel:
     and a shader's compiler may fuse or reorder float operations: results equal the CPU's for
     integers, and nearly for floats. NaN and infinity are not guaranteed.
 
-    A source is run as it is. It can read its own streams and gather arrays only, but nothing
-    limits its time: a loop without an end blocks the device until its driver resets it.
+    A source is run as it is, within the limits of ``graphics/streams/wgsl_text.py``. It can read
+    its own streams and gather arrays only, but nothing limits its time: a loop without an end
+    blocks the device until its driver resets it.
 
     Examples
     --------

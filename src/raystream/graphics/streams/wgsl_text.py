@@ -6,7 +6,15 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-__all__ = ["Function", "Member", "Structure", "WgslText"]
+__all__ = [
+    "MAX_LENGTH",
+    "MAX_NESTING",
+    "MAX_STATEMENT",
+    "Function",
+    "Member",
+    "Structure",
+    "WgslText",
+]
 
 _COMMENT = re.compile(r"//|/\*|\*/|\n")
 _FUNCTION = re.compile(r"\bfn\s+(\w+)\s*\(")
@@ -17,6 +25,14 @@ _RETURNED = re.compile(r"\s*->\s*([^{@]*)\{")
 #: Long names of vectors, by the letter of their short ones.
 _LETTERS = {"f32": "f", "i32": "i", "u32": "u"}
 _LONG = re.compile(r"vec([234])<(f32|i32|u32),?>")
+
+#: Most characters of a source and of a statement without spaces, deepest nesting of brackets.
+#: On a stack of 8 MB the compiler fails at about 10,000 characters, and a nesting of 2,000.
+MAX_LENGTH, MAX_STATEMENT, MAX_NESTING = 100_000, 4_000, 100
+
+#: Most of what can refer to the one before: it fails at about 6,000.
+MAX_CHAINED = 1_000
+_CHAINED = re.compile(r"\b(?:else|fn|struct|alias|const|override)\b")
 
 _OPEN, _CLOSE = "(<[{", ")>]}"
 
@@ -87,6 +103,30 @@ class WgslText:
     def line_of(self, place: int) -> int:
         """The line of a character, from 1."""
         return self.text.count("\n", 0, place) + 1
+
+    def too_large(self) -> tuple[int, str] | None:
+        """The line, and what of the source is larger than allowed, if anything.
+
+        The compiler is recursive: sources with more end the process, by a full stack.
+        """
+        if len(self.text) > MAX_LENGTH:
+            return 1, f"the source has more than {MAX_LENGTH:,} characters"
+        chained = list(_CHAINED.finditer(self.bare))
+        if len(chained) > MAX_CHAINED:
+            words = f"more than {MAX_CHAINED:,} declarations and branches"
+            return self.line_of(chained[MAX_CHAINED].start()), f"the source has {words}"
+        depth = start = 0
+        for match in re.finditer(r"[()\[\]{};]|$", self.bare):
+            depth += (match[0] in "([{") - (match[0] in ")]}") if match[0] else 0
+            if depth > MAX_NESTING:
+                return self.line_of(match.start()), f"brackets are nested over {MAX_NESTING} deep"
+            if match[0] in "{};":  # and at the end
+                statement = "".join(self.bare[start : match.start()].split())
+                if len(statement) > MAX_STATEMENT:
+                    what = f"a statement has more than {MAX_STATEMENT:,} characters"
+                    return self.line_of(match.start()), what
+                start = match.end()
+        return None
 
     def first(self, pattern: str) -> re.Match[str] | None:
         """The first match of a pattern outside comments."""
