@@ -13,6 +13,7 @@ import raystream as rs
 from raystream_lab import Runner, Store
 from raystream_lab.frame_timing import affordable_size, frame_seconds, render_context
 from raystream_lab.rayforce import graph_statistics, hidden_triangles, layers, render_modes, scenes
+from raystream_lab.rayforce.start_walks import secondary_rays, start_walks
 from raystream_lab.recording_tracer import RecordingTracer
 from raystream_lab.results import Result
 from raystream_lab.views import view
@@ -176,6 +177,27 @@ def test_the_graph_is_described(runner, monkeypatch):
     assert eye["sectors left, mean"] <= eye["most"]
     # All rays from one place begin in one sector, and walk as far.
     assert eye["sectors left, mean"] == eye["most"]
+    leaving = rows_of(result, "rayforce-displacement")
+    assert [row["rays"] for row in leaving] == ["ao", "first bounce", "second bounce"]
+    assert all(0.0 <= row["saved, of all"] < 1.0 for row in leaving)
+    assert result.claims[0].verdict == "holds"
+
+
+def test_displacement_beats_bins(runner):
+    view = runner.view("spheres")
+    tracer = rs.Tracer(view.scene, "graph")
+    rays = list(secondary_rays(tracer, view, 24))
+    assert [one.kind for one in rays] == ["ao", "first bounce", "second bounce"]
+    assert len(rays[0].origins) == 32 * len(rays[1].origins)
+    for one in rays:
+        assert (one.sectors >= 0).all()
+        walks = start_walks(tracer.structure, one)
+        assert walks.displaced <= 0.05
+        assert walks.bins > walks.displaced
+        assert walks.in_turn <= walks.bins + 0.2
+    lost = rays[1]._replace(sectors=np.full(len(rays[1].origins), -1, np.int32))
+    walks = start_walks(tracer.structure, lost)
+    assert walks.displaced == walks.bins
 
 
 def test_rays_from_surfaces_leave_them():

@@ -374,11 +374,11 @@ def test_renderers_begin_where_their_rays_leave(mode, monkeypatch):
     watch("first_hit")
     watch("any_hit")
     image = rs.render(scene, mode, size=(24, 16), structure="graph", seed=3)
-    primary = known[0]
-    assert primary[0] == "first_hit"
-    assert primary[2] is None
-    later = [near for _, count, near in known[1:] if count]
-    assert len(later) >= (1 if mode == "ao" else 5)
-    assert all(near is not None and (near >= 0).all() for near in later)
+    primary = [(query, count) for query, count, near in known if near is None]
+    assert {query for query, _ in primary} == {"first_hit"}
+    assert sum(count for _, count in primary) == 24 * 16 + 24  # the first row compiles
+    later = [near for *_, near in known if near is not None]
+    assert sum(map(len, later)) > 24 * 16
+    assert all((near >= 0).all() for near in later)
     expected = rs.render(scene, mode, size=(24, 16), structure="bvh", seed=3)
     assert_same_bits(image.pixels, expected.pixels)

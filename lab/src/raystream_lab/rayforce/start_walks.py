@@ -1,89 +1,132 @@
-"""Walks of rays to the sectors in which they start, by route."""
+"""Walks of secondary rays to the sectors in which they start: from bins, and by displacement."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import kernel
-from raystream.jit.simd import address
+from raystream.core.rays import RayBatch
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.ray import prepare_ray
-from raystream.structures.graph.steps import (
-    MAX_WALK,
-    clip_to_scene,
-    sector_ray,
-    start_sector_cached,
-)
+from raystream.machines.ray_block import blocks
+from raystream.rendering.ao import REACH
+from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.structure import GraphStructure
+from raystream.tracer import Tracer
+from raystream_lab.diffuse_bounces import cosine_directions
+from raystream_lab.published import published
+from raystream_lab.rayforce.kernels.walk_in_turn import walk_in_turn
+from raystream_lab.views import View
 
-__all__ = ["Walks", "start_walks"]
+__all__ = ["Leaving", "StartWalks", "secondary_rays", "start_walks"]
 
 
-class Walks(NamedTuple):
-    """Sectors that each ray leaves on the way to its start; -1 for rays outside the scene.
+class Leaving(NamedTuple):
+    """Rays that leave hits.
 
     Attributes
     ----------
-    bins : ndarray of shape (N,), int32
-        From the sector of the ray's bin.
-    cached : ndarray of shape (N,), int32
-        From that of the previous ray, if it began in the same bin: the engine's route.
-    displaced : ndarray of shape (N,), int32
-        From the sector of the hit that the ray leaves.
-    fallback_share : float
-        Share of displaced rays that were not nearer than 16 sectors and used the bins.
+    kind : str
+    origins, directions : ndarray of shape (N, 3)
+    t_max : float
+    sectors : ndarray of shape (N,), int32
+        `Hits.sectors` of the hits.
+    any_hit : bool
     """
 
-    bins: NDArray[np.int32]
-    cached: NDArray[np.int32]
-    displaced: NDArray[np.int32]
-    fallback_share: float
+    kind: str
+    origins: NDArray[Any]
+    directions: NDArray[Any]
+    t_max: float
+    sectors: NDArray[np.int32]
+    any_hit: bool
 
 
-def start_walks(graph: GraphStructure, rays: LocalRays, sectors: NDArray[np.int64]) -> Walks:
-    """Walk to the start of each ray on three routes.
+class StartWalks(NamedTuple):
+    """Sectors that rays leave on the way to their start, mean per ray inside the scene.
+
+    Attributes
+    ----------
+    bins : float
+        From the sector of the ray's bin.
+    in_turn : float
+        From that of the ray before, if it began in the same bin: the engine's way without sectors.
+    displaced : float
+        From the sector of the hit that the ray leaves.
+    """
+
+    bins: float
+    in_turn: float
+    displaced: float
+
+
+def secondary_rays(tracer: Tracer, view: View, size: int) -> Iterator[Leaving]:
+    """Rays of the modes ao and kajiya, in their order: 32 from each first hit, and two bounces.
 
     Parameters
     ----------
-    graph : GraphStructure
-    rays : LocalRays
-        In the order in which they are traced.
-    sectors : ndarray of shape (N,), int64
-        Rows of the sectors of the hits that they leave.
+    tracer : Tracer
+        Of a graph.
+    view : View
+    size : int
+        Width and height of the image.
+    """
+    generator = np.random.default_rng(0)
+    origins, directions = (np.reshape(one, (-1, 3)) for one in view.rays(size))
+    low, high = view.scene.bounds
+    reach = REACH * float(np.linalg.norm(np.asarray(high) - low))
+    origins = np.broadcast_to(origins, directions.shape)
+    count: int = published("rayforce", "figure 3").values["ao_rays"]
+    for kind, copies in (("first bounce", count), ("second bounce", 0)):
+        hits = tracer.first_hit(origins, directions)
+        kept = np.flatnonzero(hits.is_hit)
+        if copies:
+            yield _leaving("ao", hits[np.repeat(kept, copies)], directions, kept, reach, generator)
+        bounce = _leaving(kind, hits[kept], directions, kept, np.inf, generator)
+        yield bounce
+        origins, directions = bounce.origins, bounce.directions
+
+
+def _leaving(
+    kind: str, hits: Any, incoming: Any, kept: Any, t_max: float, generator: np.random.Generator
+) -> Leaving:
+    """Rays with a cosine distribution around the normals of hits."""
+    copies = len(hits.t) // max(len(kept), 1)
+    normals = np.asarray(hits.normals, np.float64)
+    away = cosine_directions(normals, np.repeat(incoming[kept], copies, axis=0), generator)
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    origins, _ = hits.spawn(away)
+    return Leaving(kind, origins, away, t_max, hits.sectors, t_max < np.inf)
+
+
+def start_walks(graph: GraphStructure, rays: Leaving) -> StartWalks:
+    """Walk to the start of each ray on three routes.
 
     Raises
     ------
     RuntimeError
         If two routes end in different sectors.
     """
-    bins, displaced = graph.start_sectors(rays), graph.start_sectors(rays, near=sectors)
-    count = len(rays.t_min)
-    rows, steps = np.empty(count, np.int64), np.empty(count, np.int32)
-    max_coordinate = np.float32(graph.triangles.max_coordinate)
-    _walk_in_turn(0, count, graph.arrays, max_coordinate, rays, np.zeros(2, np.uint64), rows, steps)
+    local = _local_rays(graph, rays)
+    near = np.where(rays.sectors < 0, -1, SECTOR_ROWS * rays.sectors.astype(np.int64))
+    bins, displaced = graph.start_sectors(local), graph.start_sectors(local, near=near)
+    count = len(local.t_min)
+    found, steps = np.empty(count, np.int64), np.empty(count, np.int32)
+    max_coordinate, last = np.float32(graph.triangles.max_coordinate), np.zeros(2, np.uint64)
+    walk_in_turn(0, count, graph.arrays, max_coordinate, local, last, found, steps)
+    rows = np.where(found < 0, -1, SECTOR_ROWS * found)
     if not (np.array_equal(rows, bins.rows) and np.array_equal(rows, displaced.rows)):
         raise RuntimeError("routes to a start sector end in different sectors")
-    is_out = bins.rows < 0
-    by_bins, cached, near = (
-        np.where(is_out, -1, one) for one in (bins.step_counts, steps, displaced.step_counts)
-    )
-    beyond = displaced.step_counts[~is_out] >= MAX_WALK
-    return Walks(by_bins, cached, near, float(np.mean(beyond)) if beyond.size else 0.0)
+    inside = rows >= 0
+    columns = bins.step_counts, steps, displaced.step_counts
+    means = (float(one[inside].mean()) if inside.any() else 0.0 for one in columns)
+    return StartWalks(*means)
 
 
-@kernel
-def _walk_in_turn(begin, end, graph, max_coordinate, rays, last, rows, steps):
-    """Walk as one thread of the engine does, ray after ray."""
-    o, d = rays.origins, rays.directions
-    for i in range(np.uint64(begin), np.uint64(end)):
-        rows[i], steps[i] = -1, 0
-        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
-        is_active, t_in, _ = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
-        if is_active:
-            at = address(last)
-            sector, count = start_sector_cached(graph, sector_ray(ray), ray, t_in, at)
-            rows[i] = np.int64((sector - graph.rows) >> np.uint64(4))
-            steps[i] = np.int32(count)
+def _local_rays(graph: GraphStructure, rays: Leaving) -> LocalRays:
+    batch = RayBatch(rays.origins, rays.directions, 0.0, rays.t_max)
+    status = np.zeros(len(batch), np.uint8)
+    parts = [block.rays for block in blocks(batch, graph.frame, status, None)]
+    return LocalRays(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
