@@ -40,7 +40,7 @@ _LIMIT = 2.0
 
 #: The multipass machine needs a pass per triangle test of the longest ray; above this it is
 #: skipped.
-_MAX_TESTS = 1500
+_MAX_TESTS = 5000
 
 _Times = dict[str, Any]
 
