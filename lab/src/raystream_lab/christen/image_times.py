@@ -42,7 +42,7 @@ _LIMIT = 2.0
 
 #: The multipass machine needs a pass per triangle test of the longest ray; above this it is
 #: skipped.
-MAX_TESTS = 1500
+MAX_TESTS = 5000
 
 _Times = dict[str, Any]
 

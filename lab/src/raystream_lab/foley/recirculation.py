@@ -148,7 +148,7 @@ def _little(found: dict[str, dict[str, Any]]) -> Claim:
     ratios = {name: one["multipass"] / one["branching"] for name, one in found.items()}
     return Claim.judged(
         "Branching kernels have a minimal effect on kd-trees (read as: in passes, steps take at "
-        "most a quarter more time)",
+        "most a quarter more time, on this processor)",
         "Foley 2005, section 3.4",
         {name: ratio <= 1.0 + TOLERANCE for name, ratio in ratios.items()},
         "time per step in passes over that of branching: " + listed(ratios, ".2f"),
