@@ -10,7 +10,10 @@ from extras import need
 
 need("raystream_lab")
 
+from conftest import skip_without_adapter
+from raystream.core.errors import RaystreamError
 from raystream_lab import EXPERIMENTS, PAPERS
+from raystream_lab.devices import open_facts
 from raystream_lab.experiments import choose
 
 
@@ -36,6 +39,36 @@ def test_list_names_all_experiments(run):
 def test_unknown_names_are_refused(run):
     assert "expected purcell" in run("lab", "newton").complaint
     assert "no experiment 'apples'" in run("lab", "purcell", "--only", "apples").complaint
+
+
+def test_list_of_a_device(run):
+    names = list(run("lab", "--device", "graphics", "--list", "--json").figures)
+    assert names == [one.name for one in choose(["all"], device="graphics")]
+    assert "expected one of cpu, graphics, cuda" in run("lab", "--device", "abacus").complaint
+
+
+@pytest.mark.parametrize("device", ["graphics", "cuda"])
+def test_a_missing_device_is_refused_before_anything_is_written(run, tmp_path, monkeypatch, device):
+    def refuse(*_):
+        raise RaystreamError(f"device {device!r}: there is no driver")
+
+    monkeypatch.setattr("raystream.graphics.adapters.open_device", refuse)
+    monkeypatch.setattr("raystream.cuda.devices.open_device", refuse)
+    found = run("lab", "all", "--device", device, "--quick", "-o", "out")
+    assert found.complaint == f"device {device!r}: there is no driver"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_report_names_its_device(run, tmp_path):
+    skip_without_adapter()
+    arguments = ("lab", "foley", "--only", "kernels", "--quick", "--size", "16", "-o", "out")
+    found = run(*arguments, "--device", "graphics", "--json")
+    about = found.figures["about"]
+    assert (about["device"], about["adapter"]) == ("graphics", open_facts("graphics").text)
+    assert "--device graphics" in about["command"]
+    assert f"Device graphics: {about['adapter']}." in (tmp_path / "out" / "index.md").read_text()
+    # Measurements of one device are not those of another.
+    assert "device graphics" in run(*arguments, "--resume").complaint
 
 
 def test_folder_that_is_a_file_is_refused(run, tmp_path):

@@ -18,6 +18,7 @@ MODULES = (
     "cluster",
     "cuda.streams",
     "graphics",
+    "graphics.streams",
     "machines",
     "physics.attenuation",
     "physics.lidar",

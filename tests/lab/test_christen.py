@@ -11,9 +11,10 @@ need("raystream_lab")
 
 import raystream as rs
 from raystream_lab import Runner, Store
-from raystream_lab.christen import image_times, kernel_calls, scenes
+from raystream_lab.christen import image_times, kernel_calls, pixel_memory, scenes
 from raystream_lab.frame_timing import render_context
 from raystream_lab.published import published
+from raystream_lab.recording_tracer import RecordingTracer
 
 
 @pytest.fixture
@@ -28,6 +29,49 @@ def test_scenes_have_as_many_triangles_as_his():
         scene = scenes.christen_scene(letter)
         assert scene.triangle_count == count
         assert all(max(material.transmission) == 0.0 for material in scene.materials)
+
+
+def test_the_teapot_or_what_stands_in_for_it(monkeypatch):
+    scene, about = scenes.teapot_model()
+    if "stands in" not in about:
+        assert scene.triangle_count == 61_256
+        assert {material.reflection for material in scene.materials} == {(0.3, 0.3, 0.3)}
+
+    real = scenes.load
+
+    def refuse(name):
+        if name == "teapot_bezier":
+            raise rs.FileFormatError(name, "is not here")
+        return real(name)
+
+    monkeypatch.setattr(scenes, "load", refuse)
+    scene, about = scenes.teapot_model()
+    assert about == "no model of a teapot: `spheres` stands in, without glass"
+    assert scene.triangle_count == rs.load("spheres").triangle_count
+    assert all(max(material.transmission) == 0.0 for material in scene.materials)
+    table = image_times._scenes({"A": 36, scenes.TEAPOT: scene.triangle_count})
+    assert table.records()[-1]["why they differ"] == about
+    assert table.records()[-1]["published"] == 60_000
+
+
+def test_grids_are_his():
+    assert image_times.GRIDS[0] == 5
+    assert image_times.GRIDS[-1] == 100
+    assert image_times.LETTERS == ("A", "B", "C", scenes.TEAPOT)
+
+
+def test_memory_of_a_pixel_is_that_of_the_loop(runner):
+    scene = scenes.christen_scene("B")
+    tracer = rs.Tracer(scene, "grid", machine="multipass", resolution=5)
+    one = pixel_memory.loop_bytes(tracer, 1)
+    assert one == pixel_memory.loop_bytes(tracer, 8)
+    # A shadow ray of 60 bytes to each of the three lights, and another for a fourth.
+    more = scene.replace(lights=[*scene.lights, scene.lights[0]])
+    brighter = rs.Tracer(more, "grid", machine="multipass", resolution=5)
+    assert pixel_memory.loop_bytes(brighter, 8) == one + 60
+    assert pixel_memory.result_bits() == 32 * 6
+    result = runner.run("christen-memory", pixel_memory.pixel_memory)
+    assert [claim.verdict for claim in result.claims] == ["holds", "does not hold (0 of 1)"]
 
 
 def test_a_matte_base_reflects_fewer_rays():
@@ -63,8 +107,19 @@ def test_iterations_match_the_renderer():
     seconds, light = scenes.timed_iterations(render_context(tracer, (12, 12)), tracer, 12, 4)
     assert len(seconds) == 4
     assert seconds == sorted(seconds)
-    image = rs.render(scene, "whitted", (12, 12), max_bounces=3, min_weight=0.0)
+    options = {"max_bounces": 3, "min_weight": 0.0}
+    image = rs.render(scene, "whitted", (12, 12), shadows=False, **options)
     assert light == pytest.approx(float(image.pixels.mean(dtype=np.float64)), rel=1e-6)
+
+
+def test_times_are_without_shadow_rays():
+    scene = scenes.christen_scene("B")
+    for shadows in (False, True):
+        tracer = RecordingTracer(scene, "grid", resolution=5)
+        context = render_context(tracer, (12, 12))
+        tracer.queries.clear()
+        scenes.timed_iterations(context, tracer, 12, 3, shadows=shadows)
+        assert ("any_hit" in {one.query for one in tracer.queries}) == shadows
 
 
 def test_passes_run_on_all_that_rays_meet():
@@ -83,7 +138,7 @@ def test_passes_run_on_all_that_rays_meet():
 
 
 def test_calls_have_rows_for_every_bounce(runner, monkeypatch):
-    monkeypatch.setattr(kernel_calls, "SCENES", {})  # leaves the one with a matte base
+    monkeypatch.setattr(kernel_calls, "LETTERS", (scenes.MATTE_BASE,))
     result = kernel_calls.kernel_calls(runner)
     (table, kernels, sweep) = result.tables
     rows = table.records()
@@ -99,10 +154,12 @@ def test_calls_have_rows_for_every_bounce(runner, monkeypatch):
 
 
 def test_times_are_cumulative(runner, monkeypatch):
-    monkeypatch.setattr(image_times, "SCENES", {"A": scenes.SCENES["A"]})
+    monkeypatch.setattr(image_times, "LETTERS", ("A",))
     result = image_times.image_times(runner)
     table = result.tables[1].records()
-    assert {row["machine"] for row in table} == {"branching", "multipass"}
+    grids = [f"{one}³" for one in image_times._QUICK_GRIDS]
+    for machine in ("branching", "multipass"):
+        assert [row["grid"] for row in table if row["machine"] == machine] == grids
     for row in table:
         numbers = [row[str(k)] for k in range(1, image_times.ITERATIONS + 1)]
         assert numbers == sorted(numbers)
@@ -114,7 +171,7 @@ def test_times_are_cumulative(runner, monkeypatch):
 
 
 def test_a_crowded_grid_is_left_out_with_its_reason(runner, monkeypatch):
-    monkeypatch.setattr(image_times, "_MAX_TESTS", 1)
+    monkeypatch.setattr(image_times, "MAX_TESTS", 1)
     scene = scenes.christen_scene("A")
     value = runner.run("x", lambda runner: image_times._multipass(runner, scene, "A", 20))
     assert value["most_tests"] > 1

@@ -131,9 +131,16 @@ def test_reasons_name_measured_settings():
     tried = [as_is, deep, deep._replace(group="costs", figures=as_is.figures)]
     assert nearest(tried, "robots") is deep
     up = theirs["up"]
-    assert explain_difference("up", 0.5 * up, up, tried) == f"depth: 9 gives {0.9 * up:.3g}"
-    assert explain_difference("up", 0.5 * up, up, [as_is]) == "no setting tried reaches it"
-    assert explain_difference("up", 0.8 * up, up, tried) == ""
+    assert explain_difference("up", 0.5 * up, theirs, tried) == f"depth: 9 gives {0.9 * up:.3g}"
+    alone = explain_difference("up", 0.5 * up, theirs, [as_is])
+    assert alone.startswith("not explained: as we have it")
+    assert alone.endswith("but 0 of 5 figures near")
+    # A setting that brings one figure near is no reason.
+    one = Trial("depth", "3", 0.0, {}, {**as_is.figures, "up": up})
+    assert explain_difference("up", 0.5 * up, theirs, [as_is, one]) == (
+        f"not explained: depth: 3 gives {up:.3g}, but 1 of 5 figures near"
+    )
+    assert explain_difference("up", 0.8 * up, theirs, tried) == ""
     assert not is_near(1.26, 1.0)
 
 

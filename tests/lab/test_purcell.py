@@ -112,7 +112,7 @@ def test_both_lists_are_those_of_tracers(runner: Runner) -> None:
 
 
 def test_shares_of_costs_add_up(runner: Runner) -> None:
-    by_kernel, by_kind = run(runner, "costs").tables
+    by_kernel, by_kind, _ = run(runner, "costs").tables
     sums: dict[tuple[object, object], list[float]] = {}
     for row in by_kernel.rows:
         view, architecture, part, instructions, _, moved, _ = row

@@ -80,6 +80,16 @@ def test_hidden_counts_are_those_of_a_query(runner, monkeypatch):
     assert row["tests"] == total["tests"] / 256
     assert row["triangles"] == scene.triangle_count
     assert len(result.images) == 2
+    # The claim begins with no hidden triangles at all.
+    (claim,) = result.claims
+    assert "from 0 to 8 times" in claim.text
+    for place in hidden_triangles.PLACES:
+        each = {
+            row["times"]: row["steps"]
+            for row in rows
+            if (row["more triangles"], row["structure"]) == (place, "graph")
+        }
+        assert f"steps, {place}: {each[8] / each[0]:.2f} times" in claim.evidence
 
 
 def test_modes_count_the_rays_of_the_poster(runner, monkeypatch):
@@ -95,8 +105,18 @@ def test_modes_count_the_rays_of_the_poster(runner, monkeypatch):
             assert per_pixel == {1.0}
         if mode == "ao":
             assert all(1.0 < rays <= 33.0 for rays in per_pixel)
-    assert [claim.verdict for claim in result.claims] == ["not measured"]
+    (claim,) = result.claims
+    rates = [row["frames/s"] for mode in render_modes.MODES for row in first_rows(result, mode)]
+    held = sum(rate >= render_modes.INTERACTIVE for rate in rates)
+    assert len(rates) == 4
+    assert claim.verdict == {0: "does not hold (0 of 4)", 4: "holds"}.get(
+        held, f"holds in {held} of 4"
+    )
     assert all(image.path.exists() for image in result.images)
+
+
+def first_rows(result, mode):
+    return [row for row in rows_of(result, f"rayforce-{mode}") if row["structure"] == "graph"]
 
 
 def test_ambient_occlusion_traces_32_rays_per_hit():
@@ -145,6 +165,13 @@ def test_the_graph_is_described(runner, monkeypatch):
     assert row["sectors"] == tracer.structure.quality()["sectors"]
     memory = rows_of(result, "rayforce-structures")[0]
     assert memory["bytes per triangle"] == tracer.structure.report.byte_count / row["triangles"]
+    sizes = {
+        row["structure"]: row["bytes per triangle"]
+        for row in rows_of(result, "rayforce-structures")
+    }
+    (claim,) = result.claims
+    held = sum(sizes["graph"] <= sizes[name] for name in ("bvh", "kdtree", "grid"))
+    assert claim.verdict == (f"holds in {held} of 3" if held else "does not hold (0 of 3)")
     eye, *_ = rows_of(result, "rayforce-walks")
     assert eye["rays"] == "from the eye"
     assert eye["sectors left, mean"] <= eye["most"]

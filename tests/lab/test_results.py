@@ -36,8 +36,35 @@ def test_comparison_adds_ratios_of_numbers() -> None:
         "published": 4.0,
         "ours": 6.0,
         "ratio": 1.5,
-        "why they differ": "",
+        "why they differ": "not explained",
     }
+
+
+def test_no_difference_is_without_a_reason() -> None:
+    rows = [
+        ("equal", 4.0, 4.0),
+        ("a quarter more", 4.0, 5.0),
+        ("more", 4.0, 5.01),
+        ("a quarter less", 4.0, 3.0),
+        ("less", 4.0, 2.99),
+        ("from nothing", 0, 1),
+        ("to nothing", 1, 0),
+        ("nothing at all", 0, 0),
+        ("text", "1 to 2", 9),
+        ("missing", None, 9),
+    ]
+    found = comparison("x", "X", [(*row, "") for row in rows]).records()
+    unexplained = {row["quantity"] for row in found if row["why they differ"]}
+    assert unexplained == {"more", "less", "from nothing", "to nothing"}
+    assert {row["why they differ"] for row in found} == {"", "not explained"}
+    given = comparison("x", "X", [("more", 4.0, 9.0, "camera b gives 4")]).records()
+    assert given[0]["why they differ"] == "camera b gives 4"
+
+
+def test_tables_with_other_columns_need_reasons_too() -> None:
+    columns = ["scene", "published", "ours, branching", "ratio", "why they differ"]
+    table = Table.of("x", "X", columns, [["a", 1.0, 2.0, 2.0, ""], ["b", 1.0, 1.1, 1.1, ""]])
+    assert [row[-1] for row in table.rows] == ["not explained", ""]
 
 
 @pytest.mark.parametrize(

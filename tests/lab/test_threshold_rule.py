@@ -44,6 +44,7 @@ def test_both_papers_are_judged_alike(count: int) -> None:
         "schedulers": {"naive": 900, "threshold": count},
         "optimal": 90,
         "passes": count,
+        "efficiency": 0.1,
         "sweep": [[10, 150], [20, count], [40, 100]],
     }
     purcell = next(one for one in _claims({"A": schedule}) if "fewest" in one.text)

@@ -98,6 +98,20 @@ def test_light_in_glass_leaves_it_thinner():
     assert_mean(path(scene, max_bounces=2), expected)
 
 
+def test_lights_that_no_ray_can_hit_are_reported():
+    floor = rs.Mesh([[-9, -9, 0], [9, -9, 0], [0, 9, 0]], [[0, 1, 2]])
+    camera = rs.Camera(eye=(0, -3, 3), look_at=(0, 0, 0))
+    lamp = rs.PointLight((0, 0, 5), (50.0, 50.0, 50.0))
+    scene = rs.Scene([floor], lights=[lamp], camera=camera)
+    with pytest.warns(rs.RaystreamWarning, match="no ray can hit this scene's lights"):
+        image = rs.render(scene, "path", preset="arnold", size=(8, 8))
+    assert not image.pixels.any()
+    assert rs.render(scene, "path", size=(8, 8)).pixels.any()
+    for more in ({"background": (0.1, 0.1, 0.1)}, {"materials": [rs.Material(emission=(1, 1, 1))]}):
+        lit = rs.Scene([floor], lights=[lamp], camera=camera, **more)
+        assert rs.render(lit, "path", preset="arnold", size=(8, 8)).pixels.any()
+
+
 def test_arnold_sees_diffuse_reflection_only():
     """Purcell 2002, section 3.1.4: as if the materials had nothing else."""
     scene = room()

@@ -26,7 +26,8 @@ from raystream.cli.console import (
 from raystream.cli.load import choose_threads
 from raystream.cli.option_groups import expand_groups
 from raystream.cli.tables import format_table
-from raystream_lab.experiments import DEVICES, PAPERS
+from raystream_lab.devices import DEVICES
+from raystream_lab.experiments import PAPERS
 
 if TYPE_CHECKING:
     from raystream_lab.experiments import Experiment, Outcome
@@ -63,7 +64,7 @@ class RunOptions:
         str,
         typer.Option(
             metavar="DEVICE",
-            help="cpu, or graphics for the experiments that run on a GPU's graphics pipeline.",
+            help="cpu; or graphics or cuda, for the experiments that run on such a GPU.",
             autocompletion=options.complete(DEVICES),
         ),
     ] = "cpu"
@@ -108,6 +109,11 @@ def lab(
         write_json(dict(rows)) if json else write_line(format_table(["", ""], rows))
         return
     choose_threads(threads)
+    from raystream.core.errors import RaystreamError
+    from raystream_lab.devices import open_facts
+
+    with refuse(RaystreamError):
+        facts = open_facts(run.device)
     with refuse(OSError, where=str(output)):
         (output / "pictures").mkdir(parents=True, exist_ok=True)
     from raystream_lab import Runner, Store, run_all
@@ -123,7 +129,12 @@ def lab(
         store.read()
     with Bars() as bars:
         runner = Runner(
-            output / "pictures", store, size=run.size, quick=run.quick, watch=_watch(bars)
+            output / "pictures",
+            store,
+            size=run.size,
+            quick=run.quick,
+            watch=_watch(bars),
+            device=run.device,
         )
         try:
             outcomes = run_all(runner, experiments, _progress(experiments))
@@ -133,9 +144,10 @@ def lab(
                 "continue"
             ) from None
     about = _about(papers or ["all"], only or [], output, settings, store.foreign_count)
+    about = about._replace(adapter=facts.text)
     with refuse(OSError, where=str(output)):
         walk = None
-        if not only and "all" in (papers or ["all"]):
+        if run.device == "cpu" and not only and "all" in (papers or ["all"]):
             walk = output / "walk.html"
             write_page(walk)
         write_report(output, outcomes, about, walk)
@@ -145,9 +157,9 @@ def lab(
 
 
 def _source() -> str:
-    from raystream_lab.store import source_hash
+    from raystream_lab.source_key import source_key
 
-    return source_hash()
+    return source_key()
 
 
 def _watch(bars: Bars) -> Any:

@@ -9,18 +9,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple
 
 from raystream.core.errors import RaystreamError
+from raystream_lab.devices import DEVICES
 
 if TYPE_CHECKING:
     from raystream_lab.results import Result
     from raystream_lab.runner import Runner
 
-__all__ = ["DEVICES", "EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
+__all__ = ["EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
 
 #: Papers by their name on the command line, in the order of the report.
 PAPERS = ("purcell", "foley", "rayforce", "christen")
 
-#: Devices that have experiments.
-DEVICES = ("cpu", "graphics")
+_GPUS = ("graphics", "cuda")
 
 
 @dataclass(frozen=True)
@@ -34,24 +34,29 @@ class Experiment:
     title : str
     module : str
         Below `raystream_lab`; imported on first use. Its function has the same name.
-    device : str
-        The device that it measures; ``"cpu"`` by default.
+    devices : tuple of str
+        Those of `devices.DEVICES` that it runs on.
+    on_device : str
+        The module for all devices but the CPU, if it is another: it compares counts with the
+        CPU's, and has none of the CPU's analyses of causes.
     """
 
     name: str
     title: str
     module: str
-    device: str = "cpu"
+    devices: tuple[str, ...] = ("cpu",)
+    on_device: str = ""
 
     @property
     def paper(self) -> str:
         """One of `PAPERS`."""
         return self.name.partition("-")[0]
 
-    def function(self) -> Callable[[Runner], Result]:
-        """The function that runs it."""
-        module = import_module(f"raystream_lab.{self.module}")
-        function: Callable[[Runner], Result] = getattr(module, self.module.rpartition(".")[2])
+    def function(self, device: str = "cpu") -> Callable[[Runner], Result]:
+        """The function that runs it, on a runner for this device."""
+        name = self.module if device == "cpu" else self.on_device or self.module
+        module = import_module(f"raystream_lab.{name}")
+        function: Callable[[Runner], Result] = getattr(module, name.rpartition(".")[2])
         return function
 
 
@@ -64,7 +69,13 @@ class Outcome(NamedTuple):
 
 
 EXPERIMENTS = (
-    Experiment("purcell-statistics", "Work per ray: v, t and s", "purcell.scene_statistics"),
+    Experiment(
+        "purcell-statistics",
+        "Work per ray: v, t and s",
+        "purcell.scene_statistics",
+        DEVICES,
+        "purcell.statistics_on_device",
+    ),
     Experiment(
         "purcell-resolution",
         "Grids from coarse to fine: steps against tests",
@@ -90,14 +101,32 @@ EXPERIMENTS = (
     Experiment("purcell-kernels", "Our own kernels, compiled", "purcell.compiled_kernels"),
     Experiment("purcell-extensions", "Shadows, mirrors and paths", "purcell.extensions"),
     Experiment(
-        "purcell-graphics",
-        "Ray casting on a current graphics pipeline",
-        "purcell.on_graphics",
-        "graphics",
+        "purcell-machines",
+        "Ray casting by passes and by programs with loops",
+        "purcell.on_device",
+        _GPUS,
     ),
-    Experiment("foley-times", "Brute force, grid and kd-trees: times", "foley.structure_times"),
-    Experiment("foley-counts", "The cost of having no stack: ray states", "foley.state_counts"),
-    Experiment("foley-kernels", "Reads and bottlenecks of the key kernels", "foley.key_kernels"),
+    Experiment(
+        "foley-times",
+        "Brute force, grid and kd-trees: times",
+        "foley.structure_times",
+        DEVICES,
+        "foley.times_on_device",
+    ),
+    Experiment(
+        "foley-counts",
+        "The cost of having no stack: ray states",
+        "foley.state_counts",
+        DEVICES,
+        "foley.counts_on_device",
+    ),
+    Experiment(
+        "foley-kernels",
+        "Reads and bottlenecks of the key kernels",
+        "foley.key_kernels",
+        ("cpu", "graphics"),
+        "foley.kernels_on_graphics",
+    ),
     Experiment(
         "foley-costs", "A step costs 8 tests: the cost model of the tree", "foley.tree_costs"
     ),
@@ -106,26 +135,50 @@ EXPERIMENTS = (
         "foley-recirculation", "The cost of carrying rays from pass to pass", "foley.recirculation"
     ),
     Experiment("foley-secondary", "Coherence of secondary rays", "foley.coherence"),
-    Experiment("foley-paper", "The paper's figures against each other", "foley.paper_figures"),
-    Experiment("rayforce-modes", "Four render modes in three scenes", "rayforce.render_modes"),
-    Experiment("rayforce-layers", "Multi-hit against the number of layers", "rayforce.layers"),
     Experiment(
-        "rayforce-hidden", "Cost per ray against hidden geometry", "rayforce.hidden_triangles"
+        "foley-convergence", "Whether climbing halves the nodes of a group", "foley.convergence"
+    ),
+    Experiment("foley-bounds", "Worst cases of the stackless traversals", "foley.bounds"),
+    Experiment("foley-memory", "Memory of nodes and of rays", "foley.memory_use"),
+    Experiment("foley-paper", "The paper's figures against each other", "foley.paper_figures"),
+    Experiment(
+        "rayforce-modes", "Four render modes in three scenes", "rayforce.render_modes", DEVICES
+    ),
+    Experiment(
+        "rayforce-layers", "Multi-hit against the number of layers", "rayforce.layers", DEVICES
+    ),
+    Experiment(
+        "rayforce-hidden",
+        "Cost per ray against hidden geometry",
+        "rayforce.hidden_triangles",
+        DEVICES,
     ),
     Experiment(
         "rayforce-graph",
         "The graph compared with the other structures",
         "rayforce.graph_statistics",
     ),
-    Experiment("christen-times", "Time against grid size and bounces", "christen.image_times"),
+    Experiment("rayforce-build", "Building on the device", "rayforce.build_on_device", ("cuda",)),
     Experiment(
-        "christen-calls", "Kernel calls, and rays that are masked out", "christen.kernel_calls"
+        "christen-times", "Time against grid size and bounces", "christen.image_times", DEVICES
     ),
+    Experiment(
+        "christen-calls",
+        "Kernel calls, and rays that are masked out",
+        "christen.kernel_calls",
+    ),
+    Experiment(
+        "christen-loops",
+        "Who chooses the next kernel: the host or the device",
+        "christen.loops_on_device",
+        _GPUS,
+    ),
+    Experiment("christen-memory", "Memory of a pixel against iterations", "christen.pixel_memory"),
     Experiment(
         "christen-graphics",
         "Bounces on a current graphics pipeline",
         "christen.on_graphics",
-        "graphics",
+        ("graphics",),
     ),
 )
 
@@ -142,7 +195,7 @@ def choose(
     only : sequence of str
         Names of experiments, with or without the paper [default: all].
     device : str
-        One of `DEVICES`.
+        One of `devices.DEVICES`.
 
     Raises
     ------
@@ -151,17 +204,17 @@ def choose(
         experiment for the device.
     """
     if device not in DEVICES:
-        raise ValueError(f"device: expected {' or '.join(DEVICES)}, got {device!r}")
+        raise ValueError(f"device: expected one of {', '.join(DEVICES)}, got {device!r}")
     for paper in papers:
         if paper not in (*PAPERS, "all"):
             raise ValueError(f"expected {', '.join((*PAPERS, 'all'))}, got {paper!r}")
     chosen = [
         one
         for one in EXPERIMENTS
-        if ("all" in papers or one.paper in papers) and one.device == device
+        if ("all" in papers or one.paper in papers) and device in one.devices
     ]
     if not chosen:
-        available = dict.fromkeys(one.paper for one in EXPERIMENTS if one.device == device)
+        available = dict.fromkeys(one.paper for one in EXPERIMENTS if device in one.devices)
         raise ValueError(f"device {device!r}: has experiments of {', '.join(available)}")
     if not only:
         return chosen
@@ -209,4 +262,4 @@ def run_all(
 
 
 def _call(experiment: Experiment, runner: Runner) -> Result:
-    return experiment.function()(runner)
+    return experiment.function(runner.device)(runner)

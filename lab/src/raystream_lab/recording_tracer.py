@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import Hits, MultiHits
 from raystream.scene.scene import Scene
+from raystream.structures import Structure
 from raystream.tracer import Tracer
 
 __all__ = ["RecordedQuery", "RecordingTracer"]
@@ -55,6 +56,10 @@ class RecordingTracer(Tracer):
     ) -> None:
         super().__init__(scene, structure, **options)
         self.keep_rays = keep_rays
+
+    def _set(self, scene: Scene | None, structure: Structure) -> None:
+        super()._set(scene, structure)
+        self.keep_rays = False
         self.queries: list[RecordedQuery] = []
 
     def first_hit(self, origins: Any, directions: Any, **options: Any) -> Hits:

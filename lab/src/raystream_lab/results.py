@@ -13,6 +13,8 @@ from raystream.core.errors import RaystreamError
 
 __all__ = [
     "COMPARED",
+    "NOT_EXPLAINED",
+    "TOLERANCE",
     "Cell",
     "Claim",
     "Plot",
@@ -21,6 +23,7 @@ __all__ = [
     "Series",
     "Table",
     "comparison",
+    "is_near",
     "listed",
 ]
 
@@ -31,6 +34,12 @@ Cell = str | int | float | None
 
 #: Columns of comparison tables.
 COMPARED = ("quantity", "published", "ours", "ratio", "why they differ")
+
+#: Maximum relative deviation of values that are called equal.
+TOLERANCE = 0.25
+
+#: The reason of a difference that no experiment explains.
+NOT_EXPLAINED = "not explained"
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,11 @@ class Table:
         Of cells as they are: dtype object.
     notes : tuple of str
         Explanations, a sentence each.
+
+    Notes
+    -----
+    A row whose ratio to the published value is off by more than `TOLERANCE` has a reason: where
+    none is given, "why they differ" becomes `NOT_EXPLAINED`.
     """
 
     name: str
@@ -75,6 +89,9 @@ class Table:
         for row in kept:
             if len(row) != len(columns):
                 raise ValueError(f"{name}: {len(columns)} columns, but a row is {row}")
+        ours = next((one for one in columns if one.startswith("ours")), None)
+        if ours and {"published", COMPARED[-1]} <= set(columns):
+            kept = tuple(_with_reason(columns, row, ours) for row in kept)
         return cls(name, title, pd.DataFrame(kept, columns=list(columns), dtype=object), notes)
 
     @property
@@ -104,7 +121,8 @@ def comparison(
     ----------
     name, title : str
     rows : iterable of tuples
-        Quantity, published value, our value, and why they differ; the ratio is added.
+        Quantity, published value, our value, and why they differ; the ratio is added, and
+        `NOT_EXPLAINED` where it is off without a reason, see `Table`.
     *notes : str
 
     Returns
@@ -124,6 +142,22 @@ def comparison(
 def listed(values: Mapping[str, float], form: str = ".3g") -> str:
     """Named values as text, such as ``"a 1.5, b 2"``."""
     return ", ".join(f"{name} {value:{form}}" for name, value in values.items())
+
+
+def is_near(ours: float, theirs: float) -> bool:
+    """Whether two values agree within `TOLERANCE`."""
+    return ours == theirs if not theirs else abs(ours / theirs - 1.0) <= TOLERANCE
+
+
+def _with_reason(columns: Sequence[str], row: tuple[Cell, ...], ours: str) -> tuple[Cell, ...]:
+    """A row of a comparison that says so if a difference is not explained."""
+    cells = dict(zip(columns, row, strict=True))
+    own, theirs = cells[ours], cells["published"]
+    if cells[COMPARED[-1]] or not isinstance(own, int | float):
+        return row
+    if not isinstance(theirs, int | float) or is_near(own, theirs):
+        return row
+    return tuple((cells | {COMPARED[-1]: NOT_EXPLAINED}).values())
 
 
 def _ratio(ours: Cell, theirs: Cell) -> float | None:

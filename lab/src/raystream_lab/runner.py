@@ -6,16 +6,21 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from raystream.jit.threads import Progress
 from raystream.tracer import Tracer
+from raystream_lab.devices import FAST_MACHINE, DeviceFacts, open_facts
 from raystream_lab.results import Result
 from raystream_lab.store import Store
 from raystream_lab.views import View, view
 
 __all__ = ["Runner", "Watch"]
+
+#: Divisor of the width and height of images on a device that is simulated by software.
+_SOFTWARE_SHARE = 4
 
 #: Called with the title of a measurement; returns a context that gives a progress callback, or
 #: None.
@@ -36,10 +41,12 @@ class Runner:
         Smaller images, scenes and sweeps, as a smoke test.
     watch : Watch, optional
         Notified of each measurement.
+    device : str
+        One of `devices.DEVICES`: what traces the rays of experiments that run on several.
 
     Attributes
     ----------
-    folder, quick
+    folder, quick, device
         As given.
     progress : callable or None
         Progress callback of the current measurement; pass it to long queries.
@@ -53,9 +60,11 @@ class Runner:
         size: int | None = None,
         quick: bool = False,
         watch: Watch | None = None,
+        device: str = "cpu",
     ) -> None:
         self.folder = folder
         self.quick = quick
+        self.device = device
         self.progress: Progress | None = None
         self._store = store
         self._size = size
@@ -87,6 +96,34 @@ class Runner:
         if self._size is not None:
             return self._size
         return max(usual // 8, 64) if self.quick else usual
+
+    def device_size(self, usual: int) -> int:
+        """The same for images that the device traces: a quarter where that is software.
+
+        Raises
+        ------
+        RaystreamError
+            If the device is not available.
+        """
+        if self._size is None and not self.quick and self.facts.is_software:
+            return max(usual // _SOFTWARE_SHARE, 64)
+        return self.size(usual)
+
+    @cached_property
+    def facts(self) -> DeviceFacts:
+        """The device, opened.
+
+        Raises
+        ------
+        RaystreamError
+            If it is not available.
+        """
+        return open_facts(self.device)
+
+    @property
+    def fast_machine(self) -> str:
+        """The device's machine that traces a ray from start to end in one run."""
+        return FAST_MACHINE[self.device]
 
     def measure(self, name: str, function: Callable[[], Any], *, shared: bool = False) -> Any:
         """Run a measurement, unless its result is already stored.
@@ -128,7 +165,7 @@ class Runner:
         return self._views[name]
 
     def tracer(self, view: View, structure: str, **options: Any) -> Tracer:
-        """A tracer for a view's scene; the last one is cached.
+        """A tracer for a view's scene, on the device; the last one is cached.
 
         Parameters
         ----------
@@ -140,7 +177,9 @@ class Runner:
         key = f"{view.scene_name} {structure} {sorted(options.items())}"
         if key not in self._tracers:
             self._tracers.clear()
-            self._tracers[key] = Tracer(view.scene, structure, progress=self.progress, **options)
+            self._tracers[key] = Tracer(
+                view.scene, structure, self.device, progress=self.progress, **options
+            )
         return self._tracers[key]
 
     @property

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import FileFormatError
 
-__all__ = ["FILE_NAME", "Store", "source_hash"]
+__all__ = ["FILE_NAME", "Store"]
 
 FILE_NAME = "measurements.json"
 
@@ -23,18 +21,6 @@ _LAYOUT = 1
 _MAX_BYTES = 1 << 28
 
 
-@cache
-def source_hash() -> str:
-    """Hash of all Python sources of raystream, as 16 hexadecimal digits."""
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        content = path.read_bytes()
-        digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode())
-        digest.update(content)
-    return digest.hexdigest()[:16]
-
-
 class Store:
     """Measurements by name, in a file that is rewritten atomically after each one.
 
@@ -43,6 +29,8 @@ class Store:
     path : Path
     settings : mapping
         Settings of all measurements; those made with others are rejected.
+    source : str
+        Key of the sources that measure, see `source_key`.
 
     Attributes
     ----------

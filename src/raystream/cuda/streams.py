@@ -30,6 +30,7 @@ from raystream.streams import Counters, Kernel, Stream
 from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
 from raystream.streams.condition import Condition, as_condition
 from raystream.streams.gather import GatherArray
+from raystream.streams.record_stream import RecordStream
 
 __all__ = ["CudaKernel", "StreamMemory"]
 
@@ -116,7 +117,7 @@ class StreamMemory:
             self.write(stream)
         return self._streams[id(stream)][1]
 
-    def place(self, stream: Stream) -> DeviceArray:
+    def place(self, stream: RecordStream) -> DeviceArray:
         """A stream's records on the device; a temporary copy if no kernel uses the stream."""
         if id(stream) in self._streams:
             return self._streams[id(stream)][1].front

@@ -55,7 +55,7 @@ def _raising(opened: OpenDevice) -> Iterator[None]:
 def _loss_of(opened: OpenDevice) -> str:
     return (
         f"device 'graphics': {opened.adapter} was lost (its driver was reset, or the device was "
-        "destroyed); make a new tracer, or use device='cpu'"
+        "destroyed); make a new tracer or new streams, or use device='cpu'"
     )
 
 

@@ -15,7 +15,12 @@ __all__ = ["FLOATS", "IDS", "WORDS", "Texture", "new_texture", "sampled"]
 #: Formats: four float32, four uint32, or one int32 per texel.
 FLOATS, WORDS, IDS = "rgba32float", "rgba32uint", "r32sint"
 
-_DTYPES = {FLOATS: (np.float32, 4), WORDS: (np.uint32, 4), IDS: (np.int32, 1)}
+#: Dtype and channels of all formats: those, and the same with one, two or four channels.
+_DTYPES = {
+    f"{channels}32{kind}": (dtype, len(channels))
+    for channels in ("r", "rg", "rgba")
+    for kind, dtype in (("float", np.float32), ("uint", np.uint32), ("sint", np.int32))
+}
 
 
 class Texture:
@@ -28,7 +33,8 @@ class Texture:
         For errors.
     size : (int, int)
         Width and height in texels.
-    format : {FLOATS, WORDS, IDS}
+    format : str
+        FLOATS, WORDS, IDS, or another of one, two or four numbers of 32 bits.
 
     Attributes
     ----------
@@ -85,7 +91,7 @@ class Texture:
         Returns
         -------
         ndarray of shape (rows, width, channels)
-            Four float32, four uint32 or one int32 per texel.
+            Of the format's dtype.
         """
         width, height = self.size
         rows = height if rows is None else rows
@@ -95,6 +101,12 @@ class Texture:
             {"texture": self._handle}, self._layout(rows), (width, rows, 1)
         )
         return np.frombuffer(memory, self._dtype).reshape(rows, width, self._channels)
+
+    def copy_to(self, encoder: Any, other: Texture) -> None:
+        """Copy all texels to a texture of the same size and format."""
+        encoder.copy_texture_to_texture(
+            {"texture": self._handle}, {"texture": other._handle}, (*self.size, 1)
+        )
 
     def clear(self, encoder: Any, value: float) -> None:
         """Fill it with a number."""
@@ -129,4 +141,4 @@ def new_texture(
 
 def sampled(format: str) -> str:  # noqa: A002
     """The kind of binding that reads a format, see `pipelines.Program`."""
-    return {WORDS: "uint", IDS: "sint"}.get(format, "float")
+    return format.rpartition("32")[2]

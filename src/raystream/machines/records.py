@@ -41,7 +41,7 @@ __all__ = [
 
 
 class RayState(IntEnum):
-    """The kernel that a ray waits for (Purcell 2002, section 3.2).
+    """The kernel that a ray waits for (Purcell 2002, section 3).
 
     Attributes
     ----------

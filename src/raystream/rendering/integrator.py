@@ -10,6 +10,7 @@ before it is added to the film.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,10 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.errors import RaystreamWarning
 from raystream.core.hits import Hits
 from raystream.jit.threads import Progress
 from raystream.programs.filters import Bound
 from raystream.rendering.device_bands import DeviceBands
+from raystream.rendering.lighting import has_visible_light
 from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers, write_aovs
@@ -144,6 +147,16 @@ def make_context(
     if options.get("diffuse_only"):
         tables = tables._replace(kinds=tables.kinds & (EMITS | IS_TEXTURED))
     lights, kept_lights = lights_of(tracer.scene, chosen_lights)
+    if not options.get("light_samples", True) and not has_visible_light(
+        tracer.scene, chosen_lights
+    ):
+        warnings.warn(
+            "light_samples=False: no ray can hit this scene's lights, which are points and "
+            "directions, so the image is black; sample the lights, or add a surface or a sky that "
+            "emits",
+            RaystreamWarning,
+            stacklevel=3,
+        )
     punctual, kept_punctual = punctual_lights_of(tracer.scene, camera, chosen_lights)
     kept = kept_tables, kept_lights, kept_punctual
     opacity = Opacity.of(tracer.scene, sampler.seed)

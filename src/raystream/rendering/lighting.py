@@ -22,6 +22,7 @@ __all__ = [
     "added_light",
     "area_patches",
     "check_lights",
+    "has_visible_light",
     "needs_light",
     "punctual_lights",
 ]
@@ -143,6 +144,25 @@ def needs_light(
             scene, area_patches(scene) if patches is None else patches
         )
     return bool(radiance.max() < LEAST_LIGHT)
+
+
+def has_visible_light(scene: Scene, lights: str = "auto") -> bool:
+    """Whether rays can hit light: a surface that emits, the sky, or the one that is added.
+
+    Points and directions have no extent: only shadow rays find them.
+
+    Parameters
+    ----------
+    scene : Scene
+    lights : {"auto", "file"}
+        See `needs_light`.
+    """
+    sky = np.array(scene.background)
+    for light in _listed_lights(scene):
+        if isinstance(light, EnvironmentLight):
+            sky = sky + light.radiance
+    emits = bool(scene.area_lights) or any(np.any(one.emission) for one in scene.materials)
+    return emits or bool(sky.any()) or needs_light(scene, lights, background=scene.background)
 
 
 def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:

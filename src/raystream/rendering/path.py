@@ -63,7 +63,7 @@ def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:
         most = np.float32(clamp)
     follows_last = bool(options.get("follows_last", True))
     rules = PathOptions(bounces, samples_lights, ROULETTE_BOUNCE, most, follows_last)
-    return {"rules": rules, "diffuse_only": diffuse_only}
+    return {"rules": rules, "diffuse_only": diffuse_only, "light_samples": samples_lights}
 
 
 PATH_STAGES = (find_surfaces, shade_surfaces, trace_shadow_rays)

@@ -1,4 +1,4 @@
-"""raycast: the nearest surface under the scene's lights, without shadows (Purcell 2002, 3.2).
+"""raycast: the nearest surface under the scene's lights, without shadows (Purcell 2002, 3.1.4).
 
 The image that the standard graphics pipeline renders: vertex colours times the material, diffuse
 and glossy reflection of every light, and no shadows.

@@ -1,4 +1,4 @@
-"""shadow: the shadow caster (Purcell 2002, 3.2).
+"""shadow: the shadow caster (Purcell 2002, 3.1.4).
 
 One shadow ray from the first hit to each light: `whitted` without mirrors and glass.
 """

@@ -1,4 +1,4 @@
-"""whitted: shadows, mirrors and glass (Whitted 1980; Purcell 2002, 3.2).
+"""whitted: shadows, mirrors and glass (Whitted 1980; Purcell 2002, 3.1.4).
 
 Each hit spawns a shadow ray to each of L lights, a reflected and a refracted ray: L + 2 rays
 (Purcell 2002, Figure 3). Only positions in the pixel are random.

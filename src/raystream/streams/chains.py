@@ -128,7 +128,7 @@ class Repeat(_Chain):
 class While(_Chain):
     """Steps, repeated until they write nothing (Christen 2005, Figures 4.6 and 4.7).
 
-    A while-loop of while-loops, with ``idle="all"``, is the nested loop of Figure 4.9.
+    A while-loop of while-loops, with ``idle="all"``, is the nested loop of Listing 4.9.
 
     Parameters
     ----------

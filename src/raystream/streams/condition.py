@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from raystream.streams.stream import Stream
+    from raystream.streams.record_stream import RecordStream
 
 __all__ = ["Condition", "as_condition"]
 
@@ -37,7 +37,7 @@ class Condition:
     value : number
     """
 
-    def __init__(self, stream: Stream, operation: str, value: Any) -> None:
+    def __init__(self, stream: RecordStream, operation: str, value: Any) -> None:
         if stream.layout.shape != stream.dtype.name:
             raise TypeError(f"{stream.label}: only a stream of numbers can be compared")
         self.stream = stream
@@ -69,7 +69,7 @@ class Condition:
         return f"<Condition {self.stream.label} {self.operation} {self.value!r}>"
 
 
-def _number(stream: Stream, value: Any) -> Any:
+def _number(stream: RecordStream, value: Any) -> Any:
     """The value as one of few types, since a loop is compiled for each."""
     if isinstance(value, bool | np.bool_):
         return bool(value)

@@ -11,6 +11,7 @@ import numpy as np
 
 from raystream.streams.constants import as_constant
 from raystream.streams.gather import GatherArray
+from raystream.streams.record_stream import RecordStream
 from raystream.streams.source import KernelSource
 from raystream.streams.stream import Stream
 
@@ -76,7 +77,7 @@ class Declarations:
             self.is_single,
         )
 
-    def name_of(self, stream: Stream) -> str | None:
+    def name_of(self, stream: RecordStream) -> str | None:
         """The stream's own name, else that of the parameter that reads it."""
         keys = [key for key, one in self.inputs.items() if one is stream]
         return stream.name or (keys[0] if keys else None)
@@ -179,4 +180,7 @@ def _check_parameters(name: str, function: Callable[..., Any], declared: list[st
 
 
 def _kind(value: object) -> str:
-    return type(value).__name__
+    kind = type(value)
+    if isinstance(value, RecordStream):  # of another device
+        return f"a {kind.__name__} of {kind.__module__}"
+    return kind.__name__

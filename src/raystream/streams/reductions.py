@@ -16,7 +16,7 @@ from raystream.jit.threads import parallel_for
 from raystream.streams.source import compile_fold
 
 if TYPE_CHECKING:
-    from raystream.streams.stream import Stream
+    from raystream.streams.record_stream import RecordStream
 
 __all__ = ["BLOCK", "add_up", "count_nonzero", "fold", "greatest", "least"]
 
@@ -24,30 +24,30 @@ __all__ = ["BLOCK", "add_up", "count_nonzero", "fold", "greatest", "least"]
 BLOCK = 1 << 14
 
 
-def add_up(stream: Stream) -> Any:
+def add_up(stream: RecordStream) -> Any:
     """See `Stream.sum`."""
     kinds = {"b": np.int64, "i": np.int64, "u": np.uint64, "f": np.float64, "c": np.complex128}
     dtype = kinds[_numbers(stream, "sum").dtype.kind]
     return _reduce(stream, lambda block: np.add.reduce(block, axis=0, dtype=dtype), np.add)
 
 
-def least(stream: Stream) -> Any:
+def least(stream: RecordStream) -> Any:
     """See `Stream.min`."""
     return _max_coordinate(stream, "min", np.minimum)
 
 
-def greatest(stream: Stream) -> Any:
+def greatest(stream: RecordStream) -> Any:
     """See `Stream.max`."""
     return _max_coordinate(stream, "max", np.maximum)
 
 
-def count_nonzero(stream: Stream) -> Any:
+def count_nonzero(stream: RecordStream) -> Any:
     """See `Stream.count`."""
     _numbers(stream, "count")
     return _reduce(stream, lambda block: np.count_nonzero(block, axis=0), np.add)
 
 
-def fold(stream: Stream, function: Callable[..., Any], initial: Any = None) -> Any:
+def fold(stream: RecordStream, function: Callable[..., Any], initial: Any = None) -> Any:
     """See `Stream.reduce`."""
     loop = compile_fold(function, stream.layout)
     records = stream.array
@@ -73,14 +73,14 @@ def _folds(loop: Callable[..., Any], records: NDArray[Any], block: int) -> NDArr
     return folds
 
 
-def _max_coordinate(stream: Stream, name: str, choose: np.ufunc) -> Any:
+def _max_coordinate(stream: RecordStream, name: str, choose: np.ufunc) -> Any:
     records = _numbers(stream, name)
     if not len(records):
         raise ValueError(f"{stream.label}: an empty stream has no {name}")
     return _reduce(stream, lambda block: choose.reduce(block, axis=0), choose)
 
 
-def _reduce(stream: Stream, of_block: Callable[[NDArray[Any]], Any], join: np.ufunc) -> Any:
+def _reduce(stream: RecordStream, of_block: Callable[[NDArray[Any]], Any], join: np.ufunc) -> Any:
     """Reduce each block by NumPy, which releases the interpreter lock, and join the results."""
     records = stream.array
     if not len(records):
@@ -99,7 +99,7 @@ def _reduce(stream: Stream, of_block: Callable[[NDArray[Any]], Any], join: np.uf
     return total
 
 
-def _numbers(stream: Stream, name: str) -> NDArray[Any]:
+def _numbers(stream: RecordStream, name: str) -> NDArray[Any]:
     if stream.record is not None:
         raise TypeError(f"{stream.label}: {name} is not for records with fields; use reduce")
     return stream.array

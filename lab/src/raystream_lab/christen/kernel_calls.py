@@ -9,6 +9,7 @@ from raystream.tracer import Tracer
 from raystream_lab.christen.scenes import (
     MATTE_BASE,
     SCENES,
+    TEAPOT,
     Bounce,
     bounces_of,
     christen_scene,
@@ -20,7 +21,10 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.threshold_rule import threshold_claim
 
-__all__ = ["ITERATIONS", "THRESHOLDS", "kernel_calls", "passes_of"]
+__all__ = ["ITERATIONS", "LETTERS", "THRESHOLDS", "kernel_calls", "passes_of"]
+
+#: The scenes whose calls are counted.
+LETTERS = (*SCENES, TEAPOT, MATTE_BASE)
 
 ITERATIONS = 8
 _QUICK_ITERATIONS = 5
@@ -44,7 +48,7 @@ def kernel_calls(runner: Runner) -> Result:
     result = Result()
     found: dict[str, list[_Passes]] = {}
     sweeps: dict[str, dict[str, int]] = {}
-    for letter in (*SCENES, MATTE_BASE):
+    for letter in LETTERS:
         scene = christen_scene(letter)
         found[letter] = _measured(runner, scene, letter)
         sweeps[letter] = _swept(runner, scene, letter)

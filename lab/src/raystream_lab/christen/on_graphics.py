@@ -10,7 +10,7 @@ from raystream.graphics.bounces import render_bounces
 from raystream.rendering.render import render
 from raystream.tracer import Tracer
 from raystream_lab.christen.scenes import SCENES, christen_scene
-from raystream_lab.purcell.on_graphics import adapter_note
+from raystream_lab.devices import open_facts
 from raystream_lab.results import Cell, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
@@ -64,7 +64,7 @@ def on_graphics(runner: Runner) -> Result:
                     "farthest colour",
                 ],
                 rows,
-                adapter_note(),
+                open_facts("graphics").note,
                 "A pass draws the whole image once. An iteration traces rays with one program "
                 "with loops, shades and reflects them; colour and weight (his equation 5.1) stay "
                 "in textures, without readback before the end. CPU: mode whitted on the same "

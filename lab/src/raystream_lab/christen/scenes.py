@@ -8,7 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.rendering.integrator import Band, PathStream, RenderContext, camera_paths
+from raystream.core.errors import RaystreamError
+from raystream.rendering.integrator import (
+    Band,
+    Integrator,
+    PathStream,
+    RenderContext,
+    camera_paths,
+)
 from raystream.rendering.render import RENDERERS
 from raystream.scene.load import load
 from raystream.scene.scene import Scene
@@ -21,10 +28,12 @@ from raystream_lab.runner import Runner
 __all__ = [
     "MATTE_BASE",
     "SCENES",
+    "TEAPOT",
     "Bounce",
     "bounces_of",
     "christen_scene",
     "image_size",
+    "teapot_model",
     "timed_iterations",
 ]
 
@@ -53,6 +62,12 @@ SCENES = {
     ),
 }
 
+#: The teapot of about 60,000 triangles in his appendix, and the share of light that ours reflects:
+#: his material is not known.
+TEAPOT = "teapot"
+_TEAPOT_MODEL, _STAND_IN = "teapot_bezier", "spheres"
+_TEAPOT_REFLECTION = 0.3
+
 #: Scene A with a flat box that is no mirror: his mirrors are not known.
 MATTE_BASE = "A, matte base"
 
@@ -76,7 +91,10 @@ class Bounce(NamedTuple):
 
 
 def christen_scene(letter: str) -> Scene:
-    """Scene A, B, C or `MATTE_BASE`; none refracts, which his renderer lacks."""
+    """Scene A, B, C, `TEAPOT` or `MATTE_BASE`; none refracts, which his renderer lacks."""
+    if letter == TEAPOT:
+        scene, _ = teapot_model()
+        return scene
     if letter != MATTE_BASE:
         return load(SCENES[letter][0])
     scene = load(SCENES["A"][0])
@@ -84,13 +102,30 @@ def christen_scene(letter: str) -> Scene:
     return scene.replace(materials=[replace(base, reflection=(0.0, 0.0, 0.0)), *boxes])
 
 
+def teapot_model() -> tuple[Scene, str]:
+    """His teapot, and how ours differs: another scene stands in where the model is missing."""
+    try:
+        scene = load(_TEAPOT_MODEL)
+    except RaystreamError:
+        scene = load(_STAND_IN)
+        solid = [replace(one, transmission=(0.0, 0.0, 0.0)) for one in scene.materials]
+        about = f"no model of a teapot: `{_STAND_IN}` stands in, without glass"
+        return scene.replace(materials=solid), about
+    mirror = (_TEAPOT_REFLECTION,) * 3
+    polished = [replace(one, reflection=mirror) for one in scene.materials]
+    return scene.replace(materials=polished), (
+        "his triangles are not known; ours are Newell's 32 patches in 31 x 31 cells, and reflect "
+        f"{_TEAPOT_REFLECTION:g} of the light"
+    )
+
+
 def image_size(runner: Runner) -> int:
     """Width and height of his images, 256, or the user's size."""
-    return runner.size(published("christen", "settings").values["size"])
+    return runner.device_size(published("christen", "settings").values["size"])
 
 
 def timed_iterations(
-    context: RenderContext, tracer: Tracer, size: int, iterations: int
+    context: RenderContext, tracer: Tracer, size: int, iterations: int, *, shadows: bool = False
 ) -> tuple[list[float], float]:
     """Render an image with ``whitted``, all pixels together, and time each bounce.
 
@@ -103,6 +138,8 @@ def timed_iterations(
         Width and height.
     iterations : int
         Maximum surfaces per path.
+    shadows : bool
+        Trace shadow rays, which his renderer does not.
 
     Returns
     -------
@@ -112,7 +149,9 @@ def timed_iterations(
         Mean radiance of the image, to compare two.
     """
     renderer = RENDERERS["whitted"]
-    options = renderer.check({"max_bounces": iterations - 1, "min_weight": 0.0})
+    assert isinstance(renderer, Integrator)
+    own_options = {"max_bounces": iterations - 1, "min_weight": 0.0, "shadows": shadows}
+    options = renderer.check(renderer.complete(own_options))
     own = replace(context, tracer=tracer, width=size, height=size, options=options)
     radiance = np.zeros((size * size, 3), np.float32)
     band = Band(own, 0, 0, radiance)
@@ -130,7 +169,8 @@ def timed_iterations(
 def bounces_of(scene: Scene, size: int, iterations: int) -> list[Bounce]:
     """The rays that ``whitted`` traces for an image, by bounce."""
     tracer = RecordingTracer(scene, keep_rays=True)
-    timed_iterations(render_context(tracer, (size, size)), tracer, size, iterations)
+    context = render_context(tracer, (size, size))
+    timed_iterations(context, tracer, size, iterations, shadows=True)
     found: list[Bounce] = []
     for one in tracer.queries:
         if one.query == "first_hit":

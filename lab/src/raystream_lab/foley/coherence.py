@@ -32,10 +32,6 @@ GROUPINGS = ("neighbours", "at random")
 #: Minimum length of the climbs considered, and the number of steps followed.
 _CLIMB = 6
 
-#: Expected share of distinct nodes after a step up, if tree levels each have "roughly half as many
-#: nodes as the one beneath"; and the tolerance.
-_HALF, _ABOUT = 0.5, 0.25
-
 _SEED = 1
 
 Found = dict[str, Any]
@@ -276,13 +272,6 @@ def _claims(found: Mapping[str, Mapping[str, Found]]) -> list[Claim]:
             source,
             {case: factor < 1.0 for case, factor in factors.items()},
             f"mean share of distinct nodes left by a step: {listed(factors, '.2f')}",
-        ),
-        Claim.judged(
-            "... exponentially: a step at least halves the distinct nodes, within a quarter, as "
-            "each level of a tree has half the nodes of the one beneath",
-            source,
-            {case: factor <= _HALF * (1.0 + _ABOUT) for case, factor in factors.items()},
-            "the same factors",
         ),
         Claim.judged(
             "Neighbouring secondary rays are less coherent: more of their leaves are distinct",

@@ -21,15 +21,15 @@ from raystream_lab.kernels.bandwidth import KernelSpeed, copy_bandwidth, kernel_
 from raystream_lab.kernels.costs import KernelCost, cost_of, kernel_costs
 from raystream_lab.kernels.snapshots import local_rays
 from raystream_lab.published import published
-from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream_lab.runner import Runner
 
-__all__ = ["key_kernels"]
+__all__ = ["KERNEL_NAMES", "KEY_STRUCTURES", "key_kernels"]
 
 _SIZE = 512
 
 #: Foley's structures; the kitchen's rays, as in section 4.2.
-_STRUCTURES: dict[str, dict[str, Any]] = {
+KEY_STRUCTURES: dict[str, dict[str, Any]] = {
     "brute": {},
     "grid": {"resolution": 50},
     "kdtree": {
@@ -40,7 +40,7 @@ _STRUCTURES: dict[str, dict[str, Any]] = {
     },
 }
 
-_NAMES = {
+KERNEL_NAMES = {
     ("brute", "intersect"): "brute intersect",
     ("grid", "traverse"): "grid traverse",
     ("grid", "intersect"): "grid intersect",
@@ -60,14 +60,14 @@ def key_kernels(runner: Runner) -> Result:
     bound: dict[str, bool] = {}
     runs = _QUICK_RUNS if runner.quick else published("foley", "claims").values["kernel_runs"]
     size = runner.size(_SIZE)
-    for structure, options in _STRUCTURES.items():
+    for structure, options in KEY_STRUCTURES.items():
         try:
             found = _measure(runner, structure, options, size, runs)
         except RaystreamError as error:
             result.notes.append(f"the kitchen's kernels are omitted: {error}")
             return result
         for kernel, one in found.items():
-            name = _NAMES[structure, kernel]
+            name = KERNEL_NAMES[structure, kernel]
             theirs = published("foley", "table 3").values[name]
             rows += _rows(name, theirs, one)
             speeds.append(
@@ -124,7 +124,8 @@ def key_kernels(runner: Runner) -> Result:
             "Foley 2005, section 4.2",
             bound,
             "full over fetch-only time: " + ", ".join(f"{row[0]} {row[5]:.2f}" for row in speeds),
-        )
+        ),
+        _highest_claim({str(row[0]): float(row[2] or 0.0) for row in speeds}),
     ]
     result.plots = [
         Plot(
@@ -143,6 +144,17 @@ def key_kernels(runner: Runner) -> Result:
         )
     ]
     return result
+
+
+def _highest_claim(bandwidths: dict[str, float]) -> Claim:
+    """Judge that Up reaches the highest bandwidth, against each of the other kernels."""
+    up = bandwidths["kd up"]
+    return Claim.judged(
+        "The kd-tree's Up reaches the highest bandwidth (against each of the others)",
+        "Foley 2005, section 4.2 and Table 3",
+        {name: up > one for name, one in bandwidths.items() if name != "kd up"},
+        "GB/s: " + listed(bandwidths),
+    )
 
 
 def _number(cell: Cell) -> float | None:
@@ -231,8 +243,8 @@ def _is_close(ours: float, theirs: float) -> bool:
 
 def _published_kernels() -> dict[str, dict[str, int]]:
     """Costs of the kernels in `as_published`, by the names of Table 3."""
-    grid = Tracer(cornell(), "grid", **_STRUCTURES["grid"]).structure
-    tree = Tracer(cornell(), "kdtree", **_STRUCTURES["kdtree"]).structure
+    grid = Tracer(cornell(), "grid", **KEY_STRUCTURES["grid"]).structure
+    tree = Tracer(cornell(), "kdtree", **KEY_STRUCTURES["kdtree"]).structure
     assert isinstance(grid, GridStructure)
     assert isinstance(tree, KdTreeStructure)
     costs = {"brute intersect": cost_of(brute_steps(), 0)}
@@ -251,9 +263,9 @@ def _published_kernels() -> dict[str, dict[str, int]]:
 
 def _named(structure: str, steps: Steps) -> dict[str, KernelCost]:
     return {
-        _NAMES[structure, one.name]: cost_of(steps, number)
+        KERNEL_NAMES[structure, one.name]: cost_of(steps, number)
         for number, one in enumerate(steps.kernels)
-        if (structure, one.name) in _NAMES
+        if (structure, one.name) in KERNEL_NAMES
     }
 
 

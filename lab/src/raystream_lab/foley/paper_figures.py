@@ -10,7 +10,14 @@ from raystream_lab.published import published
 from raystream_lab.results import Cell, Claim, Result, Table, listed
 from raystream_lab.runner import Runner
 
-__all__ = ["BrutePrices", "brute_prices", "full_rate_times", "kernel_rates", "paper_figures"]
+__all__ = [
+    "BrutePrices",
+    "brute_prices",
+    "full_rate_times",
+    "kernel_rates",
+    "paper_figures",
+    "rates",
+]
 
 #: Kernels of Table 3 by the columns of Table 2. Leaf and Continue are not in Table 3.
 _KERNELS = {"down": "kd down", "up": "kd up", "intersect": "kd intersect"}
@@ -83,9 +90,90 @@ def paper_figures(runner: Runner) -> Result:  # noqa: ARG001 - as every experime
     prices = brute_prices()
     slowdowns = _slowdowns()
     return Result(
-        tables=[_brute_table(prices), _slowdown_table(slowdowns)],
-        claims=[_brute_claim(prices), _slowdown_claim(slowdowns)],
+        tables=[_brute_table(prices), _slowdown_table(slowdowns), _rate_table()],
+        claims=[
+            _brute_claim(prices),
+            _slowdown_claim(slowdowns),
+            *_rate_claims(),
+            _voxel_claim(),
+        ],
     )
+
+
+def rates() -> dict[str, dict[str, float]]:
+    """Rays per second of Table 1, by scene and structure."""
+    return {
+        name: {structure: 1e3 * SIZE**2 / time for structure, time in row.items()}
+        for name, row in published("foley", "table 1").values.items()
+    }
+
+
+def _rate_table() -> Table:
+    named = published("foley", "rates")
+    found = rates()
+    structures = list(next(iter(found.values())))
+    return Table.of(
+        "foley-rates",
+        f"Thousand rays per second by Table 1, and in the text: {named.source}",
+        ["scene", *structures, "in the text"],
+        [
+            [name, *(each[one] / 1e3 for one in structures), _in_text(name)]
+            for name, each in found.items()
+        ],
+        f"{SIZE} x {SIZE} rays over the printed times.",
+    )
+
+
+def _voxel_claim() -> Claim:
+    """The grids of the large scenes are the finest cubic ones that fit."""
+    most = published("foley", "grids")
+    cells = {
+        name: row["resolution"]
+        for name, row in published("foley", "scenes").values.items()
+        if name != "cornell"
+    }
+    return Claim.judged(
+        f"Grids have at most {most.values['voxels']:,} voxels: those of the large scenes are the "
+        "finest cubic ones",
+        most.source,
+        {name: n**3 <= most.values["voxels"] < (n + 1) ** 3 for name, n in cells.items()},
+        "; ".join(f"{name} {n}³ = {n**3:,}" for name, n in cells.items()),
+    )
+
+
+def _in_text(name: str) -> str | None:
+    named = published("foley", "rates").values
+    low, high = (f"{rate / 1e3:g}" for rate in named["kdtree_complex"])
+    if name == "bunny":
+        return f"grid over {named['grid_bunny'] / 1e3:g}"
+    return f"kd-trees roughly {low} to {high}" if name in ("robots", "kitchen") else None
+
+
+def _rate_claims() -> list[Claim]:
+    named, found = published("foley", "rates"), rates()
+    low, high = named.values["kdtree_complex"]
+    trees = {
+        f"{name} {structure}": found[name][structure]
+        for name in ("robots", "kitchen")
+        for structure in ("restart", "backtrack")
+    }
+    grid = found["bunny"]["grid"]
+    return [
+        Claim.judged(
+            f"The grid traces over {named.values['grid_bunny'] / 1e3:g} thousand rays per second "
+            "in the bunny: it follows from the paper's own Table 1",
+            named.source,
+            {"bunny": grid > named.values["grid_bunny"]},
+            f"{grid / 1e3:.0f} thousand",
+        ),
+        Claim.judged(
+            f"The kd-trees trace roughly {low / 1e3:g} to {high / 1e3:g} thousand rays per second "
+            "in the robots and the kitchen: it follows from the paper's own Table 1",
+            named.source,
+            {case: low <= rate <= high for case, rate in trees.items()},
+            "thousands: " + listed({case: rate / 1e3 for case, rate in trees.items()}),
+        ),
+    ]
 
 
 def _slowdowns() -> dict[str, tuple[float, float]]:

@@ -15,7 +15,7 @@ from raystream.machines import Branching, RayCounters
 from raystream.machines.backend import Backend
 from raystream.machines.counters import answer_counting
 from raystream.scene.scene import Scene
-from raystream.structures import Structure
+from raystream.structures import Structure, build_structure
 from raystream.structures.kdtree.options import KdTree
 from raystream.structures.kdtree.structure import KdTreeStructure
 from raystream_lab.foley.settings import PBRT_BONUS
@@ -32,6 +32,7 @@ __all__ = [
     "available_views",
     "count_states",
     "figures_of",
+    "foley_structures",
     "foley_tree",
     "foley_trees",
     "mean_counts",
@@ -92,6 +93,31 @@ def foley_trees(
     """One tree with each of `TRAVERSALS`."""
     tree = foley_tree(scene, progress, **options)
     return {traversal: tree.with_traversal(traversal) for traversal in TRAVERSALS}
+
+
+def foley_structures(
+    scene: Scene, name: str, progress: Progress | None = None
+) -> dict[str, Structure]:
+    """The structures of Table 1, and a stack and a BVH for reference.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+        A key of `SCENES`, for the grid's resolution.
+    progress : callable, optional
+        Called with (triangles placed, triangles).
+    """
+    resolution = published("foley", "scenes").values[name]["resolution"]
+    trees = foley_trees(scene, progress)
+    return {
+        "brute": build_structure("brute", scene.triangles),
+        "grid": build_structure("grid", scene.triangles, resolution=resolution),
+        "restart": trees["restart"],
+        "backtrack": trees["backtrack"],
+        "stack": trees["stack"],
+        "bvh": build_structure("bvh", scene.triangles, progress=progress),
+    }
 
 
 def trace_counters(

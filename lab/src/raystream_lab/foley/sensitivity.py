@@ -15,13 +15,11 @@ from raystream_lab.foley.scenes import (
     published_figures,
 )
 from raystream_lab.foley.settings import Setting, settings_of
+from raystream_lab.results import NOT_EXPLAINED, TOLERANCE, is_near
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
 __all__ = ["TOLERANCE", "Trial", "distance", "explain_difference", "is_near", "nearest", "sweep"]
-
-#: Maximum relative deviation of counts that are called equal.
-TOLERANCE = 0.25
 
 #: Image size of the sweep: figures are means, and depend little on the resolution.
 _SWEEP_SIZE = SIZE // 4
@@ -99,11 +97,6 @@ def sweep(runner: Runner, name: str, view: View) -> list[Trial]:
     return tried
 
 
-def is_near(ours: float, theirs: float) -> bool:
-    """Whether two values agree within `TOLERANCE`."""
-    return abs(ours / theirs - 1.0) <= TOLERANCE
-
-
 def distance(figures: Mapping[str, float], theirs: Mapping[str, float]) -> float:
     """Largest deviation from the published figures, as a logarithm."""
     return max(
@@ -117,29 +110,43 @@ def nearest(tried: Iterable[Trial], name: str) -> Trial:
     return min(tried, key=lambda one: distance(one.figures, theirs))
 
 
-def explain_difference(key: str, ours: float, theirs: float, tried: Iterable[Trial]) -> str:
-    """Name the changes that bring a figure near the published one; empty if it is near already.
+def explain_difference(
+    key: str, ours: float, theirs: Mapping[str, float], tried: Iterable[Trial]
+) -> str:
+    """Name a setting that brings all figures near the published ones, this one among them.
 
     Parameters
     ----------
     key : str
         Name of the figure.
-    ours, theirs : float
+    ours : float
+    theirs : mapping of str to float
+        All published figures.
     tried : iterable of Trial
 
     Returns
     -------
     str
-        The nearest setting of up to three groups.
+        Empty if the figure is near already. Settings of up to three groups that bring all figures
+        near at once; or that the difference is not explained, with the setting that comes nearest
+        in this figure alone.
     """
-    if is_near(ours, theirs):
+    if is_near(ours, theirs[key]):
         return ""
-    reaching: dict[str, Trial] = {}
-    ordered = sorted(tried, key=lambda one: abs(math.log(max(one.figures[key], 1e-9) / theirs)))
+    ordered = sorted(
+        tried, key=lambda one: abs(math.log(max(one.figures[key], 1e-9) / theirs[key]))
+    )
+    joint: dict[str, Trial] = {}
     for one in ordered:
-        if is_near(one.figures[key], theirs):
-            reaching.setdefault(one.group, one)
-    if not reaching:
-        return "no setting tried reaches it"
-    chosen = list(reaching.values())[:_MOST_REASONS]
-    return "; ".join(f"{one.name} gives {one.figures[key]:.3g}" for one in chosen)
+        if _near_count(one, theirs) == len(theirs):
+            joint.setdefault(one.group, one)
+    chosen = list(joint.values())[:_MOST_REASONS]
+    if chosen:
+        return "; ".join(f"{one.name} gives {one.figures[key]:.3g}" for one in chosen)
+    best = ordered[0]
+    count = f"{_near_count(best, theirs)} of {len(theirs)}"
+    return f"{NOT_EXPLAINED}: {best.name} gives {best.figures[key]:.3g}, but {count} figures near"
+
+
+def _near_count(trial: Trial, theirs: Mapping[str, float]) -> int:
+    return sum(is_near(trial.figures[key], theirs[key]) for key in theirs)

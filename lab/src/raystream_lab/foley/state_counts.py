@@ -95,7 +95,7 @@ def _table_2(found: dict[str, States], tried: dict[str, list[Trial]], size: int)
     for name, each in found.items():
         ours, theirs = figures_of(each), published_figures(name)
         for key, title in _TITLES.items():
-            why = explain_difference(key, ours[key], theirs[key], tried[name])
+            why = explain_difference(key, ours[key], theirs, tried[name])
             rows.append((f"{name}, {title}", theirs[key], ours[key], why))
     return comparison(
         "foley-table-2",
@@ -136,9 +136,9 @@ def _ratio_table(found: dict[str, States], tried: dict[str, list[Trial]]) -> Tab
     rows: list[tuple[str, Cell, Cell, str]] = []
     for name, each in found.items():
         theirs = _ratios(published_figures(name))
+        trials = [one._replace(figures=_ratios(one.figures)) for one in tried[name]]
         for what, value in _ratios(figures_of(each)).items():
-            among = sorted(_ratios(one.figures)[what] for one in tried[name])
-            why = "" if is_near(value, theirs[what]) else f"{among[0]:.3g} to {among[-1]:.3g} tried"
+            why = explain_difference(what, value, theirs, trials)
             rows.append((f"{name}, {what}", theirs[what], value, why))
     return comparison(
         "foley-ratios",

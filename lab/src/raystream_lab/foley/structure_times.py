@@ -12,7 +12,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.local_frame import LocalRays
 from raystream.machines import Branching, MultipassBackend
-from raystream.structures import Structure, build_structure
+from raystream.structures import Structure
 from raystream_lab.as_published.brute_force import BruteForce
 from raystream_lab.foley.other_views import (
     ViewCosts,
@@ -27,7 +27,7 @@ from raystream_lab.foley.scenes import (
     SCENES,
     SIZE,
     available_views,
-    foley_trees,
+    foley_structures,
     mean_counts,
     trace_counters,
 )
@@ -106,15 +106,7 @@ class _Scene:
     def structures(self) -> dict[str, Structure]:
         """By the names of `STRUCTURES`."""
         if not self._built:
-            scene, progress = self.view.scene, self.runner.progress
-            resolution = published("foley", "scenes").values[self.name]["resolution"]
-            made = {
-                "brute": build_structure("brute", scene.triangles),
-                "grid": build_structure("grid", scene.triangles, resolution=resolution),
-                "bvh": build_structure("bvh", scene.triangles, progress=progress),
-                **foley_trees(scene, progress),
-            }
-            self._built = {name: made[name] for name in STRUCTURES}
+            self._built = foley_structures(self.view.scene, self.name, self.runner.progress)
         return self._built
 
     def batch(self, structure: str) -> RayBatch:

@@ -8,10 +8,10 @@ from raystream.scene.procedural.cornell import cornell
 from raystream.structures.grid.structure import GridStructure
 from raystream.tracer import Tracer
 from raystream_lab.as_published.grid_kernels import grid_steps
-from raystream_lab.cost_model import Prices, prices
+from raystream_lab.cost_model import ARCHITECTURES, Prices, prices
 from raystream_lab.kernels.costs import KernelCost, cost_of, kernel_costs
 from raystream_lab.published import published
-from raystream_lab.results import Cell, Result, Table
+from raystream_lab.results import TOLERANCE, Cell, Claim, Result, Table, listed
 from raystream_lab.runner import Runner
 
 __all__ = ["COUNTED", "compiled_kernels", "cost_figures"]
@@ -100,7 +100,9 @@ def compiled_kernels(runner: Runner) -> Result:
         row = _ROWS.get(("as published", one["kernel"]))
         rows.append([f"grid, as published: {one['kernel']}", *_cells(one, row, tables)])
     place = published("purcell", "table 1")
+    own = {one["kernel"]: one for one in cost_figures(runner, "grid")}
     return Result(
+        claims=_program_claims(own),
         tables=[
             Table.of(
                 "purcell-kernels",
@@ -122,8 +124,35 @@ def compiled_kernels(runner: Runner) -> Result:
                 "triangle test load the same 9 words of vertices; trees test four triangles at a "
                 "time.",
             )
-        ]
+        ],
     )
+
+
+def _program_claims(own: dict[str, dict[str, Any]]) -> list[Claim]:
+    """Judge the size of programs by Table 1 and by the grid's kernels."""
+    limits = published("purcell", "programs")
+    longest, words = limits.values["instructions"], 4 * limits.values["output_vectors"]
+    lengths: dict[str, float] = {f"{kernel}, ours": one["code"] for kernel, one in own.items()}
+    written: dict[str, float] = {f"{kernel}, ours": one["out"] for kernel, one in own.items()}
+    for architecture in ARCHITECTURES:
+        for kernel, row in published("purcell", "table 1").values[architecture].items():
+            lengths[f"{kernel}, {architecture}"] = row["instructions"]
+            written[f"{kernel}, {architecture}"] = row["written"]
+    return [
+        Claim.judged(
+            f"The longest program has about {longest} instructions (read as: none more than a "
+            "quarter above)",
+            limits.source,
+            {name: count <= longest * (1.0 + TOLERANCE) for name, count in lengths.items()},
+            listed(lengths, "g"),
+        ),
+        Claim.judged(
+            f"A program writes at most two vectors, {words} words, in a pass",
+            limits.source,
+            {name: count <= words for name, count in written.items()},
+            listed(written, "g") + "; the paper's set-up takes two passes",
+        ),
+    ]
 
 
 def _cells(

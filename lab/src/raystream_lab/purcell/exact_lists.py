@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from raystream_lab.published import published
 from raystream_lab.purcell.image_counts import SIZE, count_image, grid_of, grid_options, grid_tracer
-from raystream_lab.purcell.scene_statistics import STATISTICS, TOLERANCE, paper_view
-from raystream_lab.results import Cell, Claim, Result, Table
+from raystream_lab.purcell.scene_statistics import STATISTICS, paper_view
+from raystream_lab.results import Cell, Claim, Result, Table, is_near
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS
 from raystream_lab.walks import record, replay
@@ -135,7 +135,7 @@ def _prices(found: dict[str, Lists]) -> tuple[list[str], list[list[Cell]], str]:
 
 
 def _is_near(ratio: Cell) -> bool:
-    return isinstance(ratio, int | float) and abs(ratio - 1.0) <= TOLERANCE
+    return isinstance(ratio, int | float) and is_near(ratio, 1.0)
 
 
 def _counted(rows: list[list[Cell]]) -> list[list[Cell]]:

@@ -1,7 +1,8 @@
 """The cost of shadows, mirrors and paths relative to ray casting (Purcell 2002, section 4.3).
 
-Each scene is traced on the uniform grid and the branching machine, as in Purcell's simulator, with
-one light, and every surface reflects a quarter: his shading spawns a reflected ray at each hit.
+Each scene is traced on the uniform grid, as in Purcell's simulator, with one light, and every
+surface reflects a quarter: his shading spawns a reflected ray at each hit. On the multipass machine
+each renderer is one loop, see `purcell.multipass_costs`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from raystream.tracer import Tracer
 from raystream_lab.cost_model import prices
 from raystream_lab.published import published
 from raystream_lab.purcell.image_counts import SIZE
-from raystream_lab.results import Cell, Claim, Result, Table, comparison
+from raystream_lab.purcell.multipass_costs import loop_cost, loop_runs
+from raystream_lab.results import Cell, Claim, Result, Table, comparison, is_near, listed
 from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
 from raystream_lab.views import View
@@ -59,7 +61,7 @@ _ROWS: Mapping[str, _Row] = MappingProxyType(
         "shadow": _Row("shadow", {}, None),
         "whitted, 1 bounce": _Row("whitted", {"max_bounces": 1}, "whitted"),
         "whitted, 2 bounces": _Row("whitted", {"max_bounces": 2}, "whitted"),
-        "path, by chance": _Row("path", {"max_bounces": 2, "light_samples": False}, "path"),
+        "path": _Row("path", {"preset": "arnold"}, "path"),
         "path, to lights": _Row("path", {"max_bounces": 2}, "path"),
     }
 )
@@ -67,8 +69,12 @@ _ROWS: Mapping[str, _Row] = MappingProxyType(
 #: Share of light that every surface reflects.
 _SHARE = 0.25
 
-#: Width and height of path-traced images, and samples per pixel; the paper has 64.
+#: Width and height of path-traced images, and samples per pixel of scenes that are not the paper's.
 _PATH_SIZE, _PATH_SAMPLES = 256, 16
+
+#: The paper's scene, also measured on the multipass machine: all its images at `_PATH_SIZE`, so
+#: that all pixels are in one loop.
+_PAPER_SCENE = "bunny on a floor"
 
 #: Rounds in which modes take turns, and the divisor of the size of timed images: at full size, the
 #: forest's alone take three minutes.
@@ -88,6 +94,10 @@ class _CountingTracer(Tracer):
 
     def __init__(self, scene: Scene, **options: Any) -> None:
         super().__init__(scene, "grid", counters=True, **options)
+        self.start()
+
+    def start(self) -> None:
+        """Count from here."""
         self.sums: Sums = {"first_hit": Counter(), "any_hit": Counter()}
 
     def first_hit(self, *rays: Any, **options: Any) -> Hits:
@@ -115,21 +125,26 @@ def extensions(runner: Runner) -> Result:
     """The table of section 4.3, by counts and by time."""
     result = Result()
     rows: list[list[Cell]] = []
-    compared: list[tuple[str, Cell, Cell, str]] = []
-    near: dict[str, bool] = {}
+    relative: dict[str, dict[str, dict[str, float]]] = {}
+    passes: dict[str, dict[str, float]] = {}
     for name, view in result.available(_QUICK_SCENES if runner.quick else _SCENES, runner.view):
-        found = _measure(runner, _with_mirrors(view), _SCENES[name])
+        mirrors = _with_mirrors(view)
+        found = _measure(runner, mirrors, _SCENES[name])
+        if name == _PAPER_SCENE:
+            passes = _multipass(runner, mirrors, _SCENES[name])
         base = found["raycast"]
         for row, ours in found.items():
             ratios = base if row == "raycast" else {key: n / base[key] for key, n in ours.items()}
             rows.append([name, row, *(ratios.get(key) for key in (*_COUNTED, "time"))])
-            paper = _ROWS[row].paper if row in _ROWS else None
-            if paper is not None and name.startswith("bunny"):
-                theirs = published("purcell", "extensions").values[paper]
-                for key, own in (("instructions", "instructions"), ("bandwidth", "words")):
-                    sent = f"{ours['rays']:.2f} rays per camera ray"
-                    compared.append((f"{row}: {key}", theirs[key], ratios[own], sent))
-                    near[f"{row}: {key}"] = abs(ratios[own] / theirs[key] - 1.0) <= 0.25
+            if row != "raycast":
+                relative.setdefault(name, {})[row] = ratios
+    compared = _compared(relative)
+    near = {case: is_near(ours, theirs) for case, theirs, ours, _ in compared}
+    by_rays = {
+        f"{name}, {row}": ratios["instructions"] / ratios["rays"]
+        for name, each in relative.items()
+        for row, ratios in each.items()
+    }
     source = published("purcell", "extensions").source
     result.tables = [
         comparison(
@@ -137,8 +152,9 @@ def extensions(runner: Runner) -> Result:
             f"Extensions over the ray caster, the bunny on a floor: {source}",
             compared,
             "Shadow rays: those of the paper's hybrid, which rasterises the visible surfaces. "
-            "Paths of two bounces hit lights by chance, or also sample one at each surface; the "
-            "paper does not say which.",
+            "Whitted: of one and of two bounces, which the paper does not tell. Path: the preset "
+            "arnold, of two diffuse bounces, with the paper's 64 samples; or one that also "
+            "samples a light at each surface, and mirrors.",
         ),
         Table.of(
             "purcell-extensions-all",
@@ -147,9 +163,11 @@ def extensions(runner: Runner) -> Result:
             rows,
             "The ray caster's time is in microseconds per ray. Times are of whole images, "
             "medians of rounds in which the modes take turns; instructions and words by Table 1, "
-            "branching.",
+            f"branching. Paths: {_PATH_SAMPLES} samples, the bunny's the paper's.",
         ),
     ]
+    if passes:
+        result.tables.append(_multipass_table(runner, passes))
     result.claims = [
         Claim.judged(
             "Costs of shadows, mirrors and paths relative to the ray caster agree with the paper "
@@ -157,12 +175,123 @@ def extensions(runner: Runner) -> Result:
             source,
             near,
             "; ".join(f"not {case}" for case, held in near.items() if not held) or "all",
-        )
+        ),
+        _similar(passes, relative.get(_PAPER_SCENE, {})),
+        Claim.judged(
+            "Instructions are proportional to the number of rays (read as: within a quarter)",
+            source,
+            {case: is_near(one, 1.0) for case, one in by_rays.items()},
+            "instructions over rays, both relative to the ray caster: " + listed(by_rays, ".2f"),
+        ),
     ]
     return result
 
 
 _COUNTED = ("rays", "steps", "tests", "instructions", "words")
+
+#: Columns of the published table, and ours on the branching machine.
+_PRICED = (("instructions", "instructions"), ("bandwidth", "words"))
+
+
+def _compared(
+    relative: dict[str, dict[str, dict[str, float]]],
+) -> list[tuple[str, float, float, str]]:
+    """The rows of the published table for its scene: case, published, ours and why they differ."""
+    rows = []
+    for row, ratios in relative.get(_PAPER_SCENE, {}).items():
+        paper = _ROWS[row].paper
+        if paper is None:
+            continue
+        theirs = published("purcell", "extensions").values[paper]
+        why = _other_scene(theirs, {name: each[row] for name, each in relative.items()})
+        for key, own in _PRICED:
+            told = "" if is_near(ratios[own], theirs[key]) else why
+            rows.append((f"{row}: {key}", theirs[key], ratios[own], told))
+    return rows
+
+
+def _other_scene(theirs: dict[str, float], found: dict[str, dict[str, float]]) -> str:
+    """A scene in which instructions and bandwidth are both near; empty if there is none."""
+    for name, ratios in found.items():
+        if all(is_near(ratios[own], theirs[key]) for key, own in _PRICED):
+            return f"scene {name} gives " + ", ".join(
+                f"{key} {ratios[own]:.3g}" for key, own in _PRICED
+            )
+    return ""
+
+
+def _similar(passes: dict[str, dict[str, float]], branching: dict[str, dict[str, float]]) -> Claim:
+    """The ratios to the ray caster are similar on both machines."""
+    ratios = {
+        f"{row}: {key}": (passes[row][own] / passes["raycast"][own], branching[row][other])
+        for row in passes
+        if row in branching
+        for key, own, other in (
+            ("instructions", "instructions", "instructions"),
+            ("bandwidth", "bytes", "words"),
+        )
+    }
+    return Claim.judged(
+        "Results from the multipass machine are similar (read as: ratios to the ray caster within "
+        "a quarter of the branching machine's)",
+        published("purcell", "extensions").source,
+        {case: is_near(*both) for case, both in ratios.items()},
+        "multipass and branching: "
+        + ", ".join(f"{case} {a:.2f} and {b:.2f}" for case, (a, b) in ratios.items()),
+    )
+
+
+def _multipass(runner: Runner, view: View, options: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Costs of each row on the multipass machine per camera ray, by name."""
+    tracer: _CountingTracer | None = None
+    found = {}
+    size = runner.size(_PATH_SIZE)
+    for row in ("raycast", *(row for row in _ROWS if row != "path, to lights")):
+        samples = _samples_of(runner, row, view.name)
+
+        def measure(row: str = row, samples: int = samples) -> dict[str, float]:
+            nonlocal tracer
+            tracer = tracer or _CountingTracer(view.scene, **options)
+            sums, eye_count = _count(tracer, row, size, samples), size * size * samples
+            mode = row if row in ("raycast", "shadow rays") else _ROWS[row].mode
+            own = {} if row == "raycast" else _ROWS[row].options
+            runs = loop_runs(tracer, mode, own, size, samples)
+            return loop_cost(runs, _shading_runs(row, sums, eye_count), eye_count)
+
+        name = f"{view.name}, {row}, multipass, {size} x {size} x {samples}"
+        found[row] = runner.measure(name, measure)
+    return found
+
+
+def _multipass_table(runner: Runner, passes: dict[str, dict[str, float]]) -> Table:
+    size, base = runner.size(_PATH_SIZE), passes["raycast"]
+    theirs = published("purcell", "extensions")
+    rows: list[list[Cell]] = []
+    for row, ours in passes.items():
+        paper = theirs.values[_ROWS[row].paper] if row in _ROWS and _ROWS[row].paper else {}
+        ratios = base if row == "raycast" else {key: n / base[key] for key, n in ours.items()}
+        rows.append(
+            [
+                row,
+                ours["passes"] / _samples_of(runner, row, _PAPER_SCENE),
+                *(ratios[key] for key in ("rays", "steps", "tests", "instructions")),
+                paper.get("instructions"),
+                ratios["bytes"],
+                paper.get("bandwidth"),
+            ]
+        )
+    return Table.of(
+        "purcell-extensions-multipass",
+        f"Renderers as loops of the multipass machine: {_PAPER_SCENE}, {size} x {size}",
+        ["mode", "passes per sample", "rays", "steps", "tests", "instructions"]
+        + ["published, branching", "bytes", "bytes, published, branching"],
+        rows,
+        "Counts per camera ray: the ray caster's, and ratios to them; instructions and bytes by "
+        "Table 1, multipass, with the stencil of all pixels in each pass. The paper gives no "
+        "numbers for this machine.",
+        "Shadow rays are traced by a query; all other modes are one loop per sample, whose shadow "
+        "rays search the nearest hit, with the kernels of all other rays.",
+    )
 
 
 def _with_mirrors(view: View) -> View:
@@ -191,7 +320,7 @@ def _measure(runner: Runner, view: View, options: dict[str, Any]) -> dict[str, d
     tracer: _CountingTracer | None = None
     found = {}
     for row in ("raycast", *_ROWS):
-        size, samples = _size_of(runner, row)
+        size, samples = _size_of(runner, row, view.name)
 
         def measure(row: str = row, size: int = size, samples: int = samples) -> dict[str, float]:
             nonlocal tracer
@@ -204,23 +333,30 @@ def _measure(runner: Runner, view: View, options: dict[str, Any]) -> dict[str, d
     size = max(runner.size(SIZE) // _TIMED_SHARE, 16)
     times = runner.measure(
         f"{view.name}, times, {size} x {size}, {rounds} rounds",
-        lambda: _times(runner, Tracer(view.scene, "grid", **options), rounds),
+        lambda: _times(runner, Tracer(view.scene, "grid", **options), view.name, rounds),
     )
     for row, seconds in times.items():
         found[row]["time"] = seconds * 1e6
     return found
 
 
-def _size_of(runner: Runner, row: str) -> tuple[int, int]:
+def _size_of(runner: Runner, row: str, name: str) -> tuple[int, int]:
     """Width and height, and samples per pixel."""
-    if row.startswith("path"):
-        return runner.size(_PATH_SIZE), 4 if runner.quick else _PATH_SAMPLES
-    return runner.size(SIZE), 1
+    size = _PATH_SIZE if row.startswith("path") else SIZE
+    return runner.size(size), _samples_of(runner, row, name)
+
+
+def _samples_of(runner: Runner, row: str, name: str) -> int:
+    """Samples per pixel: paths in the paper's scene have its own number."""
+    if not row.startswith("path"):
+        return 1
+    theirs: int = published("purcell", "paths").values["samples"]
+    return 4 if runner.quick else theirs if name == _PAPER_SCENE else _PATH_SAMPLES
 
 
 def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
     """Sums of both queries for an image."""
-    tracer.sums = {"first_hit": Counter(), "any_hit": Counter()}
+    tracer.start()
     camera = tracer.scene.camera
     if row == "raycast":
         tracer.first_hit(*camera.rays(size, size))
@@ -229,6 +365,7 @@ def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
     assert isinstance(renderer, Integrator)
     options = renderer.check(renderer.complete(_ROWS[row].options))
     context = make_context(tracer, camera, (size, size), Sampler.of("sobol", 0, samples), options)
+    tracer.start()  # looking for lights traces rays
     step = max(_BAND // size, 1)
     for sample in range(samples):
         for first in range(0, size, step):
@@ -240,25 +377,14 @@ def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
     """Rays, steps, tests, instructions and words per camera ray."""
     near, lit = sums["first_hit"], sums["any_hit"]
     traced = {key: near[key] + lit[key] for key in ("rays", "steps", "tests", "hits")}
-    sent = near["rays"] - eye_count
+    if row == "shadow rays":
+        traced = {key: lit[key] for key in traced}
     runs = {
-        "generate eye ray": eye_count,
         "set up": traced["rays"],
         "step": traced["steps"],
         "intersect": traced["tests"],
-        "color": traced["hits"],
-        "shadow": lit["rays"],
-        "path" if row.startswith("path") else "reflected": sent,
+        **_shading_runs(row, sums, eye_count),
     }
-    if row == "shadow rays":  # rasterisation replaces camera rays and their hits
-        traced = {key: lit[key] for key in traced}
-        runs = {
-            "set up": lit["rays"],
-            "step": lit["steps"],
-            "intersect": lit["tests"],
-            "color": near["hits"],
-            "shadow": lit["rays"],
-        }
     table = prices("branching")
     words = {name: one.read + one.written + one.memory for name, one in table.items()}
     return {
@@ -268,12 +394,29 @@ def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
     }
 
 
-def _times(runner: Runner, tracer: Tracer, rounds: int) -> dict[str, float]:
+def _shading_runs(row: str, sums: Sums, eye_count: int) -> dict[str, int]:
+    """Runs of the kernels of Table 1 that make rays and shade.
+
+    Of the shadow rays alone, rasterisation replaces camera rays and their hits.
+    """
+    near, lit = sums["first_hit"], sums["any_hit"]
+    runs = {"color": near["hits"], "shadow": lit["rays"]}
+    if row == "shadow rays":
+        return runs
+    sent = near["rays"] - eye_count
+    return {
+        "generate eye ray": eye_count,
+        **runs,
+        "path" if row.startswith("path") else "reflected": sent,
+    }
+
+
+def _times(runner: Runner, tracer: Tracer, name: str, rounds: int) -> dict[str, float]:
     """Median seconds of each row's image per camera ray."""
     calls, ray_counts = {}, {}
     for row in ("raycast", *(row for row in _ROWS if row != "shadow rays")):
         mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]
-        size, samples = _size_of(runner, row)
+        size, samples = _size_of(runner, row, name)
         size = max(size // _TIMED_SHARE, 16)
         draw = partial(render, tracer, mode, samples=samples, **own)
         draw(size=(_WARM_SIZE, _WARM_SIZE))  # compiles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from raystream_lab.cost_model import ARCHITECTURES, Cost, Counts, cost, prices
 from raystream_lab.published import published
+from raystream_lab.purcell.frame_rates import frame_claims, frame_table, second_marks
 from raystream_lab.purcell.image_counts import SIZE, counts_of
 from raystream_lab.purcell.scene_statistics import image_statistics, paper_view
 from raystream_lab.purcell.schedules import image_schedule
@@ -55,10 +56,11 @@ def image_costs(runner: Runner) -> Result:
     result.tables = [
         _kernel_table(ours, theirs, size),
         _kind_table(ours, theirs, size),
+        frame_table(ours, theirs, size),
     ]
     for architecture in ARCHITECTURES:
-        result.plots += _plots(names, ours, architecture)
-    result.claims = _claims(names, ours)
+        result.plots += _plots(names, ours, architecture, (SIZE / size) ** 2)
+    result.claims = [*_claims(names, ours), *frame_claims(ours, theirs)]
     result.notes.append(
         "Figures 7 and 8 are bar charts whose heights are not in our copy of the paper. The "
         "columns 'paper's counts' apply its Table 1 to its own v, t, s and passes."
@@ -154,14 +156,16 @@ def _kind_table(ours: Costs, theirs: Costs, size: int) -> Table:
     )
 
 
-def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
+def _plots(names: list[str], ours: Costs, architecture: str, scale: float) -> list[Plot]:
+    """Plots of an image of the paper's size: `scale` times the pixels that were traced."""
+    billions = scale / 1e9
     found = {name: ours[name, architecture] for name in names}
     by_kernel = [
         Series(
             part,
             names,
             [
-                sum(found[name].bytes_by_kernel.get(one, 0.0) for one in kernels) / 1e9
+                billions * sum(found[name].bytes_by_kernel.get(one, 0.0) for one in kernels)
                 for name in names
             ],
         )
@@ -172,14 +176,14 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
             part,
             names,
             [
-                sum(found[name].instructions.get(one, 0.0) for one in kernels) / 1e9
+                billions * sum(found[name].instructions.get(one, 0.0) for one in kernels)
                 for name in names
             ],
         )
         for part, kernels in list(_PARTS.items())[:-1]
     ]
     kinds = [
-        Series(kind, names, [_by_kind(found[name])[kind] / 1e9 for name in names])
+        Series(kind, names, [billions * _by_kind(found[name])[kind] for name in names])
         for kind in _KINDS
     ]
     return [
@@ -190,6 +194,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
             "billions",
             compute,
             "stacked",
+            marks=second_marks("instructions"),
         ),
         Plot(
             f"purcell-figure-7-bytes-{architecture}",
@@ -198,6 +203,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
             "GB",
             by_kernel,
             "stacked",
+            marks=second_marks("bytes"),
         ),
         Plot(
             f"purcell-figure-8-{architecture}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from raystream.rendering.heatmap import heatmap
@@ -19,11 +19,28 @@ from raystream_lab.purcell.image_counts import (
     grid_options,
     grid_tracer,
 )
-from raystream_lab.results import Cell, Claim, ReportImage, Result, Table, comparison
+from raystream_lab.results import (
+    NOT_EXPLAINED,
+    Cell,
+    Claim,
+    ReportImage,
+    Result,
+    Table,
+    comparison,
+    is_near,
+)
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS, View
 
-__all__ = ["STATISTICS", "camera_sweep", "image_statistics", "paper_view", "scene_statistics"]
+__all__ = [
+    "STATISTICS",
+    "camera_sweep",
+    "image_statistics",
+    "joint_reason",
+    "other_cameras",
+    "paper_view",
+    "scene_statistics",
+]
 
 #: The statistics of Figure 6.
 STATISTICS = {
@@ -31,9 +48,6 @@ STATISTICS = {
     "t": "triangles per ray (t)",
     "s": "share of rays that hit (s)",
 }
-
-#: Maximum relative deviation of values that are called equal in the text.
-TOLERANCE = 0.25
 
 #: Measured but not judged: the paper's grid shows that its bunny had a floor.
 _ALONE = "bunny"
@@ -77,15 +91,12 @@ def scene_statistics(runner: Runner) -> Result:
         ours = image_statistics(runner, name)
         sweep, resolutions = camera_sweep(runner, view), resolution_sweep(runner, view)
         theirs = published("purcell", "figure 6").values[paper_view(name)]
+        why = joint_reason(theirs, {"camera": sweep, "grid": _by_grid(resolutions)})
         for key, what in STATISTICS.items():
-            among = {
-                "other cameras:": [one[key] for one in sweep.values()],
-                "other grids:": [one[key] for one in resolutions.values()],
-            }
-            why = _reason(ours[key], theirs[key], among)
-            told = _explain(name, key, why)
+            near = is_near(ours[key], theirs[key])
+            told = _explain(name, key, "" if near else why)
             if name != _ALONE and (name, key) != _CHOSEN_BY:
-                judged[f"{name}, {key}"] = why == ""
+                judged[f"{name}, {key}"] = near
                 reasons[f"{name}, {key}"] = told
             figure.append((f"{name}: {what}", theirs[key], ours[key], told))
         grids.append(_grid_row(runner, view))
@@ -112,8 +123,8 @@ def scene_statistics(runner: Runner) -> Result:
             f"The same scenes from other cameras, {_SWEEP_SIZE} x {_SWEEP_SIZE} rays",
             ["view", "cameras", "figure", "published", "least", "median", "most", "nearest camera"],
             sweeps,
-            "Nearest: the camera whose v, t and s are nearest to the published ones, by the sum "
-            "of their ratios; its value is in brackets.",
+            "Nearest: the camera whose v, t and s are nearest to the published ones, by the "
+            "largest of their deviations; its value is in brackets.",
         ),
     ]
     result.claims = [
@@ -128,22 +139,39 @@ def scene_statistics(runner: Runner) -> Result:
     return result
 
 
-def _reason(ours: float, theirs: float, among: dict[str, list[float]]) -> str | None:
-    """The cause of a difference: empty for a small one, None if no sweep explains it."""
-    if abs(ours / theirs - 1.0) <= TOLERANCE:
-        return ""
-    for cause, values in among.items():
-        if min(values) <= theirs <= max(values):
-            return f"{cause} {min(values):.3g} to {max(values):.3g}"
-    return None
+def joint_reason(
+    theirs: Mapping[str, float], tried: Mapping[str, Mapping[str, Mapping[str, float]]]
+) -> str:
+    """A single change that brings v, t and s near the published values, all three at once.
+
+    Parameters
+    ----------
+    theirs : mapping of str to float
+        The published values.
+    tried : mapping of str to mapping
+        By what is changed, such as ``"camera"``, and by its new value: v, t and s.
+
+    Returns
+    -------
+    str
+        The nearest such change, or that the difference is not explained, with the nearest of all.
+    """
+    found = {f"{what}: {name}": one for what, each in tried.items() for name, one in each.items()}
+    nearest = min(found, key=lambda name: _distance(found[name], theirs))
+    values = ", ".join(f"{key} {found[nearest][key]:.3g}" for key in STATISTICS)
+    if all(is_near(found[nearest][key], theirs[key]) for key in STATISTICS):
+        return f"{nearest} gives {values}"
+    return f"{NOT_EXPLAINED}: none of {len(found)} changes gives all three; nearest {values}"
 
 
-def _explain(name: str, key: str, why: str | None) -> str:
+def _by_grid(resolutions: Mapping[int, ImageCounts]) -> dict[str, ImageCounts]:
+    return {f"{least} cells along the shortest axis": one for least, one in resolutions.items()}
+
+
+def _explain(name: str, key: str, why: str) -> str:
     if name == _ALONE:
         return "not the paper's scene: its grid differs"
-    if (name, key) == _CHOSEN_BY:
-        return "the camera was chosen by it"
-    return "another model: neither other cameras nor other grids reach it" if why is None else why
+    return "the camera was chosen by it" if (name, key) == _CHOSEN_BY else why
 
 
 def _soda_hall() -> str:
@@ -169,7 +197,7 @@ def _notes(runner: Runner) -> list[str]:
     return notes
 
 
-def _cameras(view: View) -> Iterator[tuple[str, Camera]]:
+def other_cameras(view: View) -> Iterator[tuple[str, Camera]]:
     """Other cameras for a view: orbiting it, or at other positions inside."""
     if "inside" in view.name:
         return turn(view.camera, range(0, 360, 45), (0.0, 0.4, 0.8))
@@ -185,7 +213,7 @@ def camera_sweep(runner: Runner, view: View) -> dict[str, ImageCounts]:
         tracer = grid_tracer(runner, view)
         return {
             name: count_image(tracer, view.seen_from(camera, name), size)
-            for name, camera in _cameras(view)
+            for name, camera in other_cameras(view)
         }
 
     sweep: dict[str, ImageCounts] = runner.measure(
@@ -212,9 +240,9 @@ def _sweep_rows(
         ]
 
 
-def _distance(ours: ImageCounts, theirs: dict[str, float]) -> float:
-    ratios = [max(ours[key], 1e-6) / theirs[key] for key in STATISTICS]
-    return sum(max(ratio, 1.0 / ratio) for ratio in ratios)
+def _distance(ours: Mapping[str, float], theirs: Mapping[str, float]) -> float:
+    """The largest relative deviation from the published values."""
+    return max(abs(ours[key] / theirs[key] - 1.0) for key in STATISTICS)
 
 
 def _grid_row(runner: Runner, view: View) -> list[Cell]:

@@ -12,7 +12,7 @@ from raystream_lab.diffuse_bounces import bounce_rays
 from raystream_lab.published import published
 from raystream_lab.purcell.image_counts import SIZE, grid_of, grid_tracer
 from raystream_lab.purcell.texture_cache import KIND_NAMES
-from raystream_lab.results import Cell, Plot, Result, Series, Table
+from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 from raystream_lab.walks import ReferenceChunk, Textures, Walks, branching_references, record
@@ -41,9 +41,11 @@ def small_memory(runner: Runner) -> Result:
     place = published("purcell", "memory")
     board, (least, most) = place.values["board_megabytes"], place.values["scene_megabytes"]
     shown = (4, 16, board, 256)
+    megabytes_of: dict[str, float] = {}
     for name, found in result.available(_VIEWS, lambda name: _by_order(runner, name, size)):
         for order, one in found.items():
             at = dict(zip(_MEGABYTES, one["loaded"], strict=True))
+            megabytes_of[name.split()[0]] = one["scene"] / 2**20
             rows.append(
                 [
                     name,
@@ -73,6 +75,20 @@ def small_memory(runner: Runner) -> Result:
             "loaded bytes, including first loads. Touched: pages that any ray needs.",
             f"The paper's largest scenes take {least} to {most} MB, and its card has {board}.",
         )
+    ]
+    result.claims = [
+        Claim.judged(
+            f"The large scenes take {least} to {most} MB of texture memory",
+            place.source,
+            {name: least <= one <= most for name, one in megabytes_of.items()},
+            "MB in the paper's layout: " + listed(megabytes_of, ".0f"),
+        ),
+        Claim.judged(
+            f"... and do not fit on a card of {board} MB",
+            place.source,
+            {name: one > board for name, one in megabytes_of.items()},
+            "the same sizes",
+        ),
     ]
     return result
 

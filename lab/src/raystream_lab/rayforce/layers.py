@@ -12,9 +12,10 @@ from raystream.scene.camera import Camera
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
+from raystream_lab.agreement import Row, agreement_claim, agreement_table
 from raystream_lab.frame_timing import report_image
 from raystream_lab.published import published
-from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES
+from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, device_options
 from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
@@ -80,7 +81,7 @@ def layers(runner: Runner) -> Result:
         "first-hit, any-hit and multi-hit traversal have low overhead: for one hit, multi-hit "
         f"takes at most {LOW_OVERHEAD:g} times as long as first-hit"
     )
-    return Result(
+    result = Result(
         tables=[_times(runner, found), _counts(found)],
         plots=[_plot_all(found), _plot_queries(found)],
         claims=[
@@ -93,18 +94,28 @@ def layers(runner: Runner) -> Result:
                 + "; the meaning of low is our reading",
             )
         ],
-        images=[
-            report_image(
-                runner,
-                "rayforce layers",
-                "16 layers, drawn as clear sheets",
-                layered_scene(16),
-                "xray",
-                (240, 240),
-                camera=Camera((-3.2, 1.4, -2.6), (0.0, 0.0, 0.5), fov=42.0),
-            )
-        ],
     )
+    if runner.device != "cpu":
+        rows = _agreement_rows(found)
+        title = "Layers: the device's counts against the CPU's"
+        result.tables.append(
+            agreement_table("rayforce-layer-agreement", title, runner.device, rows)
+        )
+        result.claims.append(agreement_claim(runner.device, rows))
+        result.notes.append(runner.facts.note)
+        return result
+    result.images.append(
+        report_image(
+            runner,
+            "rayforce layers",
+            "16 layers, drawn as clear sheets",
+            layered_scene(16),
+            "xray",
+            (240, 240),
+            camera=Camera((-3.2, 1.4, -2.6), (0.0, 0.0, 0.5), fov=42.0),
+        )
+    )
+    return result
 
 
 def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
@@ -112,9 +123,10 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
 
     def measure() -> dict[str, dict[str, Any]]:
         scene = layered_scene(count)
-        size = runner.size(SIZE)
+        size = runner.device_size(SIZE)
         rays = scene.camera_for(1.0).rays(size, size)
-        tracers = {name: Tracer(scene, name) for name in STRUCTURES}
+        options = {name: device_options(runner, name) for name in STRUCTURES}
+        tracers = {name: Tracer(scene, name, **chosen) for name, chosen in options.items()}
         calls = {
             f"{name}, {title}": partial(query, tracer, rays)
             for name, tracer in tracers.items()
@@ -125,7 +137,8 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
             name: {
                 "rays": size * size,
                 "seconds": {title: seconds[f"{name}, {title}"] for title in QUERIES},
-                **_counted(scene, name, rays),
+                **_counted(scene, name, rays, options[name]),
+                **({} if runner.device == "cpu" else {"cpu": _counted(scene, name, rays, {})}),
             }
             for name in STRUCTURES
         }
@@ -134,9 +147,9 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
     return values
 
 
-def _counted(scene: Scene, structure: str, rays: Any) -> dict[str, Any]:
+def _counted(scene: Scene, structure: str, rays: Any, options: dict[str, Any]) -> dict[str, Any]:
     """Steps and tests for the nearest and for all hits, and the number of hits."""
-    tracer = Tracer(scene, structure, counters=True)
+    tracer = Tracer(scene, structure, counters=True, **options)
     tracer.first_hit(*rays)
     first = tracer.counters.total
     hits = int(tracer.count_hits(*rays).sum())
@@ -146,6 +159,22 @@ def _counted(scene: Scene, structure: str, rays: Any) -> dict[str, Any]:
         "first": [first["steps"] + first["link_nodes"], first["tests"]],
         "all": [total["steps"] + total["link_nodes"], total["tests"]],
     }
+
+
+def _agreement_rows(found: dict[int, dict[str, dict[str, Any]]]) -> list[Row]:
+    rows: list[Row] = []
+    for count, each in found.items():
+        for name, one in each.items():
+            case, cpu = f"{count} layers, {name}", one["cpu"]
+            rows.append((f"{case}: hits", cpu["hits"], one["hits"]))
+            for query in ("first", "all"):
+                rows += [
+                    (f"{case}: {what}, {query}", theirs, ours)
+                    for what, theirs, ours in zip(
+                        ("steps", "tests"), cpu[query], one[query], strict=True
+                    )
+                ]
+    return rows
 
 
 def _ratio(one: dict[str, Any], query: str, other: str) -> float:
@@ -160,7 +189,7 @@ def _times(runner: Runner, found: dict[int, dict[str, dict[str, Any]]]) -> Table
             times: list[Cell] = [1e9 * one["seconds"][title] / rays for title in QUERIES]
             per_hit = 1e9 * one["seconds"]["multi_hit, all"] / one["hits"]
             rows.append([count, name, *times, per_hit])
-    size = runner.size(SIZE)
+    size = runner.device_size(SIZE)
     return Table.of(
         "rayforce-layers",
         f"Layers: nanoseconds per ray, {size} x {size} rays",

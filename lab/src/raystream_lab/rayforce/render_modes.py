@@ -7,9 +7,13 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
+from raystream.core.errors import RaystreamError
+from raystream.jit.threads import thread_count
 from raystream.rendering.ao import REACH
 from raystream.rendering.integrator import RenderContext
 from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+from raystream_lab.agreement import Row, agreement_claim, agreement_table
 from raystream_lab.frame_timing import (
     Size,
     affordable_size,
@@ -18,9 +22,9 @@ from raystream_lab.frame_timing import (
     report_image,
 )
 from raystream_lab.published import published
-from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
+from raystream_lab.rayforce.scenes import REFERENCE, STRUCTURES, device_options, prepared, scenes
 from raystream_lab.recording_tracer import RecordingTracer
-from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
@@ -33,6 +37,9 @@ MODES = {
     "ao": "the first surface, and 32 any-hit rays",
     "kajiya": "the first surface, any-hit shadows and two diffuse bounces",
 }
+
+#: Frames per second that count as interactive: our choice.
+INTERACTIVE = 10.0
 
 ROUNDS = 3
 
@@ -66,9 +73,30 @@ class _Contenders:
         return prepared(self._view.scene)
 
     @cached_property
-    def tracers(self) -> dict[str, RecordingTracer]:
-        scene, progress = self.scene, self._runner.progress
-        return {name: RecordingTracer(scene, name, progress=progress) for name in STRUCTURES}
+    def tracers(self) -> dict[str, Tracer]:
+        """On the CPU those that record; elsewhere plain ones, which may render on the device."""
+        runner = self._runner
+        kind = RecordingTracer if runner.device == "cpu" else Tracer
+        return {
+            name: kind(self.scene, name, progress=runner.progress, **device_options(runner, name))
+            for name in STRUCTURES
+        }
+
+    @cached_property
+    def _reference(self) -> RecordingTracer:
+        return RecordingTracer(self.scene)
+
+    def ray_counts(self, structure: str, mode: str, size: Size) -> tuple[int, int]:
+        """Rays of a frame by the queries of the device, and of the CPU."""
+        device = RecordingTracer.of_structure(
+            self.tracers[structure].structure, self.scene, self._runner.device
+        )
+        counts = []
+        for tracer in (device, self._reference):
+            tracer.queries.clear()
+            frame_seconds(self.context, tracer, mode, size)
+            counts.append(sum(one.ray_count for one in tracer.queries))
+        return counts[0], counts[1]
 
     @cached_property
     def context(self) -> RenderContext:
@@ -78,7 +106,7 @@ class _Contenders:
 def frame_size(runner: Runner) -> Size:
     """The poster's 1024 x 768, or the user's size."""
     width, height = published("rayforce", "figure 3").values["size"]
-    chosen = runner.size(width)
+    chosen = runner.device_size(width)
     return chosen, max(chosen * height // width, 1)
 
 
@@ -89,7 +117,17 @@ def render_modes(runner: Runner) -> Result:
     for view in scenes(runner, result):
         contenders = _Contenders(runner, view)
         for mode in MODES:
-            found[mode][view.name] = _measured(runner, contenders, view.name, mode)
+            frames = _measured(runner, contenders, view.name, mode)
+            found[mode][view.name] = {
+                name: one for name, one in frames.items() if "refused" not in one
+            }
+            result.notes += [
+                f"{view.name}, {mode}, {name}: {one['refused']}"
+                for name, one in frames.items()
+                if "refused" in one
+            ]
+            if runner.device != "cpu":
+                continue
             title = f"{view.name}: {mode}, one sample a pixel"
             name = f"rayforce {view.name} {mode}"
             result.images.append(
@@ -100,7 +138,22 @@ def render_modes(runner: Runner) -> Result:
     result.plots = [_plot(found, size)]
     result.claims = [_claim(found, size)]
     result.notes += list(_notes(found, size))
+    if runner.device != "cpu":
+        rows = _agreement_rows(found)
+        title = "Rays of a frame: the device's against the CPU's"
+        result.tables.append(agreement_table("rayforce-mode-rays", title, runner.device, rows))
+        result.claims.append(agreement_claim(runner.device, rows))
+        result.notes.append(runner.facts.note)
     return result
+
+
+def _agreement_rows(found: dict[str, dict[str, _Frames]]) -> list[Row]:
+    return [
+        (f"{name}, {mode}, {structure}", frame["cpu_rays"], frame["rays"])
+        for mode, scenes in found.items()
+        for name, frames in scenes.items()
+        for structure, frame in frames.items()
+    ]
 
 
 def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> _Frames:
@@ -110,9 +163,16 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
 
     def measure() -> _Frames:
         frames: _Frames = {}
+        refused: _Frames = {}
         for structure in contenders.tracers:
-            contenders.seconds(structure, mode, small)  # compiles
-            seconds = contenders.seconds(structure, mode, small)
+            try:
+                contenders.seconds(structure, mode, small)  # compiles
+                seconds = contenders.seconds(structure, mode, small)
+            except RaystreamError as error:
+                if runner.device == "cpu" or structure == REFERENCE:
+                    raise
+                refused[structure] = {"refused": str(error)}
+                continue
             limit = _QUICK_LIMIT if runner.quick else _LIMIT
             pixel = seconds / (small[0] * small[1])
             frames[structure] = {
@@ -121,18 +181,24 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
                 "seconds": [],
             }
         # Pixels of small frames take longer: compared frames share a size.
-        common = min(frames[one]["size"] for one in STRUCTURES if one != _SLOW)
+        common = min(frames[one]["size"] for one in frames if one != _SLOW)
         for structure, frame in frames.items():
             frame["size"] = min(frame["size"], common) if structure == _SLOW else common
         for number in range(2 if runner.quick else ROUNDS + 1):
-            for structure, tracer in contenders.tracers.items():
-                tracer.queries.clear()
-                frame = frames[structure]
+            for structure, frame in frames.items():
+                tracer = contenders.tracers[structure]
+                if isinstance(tracer, RecordingTracer):
+                    tracer.queries.clear()
                 taken = contenders.seconds(structure, mode, frame["size"])
                 if number:  # the first one may compile: kernels depend on the number of rays
                     frame["seconds"].append(taken)
-                frame["rays"] = sum(one.ray_count for one in tracer.queries)
-        return frames
+                if isinstance(tracer, RecordingTracer):
+                    frame["rays"] = sum(one.ray_count for one in tracer.queries)
+        for structure, frame in frames.items():
+            if "rays" not in frame:
+                counts = contenders.ray_counts(structure, mode, frame["size"])
+                frame["rays"], frame["cpu_rays"] = counts
+        return frames | refused
 
     frames: _Frames = runner.measure(f"{name}, {mode}", measure)
     return frames
@@ -141,6 +207,12 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
 def _pixel_seconds(frame: dict[str, Any]) -> float:
     width, height = frame["size"]
     return statistics.median(frame["seconds"]) / (width * height)
+
+
+def _ray_rate(frame: dict[str, Any]) -> float:
+    """Million rays per second."""
+    width, height = frame["size"]
+    return float(frame["rays"]) / (width * height) / _pixel_seconds(frame) / 1e6
 
 
 def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
@@ -159,7 +231,7 @@ def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
                     frame["rays"] / (width * height),
                     1000.0 * seconds,
                     1.0 / seconds,
-                    frame["rays"] / (width * height) / pixel / 1e6,
+                    _ray_rate(frame),
                     pixel / reference,
                 ]
             )
@@ -180,10 +252,7 @@ def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
     series = []
     for structure in STRUCTURES:
         rates: list[float | None] = [
-            frames[structure]["rays"]
-            / (frames[structure]["size"][0] * frames[structure]["size"][1])
-            / _pixel_seconds(frames[structure])
-            / 1e6
+            _ray_rate(frames[structure]) if structure in frames else None
             for scenes in found.values()
             for frames in scenes.values()
         ]
@@ -199,20 +268,19 @@ def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
 
 
 def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
-    """The poster's figure had numbers for this; without them it cannot be judged."""
+    """The poster's values are lost: whether rates are interactive is judged by our own bound."""
     rates = {
-        mode: [1.0 / (_pixel_seconds(one[REFERENCE]) * size[0] * size[1]) for one in each.values()]
-        for mode, each in found.items()
+        f"{name}, {mode}": 1.0 / (_pixel_seconds(each[REFERENCE]) * size[0] * size[1])
+        for mode, scenes in found.items()
+        for name, each in scenes.items()
     }
-    evidence = "; ".join(
-        f"{mode}: {min(values):.2g} to {max(values):.2g} frames/s" for mode, values in rates.items()
-    )
     return Claim.judged(
-        "ambient occlusion and the other modes render at interactive rates",
+        "ambient occlusion and the other modes render at interactive rates (read as: at least "
+        f"{INTERACTIVE:g} frames/s)",
         published("rayforce", "figure 3").source,
-        {},
-        "the poster's values are lost, and its GeForce GTX 690 is not comparable with a CPU; the "
-        f"{REFERENCE} here: {evidence}",
+        {case: rate >= INTERACTIVE for case, rate in rates.items()},
+        f"the {REFERENCE} with {thread_count()} threads, frames/s: {listed(rates, '.2g')}; the "
+        "poster's GeForce GTX 690 is not comparable with ours",
     )
 
 

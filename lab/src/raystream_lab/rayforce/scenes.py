@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from raystream_lab.results import Result
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["REFERENCE", "SCENES", "STAND_INS", "STRUCTURES", "prepared", "scenes"]
+__all__ = ["REFERENCE", "SCENES", "STAND_INS", "STRUCTURES", "device_options", "prepared", "scenes"]
 
 #: The poster's scenes are lost with its figure. These are interiors, as usual in papers of its
 #: time: offices, a church, a kitchen with details of many sizes.
@@ -38,6 +39,17 @@ _LIGHT_SHIFT = 0.25
 
 #: Its intensity for a distance of 1.
 _BRIGHTNESS = 4.0
+
+
+def device_options(runner: Runner, structure: str) -> dict[str, Any]:
+    """Options of a tracer for the runner's device: a CUDA GPU builds the graph itself.
+
+    The simulator of one does not: it runs threads one by one.
+    """
+    is_built_there = (
+        runner.device == "cuda" and structure == REFERENCE and not runner.facts.is_software
+    )
+    return {"device": runner.device, **({"build": "device"} if is_built_there else {})}
 
 
 def prepared(scene: Scene) -> Scene:

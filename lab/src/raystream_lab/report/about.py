@@ -16,9 +16,9 @@ class About(NamedTuple):
     command : str
         Repeats all measurements.
     machine : dict of str to Any
-        See `bench.machine.describe_machine`.
+        See `bench.machine.describe_machine`; and the ``device``, unless it is the CPU.
     version, source : str
-        Version of raystream, and hash of its sources.
+        Version of raystream, and the key of the sources that measure, see `source_key`.
     date : str
         ISO 8601.
     foreign_count : int
@@ -72,6 +72,8 @@ class About(NamedTuple):
         ]
         made = f"raystream {self.version} (source {self.source})"
         lines = [f"Measured by `{self.command}`, {self.date}, {made}.", ", ".join(parts) + "."]
+        if self.adapter:
+            lines.append(f"Device {self.device}: {self.adapter}.")
         if self.quick:
             lines.append(
                 "Quick: small scenes, images and sweeps, as a smoke test. Do not compare the "

@@ -10,7 +10,7 @@ from raystream_lab.experiments import PAPERS, Outcome
 from raystream_lab.published import paper_name, paper_reference, paper_title
 from raystream_lab.report.about import About
 from raystream_lab.report.cell_text import are_numbers, cell_text, claims_table
-from raystream_lab.results import Claim, Table
+from raystream_lab.results import Cell, Claim, Table
 
 __all__ = ["Page", "as_pages", "table_text"]
 
@@ -106,7 +106,7 @@ def _paper_page(
 
 def _summary(claims: dict[str, list[Claim]]) -> Table:
     """How many claims of each paper have which verdict."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for paper, mine in claims.items():
         counts = Counter(_verdict_group(one.verdict) for one in mine)
         rows.append((paper_name(paper), len(mine), *(counts[one] for one in _VERDICTS)))

@@ -91,5 +91,5 @@ fn sort_key(key: u32) -> u32 {
 
 // The largest key that can still hold a nearer hit, for any lane. A box may begin before 0.
 fn t_key(t: f32) -> u32 {
-    return bitcast<u32>(max(t, 0.0)) & ~IS_KEY | KEY_LANES;
+    return (bitcast<u32>(max(t, 0.0)) & ~IS_KEY) | KEY_LANES;
 }

@@ -105,7 +105,7 @@ fn is_crossed(images: Images) -> bool {
     var w_side = side_of(images.b, images.a);
     let lowest = min(min(u_side, v_side), w_side);
     let highest = max(max(u_side, v_side), w_side);
-    if lowest < 0 && highest > 0 || lowest == 0 && highest == 0 {
+    if (lowest < 0 && highest > 0) || (lowest == 0 && highest == 0) {
         return false;
     }
     if SURFACES && lowest <= 0 && highest >= 0 {

@@ -1,6 +1,10 @@
-"""Streams on the graphics pipeline: records in textures, kernels as fragment programs.
+"""Streams on the graphics device: textures of records, and kernels in WGSL that are drawn.
 
-As in Purcell 2002, section 3, in today's terms:
+The model of `raystream.streams`, as in Christen 2005, chapter 4: `Stream` and `GatherArray` are
+textures, `Kernel` is a fragment program, drawn over all records. Chains, loops, conditions and
+counters are those of `raystream.streams`.
+
+Below the public names are the streams of the multipass machine, after Purcell 2002, section 3:
 
 - A *stream* is a texture (`textures.StreamTexture`): a texel of four words is a record, and all
   streams of a query have a record of each ray at the same texel.
@@ -14,3 +18,35 @@ As in Purcell 2002, section 3, in today's terms:
   *classify*: each discards all records but those with one next state, which its stencil
   operation sets. Discarding costs nothing here.
 """
+
+from raystream.graphics.streams.gather import GatherArray
+from raystream.graphics.streams.stream import Stream
+from raystream.graphics.streams.wgsl_kernel import Kernel
+from raystream.streams import (
+    INDEX,
+    Condition,
+    Count,
+    Counters,
+    LoopLimitError,
+    Pass,
+    Repeat,
+    Sequential,
+    Step,
+    While,
+)
+
+__all__ = [
+    "INDEX",
+    "Condition",
+    "Count",
+    "Counters",
+    "GatherArray",
+    "Kernel",
+    "LoopLimitError",
+    "Pass",
+    "Repeat",
+    "Sequential",
+    "Step",
+    "Stream",
+    "While",
+]

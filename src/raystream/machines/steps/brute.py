@@ -1,4 +1,4 @@
-"""Brute force as kernels: one triangle per ray and step (Foley 2005, section 4)."""
+"""Brute force as kernels: one triangle per ray and step (Foley 2005, section 3)."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ __all__ = ["Brute"]
 @register_structure
 @dataclass(frozen=True, kw_only=True)
 class Brute(StructureOptions):
-    """Every ray is tested against every triangle (Foley 2005, section 4); it has no options.
+    """Every ray is tested against every triangle (Foley 2005, section 3); it has no options.
 
     Slow on all but the smallest scenes, and the definition of the right answer.
     """

@@ -1,6 +1,6 @@
 """Updating a grid for moved triangles: only the lists that a triangle leaves or enters change.
 
-Purcell 2002, section 5.1, names grids as the structure that suits moving triangles.
+Purcell 2002, section 5.1, asks for such updates, for moving geometry.
 """
 
 from __future__ import annotations

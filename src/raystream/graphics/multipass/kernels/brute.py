@@ -1,4 +1,4 @@
-"""Brute force's kernels: set up, intersect (Foley 2005, section 4)."""
+"""Brute force's kernels: set up, intersect (Foley 2005, section 3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Brute force with a triangle in the constants of each draw (Foley 2005, section 4)."""
+"""Brute force with a triangle in the constants of each draw (Foley 2005, section 3)."""
 
 from __future__ import annotations
 
