@@ -27,6 +27,7 @@ from raystream_lab.foley.recorded_visits import (
     record_visits,
 )
 from raystream_lab.foley.scenes import foley_tree, foley_trees, trace_counters
+from raystream_lab.foley.structure_times import _other_view
 from raystream_lab.foley.time_claims import time_claims
 from raystream_lab.views import View
 
@@ -209,3 +210,12 @@ def test_up_is_compared_with_each_kernel():
 def test_branching_gains_little_if_passes_take_a_quarter_more():
     found = {"a": {"multipass": 1.25, "branching": 1.0}, "b": {"multipass": 2.0, "branching": 1.0}}
     assert _little(found).verdict == "holds in 1 of 2"
+
+
+def test_another_view_has_the_published_ratio_or_not():
+    views = {
+        "a": {"grid": 2.0, "restart": 1.0, "backtrack": 1.0, "hits": 1.0},
+        "b": {"grid": 9.0, "restart": 1.0, "backtrack": 2.0, "hits": 1.0},
+    }
+    assert _other_view(views, 4.4) == "view b gives x 4.5"
+    assert _other_view(views, 9.0) == "not explained by 2 other views: view b gives x 4.5"

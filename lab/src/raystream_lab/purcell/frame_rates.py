@@ -139,7 +139,7 @@ def frame_claims(ours: Costs, theirs: Costs) -> list[Claim]:
             f"{rates.bytes / 1e9:g} GB/s)",
             f"Purcell 2002, title; {place}",
             {f"{name}, {kind}": rates.frames(one) >= REAL_TIME for (name, kind), one in rows},
-            "frames/s: " + listed({f"{a}, {b}": rates.frames(one) for (a, b), one in rows}, ".2g"),
+            "frames/s: " + listed({f"{a}, {b}": rates.frames(one) for (a, b), one in rows}),
         )
         for rates in (slow, fast)
         for rows in [list(printed.items())]

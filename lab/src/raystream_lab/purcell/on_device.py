@@ -62,7 +62,7 @@ def on_device(runner: Runner) -> Result:
     """Hits, passes, draws and times of each machine, compared with the CPU's."""
     result = Result()
     device, size = runner.device, runner.device_size(SIZE)
-    views = PURCELL_VIEWS[::2] if runner.quick else PURCELL_VIEWS
+    views = PURCELL_VIEWS[::3] if runner.quick else PURCELL_VIEWS
     found = dict(result.available(views, lambda name: _measure(runner, name, size)))
     result.tables = [
         _machines_table(runner, found, size),
@@ -163,7 +163,8 @@ def _measure(runner: Runner, name: str, size: int) -> _Found:
         answers = {one: _counted(tracer(one, True), rays) for one in options}
         reference = answers[_REFERENCE][0]
         calls = {one: partial(tracer(one, False).first_hit, *rays) for one in options}
-        seconds = median_times(calls, 1 if runner.quick else _ROUNDS, patience=_PATIENCE)
+        rounds = 1 if runner.quick else _ROUNDS
+        seconds = median_times(calls, rounds, warm_up=not runner.quick, patience=_PATIENCE)
         return {
             one: {**figures, **_differences(hits, reference), "seconds": seconds[one]}
             for one, (hits, figures) in answers.items()

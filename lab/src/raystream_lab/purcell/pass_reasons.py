@@ -77,15 +77,18 @@ def pass_reasons(
     if not far:
         return reasons
     camera, tried = _nearest_schedule(runner, name, theirs)
-    near = sum(is_near(tried[own], theirs[key]) for own, (key, _) in FIGURES.items())
+    compared = {own: key for own, (key, _) in FIGURES.items() if own != "other"}
+    near = sum(is_near(tried[own], theirs[key]) for own, key in compared.items())
     for own in far:
-        is_reached = is_near(tried[own], theirs[FIGURES[own][0]])
-        reasons[own] = (
-            ("" if is_reached else f"{NOT_EXPLAINED}: ")
-            + f"camera {camera} gives {tried[own]:.3g}"
-            + (f", and {near} of 7 near" if is_reached else "")
-        )
+        told = f"camera {camera} gives {_number(tried[own])}"
+        if near < len(compared):
+            told = f"{NOT_EXPLAINED}: {told}, but {near} of {len(compared)} figures near"
+        reasons[own] = told
     return reasons
+
+
+def _number(value: float) -> str:
+    return f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
 
 
 def _nearest_schedule(
