@@ -36,6 +36,7 @@ class RayTextures:
 
     Attributes
     ----------
+    opened : OpenDevice
     shape : StreamShape
     count : int
         Number of rays.
@@ -48,7 +49,7 @@ class RayTextures:
     """
 
     def __init__(self, opened: OpenDevice, shaders: ShaderStructure) -> None:
-        self._opened = opened
+        self.opened = opened
         self._shaders = shaders
         names = (f"{shaders.name}, array {k}" for k in range(len(shaders.arrays)))
         self._arrays = upload(opened, zip(names, shaders.arrays, strict=True))
@@ -61,12 +62,12 @@ class RayTextures:
     def _resize(self, shape: StreamShape) -> None:
         self.shape = shape
         self.inputs = [
-            StreamTexture(self._opened, "origins", shape, np.float32),
-            StreamTexture(self._opened, "directions", shape, np.float32),
-            StreamTexture(self._opened, "wanted", shape, np.uint32),
+            StreamTexture(self.opened, "origins", shape, np.float32),
+            StreamTexture(self.opened, "directions", shape, np.float32),
+            StreamTexture(self.opened, "wanted", shape, np.uint32),
         ]
-        self.state = StreamTexture(self._opened, "states", shape, np.uint32)
-        self.found = StreamTexture(self._opened, "found", shape, np.float32)
+        self.state = StreamTexture(self.opened, "states", shape, np.uint32)
+        self.found = StreamTexture(self.opened, "found", shape, np.float32)
 
     def load(
         self,
@@ -78,7 +79,7 @@ class RayTextures:
     ) -> bool:
         """Copy rays to the device; returns whether the textures are new ones."""
         self.count = len(wanted)
-        shape = StreamShape.for_count(self.count, self._opened)
+        shape = StreamShape.for_count(self.count, self.opened)
         is_new = shape != self.shape
         if is_new:
             self._resize(shape)
@@ -94,13 +95,16 @@ class RayTextures:
 
     def write_params(self, max_coordinate: np.float32) -> None:
         """Write the uniforms that all rays share."""
-        width = self.shape.width
-        params = self._shaders.params(max_coordinate, ray_count=self.count, row_size=width)
-        self._opened.device.queue.write_buffer(self._uniform, 0, params)
+        self.write_shared_params(max_coordinate, self.count, self.shape.width)
+
+    def write_shared_params(self, max_coordinate: np.float32, count: int, width: int) -> None:
+        """Write the uniforms of `count` rays in other textures, `width` in a row."""
+        params = self._shaders.params(max_coordinate, ray_count=count, row_size=width)
+        self.opened.device.queue.write_buffer(self._uniform, 0, params)
 
     def write_tree(self, tree: bytes) -> None:
         """Replace the constants of the structure."""
-        self._opened.device.queue.write_buffer(self._uniform, TREE_AT, tree)
+        self.opened.device.queue.write_buffer(self._uniform, TREE_AT, tree)
 
     @staticmethod
     def instead(kind: Kind, counts: bool) -> dict[str, str]:
@@ -126,7 +130,7 @@ class RayTextures:
     def groups(self, kind: Kind, counts: bool) -> list[Any]:
         """These groups, bound."""
         return [
-            bind(self._opened, layout, resources)
+            bind(self.opened, layout, resources)
             for layout, resources in zip(
                 self.layouts(kind, counts), self.resources(kind, counts), strict=True
             )

@@ -96,12 +96,6 @@ class Texture:
         )
         return np.frombuffer(memory, self._dtype).reshape(rows, width, self._channels)
 
-    def clear(self, encoder: Any, value: float) -> None:
-        """Fill it with a number."""
-        attachment = {"view": self.view, "clear_value": (value,) * 4}
-        attachment |= {"load_op": "clear", "store_op": "store"}
-        encoder.begin_render_pass(color_attachments=[attachment]).end()
-
 
 def new_texture(
     opened: OpenDevice,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import operator
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass.device_scheduler import DeviceScheduler
 from raystream.graphics.multipass.kernels import kernels_of
 from raystream.graphics.multipass.kernels.brute_constants import TriangleConstants
+from raystream.graphics.multipass.loop_machine import LoopMachine
 from raystream.graphics.multipass.loops import (
     MOST_PASSES,
     Batch,
@@ -25,7 +26,9 @@ from raystream.graphics.multipass.loops import (
     run_on_device,
 )
 from raystream.graphics.multipass.plan import Plan, PlanInputs, make_plan
+from raystream.graphics.multipass.ray_loop import LoopStreams, has_targets
 from raystream.graphics.multipass.ray_streams import RayStreams
+from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.graphics.termination import ENDLESS, hit_counts
 from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Capabilities
@@ -40,6 +43,10 @@ from raystream.machines.steps import steps_of
 from raystream.machines.steps.base import StepKernel
 from raystream.streams import Pass
 from raystream.structures import Structure
+
+if TYPE_CHECKING:
+    from raystream.graphics.rendering import FragmentBands
+    from raystream.rendering.integrator import RenderContext
 
 __all__ = ["LOOPS", "MAX_PASSES", "MultipassBackend"]
 
@@ -99,7 +106,7 @@ class MultipassBackend(GraphicsBackend):
         If an option is out of range.
     """
 
-    capabilities = Capabilities(passes=True)
+    capabilities = Capabilities(passes=True, shading=True)
 
     def __init__(
         self,
@@ -234,6 +241,50 @@ class MultipassBackend(GraphicsBackend):
         rays = self._streams.rays
         scheduler.begin(rays.count, rays.shape, self._streams.passes.stencil)
         return run_on_device(work, scheduler, inner)
+
+    def loop_machine(self) -> LoopMachine:
+        """The machine as renderers' loops run on it."""
+        constants = {
+            "TRAVERSAL_STEPS": float(self.traversal_steps),
+            "INTERSECTIONS": float(self.intersections),
+            **self._shaders.constants,
+        }
+        return LoopMachine(
+            self._traversal,
+            self._shaders,
+            self._streams.rays,
+            self.structure.triangles.max_coordinate,
+            constants,
+            self._loop_batches,
+            self.max_passes,
+        )
+
+    def _loop_batches(
+        self, work: Work, kernels: Sequence[FragmentKernel], streams: LoopStreams
+    ) -> Iterator[Batch]:
+        """The passes of a renderer's loop: its shading spawns rays."""
+        if self.loop == "queries":
+            return run_by_queries(work, self._host_scheduler, self._steps.kernels)
+        scheduler = DeviceScheduler(
+            self.opened,
+            kernels,
+            str(self._scheduler),
+            self._threshold,
+            MOST_PASSES,
+            spawns=work.spawns,
+        )
+        scheduler.begin(streams.count, streams.shape, streams.passes.stencil)
+        last = len(kernels) - 1
+        is_last = self._scheduler in _SHADE_LAST and not work.spawns
+        return run_on_device(work, scheduler, range(not work.spawns, last if is_last else last + 1))
+
+    def bands_on_device(self, context: RenderContext) -> FragmentBands | None:
+        """Render samples of an image in loops; see `Tracer.bands_on_device`."""
+        if self._constants is not None or not has_targets(self.opened):
+            return None
+        from raystream.graphics.rendering import FragmentBands
+
+        return FragmentBands(context, self.loop_machine(), self.rays_at_once)
 
     def _pass(self, number: int, active: int) -> Pass:
         """The counters of a pass: records are texels."""

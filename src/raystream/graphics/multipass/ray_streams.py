@@ -71,7 +71,7 @@ class RayStreams:
             for textures in (self.passes.streams, self.passes.scratch)
         ]
 
-        def bind_all(run: Any, is_commit: bool) -> None:
+        def bind_all(run: Any, is_commit: bool, _: int) -> None:
             for number, group in enumerate((first[is_commit], *rest)):
                 run.set_bind_group(number, group)
 
