@@ -22,7 +22,7 @@ from raystream.graphics.rendering.scene_buffers import (
     surface_arrays,
 )
 from raystream.graphics.rendering.uniforms import BandPlace, shading_uniform
-from raystream.graphics.shader_source import shader_source
+from raystream.graphics.shader_source import shader_source, with_early_test
 from raystream.jit.threads import Progress
 from raystream.rendering.integrator import PathStage, RenderContext
 
@@ -115,8 +115,11 @@ class _ModeOnDevice:
             "SPREADS": float(context.sampler.sample_count > 1),
             **mode.constants(context),
         }
+        source = shader_source("rendering/eye_rays.wgsl", mode.shader, instead=instead)
+        if self._rows is not None and self._machine.rays.opened.has_early_test:
+            source = with_early_test(source, "shade")
         return FragmentLoop(
-            shader_source("rendering/eye_rays.wgsl", mode.shader, instead=instead),
+            source,
             constants,
             ("uniform", *("gather",) * len(self._buffers), *("scatter",) * bool(self._rows)),
             self._resources,
