@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.buffers import Buffer, uniform, upload, whole
+from raystream.graphics.buffers import Buffer, uniform, whole
+from raystream.graphics.gather_arrays import BUFFERS, TEXTURES, in_textures, upload_gathers
 from raystream.graphics.packing import ROW, packed_rays
 from raystream.graphics.pipelines import Layout, bind
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
@@ -33,10 +34,13 @@ class RayTextures:
     ----------
     opened : OpenDevice
     shaders : ShaderStructure
+    memory : {"buffers", "textures"}
+        Where the structure's arrays are, see `gather_arrays`.
 
     Attributes
     ----------
     opened : OpenDevice
+    memory : str
     shape : StreamShape
     count : int
         Number of rays.
@@ -48,11 +52,13 @@ class RayTextures:
         The uniform buffer, as a resource.
     """
 
-    def __init__(self, opened: OpenDevice, shaders: ShaderStructure) -> None:
+    def __init__(self, opened: OpenDevice, shaders: ShaderStructure, memory: str = BUFFERS) -> None:
         self.opened = opened
+        self.memory = memory
         self._shaders = shaders
         names = (f"{shaders.name}, array {k}" for k in range(len(shaders.arrays)))
-        self._arrays = upload(opened, zip(names, shaders.arrays, strict=True))
+        arrays = zip(names, shaders.arrays, strict=True)
+        self._arrays = upload_gathers(opened, arrays, memory, shaders.source())
         self._buffers = {name: Buffer(opened, name) for name in ("rows", "tallies", "runs")}
         self._uniform = uniform(opened, shaders.params(np.float32(0.0)))
         self.params = whole(self._uniform)
@@ -93,6 +99,10 @@ class RayTextures:
                 self._buffers[name].write(np.zeros((self.count, 8), np.uint32))
         return is_new
 
+    def rewrite(self, source: str) -> str:
+        """A shader that reads gather arrays where they are."""
+        return in_textures(source) if self.memory == TEXTURES else source
+
     def write_params(self, max_coordinate: np.float32) -> None:
         """Write the uniforms that all rays share."""
         self.write_shared_params(max_coordinate, self.count, self.shape.width)
@@ -118,12 +128,12 @@ class RayTextures:
 
     def layouts(self, kind: Kind, counts: bool) -> list[Layout]:
         """Layouts of the bind groups after the first one."""
-        gathers = ("gather",) * len(self._arrays)
+        gathers = tuple(one.kind for one in self._arrays)
         return [gathers, _BUFFERS] if kind == Kind.MULTI_HIT or counts else [gathers]
 
     def resources(self, kind: Kind, counts: bool) -> list[list[Any]]:
         """Resources of these groups."""
-        own = [buffer.binding for buffer in self._arrays]
+        own = [one.resource for one in self._arrays]
         written = [buffer.binding for buffer in self._buffers.values()]
         return [own, written][: len(self.layouts(kind, counts))]
 

@@ -14,6 +14,7 @@ from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.backend import Chunk, GraphicsBackend
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.gather_arrays import BUFFERS, MEMORIES
 from raystream.graphics.multipass.device_scheduler import DeviceScheduler
 from raystream.graphics.multipass.kernels import kernels_of
 from raystream.graphics.multipass.kernels.brute_constants import TriangleConstants
@@ -94,6 +95,8 @@ class MultipassBackend(GraphicsBackend):
         `intersections` is 1.
     max_passes : int
         Most passes of a chunk of rays.
+    memory : {"buffers", "textures"}
+        Where the structure and the scene are, see `graphics.gather_arrays`.
     rays_at_once : int
         Most rays of a chunk.
 
@@ -119,12 +122,16 @@ class MultipassBackend(GraphicsBackend):
         intersections: int = 1,
         loop: str = "device",
         max_passes: int = MAX_PASSES,
+        memory: str = BUFFERS,
         rays_at_once: int = _RAYS_AT_ONCE,
     ) -> None:
         traversal = kernels_of(structure)
         super().__init__(structure, opened, rays_at_once)
         if loop not in LOOPS:
             raise ValueError(f"loop: expected one of {', '.join(map(repr, LOOPS))}, got {loop!r}")
+        if memory not in MEMORIES:
+            known = ", ".join(map(repr, MEMORIES))
+            raise ValueError(f"memory: expected one of {known}, got {memory!r}")
         self._host_scheduler = make_scheduler(scheduler, threshold)
         if loop == "device" and not isinstance(scheduler, str):
             known = ", ".join(map(repr, SCHEDULERS))
@@ -144,7 +151,7 @@ class MultipassBackend(GraphicsBackend):
         if self._constants is not None:
             self._shaders = self._constants.shaders
         self._latest = Kind.FIRST_HIT
-        self._streams = RayStreams(opened, self._shaders)
+        self._streams = RayStreams(opened, self._shaders, memory)
         self._plans: dict[tuple[Kind, bool, bool], Plan] = {}
         self._device_scheduler: DeviceScheduler | None = None
         self._plan(Kind.FIRST_HIT, False, False)  # raises for a kernel that does not compile
@@ -321,6 +328,7 @@ class MultipassBackend(GraphicsBackend):
                 },
                 rays.layouts(kind, counts),
                 counts,
+                rays.rewrite,
             )
             self._plans[key] = make_plan(self.opened, self._traversal, inputs)
         return self._plans[key]

@@ -65,6 +65,7 @@ class LoopMachine(NamedTuple):
             {"QUERY": float(Kind.FIRST_HIT), "SURFACES": 0.0, **self.constants},
             self.rays.layouts(*_QUERY),
             False,
+            self.rays.rewrite,
         )
         return make_loop_plan(opened, self.traversal, inputs, loop)
 

@@ -61,7 +61,7 @@ def make_loop_plan(
     """
     kernels = loop_kernels(traversal, loop)
     shading = len(kernels) - 1
-    source = inputs.shaders.source(traversal.shader, instead=inputs.instead)
+    source = inputs.rewrite(inputs.shaders.source(traversal.shader, instead=inputs.instead))
     own = [LOOP_LAYOUT, loop.layout]
 
     def draw(

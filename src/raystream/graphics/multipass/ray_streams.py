@@ -28,6 +28,8 @@ class RayStreams:
     ----------
     opened : OpenDevice
     shaders : ShaderStructure
+    memory : str
+        See `RayTextures`.
 
     Attributes
     ----------
@@ -35,9 +37,9 @@ class RayStreams:
     passes : StreamPasses
     """
 
-    def __init__(self, opened: OpenDevice, shaders: ShaderStructure) -> None:
+    def __init__(self, opened: OpenDevice, shaders: ShaderStructure, memory: str) -> None:
         self._opened = opened
-        self.rays = RayTextures(opened, shaders)
+        self.rays = RayTextures(opened, shaders, memory)
         self._resize()
 
     def _resize(self) -> None:

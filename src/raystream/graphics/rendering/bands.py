@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.graphics.buffers import Buffer, uniform, upload, whole
+from raystream.graphics.buffers import uniform, whole
 from raystream.graphics.error_scope import guarded
+from raystream.graphics.gather_arrays import upload_gathers
 from raystream.graphics.multipass.loop_machine import LoopMachine
 from raystream.graphics.multipass.plan import Plan
 from raystream.graphics.multipass.ray_loop import FragmentLoop, LoopStreams
@@ -95,33 +96,37 @@ class _ModeOnDevice:
         self._context, self._mode, self._machine = context, mode, machine
         lights = light_samples(context) if mode.samples_lights else punctual_rows(context)
         arrays = [*surface_arrays(context), ("lights", lights)]
-        self._buffers: list[Buffer] = upload(opened, arrays)
-        self._rows: PathRows | None = None
-        if mode.branches(context) > 1:
-            self._rows = PathRows(opened)
+        self._rows = PathRows(opened) if mode.branches(context) > 1 else None
+        source = self._source()
+        memory = machine.rays.memory
+        self._gathers = upload_gathers(opened, arrays, memory, source, first=1)
         place = BandPlace(0, 0, 0, 1)
         self._uniform = uniform(opened, shading_uniform(context, mode, place))
-        self._loop = self._make_loop()
+        self._loop = self._make_loop(machine.rays.rewrite(source))
         self._plan: Plan = machine.plan(self._loop)
         self._streams: LoopStreams | None = None
         self._place = place
 
-    def _make_loop(self) -> FragmentLoop:
-        context, mode = self._context, self._mode
+    def _source(self) -> str:
         instead = {} if self._rows is None else {"rendering/one_path.wgsl": _ROWS}
+        source = shader_source("rendering/eye_rays.wgsl", self._mode.shader, instead=instead)
+        if self._rows is not None and self._machine.rays.opened.has_early_test:
+            source = with_early_test(source, "shade")
+        return source
+
+    def _make_loop(self, source: str) -> FragmentLoop:
+        context, mode = self._context, self._mode
         constants = {
             "LAST_BOUNCE": float(mode.last_bounce(context)),
             "SAMPLER": float(context.sampler.kind),
             "SPREADS": float(context.sampler.sample_count > 1),
             **mode.constants(context),
         }
-        source = shader_source("rendering/eye_rays.wgsl", mode.shader, instead=instead)
-        if self._rows is not None and self._machine.rays.opened.has_early_test:
-            source = with_early_test(source, "shade")
+        gathers = (one.kind for one in self._gathers)
         return FragmentLoop(
             source,
             constants,
-            ("uniform", *("gather",) * len(self._buffers), *("scatter",) * bool(self._rows)),
+            ("uniform", *gathers, *("scatter",) * bool(self._rows)),
             self._resources,
             mode.spawns(context),
             None if self._rows is None else self._grow,
@@ -129,7 +134,7 @@ class _ModeOnDevice:
 
     def _resources(self) -> list[Any]:
         rows = [] if self._rows is None else [self._rows.binding]
-        return [whole(self._uniform), *(one.binding for one in self._buffers), *rows]
+        return [whole(self._uniform), *(one.resource for one in self._gathers), *rows]
 
     def _write(self, place: BandPlace) -> None:
         self._place = place

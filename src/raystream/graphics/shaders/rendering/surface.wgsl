@@ -82,6 +82,18 @@ fn offset_at(extent: f32, reach: f32) -> f32 {
     return UNIT * units + WORLD_UNIT * shading.world_reach;
 }
 
+// a * b - c * d. A zero has the sign that it has on the CPU: of two frames around a normal, the sign
+// of its third component decides, see around().
+fn cross_part(a: Wide, b: Wide, c: Wide, d: Wide) -> f32 {
+    let difference = wide_cross(a, b, c, d).high;
+    if difference != 0.0 {
+        return difference;
+    }
+    let are_zero = (a.high == 0.0 || b.high == 0.0) && (c.high == 0.0 || d.high == 0.0);
+    let is_below = is_down(a.high) != is_down(b.high) && is_down(c.high) == is_down(d.high);
+    return with_sign(0.0, select(1.0, -1.0, are_zero && is_below));
+}
+
 // The point of a hit; `toward` is the ray's direction.
 fn surface_point(prim_id: u32, u: f32, v: f32, toward: vec3f) -> Point {
     let triangle = triangle_of(prim_id);
@@ -96,9 +108,9 @@ fn surface_point(prim_id: u32, u: f32, v: f32, toward: vec3f) -> Point {
     let y = between(a.y, py, qy, u, v);
     let z = between(a.z, pz, qz, u, v);
     var plane = vec3f(
-        wide_cross(py, qz, pz, qy).high,
-        wide_cross(pz, qx, px, qz).high,
-        wide_cross(px, qy, py, qx).high,
+        cross_part(py, qz, pz, qy),
+        cross_part(pz, qx, px, qz),
+        cross_part(px, qy, py, qx),
     );
     // Scaled before it is normalised: the square of a small area would underflow.
     plane /= largest(abs(plane));
