@@ -80,7 +80,10 @@ def make_loop_plan(
         program = Program(source, one.entry, [LAYOUT, *inputs.layouts], constants)
         commit = Program(_COMMIT, "commit", [LAYOUT])
         stencil = Stencil(one.state)
-        return tuple(draw(each, stencil, STREAMS, one.writes, number) for each in (program, commit))
+        return (
+            draw(program, stencil, STREAMS, one.writes, number),
+            draw(commit, stencil, STREAMS, one.writes, number),
+        )
 
     def classify(number: int, state: int, next_state: int) -> Draw:
         constants: Mapping[str, float] = {"NEXT": float(next_state)}

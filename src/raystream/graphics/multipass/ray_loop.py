@@ -18,8 +18,8 @@ from raystream.graphics.multipass.kernels import STREAMS
 from raystream.graphics.multipass.plan import LAYOUT, STREAM_TYPES
 from raystream.graphics.pipelines import Layout, bind
 from raystream.graphics.ray_textures import RayTextures
-from raystream.graphics.streams.passes import TEXEL_BYTES, Bindings, StreamPasses
-from raystream.graphics.streams.textures import StreamShape, StreamTexture
+from raystream.graphics.streams.passes import Bindings, StreamPasses
+from raystream.graphics.streams.textures import TEXEL_BYTES, StreamShape, StreamTexture
 
 __all__ = [
     "LOOP_LAYOUT",

@@ -60,8 +60,8 @@ def punctual_rows(context: RenderContext) -> NDArray[np.float32]:
 
 def light_samples(context: RenderContext) -> NDArray[np.float32]:
     """The tables of ``light_samples.wgsl``, one after the other."""
-    arrays, _ = context.kept[1]  # type: ignore[misc]
-    points, suns, patches, patch_ends, density, ends = arrays
+    kept: Any = context.kept[1]
+    points, suns, patches, patch_ends, density, ends = kept[0]
     parts = (
         ends,
         np.diff(ends, prepend=0.0),

@@ -40,9 +40,9 @@ def shading_uniform(context: RenderContext, mode: Mode, place: BandPlace) -> byt
     eye = (np.array(camera.eye, np.float64) - frame.center) * scale
     low, high = frame.bounds
     lights, sky = context.punctual, context.punctual.sky
-    most = FAR
+    most = float(FAR)
     if mode.samples_lights:
-        sky, most = context.lights.sky, min(float(options["rules"].clamp), FAR)
+        sky, most = context.lights.sky, min(float(options["rules"].clamp), most)
     counts = context.lights
     words = numbers(
         *map(float, eye - eye.astype(np.float32)),
@@ -54,7 +54,7 @@ def shading_uniform(context: RenderContext, mode: Mode, place: BandPlace) -> byt
         *map(float, lights.ambient),
         float(options.get("min_weight", 0.0)),
         *map(float, sky.color),
-        float(most),
+        most,
         *(place.first_pixel, place.sample, context.sampler.seed, place.pixel_count),
         *(mode.shadow_count(context), int(lights.light_count), place.room),
         int(len(scene.attributes.material_ids) > 0 and context.tables.faces != 0),
