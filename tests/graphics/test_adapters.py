@@ -16,7 +16,9 @@ from raystream.graphics.errors import GraphicsError
 
 def adapter(name, kind, backend="Vulkan"):
     info = {"device": name, "adapter_type": kind, "backend_type": backend, "description": "1.0"}
-    return SimpleNamespace(info=info, limits={"max-buffer-size": 1 << 28, "max-new-thing": 3})
+    limits = {"max-buffer-size": 1 << 28, "max-new-thing": 3}
+    features = {"shader-early-depth-test", "new-thing"}
+    return SimpleNamespace(info=info, limits=limits, features=features)
 
 
 @pytest.fixture
@@ -69,17 +71,20 @@ def test_an_adapter_that_gives_no_device(machine_with):
 
 
 def test_limits_are_asked_for_as_they_are_offered(machine_with):
-    asked = []
+    asked, features = [], []
     generous = adapter("Iris", "IntegratedGPU")
 
-    def give(*, required_limits):
+    def give(*, required_limits, required_features):
         asked.append(required_limits)
-        return SimpleNamespace(limits=required_limits)
+        features.extend(required_features)
+        return SimpleNamespace(limits=required_limits, features=required_features)
 
     generous.request_device_sync = give
     machine_with(generous)
     assert open_device().limits == {"max-buffer-size": 1 << 28}
     assert asked == [{"max-buffer-size": 1 << 28}]
+    assert features == ["shader-early-depth-test"]
+    assert open_device().has_early_test
 
 
 NO_ADAPTER = r"device 'graphics': no Vulkan.* adapter; install .* apt install mesa-vulkan-drivers"

@@ -111,6 +111,9 @@ class Graphics(DeviceOptions):
         occlusion queries.
     max_passes : int, optional
         With the multipass machine, the maximum number of passes of a query.
+    memory : {"buffers", "textures"}
+        With the multipass machine, where shaders read the scene: in storage buffers, or in
+        textures, as the papers' programs did.
     rays_at_once : int, optional
         Maximum number of rays traced together.
 
@@ -126,6 +129,7 @@ class Graphics(DeviceOptions):
     adapter: str | None = None
     loop: Literal["device", "queries"] = "device"
     max_passes: _AtLeastOne = None
+    memory: Literal["buffers", "textures"] = "buffers"
     rays_at_once: _AtLeastOne = None
 
 

@@ -3,8 +3,8 @@
 Vulkan, Metal or Direct3D 12; ``pip install raystream[graphics]``. ``Tracer(device="graphics")``
 has the machines ``"compute"``, the default, ``"branching"`` and ``"multipass"``.
 
-Images by the graphics pipeline itself: `visibility` rasterises, `hybrid` adds ray-traced shadows,
-and `render_bounces` renders shadows and mirrors by fragment programs alone.
+Images by the graphics pipeline itself: with ``machine="multipass"`` a whole renderer is draws of
+fragment programs (`rendering`); `visibility` rasterises, and `hybrid` adds ray-traced shadows.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from raystream.graphics.machines import GRAPHICS_MACHINES
 from raystream.graphics.structures import build_with_shaders
 from raystream.machines.devices import register_device
 
-__all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "render_bounces", "visibility"]
+__all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "visibility"]
 
 register_device("graphics", build_with_shaders, GRAPHICS_MACHINES, Graphics)
 
@@ -26,7 +26,6 @@ _HOMES = {
     "Visibility": "raster",
     "visibility": "raster",
     "hybrid": "shadow_caster",
-    "render_bounces": "bounces",
 }
 
 

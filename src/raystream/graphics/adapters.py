@@ -32,6 +32,10 @@ _LIMITS = (
     "max-color-attachment-bytes-per-sample",
 )
 
+#: Features that are requested where the adapter offers them: fragment programs that write buffers
+#: can have the stencil test before them.
+EARLY_TEST = "shader-early-depth-test"
+
 #: A device that cannot make a buffer of this size is lost.
 _PROBE_BYTES = 16
 
@@ -86,6 +90,8 @@ class OpenDevice:
     device : GPUDevice
     limits : dict of str to int
         The device's limits, by wgpu's names.
+    has_early_test : bool
+        Whether programs that write buffers can have the stencil test before them.
     is_known_lost : bool
         Whether the device was found to be lost.
     lock : RLock
@@ -96,6 +102,7 @@ class OpenDevice:
         self.adapter = adapter
         self.device = device
         self.limits: dict[str, int] = dict(device.limits)
+        self.has_early_test = EARLY_TEST in device.features
         self.is_known_lost = False
         self.lock = threading.RLock()
 
@@ -202,7 +209,10 @@ def _open(adapter: Adapter) -> OpenDevice:
     offered = adapter.handle.limits
     wanted = {limit: offered[limit] for limit in _LIMITS if limit in offered}
     try:
-        device = adapter.handle.request_device_sync(required_limits=wanted)
+        features = [one for one in (EARLY_TEST,) if one in adapter.handle.features]
+        device = adapter.handle.request_device_sync(
+            required_features=features, required_limits=wanted
+        )
     except Exception as error:  # wgpu wraps all errors of a driver
         raise GraphicsError(f"adapter {adapter}: gives no device: {error}") from error
     return OpenDevice(adapter, device)

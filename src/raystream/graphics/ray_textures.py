@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.buffers import Buffer, uniform, upload, whole
+from raystream.graphics.buffers import Buffer, uniform, whole
+from raystream.graphics.gather_arrays import BUFFERS, TEXTURES, in_textures, upload_gathers
 from raystream.graphics.packing import ROW, packed_rays
 from raystream.graphics.pipelines import Layout, bind
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
@@ -33,9 +34,13 @@ class RayTextures:
     ----------
     opened : OpenDevice
     shaders : ShaderStructure
+    memory : {"buffers", "textures"}
+        Where the structure's arrays are, see `gather_arrays`.
 
     Attributes
     ----------
+    opened : OpenDevice
+    memory : str
     shape : StreamShape
     count : int
         Number of rays.
@@ -47,11 +52,13 @@ class RayTextures:
         The uniform buffer, as a resource.
     """
 
-    def __init__(self, opened: OpenDevice, shaders: ShaderStructure) -> None:
-        self._opened = opened
+    def __init__(self, opened: OpenDevice, shaders: ShaderStructure, memory: str = BUFFERS) -> None:
+        self.opened = opened
+        self.memory = memory
         self._shaders = shaders
         names = (f"{shaders.name}, array {k}" for k in range(len(shaders.arrays)))
-        self._arrays = upload(opened, zip(names, shaders.arrays, strict=True))
+        arrays = zip(names, shaders.arrays, strict=True)
+        self._arrays = upload_gathers(opened, arrays, memory, shaders.source())
         self._buffers = {name: Buffer(opened, name) for name in ("rows", "tallies", "runs")}
         self._uniform = uniform(opened, shaders.params(np.float32(0.0)))
         self.params = whole(self._uniform)
@@ -61,12 +68,12 @@ class RayTextures:
     def _resize(self, shape: StreamShape) -> None:
         self.shape = shape
         self.inputs = [
-            StreamTexture(self._opened, "origins", shape, np.float32),
-            StreamTexture(self._opened, "directions", shape, np.float32),
-            StreamTexture(self._opened, "wanted", shape, np.uint32),
+            StreamTexture(self.opened, "origins", shape, np.float32),
+            StreamTexture(self.opened, "directions", shape, np.float32),
+            StreamTexture(self.opened, "wanted", shape, np.uint32),
         ]
-        self.state = StreamTexture(self._opened, "states", shape, np.uint32)
-        self.found = StreamTexture(self._opened, "found", shape, np.float32)
+        self.state = StreamTexture(self.opened, "states", shape, np.uint32)
+        self.found = StreamTexture(self.opened, "found", shape, np.float32)
 
     def load(
         self,
@@ -78,7 +85,7 @@ class RayTextures:
     ) -> bool:
         """Copy rays to the device; returns whether the textures are new ones."""
         self.count = len(wanted)
-        shape = StreamShape.for_count(self.count, self._opened)
+        shape = StreamShape.for_count(self.count, self.opened)
         is_new = shape != self.shape
         if is_new:
             self._resize(shape)
@@ -92,15 +99,22 @@ class RayTextures:
                 self._buffers[name].write(np.zeros((self.count, 8), np.uint32))
         return is_new
 
+    def rewrite(self, source: str) -> str:
+        """A shader that reads gather arrays where they are."""
+        return in_textures(source) if self.memory == TEXTURES else source
+
     def write_params(self, max_coordinate: np.float32) -> None:
         """Write the uniforms that all rays share."""
-        width = self.shape.width
-        params = self._shaders.params(max_coordinate, ray_count=self.count, row_size=width)
-        self._opened.device.queue.write_buffer(self._uniform, 0, params)
+        self.write_shared_params(max_coordinate, self.count, self.shape.width)
+
+    def write_shared_params(self, max_coordinate: np.float32, count: int, width: int) -> None:
+        """Write the uniforms of `count` rays in other textures, `width` in a row."""
+        params = self._shaders.params(max_coordinate, ray_count=count, row_size=width)
+        self.opened.device.queue.write_buffer(self._uniform, 0, params)
 
     def write_tree(self, tree: bytes) -> None:
         """Replace the constants of the structure."""
-        self._opened.device.queue.write_buffer(self._uniform, TREE_AT, tree)
+        self.opened.device.queue.write_buffer(self._uniform, TREE_AT, tree)
 
     @staticmethod
     def instead(kind: Kind, counts: bool) -> dict[str, str]:
@@ -114,19 +128,19 @@ class RayTextures:
 
     def layouts(self, kind: Kind, counts: bool) -> list[Layout]:
         """Layouts of the bind groups after the first one."""
-        gathers = ("gather",) * len(self._arrays)
+        gathers = tuple(one.kind for one in self._arrays)
         return [gathers, _BUFFERS] if kind == Kind.MULTI_HIT or counts else [gathers]
 
     def resources(self, kind: Kind, counts: bool) -> list[list[Any]]:
         """Resources of these groups."""
-        own = [buffer.binding for buffer in self._arrays]
+        own = [one.resource for one in self._arrays]
         written = [buffer.binding for buffer in self._buffers.values()]
         return [own, written][: len(self.layouts(kind, counts))]
 
     def groups(self, kind: Kind, counts: bool) -> list[Any]:
         """These groups, bound."""
         return [
-            bind(self._opened, layout, resources)
+            bind(self.opened, layout, resources)
             for layout, resources in zip(
                 self.layouts(kind, counts), self.resources(kind, counts), strict=True
             )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 
-__all__ = ["shader_source"]
+__all__ = ["shader_source", "with_early_test"]
 
 #: A line that is replaced by a file of the folder, unless it was included before.
 _INCLUDE = re.compile(r'^//! include "([a-z0-9_/]+\.wgsl)"$', re.MULTILINE)
@@ -46,3 +46,12 @@ def shader_source(*names: str, instead: Mapping[str, str] | None = None) -> str:
         return f"// {name}\n{text}"
 
     return "\n".join(included(name) for name in names)
+
+
+def with_early_test(source: str, entry: str) -> str:
+    """A source whose fragment program runs only where the stencil test passes.
+
+    By default the test comes later if a program writes buffers. Needs `OpenDevice.has_early_test`.
+    """
+    begin = f"@fragment\nfn {entry}("
+    return source.replace(begin, f"@early_depth_test(force)\n{begin}")

@@ -108,12 +108,6 @@ class Texture:
             {"texture": self._handle}, {"texture": other._handle}, (*self.size, 1)
         )
 
-    def clear(self, encoder: Any, value: float) -> None:
-        """Fill it with a number."""
-        attachment = {"view": self.view, "clear_value": (value,) * 4}
-        attachment |= {"load_op": "clear", "store_op": "store"}
-        encoder.begin_render_pass(color_attachments=[attachment]).end()
-
 
 def new_texture(
     opened: OpenDevice,

@@ -130,9 +130,10 @@ def render_samples(
     sums = Film(context.width, context.height) if kept is None else kept
     first = sample = int(sums.counts.min())
     started = time.monotonic()
-    if take is None and sample < limits.samples:
-        _compile(renderer, context, sample)
     bands = renderer.bands_of(context)
+    is_serial = bands is not None and bands.is_serial
+    if take is None and sample < limits.samples and not is_serial:
+        _compile(renderer, context, sample)
     if bands is not None:
         bands.start()
     shown = time.monotonic()

@@ -1,4 +1,4 @@
-"""Bounces with an iteration buffer on a current graphics pipeline (Christen 2005, section 5)."""
+"""Bounces without recursion on a current graphics pipeline (Christen 2005, section 5)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from raystream.graphics.bounces import render_bounces
 from raystream.rendering.render import render
 from raystream.tracer import Tracer
 from raystream_lab.christen.scenes import SCENES, christen_scene
@@ -17,8 +16,8 @@ from raystream_lab.timing import median_times
 
 __all__ = ["SIZE", "on_graphics"]
 
-#: Width and height: half of his, since the adapter may be software.
-SIZE = 128
+#: Width and height: a quarter of his, since the adapter may be software.
+SIZE = 64
 
 #: Numbers of iterations, and cells along each axis of the grid.
 _ITERATIONS = (1, 2, 3, 4, 5)
@@ -65,11 +64,11 @@ def on_graphics(runner: Runner) -> Result:
                 ],
                 rows,
                 open_facts("graphics").note,
-                "A pass draws the whole image once. An iteration traces rays with one program "
-                "with loops, shades and reflects them; colour and weight (his equation 5.1) stay "
-                "in textures, without readback before the end. CPU: mode whitted on the same "
-                "grid, single rays. Farthest: maximum difference from that image, in linear "
-                "light.",
+                "A pass runs one kernel over the pixels that wait for it: eye rays, a step of the "
+                "grid, a test, or shading, which spawns the next ray. Colour and weight (his "
+                "equation 5.1) stay in textures, without readback before the end. CPU: mode "
+                "whitted on the same grid, single rays. Farthest: maximum difference from that "
+                "image, in linear light.",
             )
         ],
         plots=[
@@ -90,14 +89,16 @@ def _measure(runner: Runner, letter: str, size: int) -> list[dict[str, Any]]:
     rounds = 1 if runner.quick else _ROUNDS
 
     def measure() -> list[dict[str, Any]]:
-        tracer = Tracer(christen_scene(letter), "grid", resolution=_CELLS)
-        return [_one(tracer, count, size, rounds) for count in iterations]
+        scene = christen_scene(letter)
+        tracer = Tracer(scene, "grid", resolution=_CELLS)
+        passes = Tracer(scene, "grid", "graphics", machine="multipass", resolution=_CELLS)
+        return [_one(passes, tracer, count, size, rounds) for count in iterations]
 
     values: list[dict[str, Any]] = runner.measure(f"{letter}, {size} x {size}", measure)
     return values
 
 
-def _one(tracer: Tracer, iterations: int, size: int, rounds: int) -> dict[str, Any]:
+def _one(passes: Tracer, tracer: Tracer, iterations: int, size: int, rounds: int) -> dict[str, Any]:
     options: dict[str, Any] = {
         "size": (size, size),
         "max_bounces": iterations - 1,
@@ -105,15 +106,15 @@ def _one(tracer: Tracer, iterations: int, size: int, rounds: int) -> dict[str, A
     }
 
     def ours() -> Any:
-        return render_bounces(tracer, **options)
+        return render(passes, "whitted", **options)
 
     def theirs() -> Any:
         return render(tracer, "whitted", **options)
 
     image, reference = ours(), theirs()  # compiles
     return {
-        "iterations": image.figures["iterations"],
-        "passes": image.figures["passes"],
+        "iterations": iterations,
+        "passes": sum(image.figures["passes"].values()),
         "farthest": float(np.abs(image.pixels - reference.pixels).max()),
         **median_times({"seconds": ours, "cpu_seconds": theirs}, rounds, warm_up=False),
     }

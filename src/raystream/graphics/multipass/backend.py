@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import operator
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,11 @@ from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.backend import Chunk, GraphicsBackend
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.gather_arrays import BUFFERS, MEMORIES
 from raystream.graphics.multipass.device_scheduler import DeviceScheduler
 from raystream.graphics.multipass.kernels import kernels_of
 from raystream.graphics.multipass.kernels.brute_constants import TriangleConstants
+from raystream.graphics.multipass.loop_machine import LoopMachine
 from raystream.graphics.multipass.loops import (
     MOST_PASSES,
     Batch,
@@ -25,7 +27,9 @@ from raystream.graphics.multipass.loops import (
     run_on_device,
 )
 from raystream.graphics.multipass.plan import Plan, PlanInputs, make_plan
+from raystream.graphics.multipass.ray_loop import LoopStreams, has_targets
 from raystream.graphics.multipass.ray_streams import RayStreams
+from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.graphics.termination import ENDLESS, hit_counts
 from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Capabilities
@@ -40,6 +44,10 @@ from raystream.machines.steps import steps_of
 from raystream.machines.steps.base import StepKernel
 from raystream.streams import Pass
 from raystream.structures import Structure
+
+if TYPE_CHECKING:
+    from raystream.graphics.rendering import FragmentBands
+    from raystream.rendering.integrator import RenderContext
 
 __all__ = ["LOOPS", "MAX_PASSES", "MultipassBackend"]
 
@@ -87,6 +95,8 @@ class MultipassBackend(GraphicsBackend):
         `intersections` is 1.
     max_passes : int
         Most passes of a chunk of rays.
+    memory : {"buffers", "textures"}
+        Where the structure and the scene are, see `graphics.gather_arrays`.
     rays_at_once : int
         Most rays of a chunk.
 
@@ -99,7 +109,7 @@ class MultipassBackend(GraphicsBackend):
         If an option is out of range.
     """
 
-    capabilities = Capabilities(passes=True)
+    capabilities = Capabilities(passes=True, shading=True)
 
     def __init__(
         self,
@@ -112,12 +122,16 @@ class MultipassBackend(GraphicsBackend):
         intersections: int = 1,
         loop: str = "device",
         max_passes: int = MAX_PASSES,
+        memory: str = BUFFERS,
         rays_at_once: int = _RAYS_AT_ONCE,
     ) -> None:
         traversal = kernels_of(structure)
         super().__init__(structure, opened, rays_at_once)
         if loop not in LOOPS:
             raise ValueError(f"loop: expected one of {', '.join(map(repr, LOOPS))}, got {loop!r}")
+        if memory not in MEMORIES:
+            known = ", ".join(map(repr, MEMORIES))
+            raise ValueError(f"memory: expected one of {known}, got {memory!r}")
         self._host_scheduler = make_scheduler(scheduler, threshold)
         if loop == "device" and not isinstance(scheduler, str):
             known = ", ".join(map(repr, SCHEDULERS))
@@ -137,7 +151,7 @@ class MultipassBackend(GraphicsBackend):
         if self._constants is not None:
             self._shaders = self._constants.shaders
         self._latest = Kind.FIRST_HIT
-        self._streams = RayStreams(opened, self._shaders)
+        self._streams = RayStreams(opened, self._shaders, memory)
         self._plans: dict[tuple[Kind, bool, bool], Plan] = {}
         self._device_scheduler: DeviceScheduler | None = None
         self._plan(Kind.FIRST_HIT, False, False)  # raises for a kernel that does not compile
@@ -235,6 +249,50 @@ class MultipassBackend(GraphicsBackend):
         scheduler.begin(rays.count, rays.shape, self._streams.passes.stencil)
         return run_on_device(work, scheduler, inner)
 
+    def loop_machine(self) -> LoopMachine:
+        """The machine as renderers' loops run on it."""
+        constants = {
+            "TRAVERSAL_STEPS": float(self.traversal_steps),
+            "INTERSECTIONS": float(self.intersections),
+            **self._shaders.constants,
+        }
+        return LoopMachine(
+            self._traversal,
+            self._shaders,
+            self._streams.rays,
+            self.structure.triangles.max_coordinate,
+            constants,
+            self._loop_batches,
+            self.max_passes,
+        )
+
+    def _loop_batches(
+        self, work: Work, kernels: Sequence[FragmentKernel], streams: LoopStreams
+    ) -> Iterator[Batch]:
+        """The passes of a renderer's loop: its shading spawns rays."""
+        if self.loop == "queries":
+            return run_by_queries(work, self._host_scheduler, self._steps.kernels)
+        scheduler = DeviceScheduler(
+            self.opened,
+            kernels,
+            str(self._scheduler),
+            self._threshold,
+            MOST_PASSES,
+            spawns=work.spawns,
+        )
+        scheduler.begin(streams.count, streams.shape, streams.passes.stencil)
+        last = len(kernels) - 1
+        is_last = self._scheduler in _SHADE_LAST and not work.spawns
+        return run_on_device(work, scheduler, range(not work.spawns, last if is_last else last + 1))
+
+    def bands_on_device(self, context: RenderContext) -> FragmentBands | None:
+        """Render samples of an image in loops; see `Tracer.bands_on_device`."""
+        if self._constants is not None or not has_targets(self.opened):
+            return None
+        from raystream.graphics.rendering import FragmentBands
+
+        return FragmentBands(context, self.loop_machine(), self.rays_at_once)
+
     def _pass(self, number: int, active: int) -> Pass:
         """The counters of a pass: records are texels."""
         one = self._traversal.kernels[number]
@@ -270,6 +328,7 @@ class MultipassBackend(GraphicsBackend):
                 },
                 rays.layouts(kind, counts),
                 counts,
+                rays.rewrite,
             )
             self._plans[key] = make_plan(self.opened, self._traversal, inputs)
         return self._plans[key]

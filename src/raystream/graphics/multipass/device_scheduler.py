@@ -28,7 +28,8 @@ __all__ = ["DeviceScheduler", "ScheduledPasses"]
 
 _LAYOUT = ("uint", "scatter", "uniform", "gather")
 
-#: Words of Schedule: arguments of eight draws, 16 counts, then latest, pass_count, active_count.
+#: Words of Schedule: arguments of eight draws, 16 counts, then latest, pass_count, active_count,
+#: stuck_count.
 _COUNTS_AT, _LATEST_AT, _HEAD_WORDS = 32, 48, 52
 
 #: Most kernels, see schedule.wgsl.
@@ -47,10 +48,13 @@ class ScheduledPasses(NamedTuple):
         The number of a kernel, and the rays that it ran on.
     active_count : int
         Active rays before the last of them.
+    stuck_count : int
+        Rays that wait for more room, see `RayState.NO_ROOM`.
     """
 
     passes: list[tuple[int, int]]
     active_count: int
+    stuck_count: int
 
 
 class DeviceScheduler:
@@ -64,6 +68,10 @@ class DeviceScheduler:
         A name of `machines.schedulers.SCHEDULERS`.
     share : float
         For ``"threshold"``.
+    most_passes : int
+        Passes between two calls of `read`.
+    spawns : bool
+        Whether shading spawns rays, see `machines.schedulers.Queues`.
 
     Attributes
     ----------
@@ -78,11 +86,13 @@ class DeviceScheduler:
         scheduler: str,
         share: float,
         most_passes: int,
+        spawns: bool = False,
     ) -> None:
         if len(kernels) > _MOST_KERNELS:
             raise GraphicsError(f"multipass: {len(kernels)} kernels, and room for {_MOST_KERNELS}")
         self._opened = opened
         self._share = share
+        self._spawns = spawns
         self._scheduler = SCHEDULERS.index(scheduler)
         self._states: list[int] = [int(one.state) for one in kernels]
         tests = sum(
@@ -134,13 +144,19 @@ class DeviceScheduler:
         size = 4 * (_HEAD_WORDS + 2 * min(most, self._most_passes))
         memory = self._opened.device.queue.read_buffer(self.arguments, 0, size)
         words: NDArray[np.uint32] = np.frombuffer(memory, np.uint32)
-        pass_count, active_count = words[_LATEST_AT + 1 : _LATEST_AT + 3].tolist()
+        pass_count, active_count, stuck_count = words[_LATEST_AT + 1 : _LATEST_AT + 4].tolist()
         ran = words[_HEAD_WORDS:].reshape(-1, 2)[:pass_count].tolist()
-        return ScheduledPasses([(kernel, count) for kernel, count in ran], active_count)
+        return ScheduledPasses(
+            [(kernel, count) for kernel, count in ran], active_count, stuck_count
+        )
 
     def _pipeline(self, entry: str, encoded: int) -> Any:
         name = "multipass/schedule.wgsl"
-        constants = {"SCHEDULER": float(self._scheduler), "ENCODED": float(encoded)}
+        constants = {
+            "SCHEDULER": float(self._scheduler),
+            "SPAWNS": float(self._spawns),
+            "ENCODED": float(encoded),
+        }
         program = Program(shader_source(name), entry, [_LAYOUT], constants)
         return compute_pipeline(self._opened, name, program)
 

@@ -12,7 +12,8 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass.device_scheduler import DeviceScheduler
 from raystream.graphics.multipass.plan import Plan
-from raystream.graphics.streams.passes import Bindings, StreamPasses
+from raystream.graphics.streams.passes import Bindings, Draw, StreamPasses
+from raystream.machines.records import RayState
 from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel
 
@@ -38,6 +39,11 @@ class Work:
         Number of rays.
     prepare : callable
         Called with the kernel before each pass that the host chooses.
+    resumes : Draw, optional
+        Moves `count` rays to the last kernel, where an earlier run has left them; else all begin
+        with the first.
+    spawns : bool
+        Whether shading spawns rays, see `machines.schedulers.Queues`.
     """
 
     opened: OpenDevice
@@ -46,6 +52,15 @@ class Work:
     bind: Bindings
     count: int
     prepare: Callable[[StepKernel], None] = lambda _kernel: None
+    resumes: Draw | None = None
+    spawns: bool = False
+
+    def begin(self, encoder: Any, queries: Any) -> None:
+        """Encode what comes before the first pass; query 0 counts the rays."""
+        if self.resumes is None:
+            self.streams.begin(encoder, self.plan.begin, self.bind, queries)
+        else:
+            self.streams.move(encoder, self.resumes, self.bind, queries)
 
 
 @dataclass(frozen=True)
@@ -60,11 +75,14 @@ class Batch:
         Active rays before the last of them.
     draw_count : int
         Encoded draws, many of which may have drawn nothing.
+    stuck_count : int
+        Rays that wait for more room, see `RayState.NO_ROOM`.
     """
 
     passes: list[tuple[int, int]]
     active_count: int
     draw_count: int
+    stuck_count: int = 0
 
 
 def run_on_device(
@@ -84,7 +102,7 @@ def run_on_device(
     device, plan = work.opened.device, work.plan
     inner_plan, length = plan.part(inner), _FIRST_PASSES
     encoder = device.create_command_encoder()
-    work.streams.begin(encoder, plan.begin, work.bind, None)
+    work.begin(encoder, None)
     draw_count = len(plan.begin)
     while True:
         device_scheduler.clear_record(encoder)
@@ -103,7 +121,7 @@ def run_on_device(
             )
         device.queue.submit([encoder.finish()])
         decided = device_scheduler.read(length)
-        yield Batch(decided.passes, decided.active_count, draw_count)
+        yield Batch(decided.passes, decided.active_count, draw_count, decided.stuck_count)
         if decided.active_count == 0:
             return
         draw_count = 0
@@ -148,17 +166,18 @@ def run_by_queries(
     device, plan = work.opened.device, work.plan
     counts = _Counts(work.opened, max(1, len(plan.classifies)))
     encoder = device.create_command_encoder()
-    work.streams.begin(encoder, plan.begin, work.bind, counts.queries)
+    work.begin(encoder, counts.queries)
     (begun,) = counts.read(encoder, 1)
     _check(work, begun == work.count, f"{begun:,} for {work.count:,} fragments")
     number_of = {int(one.state): number for number, one in enumerate(kernels)}
     waiting = [0] * len(kernels)
-    waiting[0] = begun
+    waiting[0 if work.resumes is None else -1] = begun
+    stuck_count = 0
     latest: int | None = None
     draw_count = len(plan.begin)
     parts = [plan.part([number]) for number in range(len(kernels))]
     while any(waiting):
-        latest = scheduler.choose(Queues(kernels, tuple(waiting), latest))
+        latest = scheduler.choose(Queues(kernels, tuple(waiting), latest, work.spawns))
         part = parts[latest]
         work.prepare(kernels[latest])
         encoder = device.create_command_encoder()
@@ -177,7 +196,9 @@ def run_by_queries(
         for state, count in zip(part.next_states, moved, strict=True):
             if state in number_of:
                 waiting[number_of[state]] += count
-        yield Batch([(latest, active)], active_count, draw_count + part.draw_count)
+            elif state == RayState.NO_ROOM:
+                stuck_count += count
+        yield Batch([(latest, active)], active_count, draw_count + part.draw_count, stuck_count)
         draw_count = 0
 
 

@@ -45,6 +45,8 @@ class PlanInputs(NamedTuple):
         Of the bind groups after the first one.
     counts : bool
         Whether programs count.
+    rewrite : callable
+        See `RayTextures.rewrite`.
     """
 
     shaders: ShaderStructure
@@ -52,6 +54,7 @@ class PlanInputs(NamedTuple):
     constants: Mapping[str, float]
     layouts: Sequence[Layout]
     counts: bool
+    rewrite: Callable[[str], str]
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,9 @@ class _PlanBuilder:
         self.groups = groups_of(STREAMS, opened)
         shaders = inputs.shaders
         self._sources = self._sources_of(
-            lambda instead: shaders.source(traversal.shader, instead={**inputs.instead, **instead})
+            lambda instead: inputs.rewrite(
+                shaders.source(traversal.shader, instead={**inputs.instead, **instead})
+            )
         )
         # Independent of the structure and the query.
         self._shared_sources = self._sources_of(

@@ -28,6 +28,8 @@ class RayStreams:
     ----------
     opened : OpenDevice
     shaders : ShaderStructure
+    memory : str
+        See `RayTextures`.
 
     Attributes
     ----------
@@ -35,9 +37,9 @@ class RayStreams:
     passes : StreamPasses
     """
 
-    def __init__(self, opened: OpenDevice, shaders: ShaderStructure) -> None:
+    def __init__(self, opened: OpenDevice, shaders: ShaderStructure, memory: str) -> None:
         self._opened = opened
-        self.rays = RayTextures(opened, shaders)
+        self.rays = RayTextures(opened, shaders, memory)
         self._resize()
 
     def _resize(self) -> None:
@@ -71,7 +73,7 @@ class RayStreams:
             for textures in (self.passes.streams, self.passes.scratch)
         ]
 
-        def bind_all(run: Any, is_commit: bool) -> None:
+        def bind_all(run: Any, is_commit: bool, _: int) -> None:
             for number, group in enumerate((first[is_commit], *rest)):
                 run.set_bind_group(number, group)
 

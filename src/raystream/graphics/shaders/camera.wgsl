@@ -35,11 +35,18 @@ fn wide_root(square: Wide) -> Wide {
     return ordered_sum(guess, rounded(rest.high / rounded(2.0 * guess)));
 }
 
-// Unit vector from the eye through a pixel's centre: column + 1/2, row + 1/2.
-fn eye_direction(view: View, pixel: vec2f) -> vec3f {
+struct WideVector {
+    x: Wide,
+    y: Wide,
+    z: Wide,
+}
+
+// Vector from the eye to a place of the image one unit ahead; columns right of and rows below the
+// image's centre.
+fn eye_vector(view: View, columns: Wide, rows: Wide) -> WideVector {
     let scale = Wide(view.scale, view.scale_low);
-    let across = times(pixel.x - 0.5 * view.width, scale);
-    let down = times(pixel.y - 0.5 * view.height, scale);
+    let across = wide_product(columns, scale);
+    let down = wide_product(rows, scale);
     let x = view_axis(
         Wide(view.right.x, view.right_low.x),
         Wide(view.up.x, view.up_low.x),
@@ -61,9 +68,26 @@ fn eye_direction(view: View, pixel: vec2f) -> vec3f {
         across,
         down,
     );
-    let square = wide_sum(wide_sum(wide_product(x, x), wide_product(y, y)), wide_product(z, z));
+    return WideVector(x, y, z);
+}
+
+fn wide_unit(v: WideVector) -> vec3f {
+    let square = wide_sum(
+        wide_sum(wide_product(v.x, v.x), wide_product(v.y, v.y)),
+        wide_product(v.z, v.z),
+    );
     let length = wide_root(square);
-    return vec3f(wide_quotient(x, length), wide_quotient(y, length), wide_quotient(z, length));
+    return vec3f(
+        wide_quotient(v.x, length),
+        wide_quotient(v.y, length),
+        wide_quotient(v.z, length),
+    );
+}
+
+// Unit vector from the eye through a pixel's centre: column + 1/2, row + 1/2.
+fn eye_direction(view: View, pixel: vec2f) -> vec3f {
+    let columns = Wide(pixel.x - 0.5 * view.width, 0.0);
+    return wide_unit(eye_vector(view, columns, Wide(pixel.y - 0.5 * view.height, 0.0)));
 }
 
 // The power of two that brings the largest component into [1, 2), as ray.wgsl requires.

@@ -16,9 +16,9 @@ from raystream.graphics.streams.textures import (
 
 __all__ = ["Bindings", "Draw", "StreamPasses", "groups_of"]
 
-#: Binds a program's resources in a render pass: with the scratch textures of streams if the flag is
-#: set, else with the streams.
-Bindings = Callable[[Any, bool], None]
+#: Binds the resources of a group's programs in a render pass: with the scratch textures of streams
+#: if the flag is set, else with the streams. The number is the group's.
+Bindings = Callable[[Any, bool, int], None]
 
 
 class Draw(NamedTuple):
@@ -62,6 +62,8 @@ class StreamPasses:
         All that kernels write, in the order of their targets.
     dtypes : mapping of str to dtype
         Of each.
+    groups : sequence of sequence of str, optional
+        Streams that are drawn to at once [default: `groups_of` all].
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class StreamPasses:
         shape: StreamShape,
         streams: Mapping[str, StreamTexture],
         dtypes: Mapping[str, Any],
+        groups: Sequence[Sequence[str]] | None = None,
     ) -> None:
         self._shape = shape
         self.streams = dict(streams)
@@ -78,7 +81,7 @@ class StreamPasses:
             for name, dtype in dtypes.items()
         }
         self.stencil = StencilTexture(opened, shape)
-        self.groups = groups_of(list(streams), opened)
+        self.groups = groups_of(list(streams), opened) if groups is None else groups
 
     def begin(self, encoder: Any, draws: Sequence[Draw], bind: Bindings, queries: Any) -> None:
         """Clear all, and run the program that sets the first state of records.
@@ -87,17 +90,33 @@ class StreamPasses:
         ----------
         encoder : GPUCommandEncoder
         draws : sequence of Draw
-            One for each group of targets.
+            One for each of the first groups of targets.
         bind : callable
         queries : GPUQuerySet or None
             Query 0 counts the records.
         """
-        for number, (group, draw) in enumerate(zip(self.groups, draws, strict=True)):
+        for number, (group, draw) in enumerate(zip(self.groups, draws, strict=False)):
             run = self._pass(encoder, self.streams, group, "clear", queries)
-            bind(run, True)
-            is_asked = queries is not None and number == len(self.groups) - 1
+            bind(run, True, number)
+            is_asked = queries is not None and number == len(draws) - 1
             _draw(run, draw, None, 0 if is_asked else None)
             run.end()
+
+    def move(self, encoder: Any, draw: Draw, bind: Bindings, queries: Any) -> None:
+        """Move records from one state to another by a draw that writes no stream.
+
+        Parameters
+        ----------
+        encoder, bind, queries
+            See `begin`.
+        draw : Draw
+            For the last group of targets.
+        """
+        last = len(self.groups) - 1
+        run = self._pass(encoder, self.streams, self.groups[last], "load", queries)
+        bind(run, True, last)
+        _draw(run, draw, None, None if queries is None else 0)
+        run.end()
 
     def run(
         self,
@@ -124,18 +143,23 @@ class StreamPasses:
         queries : GPUQuerySet, optional
             Query i counts the records that the i-th of `classifies` moves.
         """
-        for group, draws in zip(self.groups, kernels, strict=True):
+        for number, (group, draws) in enumerate(zip(self.groups, kernels, strict=True)):
+            if not draws:
+                continue
             run = self._pass(encoder, self.scratch, group, "read")
-            bind(run, False)
+            bind(run, False, number)
             for draw in draws:
                 _draw(run, draw, arguments)
             run.end()
         for number, (group, draws) in enumerate(zip(self.groups, commits, strict=True)):
+            is_last = number == len(self.groups) - 1
+            if not draws and not is_last:
+                continue
             run = self._pass(encoder, self.streams, group, "load", queries)
-            bind(run, True)
+            bind(run, True, number)
             for draw in draws:
                 _draw(run, draw, arguments)
-            if number == len(self.groups) - 1:
+            if is_last:
                 for place, draw in enumerate(classifies):
                     _draw(run, draw, arguments, None if queries is None else place)
             run.end()

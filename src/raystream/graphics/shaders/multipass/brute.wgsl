@@ -14,7 +14,7 @@ fn set_up(@builtin(position) position: vec4f) -> Targets {
     let ray = ray_at(texel);
     found.t_far = ray.t_max;
     let is_active = params.tree.triangle_count != 0u && ray.t_min <= ray.t_max;
-    return end_kernel(texel, select(DONE, INTERSECTING, is_active), vec4u(), vec4f());
+    return end_kernel(texel, select(end_state(), INTERSECTING, is_active), vec4u(), vec4f());
 }
 
 // Test a triangle.

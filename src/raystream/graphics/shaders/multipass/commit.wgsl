@@ -61,3 +61,7 @@ fn classify(@builtin(position) position: vec4f) {
         discard;
     }
 }
+
+// Keep all fragments: rays in one state, which the stencil operation moves to another.
+@fragment
+fn resume(@builtin(position) position: vec4f) {}

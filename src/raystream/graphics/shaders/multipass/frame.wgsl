@@ -8,6 +8,9 @@ override KERNEL: u32 = 0u;
 override TRAVERSAL_STEPS: u32 = 1u;
 override INTERSECTIONS: u32 = 1u;
 
+// Whether rays without hits are shaded, too: in a renderer's loop.
+override SHADES_ALL: bool = false;
+
 //! include "fragment/frame.wgsl"
 //! include "multipass/states.wgsl"
 
@@ -27,6 +30,9 @@ fn begin_kernel(texel: vec2i, waits_for: u32) -> bool {
     let hit = textureLoad(founds, texel, 0);
     let wish = textureLoad(wanted, texel, 0);
     found = SearchState(hit.w, state.y, wish.y, wish.x, hit.x, hit.y, hit.z, bitcast<i32>(state.z), state.w);
+    if waits_for == STARTING {
+        begin_search_state(FAR, wish.x, wish.y);
+    }
     return state.x == waits_for;
 }
 
@@ -43,6 +49,9 @@ fn count_step() -> bool {
 
 // The state of a ray whose search has ended.
 fn end_state() -> u32 {
+    if SHADES_ALL {
+        return SHADING;
+    }
     if QUERY == FIRST_HIT {
         return select(SHADING, DONE, found.prim_id == MISS);
     }

@@ -90,7 +90,7 @@ fn set_up(@builtin(position) position: vec4f) -> Targets {
     let part = enter_grid(ray);
     let is_active = params.tree.triangle_count != 0u && part.t_in <= part.t_out;
     if !is_active {
-        return end_kernel(texel, DONE, vec4u(), vec4f());
+        return end_kernel(texel, end_state(), vec4u(), vec4f());
     }
     found.t_far = part.t_out;
     let lattice = coarse_cells();

@@ -41,7 +41,7 @@ fn begin_at_root(@builtin(position) position: vec4f) -> Targets {
     found.t_far = ray.t_max;
     let state = initialize(ray);
     if !(ray.t_min <= ray.t_max) || !is_active(state) {
-        return end_kernel(texel, DONE, vec4u(), vec4f());
+        return end_kernel(texel, end_state(), vec4u(), vec4f());
     }
     return end_at(texel, downward(state), Place(state, NO_TRIANGLES));
 }

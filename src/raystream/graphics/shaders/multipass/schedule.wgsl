@@ -27,7 +27,8 @@ struct Schedule {
     pass_count: u32,
     // Rays that wait for any kernel.
     active_count: u32,
-    padding: u32,
+    // Rays that wait for more room.
+    stuck_count: u32,
     passes: array<Pass>,
 }
 
@@ -49,7 +50,12 @@ const NAIVE: u32 = 1u;
 const MOST_WORK: u32 = 2u;
 const DOUBLE: u32 = 3u;
 
+// The state of rays that wait for more room; see states.wgsl.
+const NO_ROOM: u32 = 9u;
+
 override SCHEDULER: u32 = THRESHOLD;
+// Whether shading spawns rays: then it is chosen like the kernels that do not intersect.
+override SPAWNS: bool = false;
 // Bit k: the host has encoded draws of kernel k. If another one is chosen, it waits.
 override ENCODED: u32 = 0xffu;
 
@@ -93,13 +99,18 @@ fn shading() -> u32 {
     return kernels.count - 1u;
 }
 
-// The kernel with the most rays, the first one on ties: of all, or of those that neither intersect
-// nor shade. NO_KERNEL if no ray waits.
+// The number of kernels that search: those before shading, which is one of them if it spawns rays.
+fn searching_kernels() -> u32 {
+    return kernels.count - select(1u, 0u, SPAWNS);
+}
+
+// The kernel with the most rays, the first one on ties: of all, or of those that search and do not
+// intersect. NO_KERNEL if no ray waits.
 fn fullest(is_of_others: bool) -> u32 {
     var best = NO_KERNEL;
     var most = 0u;
     for (var k = 0u; k < kernels.count; k++) {
-        let is_left_out = is_of_others && (is_test(k) || k == shading());
+        let is_left_out = is_of_others && (is_test(k) || k >= searching_kernels());
         if !is_left_out && waiting_for(k) > most {
             best = k;
             most = waiting_for(k);
@@ -119,7 +130,7 @@ fn first_test() -> u32 {
 
 fn last_other() -> u32 {
     var last = NO_KERNEL;
-    for (var k = 0u; k < shading(); k++) {
+    for (var k = 0u; k < searching_kernels(); k++) {
         if !is_test(k) && waiting_for(k) != 0u {
             last = k;
         }
@@ -139,7 +150,7 @@ fn choose_naive() -> u32 {
 fn choose_by_threshold(active_count: u32) -> u32 {
     let test = first_test();
     let other = fullest(true);
-    let searching = active_count - waiting_for(shading());
+    let searching = active_count - select(waiting_for(shading()), 0u, SPAWNS);
     if test != NO_KERNEL && (other == NO_KERNEL || waiting_for(test) >= least[searching]) {
         return test;
     }
@@ -180,6 +191,7 @@ fn decide() {
         schedule.arguments[k] = Arguments(3u, 0u, 0u, 0u);
     }
     schedule.active_count = active_count;
+    schedule.stuck_count = atomicLoad(&schedule.waiting[NO_ROOM]);
     if active_count != 0u {
         let chosen = choose(active_count);
         if ((ENCODED >> chosen) & 1u) != 0u {

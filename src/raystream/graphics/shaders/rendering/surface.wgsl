@@ -1,13 +1,13 @@
 // Surface points at hits. As raystream/rendering/shading/surface_points.py, with Wide for float64
 // where it matters: for positions on a triangle, and off it.
 
-@group(1) @binding(0) var<storage, read> corners: array<f32>;
+@group(1) @binding(1) var<storage, read> corners: array<f32>;
 // Vertex indices, three for each triangle; empty if no mesh has attributes.
-@group(1) @binding(1) var<storage, read> faces: array<u32>;
+@group(1) @binding(2) var<storage, read> faces: array<u32>;
 // Of each vertex: normal, zero where a mesh has none; colour; texture coordinates.
-@group(1) @binding(2) var<storage, read> vertices: array<f32>;
-@group(1) @binding(3) var<storage, read> material_ids: array<u32>;
-@group(1) @binding(4) var<storage, read> materials: array<f32>;
+@group(1) @binding(3) var<storage, read> vertices: array<f32>;
+@group(1) @binding(4) var<storage, read> material_ids: array<u32>;
+@group(1) @binding(5) var<storage, read> materials: array<f32>;
 
 // As raystream/core/spawn.py.
 const UNIT: f32 = 0x1p-24;
@@ -16,7 +16,7 @@ const WORLD_UNIT: f32 = 0x1p-50;
 // Texture coordinates of a mesh without any.
 const UNKNOWN: f32 = 1e30;
 
-//! include "bounces/ray_record.wgsl"
+//! include "rendering/shading.wgsl"
 //! include "triangle.wgsl"
 //! include "vertices.wgsl"
 
@@ -54,7 +54,7 @@ fn vertex_of(number: u32) -> Vertex {
 
 // Attributes interpolated between a triangle's vertices.
 fn attributes_at(prim_id: u32, u: f32, v: f32) -> Vertex {
-    if params.has_attributes == 0u {
+    if shading.has_attributes == 0u {
         return Vertex(vec3f(0.0), vec3f(1.0), vec2f(UNKNOWN));
     }
     let a = vertex_of(faces[3u * prim_id]);
@@ -79,7 +79,19 @@ fn between(a: f32, p: Wide, q: Wide, u: f32, v: f32) -> Wide {
 
 fn offset_at(extent: f32, reach: f32) -> f32 {
     let units = min(16.0 * extent + 4.0 * reach, 14.0 * (params.max_coordinate + reach));
-    return UNIT * units + WORLD_UNIT * params.world_reach;
+    return UNIT * units + WORLD_UNIT * shading.world_reach;
+}
+
+// a * b - c * d. A zero has the sign that it has on the CPU: of two frames around a normal, the sign
+// of its third component decides, see around().
+fn cross_part(a: Wide, b: Wide, c: Wide, d: Wide) -> f32 {
+    let difference = wide_cross(a, b, c, d).high;
+    if difference != 0.0 {
+        return difference;
+    }
+    let are_zero = (a.high == 0.0 || b.high == 0.0) && (c.high == 0.0 || d.high == 0.0);
+    let is_below = is_down(a.high) != is_down(b.high) && is_down(c.high) == is_down(d.high);
+    return with_sign(0.0, select(1.0, -1.0, are_zero && is_below));
 }
 
 // The point of a hit; `toward` is the ray's direction.
@@ -96,9 +108,9 @@ fn surface_point(prim_id: u32, u: f32, v: f32, toward: vec3f) -> Point {
     let y = between(a.y, py, qy, u, v);
     let z = between(a.z, pz, qz, u, v);
     var plane = vec3f(
-        wide_cross(py, qz, pz, qy).high,
-        wide_cross(pz, qx, px, qz).high,
-        wide_cross(px, qy, py, qx).high,
+        cross_part(py, qz, pz, qy),
+        cross_part(pz, qx, px, qz),
+        cross_part(px, qy, py, qx),
     );
     // Scaled before it is normalised: the square of a small area would underflow.
     plane /= largest(abs(plane));
@@ -129,11 +141,16 @@ fn facing(smooth_normal: vec3f, plane: vec3f, toward: vec3f) -> vec3f {
 }
 
 // Origin of a ray that leaves a point in a direction, local frame.
-fn spawned(point: Point, toward: vec3f) -> vec3f {
+fn wide_origin(point: Point, toward: vec3f) -> WideVector {
     let away = select(point.offset, -point.offset, dot(point.plane, toward) < 0.0);
-    return vec3f(
-        wide_sum(point.x, exact_product(away, point.plane.x)).high,
-        wide_sum(point.y, exact_product(away, point.plane.y)).high,
-        wide_sum(point.z, exact_product(away, point.plane.z)).high,
+    return WideVector(
+        wide_sum(point.x, exact_product(away, point.plane.x)),
+        wide_sum(point.y, exact_product(away, point.plane.y)),
+        wide_sum(point.z, exact_product(away, point.plane.z)),
     );
+}
+
+fn spawned(point: Point, toward: vec3f) -> vec3f {
+    let origin = wide_origin(point, toward);
+    return vec3f(origin.x.high, origin.y.high, origin.z.high);
 }

@@ -2,7 +2,7 @@
 
 // For each material: first texel, width, height, and 1 if it is clamped; all zero without a
 // texture. Then the texels: sRGB and an unused byte.
-@group(1) @binding(5) var<storage, read> texels: array<u32>;
+@group(1) @binding(6) var<storage, read> texels: array<u32>;
 
 // The texel at an index of -1 to `size`.
 fn wrapped(index: i32, size: i32, is_clamped: bool) -> i32 {
@@ -16,7 +16,7 @@ fn linear_of(share: f32) -> f32 {
     return select(pow((share + 0.055) / 1.055, 2.4), share / 12.92, share <= 0.04045);
 }
 
-fn texel_at(first: u32, width: i32, column: i32, row: i32) -> vec3f {
+fn bitmap_texel(first: u32, width: i32, column: i32, row: i32) -> vec3f {
     let color = unpack4x8unorm(texels[first + u32(row * width + column)]);
     return vec3f(linear_of(color.x), linear_of(color.y), linear_of(color.z));
 }
@@ -37,10 +37,10 @@ fn texture_color(material: u32, texcoord: vec2f) -> vec3f {
     let right = wrapped(i32(corner.x) + 1, size.x, is_clamped);
     let top = wrapped(i32(corner.y), size.y, is_clamped);
     let bottom = wrapped(i32(corner.y) + 1, size.y, is_clamped);
-    let upper_left = texel_at(first, size.x, left, top);
-    let upper_right = texel_at(first, size.x, right, top);
-    let lower_left = texel_at(first, size.x, left, bottom);
-    let lower_right = texel_at(first, size.x, right, bottom);
+    let upper_left = bitmap_texel(first, size.x, left, top);
+    let upper_right = bitmap_texel(first, size.x, right, top);
+    let lower_left = bitmap_texel(first, size.x, left, bottom);
+    let lower_right = bitmap_texel(first, size.x, right, bottom);
     let upper = mix(upper_left, upper_right, share.x);
     let lower = mix(lower_left, lower_right, share.x);
     return mix(upper, lower, share.y);
