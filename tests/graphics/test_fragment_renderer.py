@@ -21,10 +21,10 @@ pytestmark = pytest.mark.usefixtures("opened")
 
 #: A pixel differs if a channel does by more than this, relative to brightness above 1: shading is
 #: float32 here and mostly float64 on the CPU, and highlights magnify its rounding.
-DIFFERENCE = 2e-3
+DIFFERENCE = 5e-4
 
 #: The share of pixels that may differ: in a mirror or glass, a ray that hits another triangle.
-DIFFERING = 2e-3
+DIFFERING = 1e-3
 
 MODES = {
     "raycast": {},
@@ -96,7 +96,6 @@ def assert_alike(ours, theirs, differing=DIFFERING):
     difference = np.abs(ours.pixels - theirs.pixels) / np.maximum(theirs.pixels, 1.0)
     count = np.count_nonzero((difference > DIFFERENCE).any(axis=2))
     assert count <= differing * difference[..., 0].size, difference.max()
-    assert theirs.pixels.any()
 
 
 @pytest.mark.parametrize(("name", "mode"), CASES)
@@ -108,6 +107,8 @@ def test_images_and_passes_are_the_cpu_s(name, mode):
     size = (40, 32) if is_everyday else (96, 96)
     ours, theirs = pictures(scene, mode, size, SCENES[name])
     assert_alike(ours, theirs)
+    # No path hits a point of light.
+    assert theirs.pixels.any() != (mode == "arnold" and name in ("cubes", "spheres"))
     passes, expected = ours.figures["passes"], theirs.figures["passes"]
     assert set(passes) == set(expected)
     if mode in ("raycast", "vis") and name in CHRISTEN:

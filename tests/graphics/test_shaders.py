@@ -28,8 +28,8 @@ BEGINNING = re.compile(r"^// ([a-z0-9_/]+\.wgsl)$", re.MULTILINE)
 #: Halves of a kernel's outputs, for adapters that allow few.
 SOMETIMES = {"fragment/targets_found.wgsl", "fragment/targets_place.wgsl"}
 
-#: Those of images, which `test_raster` and `test_bounces` compile.
-OF_PICTURES = ("bounces/", "raster/", "camera.wgsl", "no_hit_rows.wgsl")
+#: Those of images, which `test_raster` and `test_fragment_renderer` compile.
+OF_PICTURES = ("multipass/loop/", "rendering/", "raster/", "camera.wgsl", "no_hit_rows.wgsl")
 
 #: Tracers that have other files than those of the agreement.
 MORE_TRACERS = (
