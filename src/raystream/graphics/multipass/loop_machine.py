@@ -38,13 +38,15 @@ class LoopMachine(NamedTuple):
     Attributes
     ----------
     traversal : TraversalKernels
+    shaders : ShaderStructure
+        The structure's.
     rays : RayTextures
         With the structure's arrays, and the uniform of all kernels.
     max_coordinate : float32
     constants : mapping of str to float
         Values of ``override`` declarations of the traversal's kernels.
     batches : callable
-        ``batches(work, kernels)`` runs passes; see `multipass.loops`.
+        ``batches(work, kernels, streams)`` runs passes; see `multipass.loops`.
     max_passes : int
     """
 
