@@ -31,7 +31,7 @@ from unittest import mock
 import numpy as np
 
 import raystream as rs
-from raystream.graphics import hybrid, pipelines, render_bounces, streams
+from raystream.graphics import hybrid, pipelines, streams
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.pipelines import Program
 from raystream.structures import names_with
@@ -53,6 +53,9 @@ _STAGES = {"Vertex": "vert", "Fragment": "frag", "GLCompute": "comp"}
 #: Machines, and the options of structures beyond the default ones.
 _MACHINES = ("compute", "branching", "multipass")
 _TRAVERSALS = ("restart", "backtrack", "short-stack")
+
+#: Modes that are one loop of fragment programs.
+_MODES = ("raycast", "vis", "shadow", "whitted", "path", "kajiya")
 
 #: Arguments of spirv-cross and of the validator, by language; {stage} is one of `_STAGES`.
 LANGUAGES: dict[str, tuple[str, list[str], list[str] | None]] = {
@@ -154,7 +157,13 @@ def engine_programs() -> list[Compiled]:
             except (GraphicsError, TypeError, ValueError):
                 continue  # a combination that is not supported
         hybrid(scene, (8, 8))
-        render_bounces(scene, (8, 8))
+        for mode in _MODES:
+            for name in ("cornell", "spheres"):  # an area light; mirrors, glass, points
+                for memory in ("buffers", "textures"):
+                    looping = rs.Tracer(
+                        rs.load(name), "grid", "graphics", machine="multipass", memory=memory
+                    )
+                    rs.render(looping, mode, size=(8, 8), samples=1)
     return list(found.values())
 
 
@@ -204,7 +213,9 @@ class Dawn:
 
     def spirv(self, compiled: Compiled) -> list[str]:
         """The assembly of each stage; it raises RuntimeError if Dawn refuses the program."""
-        module = self._utils.create_shader_module(self._device, compiled.program.source)
+        # wgpu's own attribute for a forced early test, which WGSL does not have.
+        source = compiled.program.source.replace("@early_depth_test(force)", "")
+        module = self._utils.create_shader_module(self._device, source)
         unused: set[tuple[str, str]] = set()
         while True:
             self._texts.clear()
@@ -243,9 +254,8 @@ class Dawn:
             render.multisample.count, render.multisample.mask = 1, 0xFFFFFFFF
             targets = (gpu.WGPUColorTargetState * len(compiled.targets))()
             for target, (texel, is_written) in zip(targets, compiled.targets, strict=True):
-                # Half as wide, which SPIR-V does not show: Dawn allows 32 bytes per pixel.
-                channels, _, kind = texel.partition("32")
-                name = f"WGPUTextureFormat_{channels.upper()}16{kind.capitalize()}"
+                # Narrower, which SPIR-V does not show: Dawn allows 32 bytes per pixel.
+                name = f"WGPUTextureFormat_R16{texel.partition('32')[2].capitalize()}"
                 target.format, target.writeMask = getattr(gpu, name), 0xF * is_written
             fragment = gpu.WGPUFragmentState()
             fill(fragment, program.entry)

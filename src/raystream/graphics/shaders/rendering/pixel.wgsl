@@ -70,15 +70,15 @@ fn load_pixel(texel: vec2i) {
 }
 
 fn pixel_targets(state: vec4u, origin: vec4f, direction: vec4f) -> Targets {
-    let flags = pixel.half << 16u | select(0u, 0x20000u, pixel.is_shadow) | pixel.branch << 18u;
-    let counts = pixel.source | pixel.source_count << 8u | pixel.row_count << 16u;
+    let flags = (pixel.half << 16u) | select(0u, 0x20000u, pixel.is_shadow) | (pixel.branch << 18u);
+    let counts = pixel.source | (pixel.source_count << 8u) | (pixel.row_count << 16u);
     return Targets(
         state,
         origin,
         direction,
         vec4u(
             pixel.bounce | flags,
-            counts | pixel.onward_count << 24u,
+            counts | (pixel.onward_count << 24u),
             pixel.shadow,
             bitcast<u32>(current.pdf),
         ),
