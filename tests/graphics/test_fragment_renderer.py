@@ -98,6 +98,7 @@ def assert_alike(ours, theirs, differing=DIFFERING):
     assert count <= differing * difference[..., 0].size, difference.max()
 
 
+@pytest.mark.filterwarnings("ignore:light_samples=False")  # black, but its passes count
 @pytest.mark.parametrize(("name", "mode"), CASES)
 def test_images_and_passes_are_the_cpu_s(name, mode):
     if name in SAMPLES and "RAYSTREAM_SCENES" not in os.environ:

@@ -210,7 +210,7 @@ def test_counts_are_the_cpus(
 
 @pytest.mark.exhaustive
 def test_images_are_timed_on_the_device(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("raystream_lab.christen.image_times.SCENES", {"A": ("three_boxes", "")})
+    monkeypatch.setattr("raystream_lab.christen.image_times.LETTERS", ("A",))
     rows = rows_of(run(runner, "christen-times"), "christen-times")
     assert {(row["device"], row["machine"]) for row in rows} == {
         ("graphics", "compute"),
