@@ -2,7 +2,7 @@
 
 .. code-block:: rst
 
-   .. paper-map::
+   .. paper-map:: purcell
 
       Figure 6, section 4.1: cells that a ray visits, v
       use: ``counters=True``
@@ -11,7 +11,8 @@
       row: purcell-figure-6 | bunny on a floor: cells per ray (v)
       claim: v, t and s agree with Figure 6
 
-Entries are separated by an empty line. ``row`` names a row of a table of the stored report that
+The argument is the paper, and figures are those of its experiments. Entries are separated by an
+empty line. ``row`` names a row of a table of the stored report that
 compares with the paper; ``cell: TABLE | COLUMN=VALUE, ... | COLUMN | COLUMN`` the paper's figure
 and ours in any table; ``claim`` a claim with its verdict, by how its text begins. ``code`` is found
 in the sources, and shown with its line: what is not there, in the sources or the report, fails the
@@ -25,7 +26,7 @@ import json
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
@@ -52,14 +53,16 @@ def _report() -> dict[str, Any]:
     return content["experiments"]
 
 
-def _tables() -> Iterator[dict[str, Any]]:
-    for experiment in _report().values():
-        yield from experiment["tables"]
+def _all(paper: str, kind: str) -> Iterator[dict[str, Any]]:
+    """The tables or claims of a paper's experiments."""
+    for name, experiment in _report().items():
+        if name.startswith(f"{paper}-"):
+            yield from experiment[kind]
 
 
-def _row(name: str, wanted: dict[str, str]) -> dict[str, Any]:
+def _row(paper: str, name: str, wanted: dict[str, str]) -> dict[str, Any]:
     """The row of a table with these cells."""
-    for table in _tables():
+    for table in _all(paper, "tables"):
         if table["name"] == name:
             for row in table["rows"]:
                 if all(str(row.get(column)) == value for column, value in wanted.items()):
@@ -68,12 +71,11 @@ def _row(name: str, wanted: dict[str, str]) -> dict[str, Any]:
     raise LookupError(f"the stored report has no table {name}")
 
 
-def _claim(text: str) -> dict[str, str]:
-    for experiment in _report().values():
-        for claim in experiment["claims"]:
-            if claim["text"].lower().startswith(text.lower()):
-                return claim
-    raise LookupError(f"the stored report has no claim that begins with {text!r}")
+def _claim(paper: str, text: str) -> dict[str, Any]:
+    found = [one for one in _all(paper, "claims") if one["text"].lower().startswith(text.lower())]
+    if len(found) != 1:
+        raise LookupError(f"the stored report has {len(found)} claims that begin with {text!r}")
+    return found[0]
 
 
 def _line_of(name: str) -> str:
@@ -100,7 +102,8 @@ def _line_of(name: str) -> str:
 class _Entry:
     """One row of the map."""
 
-    def __init__(self, lines: list[str]) -> None:
+    def __init__(self, paper: str, lines: list[str]) -> None:
+        self._paper = paper
         self.place = lines[0]
         self.use: list[str] = []
         self.found: list[str] = []
@@ -123,14 +126,14 @@ class _Entry:
 
     def _add_row(self, value: str) -> None:
         name, quantity = (part.strip() for part in value.split("|"))
-        row = _row(name, {"quantity": quantity})
+        row = _row(self._paper, name, {"quantity": quantity})
         theirs, ours = cell_text(row["published"]), cell_text(row["ours"])
         self.found.append(f"{quantity}: {theirs}, ours **{ours}**")
 
     def _add_cell(self, value: str) -> None:
         name, wanted, theirs, ours = (part.strip() for part in value.split("|"))
         cells = dict(part.strip().split("=") for part in wanted.split(","))
-        row = _row(name, cells)
+        row = _row(self._paper, name, cells)
         for column in (theirs, ours):
             if column not in row:
                 raise LookupError(f"the stored report's table {name} has no column {column!r}")
@@ -138,7 +141,7 @@ class _Entry:
         self.found.append(f"{label}: {cell_text(row[theirs])}, ours **{cell_text(row[ours])}**")
 
     def _add_claim(self, value: str) -> None:
-        claim = _claim(value)
+        claim = _claim(self._paper, value)
         text = claim["text"].replace("*", "\\*")
         self.found.append(f"{text[:1].upper()}{text[1:]}: **{claim['verdict']}**")
 
@@ -150,7 +153,8 @@ class _Entry:
 class PaperMap(Directive):
     """See the module."""
 
-    has_content = True
+    required_arguments: ClassVar[int] = 1
+    has_content: ClassVar[bool] = True
 
     def run(self) -> list[nodes.Node]:
         """Write a list-table, and let reStructuredText read it."""
@@ -169,7 +173,7 @@ class PaperMap(Directive):
         ]
         rows = [tuple(name for name, _ in COLUMNS)]
         try:
-            rows += [_Entry(one).columns() for one in entries if one]
+            rows += [_Entry(self.arguments[0], one).columns() for one in entries if one]
         except (LookupError, ValueError) as error:
             raise self.error(str(error)) from error
         for row in rows:
