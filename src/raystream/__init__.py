@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from raystream.core.choices import Branching, Compute, Cpu, Cuda, Graphics, Multipass
     from raystream.core.errors import FileFormatError, RaystreamError, RaystreamWarning
     from raystream.core.hits import Hits, MultiHits
+    from raystream.core.ray_hit import RayHit
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
     from raystream.physics.attenuation import attenuation
@@ -86,6 +87,7 @@ _HOMES = {
     "MultiHits": "core.hits",
     "Multipass": "core.choices",
     "PointLight": "scene.lights",
+    "RayHit": "core.ray_hit",
     "RayStatus": "core.rays",
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
@@ -134,6 +136,7 @@ __all__ = [
     "MultiHits",
     "Multipass",
     "PointLight",
+    "RayHit",
     "RayStatus",
     "RaystreamError",
     "RaystreamWarning",

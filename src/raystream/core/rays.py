@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +17,9 @@ __all__ = [
     "RayBatch",
     "RayStatus",
     "as_host_array",
+    "as_number",
     "as_real_array",
+    "as_vector",
     "is_on_gpu",
 ]
 
@@ -237,3 +241,54 @@ def as_real_array(name: str, values: Any) -> NDArray[Any]:
     if array.dtype == np.float16:
         return array.astype(np.float32)
     return array.astype(np.float64, copy=False)
+
+
+#: Types of numbers that `float` converts as NumPy does.
+_PLAIN_NUMBERS = frozenset((float, int))
+
+
+def as_vector(name: str, values: Any) -> Sequence[float]:
+    """Three real numbers as Python's: the same numbers that `RayBatch` has of them.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the error.
+    values : array_like of shape (3,), real
+
+    Returns
+    -------
+    sequence of three float
+        The values themselves, if they are a tuple or list of floats.
+
+    Raises
+    ------
+    ValueError
+        If the shape is not (3,).
+    TypeError
+        If the values are not real numbers, or not on the CPU.
+    """
+    kind = type(values)
+    if (kind is tuple or kind is list) and len(values) == 3:
+        x, y, z = values
+        if type(x) is float and type(y) is float and type(z) is float:
+            return (x, y, z)
+        if {type(x), type(y), type(z)} <= _PLAIN_NUMBERS:
+            with contextlib.suppress(OverflowError):  # of an integer: the error is below
+                return (float(x), float(y), float(z))
+    array = as_real_array(name, values)
+    if array.shape != (3,):
+        raise ValueError(f"{name}: expected shape (3,), got {array.shape}")
+    numbers: list[float] = array.tolist()
+    return numbers
+
+
+def as_number(name: str, value: Any) -> float:
+    """One real number as Python's; for errors, see `as_vector`."""
+    if type(value) is int:
+        with contextlib.suppress(OverflowError):
+            return float(value)
+    array = as_real_array(name, value)
+    if array.ndim:
+        raise ValueError(f"{name}: expected one number, got shape {array.shape}")
+    return float(array)

@@ -17,8 +17,15 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
-from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray
-from raystream.kernels.search import LEAST_ROOM, SeenSet, begin_search, clear_seen, sort_hits
+from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray, local_ray
+from raystream.kernels.search import (
+    LEAST_ROOM,
+    SeenSet,
+    begin_search,
+    clear_seen,
+    get_hit,
+    sort_hits,
+)
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
 __all__ = [
@@ -99,11 +106,22 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
         finished search and the `LocalRay`.
     """
 
+    search_local = _local_search(traverse)
+
     @device
     def search_ray(i, scene, goal):
-        frame = scene.frame
-        ray = load_ray(scene.source, i, frame)
+        ray = load_ray(scene.source, i, scene.frame)
         _note_status(scene.status, i, ray.status)
+        return search_local(ray, scene.frame, scene.arrays, scene.stack, goal), ray
+
+    return search_ray
+
+
+def _local_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the search of a `LocalRay`; see `ray_search`."""
+
+    @device
+    def search_local(ray, frame, arrays, stack, goal):
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         search = begin_search(
             ray.t_min,
@@ -115,9 +133,9 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
             goal.seen,
             goal.counters,
         )
-        return traverse(scene.arrays, local, search, scene.stack), ray
+        return traverse(arrays, local, search, stack)
 
-    return search_ray
+    return search_local
 
 
 @device
@@ -199,6 +217,9 @@ class RayQueries(NamedTuple):
     collect_hits : (begin, end, source, frame, arrays, status, wanted, splits, hits)
         Writes the nearest hits of each ray to rows 0 to splits[end - begin] of `hits`. Returns the
         first ray that is not done: `end`, or one whose hits do not fit.
+    cast : (frame, arrays, ox, oy, oz, dx, dy, dz, t_min, t_max)
+        Takes one ray as float64 numbers, in world space; its limits are rounded to float32.
+        Returns its nearest hit ``(t, u, v, prim_id)``, and its status.
 
     Distances are in world direction lengths. `status` is the address of a byte per ray,
     written for invalid ones. `wanted` is a `Wanted`.
@@ -209,6 +230,7 @@ class RayQueries(NamedTuple):
     count_hits: Callable[..., None]
     multi_hit: Callable[..., None]
     collect_hits: Callable[..., int]
+    cast: Callable[..., Any]
 
 
 def output_of(query: Query, sink: Sink, repeats: bool) -> tuple[Any, ...]:
@@ -272,7 +294,7 @@ def ray_queries(
     -------
     RayQueries
     """
-    search_ray = ray_search(traverse)
+    search_ray, search_local = ray_search(traverse), _local_search(traverse)
     seen_at = _seen_at if has_duplicates else _no_set
 
     @kernel
@@ -373,4 +395,17 @@ def ray_queries(
             splits[i + _ONE - np.uint64(begin)] = row
         return np.int64(end)
 
-    return RayQueries(first_hit, any_hit, count_hits, multi_hit, collect_hits)
+    @kernel
+    def cast(frame, arrays, ox, oy, oz, dx, dy, dz, t_min, t_max):
+        stack, row = scratch(stack_bytes), scratch(16)
+        store(stack, _NONE)
+        ray = local_ray(ox, oy, oz, dx, dy, dz, np.float32(t_min), np.float32(t_max), frame)
+        hits = HitAddresses(row, row + np.uint64(4), row + np.uint64(8), row + np.uint64(12))
+        goal = Goal(_ONE, hits, _NONE, False, None, None)
+        search = search_local(ray, frame, arrays, stack, goal)
+        finish_first(hits, _NONE, search.hit_count, ray)
+        t, u, v, prim_id = get_hit(hits, _NONE)
+        numbers = np.float64(t), np.float64(u), np.float64(v), np.int64(prim_id)
+        return numbers, np.int64(ray.status)
+
+    return RayQueries(first_hit, any_hit, count_hits, multi_hit, collect_hits, cast)

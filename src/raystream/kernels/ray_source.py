@@ -28,6 +28,7 @@ __all__ = [
     "RaySource",
     "ResultAddresses",
     "load_ray",
+    "local_ray",
 ]
 
 _VALID = np.uint8(RayStatus.VALID)
@@ -213,7 +214,12 @@ def load_ray(source, i, frame):
     t_min = load(np.float32, source.t_min + i * source.t_min_step)
     t_max = load(np.float32, source.t_max + i * source.t_max_step)
     dx, dy, dz = _three(at, source.directions_are_double)
+    return local_ray(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)
 
+
+@device
+def local_ray(wx, wy, wz, dx, dy, dz, t_min, t_max, frame):
+    """A ray in the local frame: the result of `kernels.ray.to_local`, mostly without the call."""
     ox = np.float32((wx - frame.center[0]) * frame.scale)
     oy = np.float32((wy - frame.center[1]) * frame.scale)
     oz = np.float32((wz - frame.center[2]) * frame.scale)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -77,6 +78,17 @@ class Backend(ABC):
         MemoryError
             If the hits do not fit into memory.
         """
+
+    def caster(self) -> Callable[..., Any] | None:
+        """A function for the nearest hit of a single ray; None if only `run` finds it.
+
+        Returns
+        -------
+        callable or None
+            ``cast(ox, oy, oz, dx, dy, dz, t_min, t_max) -> ((t, u, v, prim_id), status)``: Python
+            floats in world space to Python numbers. Several threads may call it.
+        """
+        return None
 
     def run_program(
         self,

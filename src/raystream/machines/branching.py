@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,6 +75,11 @@ class Branching(Backend):
             hits = HitAccumulator(len(rays))
             self._visit(query, rays, Sink(sink.status, visitor=hits.take), progress)
             sink.put(*hits.whole())
+
+    def caster(self) -> Callable[..., Any]:
+        """The structure's search of one ray; see `Backend.caster`."""
+        structure = self.structure
+        return partial(structure.queries.cast, structure.frame, structure.arrays)
 
     def trace_singly(
         self,
