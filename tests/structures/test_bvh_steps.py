@@ -16,7 +16,15 @@ from raystream.kernels.hits import HitArrays, Sink, hit_addresses
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame, prepare_ray
-from raystream.kernels.search import Search, SeenSet, begin_search, clear_seen, is_full, sort_hits
+from raystream.kernels.search import (
+    Search,
+    SeenSet,
+    begin_search,
+    clear_seen,
+    is_full,
+    sort_hits,
+    wants_any,
+)
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching
 from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH
@@ -123,7 +131,10 @@ def run_pass(
         elif stage == _VISIT:
             add_to(tally, STEPS, _ONE)
             child = states.child[i]
-            states.top[i] = visit(tree, child, line, t_min, t_far, stack, half_bytes, top)
+            to = rows_of(out)
+            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, met, tally)
+            is_any = wants_any(goal)
+            states.top[i] = visit(tree, child, line, t_min, t_far, is_any, stack, half_bytes, top)
             stage = _POP
         else:
             block = states.block[i]

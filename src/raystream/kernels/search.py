@@ -317,9 +317,17 @@ def _mark(seen, prim_id):
 def _offer_to(hits, search, t, u, v, prim_id):
     if hits is None:
         return _changed(search, search.hit_count + _ONE, search.t_far, False)
+    row = search.first_row
+    if search.capacity == _ONE:  # without a call: known when a query of the nearest hit is compiled
+        if search.hit_count == _NONE or is_before(
+            t, prim_id, _t_of(hits, row), _prim_id_of(hits, row)
+        ):
+            put_hit(hits, row, t, u, v, prim_id)
+            return _changed(search, _ONE, t, False)
+        return _changed(search, _ONE, search.t_far, False)
     count, t_far = keep_hit(
         hits,
-        search.first_row,
+        row,
         search.hit_count,
         search.capacity,
         t,

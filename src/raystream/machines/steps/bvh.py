@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
-from raystream.kernels.search import LEAST_ROOM, SeenSet, clear_seen, is_full
+from raystream.kernels.search import LEAST_ROOM, SeenSet, clear_seen, is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import (
     INTERSECTING,
@@ -65,6 +65,8 @@ def set_up(ray, wanted, tree, query, kernel):
 def traverse(ray, wanted, found, place, tree, query, kernel):
     """Pop a child from the stack: test the boxes of a node, or find the blocks of a leaf."""
     line, stack = block_ray(prepared_ray(ray, query)), stack_of(wanted, query)
+    search = resume_search(query.hits, ray, wanted, found, query, _seen_of(tree, wanted, query))
+    is_any = wants_any(search)
     top, block, end = np.uint64(place.top), place.block, place.end
     state = TRAVERSING
     for _ in range(query.steps):
@@ -79,7 +81,9 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
             state = INTERSECTING
             break
         count_step(query, wanted, kernel, STEPS, _ONE)
-        top = tree_steps.visit(tree, child, line, ray.t_min, found.t_far, stack, tree.half, top)
+        top = tree_steps.visit(
+            tree, child, line, ray.t_min, found.t_far, is_any, stack, tree.half, top
+        )
     return (np.uint32(top), block, end), state
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
+    compress,
     f32x8,
     float_as_bits,
     i32x8,
@@ -46,9 +47,11 @@ from raystream.structures.bvh.node_layout import (
 
 __all__ = [
     "begin",
+    "enter",
     "is_leaf",
     "leaf_blocks",
     "next_entry",
+    "push",
     "stack_half",
     "visit",
 ]
@@ -59,6 +62,7 @@ _ZERO = np.float32(0.0)
 _ROOT = np.int32(0)
 _KEY_BITS = np.int32(~7)
 _NO_KEY = np.int32(-1)
+_LEAST_KEY = np.int32(0)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _AXIS_SHIFT = np.uint64(4)  # `kernels.leaf_block.AXIS`
 
@@ -139,25 +143,24 @@ def _first_planes(at, inv):
 
 
 @device
-def visit(tree, child, line, t_min, t_far, stack, half, top):
-    """Push the children of a node that a ray enters, the nearest last.
+def enter(node, line, t_min, t_far):
+    """Test the boxes of a node's children.
 
     Parameters
     ----------
-    tree : TreeAddresses
-    child : int32
-        A node.
+    node : uint64
+        Address.
     line : BlockRay
     t_min, t_far : float32
         Closed interval in which a hit is wanted.
-    stack, half, top : uint64
-        See `begin`.
 
     Returns
     -------
-    top : uint64
+    keys : i32x8
+        The children's keys, with those that the ray does not enter.
+    entered : mask8
+        The children that it enters.
     """
-    node = tree.nodes + np.uint64(child) * NODE
     at_x = node + _first_planes(line.axis[0], line.inv[0])
     at_y = node + _first_planes(line.axis[1], line.inv[1])
     at_z = node + _first_planes(line.axis[2], line.inv[2])
@@ -174,11 +177,58 @@ def visit(tree, child, line, t_min, t_far, stack, half, top):
     )
     entered = maximum(t_in, t_min) <= minimum(t_out, t_far)
     # Only the bits of positive numbers are in the numbers' order.
-    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
-    key = sort_keys(select(entered, key, i32x8(_NO_KEY)))
-    store(stack + top, key)
-    store(stack + half + top, permute(load(i32x8, node + CHILDREN), key))
+    keys = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
+    return keys, entered
+
+
+@device
+def push(node, keys, entered, wants_any, stack, half, top):
+    """Push the children of a node that a ray enters, the nearest last.
+
+    Parameters
+    ----------
+    node, keys, entered
+        See `enter`.
+    wants_any : bool
+        Whether the search ends at any hit: then the children are not sorted, and all have the
+        smallest key, as the interval does not shrink.
+    stack, half, top : uint64
+        See `begin`.
+
+    Returns
+    -------
+    top : uint64
+    """
+    children = load(i32x8, node + CHILDREN)
+    if wants_any:
+        store(stack + top, i32x8(_LEAST_KEY))
+        store(stack + half + top, compress(entered, children))
+    else:
+        key = sort_keys(select(entered, keys, i32x8(_NO_KEY)))
+        store(stack + top, key)
+        store(stack + half + top, permute(children, key))
     return top + (popcount(mask_bits(entered)) << _WORD)
+
+
+@device
+def visit(tree, child, line, t_min, t_far, wants_any, stack, half, top):
+    """Push the children of a node that a ray enters; see `enter` and `push`.
+
+    Parameters
+    ----------
+    tree : TreeAddresses
+    child : int32
+        A node.
+    line, t_min, t_far, wants_any, stack, half, top
+        See there.
+
+    Returns
+    -------
+    top : uint64
+    """
+    node = tree.nodes + np.uint64(child) * NODE
+    keys, entered = enter(node, line, t_min, t_far)
+    return push(node, keys, entered, wants_any, stack, half, top)
 
 
 def stack_half(tree: BvhArrays) -> int:

@@ -1,19 +1,35 @@
-"""Traversal of the wide tree by a single ray: the steps of `steps`, fused. For all queries."""
+"""Traversal of the wide tree by a single ray: the steps of `steps`, fused. For all queries.
+
+The nearest child that the ray enters is visited at once, without the stack where it is the only
+one. A search that ends at any hit takes children unsorted. The next entry of the stack, to which
+the ray may return at any time, is prefetched.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import count_trailing_zeros, load, mask_bits
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
-from raystream.kernels.search import is_full
+from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, visit
+from raystream.structures.bvh.node_layout import CHILDREN, LANE, NODE, prefetch_child
+from raystream.structures.bvh.steps import (
+    begin,
+    enter,
+    is_leaf,
+    leaf_blocks,
+    next_entry,
+    push,
+)
 
 __all__ = ["STACK_BYTES", "traverse"]
 
+_NONE = np.uint64(0)
 _ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
 
 #: Bytes of half the stack, for the deepest tree.
@@ -24,16 +40,22 @@ STACK_BYTES = 2 * int(_HALF)
 
 
 @device
+def _prefetch_next(tree, stack, top):
+    """Prefetch the child on top of the stack, if there is one."""
+    if top != _NONE:
+        prefetch_child(load(np.int32, stack + _HALF + top - LANE), tree.nodes, tree.leaves)
+
+
+@device
 def traverse(tree, ray, search, stack):
     """Traverse the tree with a ray; see `kernels.queries.ray_queries` for the arguments."""
     line = block_ray(ray)
     top = begin(tree, search.t_min, search.t_far, stack, _HALF)
-    while True:
-        found, child, top = next_entry(stack, _HALF, top, search.t_far)
-        if not found:
-            return search
+    found, child, top = next_entry(stack, _HALF, top, search.t_far)
+    while found:
         if is_leaf(child):
             add_to(search.counters, LEAVES, _ONE)
+            _prefetch_next(tree, stack, top)
             block, end = leaf_blocks(tree, child)
             while block != end:
                 add_to(search.counters, TESTS, triangle_count(block))
@@ -43,4 +65,18 @@ def traverse(tree, ray, search, stack):
                 block += BLOCK
         else:
             add_to(search.counters, STEPS, _ONE)
-            top = visit(tree, child, line, search.t_min, search.t_far, stack, _HALF, top)
+            node = tree.nodes + np.uint64(child) * NODE
+            keys, entered = enter(node, line, search.t_min, search.t_far)
+            lanes = mask_bits(entered)
+            if lanes != _NONE:
+                if lanes & (lanes - _ONE) == _NONE:
+                    at = node + CHILDREN + (count_trailing_zeros(lanes) << _WORD)
+                    child = load(np.int32, at)
+                    continue
+                top = push(node, keys, entered, wants_any(search), stack, _HALF, top)
+                top -= LANE  # the last one is within the interval
+                child = load(np.int32, stack + _HALF + top)
+                _prefetch_next(tree, stack, top)
+                continue
+        found, child, top = next_entry(stack, _HALF, top, search.t_far)
+    return search
