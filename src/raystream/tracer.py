@@ -186,16 +186,11 @@ class Tracer(RayCaster):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
             return found
         sink, shape = self._answer(query, rays, progress), rays.shape
-        t, u, v, prim_id = sink.hits
-        return Hits(
-            t.reshape(shape),
-            u.reshape(shape),
-            v.reshape(shape),
-            prim_id.reshape(shape),
-            sink.status.reshape(shape),
-            self.structure.triangles,
-            None if sink.sectors is None else sink.sectors.reshape(shape),
-        )
+        columns, sectors = (*sink.hits, sink.status), sink.sectors
+        if len(shape) != 1:
+            columns = tuple(column.reshape(shape) for column in columns)
+            sectors = None if sectors is None else sectors.reshape(shape)
+        return Hits(*columns, self.structure.triangles, sectors)
 
     def any_hit(
         self,

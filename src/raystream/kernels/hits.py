@@ -41,6 +41,9 @@ LEAST_PART, MOST_PART = 1 << 13, 1 << 17
 #: `ids` of consecutive rays, for kernels.
 _NO_IDS = np.empty(0, np.int64)
 
+#: NumPy converts a type to it at each use.
+_INT32 = np.dtype(np.int32)
+
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 
@@ -80,7 +83,7 @@ class HitArrays(NamedTuple):
     def rows_of(cls, memory: NDArray[np.float32]) -> HitArrays:
         """The rows of an array of shape (4, K) as t, u, v and prim_id."""
         t, u, v, bits = memory
-        return cls(t, u, v, bits.view(np.int32))
+        return cls(t, u, v, bits.view(_INT32))
 
 
 #: Rows of at least this many hits are aligned to cache lines.

@@ -92,10 +92,10 @@ class RaySource(NamedTuple):
         """
         origins, directions = _readable(origins, packed), _readable(directions, packed)
         t_min, t_max = (_readable(limit, packed) for limit in limits)
-        # Faster as one array than one by one.
-        o, o_step, d, d_step, low, low_step, high, high_step = np.array(
-            (*_place(origins), *_place(directions), *_place(t_min), *_place(t_max)), np.uint64
-        )
+        o, o_step = _place(origins)
+        d, d_step = _place(directions)
+        low, low_step = _place(t_min)
+        high, high_step = _place(t_max)
         is_double = origins.itemsize == 8, directions.itemsize == 8
         source = cls(
             o, o_step, is_double[0], d, d_step, is_double[1], low, low_step, high, high_step
@@ -115,12 +115,13 @@ def _readable(array: NDArray[Any], packed: bool) -> NDArray[Any]:
     return np.ascontiguousarray(array)
 
 
-def _place(array: NDArray[Any]) -> tuple[int, int]:
+def _place(array: NDArray[Any]) -> tuple[np.uint64, np.uint64]:
     """Address, and stride in bytes, modulo 2**64 if negative."""
     known = _PLACES.get(id(array))
     if known is not None:
         return known
-    return _address(array), (array.strides[0] % 2**64 if len(array) > 1 else 0)
+    step = array.strides[0] if len(array) > 1 else 0
+    return np.uint64(_address(array)), _STEPS.get(step) or np.uint64(step % 2**64)
 
 
 def _address(array: NDArray[Any]) -> int:
@@ -137,7 +138,12 @@ def _address(array: NDArray[Any]) -> int:
 
 
 #: Places of arrays that are never freed, by id: NumPy needs a microsecond for an address.
-_PLACES = {id(array): (array.ctypes.data, 0) for array in DEFAULT_LIMITS.values()}
+_PLACES = {
+    id(array): (np.uint64(array.ctypes.data), np.uint64(0)) for array in DEFAULT_LIMITS.values()
+}
+
+#: The usual strides, for the same reason.
+_STEPS = {step: np.uint64(step) for step in (4, 12, 24)}
 
 
 class ResultAddresses(NamedTuple):
@@ -165,7 +171,7 @@ class ResultAddresses(NamedTuple):
         """Results of a first-hit query: the rows of an array; see `HitArrays.rows_of`."""
         at, step = _address(memory), memory.strides[0]
         places = at, at + step, at + 2 * step, at + 3 * step, 0, _address(status)
-        return cls(*np.array(places, np.uint64))
+        return cls._make(np.array(places, np.uint64))
 
     @classmethod
     def of_any(cls, seen: NDArray[np.bool_], status: NDArray[np.uint8]) -> ResultAddresses:
