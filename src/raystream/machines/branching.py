@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from raystream.kernels.queries import Wanted, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
+from raystream.programs.filters import check_first
 from raystream.structures import Structure
 
 __all__ = ["Branching"]
@@ -73,6 +74,30 @@ class Branching(Backend):
             hits = HitAccumulator(len(rays))
             self._visit(query, rays, Sink(sink.status, visitor=hits.take), progress)
             sink.put(*hits.whole())
+
+    def run_program(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> bool:
+        """Run a query for first or any hits with its filter, which the traversals call.
+
+        Notes
+        -----
+        A hit at which the filter raises is kept: it raises if that hit is a ray's first one, so
+        errors do not depend on which other hits a traversal finds.
+        """
+        if query.kind is not Kind.FIRST_HIT and query.kind is not Kind.ANY_HIT:
+            return False
+        filter_: Any = query.on_hit
+        at_hits = filter_.at_hits(rays)
+        self.run(query._replace(on_hit=at_hits.addresses), rays, sink, progress)
+        if not at_hits.has_raised:
+            return True
+        if query.kind is Kind.ANY_HIT:
+            first = self.answer(query._replace(kind=Kind.FIRST_HIT), rays)
+            sink.seen = first.hits.prim_id >= 0
+        else:
+            check_first(filter_, rays, sink.hits)
+        return True
 
     def trace_singly(
         self,

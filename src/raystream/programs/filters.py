@@ -19,13 +19,14 @@ from raystream.kernels.hits import (
     copy_rows,
     for_each_chunk,
 )
+from raystream.programs.filters_at_hits import FilterAtHits
 from raystream.programs.loop_source import Goal
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
 from raystream.programs.rows import SkipsAt, as_skips
 
-__all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
+__all__ = ["Bound", "Filter", "check_first", "count_filtered", "filter_first", "multi_filtered"]
 
 
 def _keep_all(hit: Any) -> bool:
@@ -90,6 +91,12 @@ class Filter(NamedTuple):
             return cls(on_hit.function, skipped, triangles, on_hit)
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
 
+    def at_hits(self, rays: RayBatch) -> FilterAtHits:
+        """The filter compiled to be called by traversals."""
+        function = None if self.function is _keep_all else self.function
+        constants = None if self.bound is None else self.bound.constants
+        return FilterAtHits(function, self.skipped, constants, self.triangles, rays)
+
     def program(self, goal: Goal, *arguments: Any) -> Program:
         """The filter compiled into a loop."""
         skips = None if self.skipped is None else SkipsAt.of(self.skipped)
@@ -124,6 +131,20 @@ def filter_first(
     for array, value in zip(hits, (np.inf, 0.0, 0.0, -1), strict=True):
         array[ignored] = value
     visit(find, whole.part(ignored), program.run, np.zeros(len(ignored), np.uint8), delivered=1)
+
+
+def check_first(filter_: Filter, batch: RayBatch, hits: HitArrays) -> None:
+    """Raise what a filter raises at one of the first hits that it keeps.
+
+    Raises
+    ------
+    RuntimeError
+        If it does.
+    """
+    program, rays = filter_.program("first", HitAddresses.of(hits)), RaySubset(batch, None, 0)
+    program.compile()
+    pending = PendingRays.of(rays, 0)
+    for_each_chunk(HitBatch(hits, None, None, 0), lambda found: program.run(found, pending))
 
 
 def count_filtered(

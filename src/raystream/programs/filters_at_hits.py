@@ -1,0 +1,181 @@
+"""Filters that traversals call where they find a hit, compiled to be called by address.
+
+The code is that of the user's function alone: the traversals, which call it with numbers, are
+compiled once for all filters. What else it may read, and its constants, lie in a row of 8-byte
+numbers, its context.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.core.triangles import Triangles
+from raystream.jit.cpu import device
+from raystream.jit.simd import load
+from raystream.jit.user_loops import Loop, compile_loop
+from raystream.jit.user_results import accept_decision
+from raystream.kernels.hit_filter import HitFilter
+from raystream.kernels.ray_source import RaySource
+from raystream.programs.decisions import Decision
+from raystream.programs.hits import RaysAt, SceneAt, hit_of
+from raystream.programs.program import check_function
+
+__all__ = ["FilterAtHits"]
+
+#: Numbers of a context before the constants: whether the filter raised; a `SceneAt`; address and
+#: stride of the rays' directions, and whether these are float64.
+_SCENE, _DIRECTIONS, _CONSTANTS = 1, 5, 8
+
+_ZERO, _1, _2, _3 = (np.uint64(8 * k) for k in range(4))
+_SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * _SCENE), np.uint64(8 * _DIRECTIONS)
+
+#: Arguments of a filter's code: its context, the ray, t, u, v and prim_id.
+_TYPES = ("uint64", "uint64", "float32", "float32", "float32", "int32")
+
+_NUMBERS = (np.float32, np.float64, np.complex64, np.complex128)
+_INTEGERS = (np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint16, np.uint32, np.uint64)
+
+
+@device
+def _word(at, offset):
+    return load(np.uint64, at + offset)
+
+
+@device
+def scene_of(context):
+    """The `SceneAt` of a context."""
+    at = context + _SCENE_AT
+    return SceneAt(_word(at, _ZERO), _word(at, _1), _word(at, _2), _word(at, _3))
+
+
+@device
+def rays_of(context):
+    """The rays of a context, of which it has the directions only."""
+    at = context + _DIRECTIONS_AT
+    directions, step, is_double = _word(at, _ZERO), _word(at, _1), _word(at, _2) != _ZERO
+    return RaysAt(_ZERO, False, _ZERO, _ZERO, _ZERO, directions, step, is_double)
+
+
+class FilterAtHits:
+    """A filter as traversals take it.
+
+    Parameters
+    ----------
+    function : callable or None
+        The user's function; None if rays only skip triangles.
+    skipped : ndarray of shape (N, k), int32, or None
+        Triangles that each ray skips.
+    constants : tuple or None
+        The function's second argument.
+    triangles : Triangles
+    rays : RayBatch
+
+    Raises
+    ------
+    TypeError
+        If the function is not one of a `Hit`, and of constants if there are any, or cannot be
+        compiled.
+    """
+
+    def __init__(
+        self,
+        function: Any,
+        skipped: NDArray[np.int32] | None,
+        constants: tuple[Any, ...] | None,
+        triangles: Triangles,
+        rays: RayBatch,
+    ) -> None:
+        source, self._kept = RaySource.of(rays.origins, rays.directions, rays.limits)
+        reader = _Reader()
+        text = "" if constants is None else reader.read(constants)
+        self._context = np.zeros(_CONSTANTS + len(reader.values), np.uint64)
+        self._context[_SCENE:_DIRECTIONS] = SceneAt.of(triangles)
+        directions = source.directions, source.direction_step, source.directions_are_double
+        self._context[_DIRECTIONS:_CONSTANTS] = directions
+        for k, value in enumerate(reader.values, _CONSTANTS):
+            self._context[k : k + 1].view(value.dtype)[0] = value
+        self._triangles, self._skipped = triangles, skipped
+        code = 0
+        if function is not None:
+            check_function(function, "first", constants is not None)
+            self._loop = _compile(function, text, reader.classes)
+            code = self._loop.address_of(_TYPES)
+        context = self._context.ctypes.data
+        place, width = (0, 0) if skipped is None else (skipped.ctypes.data, skipped.shape[1])
+        self.addresses = HitFilter(*np.array((code, context, place, width), np.uint64))
+
+    @property
+    def has_raised(self) -> bool:
+        """Whether the function raised at a hit; the traversal kept that hit."""
+        return bool(self._context[0])
+
+
+class _Reader:
+    """Source that reads constants from a context.
+
+    Attributes
+    ----------
+    values : list of NumPy numbers
+        In the order of the context.
+    classes : dict
+        Classes of named tuples, by their names in the source.
+    """
+
+    def __init__(self) -> None:
+        self.values: list[Any] = []
+        self.classes: dict[str, Any] = {}
+
+    def read(self, value: Any) -> str:
+        """An expression for a number or a tuple."""
+        if not isinstance(value, tuple):
+            return self._read_number(value)
+        parts = [self.read(one) for one in value]
+        if not hasattr(value, "_fields"):
+            return f"({', '.join([*parts, ''])})"
+        name = f"Tuple{len(self.classes)}"
+        self.classes[name] = type(value)
+        return f"{name}({', '.join(parts)})"
+
+    def _read_number(self, value: Any) -> str:
+        number = np.asarray(value)[()]
+        if isinstance(number, np.complexfloating):
+            parts = self._read_number(number.real), self._read_number(number.imag)
+            return f"{number.dtype.name}(complex({', '.join(parts)}))"
+        at = f"context + uint64({8 * (_CONSTANTS + len(self.values))})"
+        if isinstance(number, np.bool_):
+            self.values.append(np.uint64(number))
+            return f"(load(uint64, {at}) != uint64(0))"
+        if type(number) not in _NUMBERS + _INTEGERS:
+            raise TypeError(f"constants: expected numbers and tuples of numbers, got {value!r:.60}")
+        self.values.append(number)
+        return f"load({number.dtype.name}, {at})"
+
+
+def _compile(function: Any, constants: str, classes: dict[str, Any]) -> Loop:
+    """The code of a filter; `constants` is an expression, or empty if it takes none."""
+    known = [
+        f"# {name}: {one.__module__}.{one.__qualname__} {one._fields}"
+        for name, one in classes.items()
+    ]
+    lines = [
+        "def loop(context, ray, t, u, v, prim_id):",
+        *(f"    {line}" for line in known),
+        "    scene, rays = scene_of(context), rays_of(context)",
+        "    hit = hit_of(ray, t, u, v, prim_id, rays, ray, scene)",
+        f"    return accept(function({', '.join(filter(None, ('hit', constants)))})) != ignore",
+    ]
+    names = {
+        "accept": accept_decision(Decision, True),
+        "hit_of": hit_of,
+        "ignore": np.int64(Decision.IGNORE),
+        "load": load,
+        "rays_of": rays_of,
+        "scene_of": scene_of,
+        **{number.__name__: number for number in _NUMBERS + _INTEGERS},
+        **classes,
+    }
+    return compile_loop("\n".join(lines) + "\n", function, names, __name__)
