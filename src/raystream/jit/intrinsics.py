@@ -246,22 +246,22 @@ def call_filter(typing_context: Any, function: Any, arguments: Any) -> Any:
     Parameters
     ----------
     function : uint64
-        The address of its code, which returns a boolean.
+        The address of its code, which returns a uint64.
     arguments : tuple
         Its arguments. The first one is an address: a number there, a uint64, becomes 1 if the
         function raises.
 
     Returns
     -------
-    bool
-        The result; true if it raises.
+    uint64
+        The result; any number if it raises.
     """
     if function != types.uint64 or not isinstance(arguments, types.BaseTuple):
         return None
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         convention, of = context.call_conv, list(arguments.types)
-        type_ = convention.get_function_type(types.boolean, of)
+        type_ = convention.get_function_type(types.uint64, of)
         called = builder.inttoptr(given[0], type_.as_pointer())
         result = cgutils.alloca_once(builder, type_.args[0].pointee)
         exception = cgutils.alloca_once(builder, type_.args[1].pointee)
@@ -272,7 +272,6 @@ def call_filter(typing_context: Any, function: Any, arguments: Any) -> Any:
         with builder.if_then(raised, likely=False):
             number = ir.IntType(64)
             builder.store(number(1), builder.inttoptr(values[0], number.as_pointer()))
-        returned = cgutils.as_bool_bit(builder, builder.load(result))
-        return builder.or_(returned, raised)
+        return builder.load(result)
 
-    return types.boolean(function, arguments), generate
+    return types.uint64(function, arguments), generate

@@ -1,8 +1,8 @@
 """Filters in traversals: whether a hit exists is asked where it is found.
 
-A filter is called by its address, so a traversal is compiled once for all of them. It gets numbers
-only; whatever else it reads lies at the address of its context, whose first number it sets if it
-raises: see `raystream.programs.filters_at_hits`, which makes both.
+A filter is called by its address, so a traversal is compiled once for all of them. It gets the hits
+of some rays with one triangle. Whatever else it reads lies at the address of its context, whose
+first number becomes 1 if it raises: see `raystream.programs.filters_at_hits`, which makes both.
 """
 
 from __future__ import annotations
@@ -13,10 +13,23 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import call_filter, no_inline
-from raystream.jit.simd import count_trailing_zeros, load
+from raystream.jit.simd import count_trailing_zeros, load, scratch, store
 from raystream.kernels.ray import world_t
 
-__all__ = ["HitFilter", "RayFilter", "any_kept", "is_kept", "keeps"]
+__all__ = [
+    "FILTERED_BYTES",
+    "U_AT",
+    "V_AT",
+    "HitFilter",
+    "RayFilter",
+    "any_kept",
+    "keeps",
+    "kept_hits",
+]
+
+#: Bytes of 16 hits as filters read them, and where their u and v are.
+FILTERED_BYTES = 192
+U_AT, V_AT = np.uint64(64), np.uint64(128)
 
 _NONE, _ONE = np.uint64(0), np.uint64(1)
 _WORD = np.uint64(4)
@@ -72,38 +85,54 @@ def _is_skipped(filter_, ray, prim_id):
     return False
 
 
-@device_call
-def is_kept(filter_, ray, t, t_scale, t_offset, u, v, prim_id):
-    """Whether a hit exists.
+@device
+def kept_hits(filter_, bits, hits, prim_id, first):
+    """The hits of up to 16 consecutive rays with a triangle that exist.
 
     Parameters
     ----------
     filter_ : HitFilter
-    ray : uint64
-        Index in the batch.
-    t : float32
-        Local.
-    t_scale, t_offset : float64
-        To the distance in world direction lengths, which the filter gets.
-    u, v : float32
+    bits : uint64
+        Bits of the rays that hit it.
+    hits : uint64
+        Address of the hits: 16 t in world direction lengths, 16 u, 16 v.
     prim_id : int32
+    first : uint64
+        Batch index of the first ray.
+
+    Returns
+    -------
+    uint64
+        Bits of the hits that exist.
     """
+    if filter_.skip_count != _NONE:
+        left = bits
+        while left != _NONE:
+            lane = count_trailing_zeros(left)
+            left &= left - _ONE
+            if _is_skipped(filter_, first + lane, prim_id):
+                bits ^= _ONE << lane
+    if filter_.function == _NONE or bits == _NONE:
+        return bits
+    return call_filter(filter_.function, (filter_.context, bits, hits, prim_id, first))
+
+
+@device_call
+def _keeps(filter_, t, u, v, prim_id):
     no_inline()
-    if _is_skipped(filter_, ray, prim_id):
-        return False
-    if filter_.function == _NONE:
-        return True
-    t = world_t(t, t_scale, t_offset)
-    return call_filter(filter_.function, (filter_.context, ray, t, u, v, prim_id))
+    hits = scratch(FILTERED_BYTES)
+    store(hits, world_t(t, filter_.t_scale, filter_.t_offset))
+    store(hits + U_AT, u)
+    store(hits + V_AT, v)
+    return kept_hits(filter_.filter, _ONE, hits, prim_id, filter_.ray) != _NONE
 
 
 @device
 def keeps(filter_, t, u, v, prim_id):
-    """Whether a ray's hit exists, for a `RayFilter`; without one, given None, all do."""
+    """Whether a ray's hit at a local t exists, for a `RayFilter`; all do if it is None."""
     if filter_ is None:
         return True
-    own, ray = filter_.filter, filter_.ray
-    return is_kept(own, ray, t, filter_.t_scale, filter_.t_offset, u, v, prim_id)
+    return _keeps(filter_, t, u, v, prim_id)
 
 
 @device

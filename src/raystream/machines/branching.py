@@ -15,7 +15,6 @@ from raystream.kernels.queries import Wanted, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
-from raystream.programs.filters import check_first
 from raystream.structures import Structure
 
 __all__ = ["Branching"]
@@ -82,22 +81,15 @@ class Branching(Backend):
 
         Notes
         -----
-        A hit at which the filter raises is kept: it raises if that hit is a ray's first one, so
-        errors do not depend on which other hits a traversal finds.
+        A traversal finds hits in any order. So that errors do not depend on it, a query whose
+        filter raises is run again, over the nearest hits of each ray.
         """
         if query.kind is not Kind.FIRST_HIT and query.kind is not Kind.ANY_HIT:
             return False
         filter_: Any = query.on_hit
         at_hits = filter_.at_hits(rays)
         self.run(query._replace(on_hit=at_hits.addresses), rays, sink, progress)
-        if not at_hits.has_raised:
-            return True
-        if query.kind is Kind.ANY_HIT:
-            first = self.answer(query._replace(kind=Kind.FIRST_HIT), rays)
-            sink.seen = first.hits.prim_id >= 0
-        else:
-            check_first(filter_, rays, sink.hits)
-        return True
+        return not at_hits.has_raised
 
     def trace_singly(
         self,

@@ -26,7 +26,7 @@ from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
 from raystream.programs.rows import SkipsAt, as_skips
 
-__all__ = ["Bound", "Filter", "check_first", "count_filtered", "filter_first", "multi_filtered"]
+__all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
 
 
 def _keep_all(hit: Any) -> bool:
@@ -131,20 +131,6 @@ def filter_first(
     for array, value in zip(hits, (np.inf, 0.0, 0.0, -1), strict=True):
         array[ignored] = value
     visit(find, whole.part(ignored), program.run, np.zeros(len(ignored), np.uint8), delivered=1)
-
-
-def check_first(filter_: Filter, batch: RayBatch, hits: HitArrays) -> None:
-    """Raise what a filter raises at one of the first hits that it keeps.
-
-    Raises
-    ------
-    RuntimeError
-        If it does.
-    """
-    program, rays = filter_.program("first", HitAddresses.of(hits)), RaySubset(batch, None, 0)
-    program.compile()
-    pending = PendingRays.of(rays, 0)
-    for_each_chunk(HitBatch(hits, None, None, 0), lambda found: program.run(found, pending))
 
 
 def count_filtered(

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device
-from raystream.jit.simd import load
+from raystream.jit.simd import count_trailing_zeros, load
 from raystream.jit.user_loops import Loop, compile_loop
 from raystream.jit.user_results import accept_decision
-from raystream.kernels.hit_filter import HitFilter
+from raystream.kernels.hit_filter import U_AT, V_AT, HitFilter
 from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision
 from raystream.programs.hits import RaysAt, SceneAt, hit_of
@@ -31,10 +31,11 @@ __all__ = ["FilterAtHits"]
 _SCENE, _DIRECTIONS, _CONSTANTS = 1, 5, 8
 
 _ZERO, _1, _2, _3 = (np.uint64(8 * k) for k in range(4))
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * _SCENE), np.uint64(8 * _DIRECTIONS)
 
-#: Arguments of a filter's code: its context, the ray, t, u, v and prim_id.
-_TYPES = ("uint64", "uint64", "float32", "float32", "float32", "int32")
+#: Arguments of a filter's code: its context, and those of `hit_filter.kept_hits`.
+_TYPES = ("uint64", "uint64", "uint64", "int32", "uint64")
 
 _NUMBERS = (np.float32, np.float64, np.complex64, np.complex128)
 _INTEGERS = (np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint16, np.uint32, np.uint64)
@@ -58,6 +59,14 @@ def rays_of(context):
     at = context + _DIRECTIONS_AT
     directions, step, is_double = _word(at, _ZERO), _word(at, _1), _word(at, _2) != _ZERO
     return RaysAt(_ZERO, False, _ZERO, _ZERO, _ZERO, directions, step, is_double)
+
+
+@device
+def filtered_hit(hits, lane, prim_id, first, rays, scene):
+    """The `Hit` of a lane of `hit_filter.kept_hits`."""
+    at, ray = hits + (lane << _WORD), first + lane
+    t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
+    return hit_of(ray, t, u, v, prim_id, rays, ray, scene)
 
 
 class FilterAtHits:
@@ -110,7 +119,7 @@ class FilterAtHits:
 
     @property
     def has_raised(self) -> bool:
-        """Whether the function raised at a hit; the traversal kept that hit."""
+        """Whether the function raised at a hit; then the query's results are not valid."""
         return bool(self._context[0])
 
 
@@ -162,19 +171,27 @@ def _compile(function: Any, constants: str, classes: dict[str, Any]) -> Loop:
         for name, one in classes.items()
     ]
     lines = [
-        "def loop(context, ray, t, u, v, prim_id):",
+        "def loop(context, bits, hits, prim_id, first):",
         *(f"    {line}" for line in known),
-        "    scene, rays = scene_of(context), rays_of(context)",
-        "    hit = hit_of(ray, t, u, v, prim_id, rays, ray, scene)",
-        f"    return accept(function({', '.join(filter(None, ('hit', constants)))})) != ignore",
+        "    scene, rays, kept = scene_of(context), rays_of(context), bits",
+        "    while bits != zero:",
+        "        lane = count_trailing_zeros(bits)",
+        "        bits &= bits - one",
+        "        hit = filtered_hit(hits, lane, prim_id, first, rays, scene)",
+        f"        if accept(function({', '.join(filter(None, ('hit', constants)))})) == ignore:",
+        "            kept ^= one << lane",
+        "    return kept",
     ]
     names = {
         "accept": accept_decision(Decision, True),
-        "hit_of": hit_of,
+        "count_trailing_zeros": count_trailing_zeros,
+        "filtered_hit": filtered_hit,
         "ignore": np.int64(Decision.IGNORE),
         "load": load,
+        "one": np.uint64(1),
         "rays_of": rays_of,
         "scene_of": scene_of,
+        "zero": _ZERO,
         **{number.__name__: number for number in _NUMBERS + _INTEGERS},
         **classes,
     }
