@@ -70,7 +70,9 @@ def in_parts(blocks, count, max_coordinate, origins, directions, parts, surfaces
     for i in range(np.uint64(len(counts))):
         o, d = origins[i], directions[i]
         ray = block_ray(prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], max_coordinate))
-        kept = begin_search(parts[0], np.float32(np.inf), room, to, i * room, surfaces, None, None, None)
+        kept = begin_search(
+            parts[0], np.float32(np.inf), room, to, i * room, surfaces, None, None, None
+        )
         counted = begin_search(
             parts[0], np.float32(np.inf), room, None, _NONE, surfaces, None, None, None
         )

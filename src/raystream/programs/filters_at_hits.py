@@ -14,59 +14,30 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, load
 from raystream.jit.user_loops import Loop, compile_loop
 from raystream.jit.user_results import accept_decision
-from raystream.kernels.hit_filter import U_AT, V_AT, HitFilter
+from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision
-from raystream.programs.hits import RaysAt, SceneAt, hit_of
+from raystream.programs.filter_context import (
+    CONSTANTS,
+    DIRECTIONS,
+    SCENE,
+    filtered_hit,
+    rays_of,
+    scene_of,
+)
+from raystream.programs.hits import SceneAt
 from raystream.programs.program import check_function
 
 __all__ = ["FilterAtHits"]
-
-#: Numbers of a context before the constants: whether the filter raised; a `SceneAt`; address and
-#: stride of the rays' directions, and whether these are float64.
-_SCENE, _DIRECTIONS, _CONSTANTS = 1, 5, 8
-
-_ZERO, _1, _2, _3 = (np.uint64(8 * k) for k in range(4))
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * _SCENE), np.uint64(8 * _DIRECTIONS)
 
 #: Arguments of a filter's code: its context, and those of `hit_filter.kept_hits`.
 _TYPES = ("uint64", "uint64", "uint64", "int32", "uint64")
 
 _NUMBERS = (np.float32, np.float64, np.complex64, np.complex128)
 _INTEGERS = (np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint16, np.uint32, np.uint64)
-
-
-@device
-def _word(at, offset):
-    return load(np.uint64, at + offset)
-
-
-@device
-def scene_of(context):
-    """The `SceneAt` of a context."""
-    at = context + _SCENE_AT
-    return SceneAt(_word(at, _ZERO), _word(at, _1), _word(at, _2), _word(at, _3))
-
-
-@device
-def rays_of(context):
-    """The rays of a context, of which it has the directions only."""
-    at = context + _DIRECTIONS_AT
-    directions, step, is_double = _word(at, _ZERO), _word(at, _1), _word(at, _2) != _ZERO
-    return RaysAt(_ZERO, False, _ZERO, _ZERO, _ZERO, directions, step, is_double)
-
-
-@device
-def filtered_hit(hits, lane, prim_id, first, rays, scene):
-    """The `Hit` of a lane of `hit_filter.kept_hits`."""
-    at, ray = hits + (lane << _WORD), first + lane
-    t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
-    return hit_of(ray, t, u, v, prim_id, rays, ray, scene)
 
 
 class FilterAtHits:
@@ -101,11 +72,11 @@ class FilterAtHits:
         source, self._kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         reader = _Reader()
         text = "" if constants is None else reader.read(constants)
-        self._context = np.zeros(_CONSTANTS + len(reader.values), np.uint64)
-        self._context[_SCENE:_DIRECTIONS] = SceneAt.of(triangles)
+        self._context = np.zeros(CONSTANTS + len(reader.values), np.uint64)
+        self._context[SCENE:DIRECTIONS] = SceneAt.of(triangles)
         directions = source.directions, source.direction_step, source.directions_are_double
-        self._context[_DIRECTIONS:_CONSTANTS] = directions
-        for k, value in enumerate(reader.values, _CONSTANTS):
+        self._context[DIRECTIONS:CONSTANTS] = directions
+        for k, value in enumerate(reader.values, CONSTANTS):
             self._context[k : k + 1].view(value.dtype)[0] = value
         self._triangles, self._skipped = triangles, skipped
         code = 0
@@ -154,7 +125,7 @@ class _Reader:
         if isinstance(number, np.complexfloating):
             parts = self._read_number(number.real), self._read_number(number.imag)
             return f"{number.dtype.name}(complex({', '.join(parts)}))"
-        at = f"context + uint64({8 * (_CONSTANTS + len(self.values))})"
+        at = f"context + uint64({8 * (CONSTANTS + len(self.values))})"
         if isinstance(number, np.bool_):
             self.values.append(np.uint64(number))
             return f"(load(uint64, {at}) != uint64(0))"
@@ -191,7 +162,7 @@ def _compile(function: Any, constants: str, classes: dict[str, Any]) -> Loop:
         "one": np.uint64(1),
         "rays_of": rays_of,
         "scene_of": scene_of,
-        "zero": _ZERO,
+        "zero": np.uint64(0),
         **{number.__name__: number for number in _NUMBERS + _INTEGERS},
         **classes,
     }

@@ -203,7 +203,9 @@ def _trace_wavefront(
     addresses, frame, prefetching = tree.addresses, tree.frame, tree.prefetching
 
     def body(begin: int, end: int) -> None:
-        trace_wavefront(begin, end, addresses, frame, source, wants_any, prefetching, filter_, results)
+        trace_wavefront(
+            begin, end, addresses, frame, source, wants_any, prefetching, filter_, results
+        )
 
     if count <= SMALL_BATCH and progress is None:
         body(0, count)
