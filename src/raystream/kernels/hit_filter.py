@@ -75,7 +75,7 @@ class RayFilter(NamedTuple):
 
 
 @device
-def _is_skipped(filter_, ray, prim_id):
+def _skips(filter_, ray, prim_id):
     at = filter_.skipped + ray * filter_.skip_count * _WORD
     end = at + filter_.skip_count * _WORD
     while at != end:
@@ -87,7 +87,7 @@ def _is_skipped(filter_, ray, prim_id):
 
 @device
 def kept_hits(filter_, bits, hits, prim_id, first):
-    """The hits of up to 16 consecutive rays with a triangle that exist.
+    """The hits of up to 16 consecutive rays with a triangle that exist, for rays that do not skip it.
 
     Parameters
     ----------
@@ -105,14 +105,7 @@ def kept_hits(filter_, bits, hits, prim_id, first):
     uint64
         Bits of the hits that exist.
     """
-    if filter_.skip_count != _NONE:
-        left = bits
-        while left != _NONE:
-            lane = count_trailing_zeros(left)
-            left &= left - _ONE
-            if _is_skipped(filter_, first + lane, prim_id):
-                bits ^= _ONE << lane
-    if filter_.function == _NONE or bits == _NONE:
+    if filter_.function == _NONE:
         return bits
     return call_filter(filter_.function, (filter_.context, bits, hits, prim_id, first))
 
@@ -120,6 +113,8 @@ def kept_hits(filter_, bits, hits, prim_id, first):
 @device_call
 def _keeps(filter_, t, u, v, prim_id):
     no_inline()
+    if _skips(filter_.filter, filter_.ray, prim_id):
+        return False
     hits = scratch(FILTERED_BYTES)
     store(hits, world_t(t, filter_.t_scale, filter_.t_offset))
     store(hits + U_AT, u)

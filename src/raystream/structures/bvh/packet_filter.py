@@ -9,11 +9,13 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
+    gather,
     i32x16,
     lane_numbers,
     load,
     mask_bits,
     scratch,
+    select,
     store,
 )
 from raystream.jit.views import address_of
@@ -24,6 +26,7 @@ from raystream.structures.bvh.packet_rays import GroupLanes, group_rows, world_l
 __all__ = ["PacketFilter", "kept_lanes", "packet_filter"]
 
 _U0, _U1 = np.uint64(0), np.uint64(1)
+_LANE = np.uint64(4)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _ZERO, _ONE = np.int32(0), np.int32(1)
 
@@ -59,6 +62,18 @@ def packet_filter(filter_, order, number, slow_groups):
 
 
 @device
+def _unskipped(filter_, taken, prim_id, first):
+    """The mask of those lanes whose rays do not skip a triangle."""
+    # Lanes that are not taken may be beyond the last ray: they read what a taken one does.
+    some = i32x16(np.int32(count_trailing_zeros(mask_bits(taken))))
+    rows = select(taken, lane_numbers(i32x16), some) * np.int32(filter_.skip_count)
+    at = filter_.skipped + first * filter_.skip_count * _LANE
+    for k in range(filter_.skip_count):
+        taken = taken & (gather(np.int32, at + k * _LANE, rows) != i32x16(prim_id))
+    return taken
+
+
+@device
 def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     """The mask of those lanes whose hits with a triangle exist.
 
@@ -72,14 +87,19 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     g : uint64
         The group's index.
     """
+    own, first = filter_.filter, filter_.first + g * filter_.step
+    if own.skip_count != _U0:
+        taken = _unskipped(own, taken, prim_id, first)
+    bits = mask_bits(taken)
+    if own.function == _U0 or bits == _U0:
+        return taken
     hits = scratch(FILTERED_BYTES)
     store(hits, world_lanes(t, group.t_scale))
     store(hits + U_AT, u)
     store(hits + V_AT, v)
-    bits = mask_bits(taken)
     if (filter_.slow_groups >> g) & _U1 != _U0:
         _put_slow(hits, bits, t, group)
-    bits = kept_hits(filter_.filter, bits, hits, prim_id, filter_.first + g * filter_.step)
+    bits = kept_hits(own, bits, hits, prim_id, first)
     return ((i32x16(np.int32(bits)) >> lane_numbers(i32x16)) & i32x16(_ONE)) != i32x16(_ZERO)
 
 
