@@ -87,7 +87,7 @@ def _skips(filter_, ray, prim_id):
 
 @device
 def kept_hits(filter_, bits, hits, prim_id, first):
-    """The hits of up to 16 consecutive rays with a triangle that exist, for rays that do not skip it.
+    """The hits of up to 16 consecutive rays with a triangle that exist, if none skips it.
 
     Parameters
     ----------

@@ -121,7 +121,7 @@ class _Reader:
         return f"{name}({', '.join(parts)})"
 
     def _read_number(self, value: Any) -> str:
-        number = np.asarray(value)[()]
+        number: Any = np.asarray(value)[()]
         if isinstance(number, np.complexfloating):
             parts = self._read_number(number.real), self._read_number(number.imag)
             return f"{number.dtype.name}(complex({', '.join(parts)}))"
