@@ -18,7 +18,7 @@ from typing import Any
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 QUALITIES = ("balanced", "fast", "high")
-QUERIES = ("first", "any", "multi", "count")
+QUERIES = ("first", "any", "multi", "count", "filter")
 TASKS = (
     *(f"build-{how}" for how in (*QUALITIES, "update")),
     *(f"render-{mode}" for mode in MODES),
@@ -49,7 +49,13 @@ def query(kind: str) -> None:
 
     tracer = rs.Tracer(rs.load("spheres"))
     rng = np.random.default_rng(0)
-    ask = getattr(tracer, {"any": "any_hit", "count": "count_hits"}.get(kind, f"{kind}_hit"))
+    ask = getattr(tracer, {"any": "any_hit", "count": "count_hits"}.get(kind, f"{kind}_hit"), None)
+    if kind == "filter":  # the traversals that call one
+
+        def ask(origins: Any, directions: Any) -> Any:
+            skipped = np.full(directions.shape[:-1], -1)
+            return tracer.first_hit(origins, directions, skip_prim_ids=skipped)
+
     origins, directions = tracer.scene.camera.rays(300, 200)
     ask(origins[0, 0], directions[0, 0])
     for dtype in (np.float32, np.float64):

@@ -70,6 +70,13 @@ def takes_long(tracer: rs.Tracer) -> bool:
     return tracer.machine == "multipass" or tracer.device != "cpu"
 
 
+def some_hits(hit) -> bool:
+    """A filter that uses all numbers of a hit."""
+    if not (hit.u >= 0.0 and hit.v >= 0.0 and hit.t > -np.inf and hit.mesh_id == 0):
+        return False
+    return (hit.prim_id + hit.ray) % 3 != 0 or (hit.is_entering and hit.u < hit.v)
+
+
 def answers_of(tracer: rs.Tracer, rays, *, is_brief: bool = False) -> Answers:
     """All four queries, with all their options or, where passes take long, a few."""
     answers: Answers = {}
@@ -80,6 +87,13 @@ def answers_of(tracer: rs.Tracer, rays, *, is_brief: bool = False) -> Answers:
     first = tracer.first_hit(**rays)
     note("first_hit", first, "t", "u", "v", "prim_id", "mesh_id", "status")
     answers["any_hit"] = tracer.any_hit(**rays)
+    if tracer.device == "cpu":
+        for skipped in (None, first.prim_id):
+            chosen = {"on_hit": some_hits, "skip_prim_ids": skipped}
+            filtered = tracer.first_hit(**rays, **chosen)
+            query = f"filtered, {skipped is not None}"
+            note(f"first_hit, {query}", filtered, "t", "u", "v", "prim_id", "status")
+            answers[f"any_hit, {query}"] = tracer.any_hit(**rays, **chosen)
     for crossings in ("surfaces",) if is_brief else ("triangles", "surfaces"):
         answers[f"count_hits, {crossings}"] = tracer.count_hits(**rays, crossings=crossings)
         for max_hits in (None, 3) if is_brief else (None, 0, 1, 3):

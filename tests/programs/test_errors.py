@@ -127,6 +127,36 @@ def test_what_a_filter_raises_names_it(tracer):
         tracer.first_hit(*RAY, on_hit=raises_nothing)
 
 
+def raises_behind(hit):
+    if hit.t > 2.5:
+        raise ValueError("behind")
+    return True
+
+
+def raises_in_front(hit):
+    if hit.t < 2.5:
+        raise ValueError("in front")
+    return False
+
+
+@pytest.mark.parametrize("kernel", ["wavefront", "packet", "stream", "single"])
+def test_a_filter_raises_only_at_the_nearest_hits(kernel):
+    """Whatever other hits a traversal finds, and in what order."""
+    tracer = rs.Tracer(rs.Scene.from_arrays(*cube()), kernel=kernel)
+    rays = np.zeros((40, 3)) + RAY[0], RAY[1]
+    expected = tracer.first_hit(*rays)
+    assert (expected.t == 2.0).all()
+    for is_from_behind in (False, True):
+        toward = [0.0, 0.0, -1.0 if is_from_behind else 1.0]
+        origins = rays[0] + [0.0, 0.0, 5.0 if is_from_behind else 0.0]
+        hits = tracer.first_hit(origins, toward, on_hit=raises_behind)
+        assert (hits.t == 2.0).all()
+        assert tracer.any_hit(origins, toward, on_hit=raises_behind).all()
+        for query in (tracer.first_hit, tracer.any_hit):
+            with pytest.raises(RuntimeError, match=r"^raises_in_front: raised ValueError: in"):
+                query(origins, toward, on_hit=raises_in_front)
+
+
 def test_shapes_and_names(tracer):
     rays = np.zeros((4, 3)) + [0.3, 0.4, -2.0], [0.0, 0.0, 1.0]
     with pytest.raises(ValueError, match=r"^payload: expected the rays' shape \(4,\), or .*\(5,"):

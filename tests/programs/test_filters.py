@@ -1,3 +1,5 @@
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -110,6 +112,80 @@ def test_filters(pieces, crossings):
     }
     for function, exists in cases.items():
         check(tracer, origins, directions, exists, {"on_hit": function}, crossings)
+
+
+def by_all_numbers(hit):
+    key = np.float64(hit.t) * 7.0 + np.float64(hit.u) * 1e5 + np.float64(hit.v) * 3e5
+    return (np.int64(key) + hit.ray) % 3 != 0
+
+
+@pytest.mark.parametrize("kernel", ["wavefront", "packet", "stream", "single"])
+@pytest.mark.parametrize("shape", ["image", "list"])
+def test_every_kernel_gives_filters_the_numbers_of_the_hits(kernel, shape, rng):
+    """Also in tiles that are not full, and for rays from far away, at any scale."""
+    origins, directions = layers_rays(37, 41)
+    directions = directions * rng.uniform(0.3, 3.0, (*directions.shape[:2], 1))
+    origins[5, ::7, 2] = -1e6
+    origins[:, 20, 2] = -0.3e5
+    if shape == "list":
+        order = rng.permutation(origins.size // 3)
+        origins, directions = (one.reshape(-1, 3)[order] for one in (origins, directions))
+    vertices = [mesh.vertices * 3.7 for mesh in layers_scene().meshes]
+    meshes = [
+        rs.Mesh(moved, mesh.faces)
+        for moved, mesh in zip(vertices, layers_scene().meshes, strict=True)
+    ]
+    tracer = rs.Tracer(rs.Scene(meshes), kernel=kernel)
+
+    def exists(many):
+        t, u, v = (getattr(many, name).astype(np.float64) for name in "tuv")
+        return ((t * 7.0 + u * 1e5 + v * 3e5).astype(np.int64) + many.ray_id) % 3 != 0
+
+    check(tracer, origins * 3.7, directions, exists, {"on_hit": by_all_numbers})
+
+
+class Limits(NamedTuple):
+    low: float
+    is_open: bool
+
+
+class Shares(NamedTuple):
+    divisor: int
+    is_open: bool
+
+
+def of_named_constants(hit, constants):
+    limits, (shares, factor) = constants
+    if limits.is_open and hit.prim_id < limits.low:
+        return False
+    return (hit.prim_id * np.int64(factor.imag)) % shares.divisor != 0
+
+
+def of_other_fields(hit, constants):
+    return hit.prim_id % constants[0].divisor != 0
+
+
+def test_constants_are_what_they_were():
+    """Named tuples, booleans and complex numbers; the same function with other classes."""
+    tracer, rays = rs.Tracer(layers_scene()), layers_rays()
+    constants = Limits(np.float32(20.5), True), (Shares(np.uint8(7), False), 1 + 3j)
+    check(
+        tracer,
+        *rays,
+        lambda many: (many.prim_id >= 20.5) & (many.prim_id * 3 % 7 != 0),
+        {"on_hit": Bound(of_named_constants, constants)},
+    )
+    constants = (Limits(20.5, False), (Shares(7, True), np.complex64(3j)))
+    check(
+        tracer,
+        *rays,
+        lambda many: many.prim_id * 3 % 7 != 0,
+        {"on_hit": Bound(of_named_constants, constants)},
+    )
+    arguments = {"on_hit": Bound(of_other_fields, (Shares(5, True),))}
+    check(tracer, *rays, lambda many: many.prim_id % 5 != 0, arguments)
+    with pytest.raises(TypeError, match="constants: expected numbers and tuples"):
+        tracer.first_hit(*rays, on_hit=Bound(with_constants, ("seven", (3,))))
 
 
 def test_skipped_triangles(pieces):

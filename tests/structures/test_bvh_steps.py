@@ -140,7 +140,9 @@ def run_pass(
             block = states.block[i]
             add_to(tally, TESTS, triangle_count(block))
             count, to = states.count[i], rows_of(out)
-            search = Search(t_min, t_far, count, capacity, to, first, surfaces, met, False, tally)
+            search = Search(
+                t_min, t_far, count, capacity, to, first, surfaces, met, False, tally, None
+            )
             search = intersect_block(block, line, search, t_min, _INF)
             states.count[i], states.t_far[i] = search.hit_count, search.t_far
             states.block[i] = block + BLOCK
@@ -166,7 +168,9 @@ def fused(tree, max_coordinate, rays, surfaces, slots, out, seen, counts, tallie
         met = SeenSet(address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4), room)
         first, capacity = slots.first[i], slots.capacity[i]
         t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(tallies, i)
-        search = begin_search(t_min, t_max, capacity, rows_of(out), first, surfaces, met, tally)
+        search = begin_search(
+            t_min, t_max, capacity, rows_of(out), first, surfaces, met, tally, None
+        )
         search = traverse(tree, ray, search, stack)
         counts[i] = _OVERFLOWED if search.has_overflowed else search.hit_count
 

@@ -109,6 +109,8 @@ class CudaBackend(Backend):
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> bool:
         """Answer a query with its filter or program on the device, if it can run there."""
+        if query.kind is Kind.ANY_HIT:
+            return False
         goal, record = QUERIES[query.kind].goal, record_of(sink.records)
         if DeviceProgram.of(query.on_hit, goal, record).reason_against(self.gpu):
             return False

@@ -15,6 +15,7 @@ from numba.extending import intrinsic
 __all__ = [
     "array_at",
     "bits_above",
+    "call_filter",
     "corners_at",
     "high_product",
     "int32_at",
@@ -236,3 +237,41 @@ def record_at(dtype: Any, width: int) -> Callable[[Any, Any], Any]:
         return made(first, row), generate
 
     return read
+
+
+@intrinsic
+def call_filter(typing_context: Any, function: Any, arguments: Any) -> Any:
+    """Call a function compiled by Numba at an address.
+
+    Parameters
+    ----------
+    function : uint64
+        The address of its code, which returns a uint64.
+    arguments : tuple
+        Its arguments. The first one is an address: a number there, a uint64, becomes 1 if the
+        function raises.
+
+    Returns
+    -------
+    uint64
+        The result; any number if it raises.
+    """
+    if function != types.uint64 or not isinstance(arguments, types.BaseTuple):
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        convention, of = context.call_conv, list(arguments.types)
+        type_ = convention.get_function_type(types.uint64, of)
+        called = builder.inttoptr(given[0], type_.as_pointer())
+        result = cgutils.alloca_once(builder, type_.args[0].pointee)
+        exception = cgutils.alloca_once(builder, type_.args[1].pointee)
+        values = cgutils.unpack_tuple(builder, given[1])
+        packed = context.get_arg_packer(of).as_arguments(builder, values)
+        code = builder.call(called, [result, exception, *packed])
+        raised = builder.icmp_signed("!=", code, ir.Constant(code.type, 0))
+        with builder.if_then(raised, likely=False):
+            number = ir.IntType(64)
+            builder.store(number(1), builder.inttoptr(values[0], number.as_pointer()))
+        return builder.load(result)
+
+    return types.uint64(function, arguments), generate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numba
@@ -43,6 +43,30 @@ class Loop:
     def compiled_count(self) -> int:
         """Number of compilations in this process: calls that did not find it on disk."""
         return sum(self._dispatcher.stats.cache_misses.values())
+
+    def address_of(self, names: Sequence[str]) -> int:
+        """The address of its code for some argument types; see `intrinsics.call_filter`.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of Numba's types.
+
+        Raises
+        ------
+        TypeError
+            See `__call__`.
+        """
+        types = tuple(getattr(numba.types, name) for name in names)
+        try:
+            self._dispatcher.compile(types)
+        except NumbaError as error:
+            raise TypeError(f"{self._name}: {_reason(str(error))}") from error
+        except Exception as error:  # from inside Numba, such as a field that a record lacks
+            reason = f"{type(error).__name__}: {error}"
+            raise TypeError(f"{self._name}: Numba cannot compile it: {reason}") from error
+        compiled = self._dispatcher.overloads[types]
+        return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
     def __call__(self, *arguments: Any) -> Any:
         """Run it.

@@ -15,6 +15,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, scratch, store
+from raystream.kernels.hit_filter import HitFilter, RayFilter
 from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray, local_ray
@@ -65,6 +66,8 @@ class RayScene(NamedTuple):
         Address of the traversal's memory.
     status : uint64 or None
         Address of the first ray's status, a byte; written for invalid rays only.
+    filter : HitFilter or None
+        Decides which hits exist.
     """
 
     source: RaySource
@@ -72,6 +75,7 @@ class RayScene(NamedTuple):
     arrays: Any
     stack: np.uint64
     status: np.uint64 | None
+    filter: HitFilter | None
 
 
 class Goal(NamedTuple):
@@ -83,6 +87,14 @@ class Goal(NamedTuple):
     surfaces: bool
     seen: SeenSet | None
     counters: np.uint64 | None
+
+
+@device
+def _ray_filter(filter_, i, ray):
+    """The `RayFilter` of ray i, a `LocalRay`; None without a filter."""
+    if filter_ is None:
+        return None
+    return RayFilter(filter_, i, ray.t_scale, ray.t_offset)
 
 
 @device
@@ -132,6 +144,7 @@ def _local_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
             goal.surfaces,
             goal.seen,
             goal.counters,
+            _ray_filter(scene.filter, i, ray),
         )
         return traverse(arrays, local, search, stack)
 
@@ -205,9 +218,9 @@ class RayQueries(NamedTuple):
 
     Attributes
     ----------
-    first_hit : (..., out)
-        Writes a `ResultAddresses`.
-    any_hit : (..., out)
+    first_hit : (..., filter, out)
+        Writes a `ResultAddresses`. `filter` is a `HitFilter` or None.
+    any_hit : (..., filter, out)
         Writes the bytes at `seen` of a `ResultAddresses`.
     count_hits : (..., status, wanted, counts)
         Writes `counts`, of shape (N,), int64: the number of hits, up to the limit.
@@ -234,11 +247,14 @@ class RayQueries(NamedTuple):
 
 
 def output_of(query: Query, sink: Sink, repeats: bool) -> tuple[Any, ...]:
-    """The last arguments of a query's loop: what is wanted, and where it goes."""
+    """The last arguments of a query's loop: what is wanted, and where it goes.
+
+    `Query.on_hit` is a `HitFilter` or None, for the nearest and any hit.
+    """
     if query.kind is Kind.FIRST_HIT:
-        return (ResultAddresses.of_first(sink.memory, sink.status),)
+        return query.on_hit, ResultAddresses.of_first(sink.memory, sink.status)
     if query.kind is Kind.ANY_HIT:
-        return (ResultAddresses.of_any(sink.seen, sink.status),)
+        return query.on_hit, ResultAddresses.of_any(sink.seen, sink.status)
     wanted = Wanted.of(query, repeats)
     if query.kind is Kind.COUNT_HITS:
         return np.uint64(sink.status.ctypes.data), wanted, sink.counts
@@ -298,10 +314,10 @@ def ray_queries(
     seen_at = _seen_at if has_duplicates else _no_set
 
     @kernel
-    def first_hit(begin, end, source, frame, arrays, tallies, out):
+    def first_hit(begin, end, source, frame, arrays, tallies, filter_, out):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        scene = RayScene(source, frame, arrays, stack, out.status)
+        scene = RayScene(source, frame, arrays, stack, out.status, filter_)
         hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
@@ -310,10 +326,10 @@ def ray_queries(
             finish_first(out, i, search.hit_count, ray)
 
     @kernel
-    def any_hit(begin, end, source, frame, arrays, tallies, out):
+    def any_hit(begin, end, source, frame, arrays, tallies, filter_, out):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        scene = RayScene(source, frame, arrays, stack, out.status)
+        scene = RayScene(source, frame, arrays, stack, out.status, filter_)
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
             search, _ = search_ray(i, scene, Goal(_ONE, None, i, False, None, tally))
@@ -324,7 +340,7 @@ def ray_queries(
     def count_hits(begin, end, source, frame, arrays, tallies, status, wanted, counts):
         stack, saved = scratch(stack_bytes), scratch(32)
         store(stack, _NONE)
-        scene = RayScene(source, frame, arrays, stack, status)
+        scene = RayScene(source, frame, arrays, stack, status, None)
         repeats, surfaces, most = wanted.repeats, wanted.surfaces, wanted.limit
         table = _new_table(repeats)
         for i in range(np.uint64(begin), np.uint64(end)):
@@ -345,7 +361,7 @@ def ray_queries(
     def multi_hit(begin, end, source, frame, arrays, tallies, wanted, splits, hits):
         stack, saved = scratch(stack_bytes), scratch(32)
         store(stack, _NONE)
-        scene = RayScene(source, frame, arrays, stack, None)
+        scene = RayScene(source, frame, arrays, stack, None, None)
         repeats, surfaces = wanted.repeats, wanted.surfaces
         table, to = _new_table(repeats), hit_addresses(hits)
         for i in range(np.uint64(begin), np.uint64(end)):
@@ -371,7 +387,7 @@ def ray_queries(
     def collect_hits(begin, end, source, frame, arrays, status, wanted, splits, hits):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        scene = RayScene(source, frame, arrays, stack, status)
+        scene = RayScene(source, frame, arrays, stack, status, None)
         repeats, surfaces = wanted.repeats, wanted.surfaces
         table, to = _new_table(repeats), hit_addresses(hits)
         most, room, row = wanted.limit, np.uint64(len(hits.t)), _NONE

@@ -18,6 +18,7 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
+from raystream.kernels.hit_filter import RayFilter, keeps
 from raystream.kernels.hits import HitAddresses
 
 __all__ = [
@@ -269,6 +270,8 @@ class Search(NamedTuple):
         `seen` is too small for this ray: repeat the search with a larger one.
     counters : uint64 or None
         Address of the ray's counts, see `kernels.tally`.
+    filter : RayFilter or None
+        Decides which hits exist.
     """
 
     t_min: np.float32
@@ -281,12 +284,25 @@ class Search(NamedTuple):
     seen: SeenSet | None
     has_overflowed: bool
     counters: np.uint64 | None
+    filter: RayFilter | None
 
 
 @device
-def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, seen, counters):
+def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, seen, counters, filter_):
     """A search without hits; see `Search` for the arguments."""
-    return Search(t_min, t_max, _NONE, capacity, hits, first_row, surfaces, seen, False, counters)
+    return Search(
+        t_min,
+        t_max,
+        _NONE,
+        capacity,
+        hits,
+        first_row,
+        surfaces,
+        seen,
+        False,
+        counters,
+        filter_,
+    )
 
 
 @device
@@ -303,6 +319,7 @@ def _changed(search, count, t_far, has_overflowed):
         search.seen,
         has_overflowed,
         search.counters,
+        search.filter,
     )
 
 
@@ -341,7 +358,7 @@ def _offer_to(hits, search, t, u, v, prim_id):
 
 @device
 def offer(search, t, u, v, prim_id):
-    """Keep or count a hit, unless its triangle was hit before.
+    """Keep or count a hit, unless a filter ignores it or its triangle was hit before.
 
     Parameters
     ----------
@@ -356,6 +373,8 @@ def offer(search, t, u, v, prim_id):
     -------
     Search
     """
+    if not keeps(search.filter, t, u, v, prim_id):
+        return search
     answer = _mark(search.seen, prim_id)
     if answer == ADDED:
         return _offer_to(search.hits, search, t, u, v, prim_id)

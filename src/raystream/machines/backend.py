@@ -61,7 +61,7 @@ class Backend(ABC):
     def run(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Run a query of any kind but `Kind.TRACE`, ignoring its filter.
+        """Run a query of any kind but `Kind.TRACE`, without its filter.
 
         Parameters
         ----------
@@ -125,11 +125,13 @@ class Backend(ABC):
         is_program = query.kind is Kind.TRACE
         if not is_program and (query.on_hit is None or query.limit == 0):
             self.run(query, rays, sink, progress)
+        elif self.run_program(query, rays, sink, progress):
+            pass
         elif query.kind is Kind.ANY_HIT:
             # The nearest hit that exists says whether there is one.
             first = self.answer(query._replace(kind=Kind.FIRST_HIT), rays, progress)
             sink.status, sink.seen = first.status, first.hits.prim_id >= 0
-        elif not self.run_program(query, rays, sink, progress):
+        else:
             run_on_hits(self.run, query, rays, sink, self.structure.triangles, progress)
         return sink
 

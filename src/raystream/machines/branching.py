@@ -81,6 +81,23 @@ class Branching(Backend):
         structure = self.structure
         return partial(structure.queries.cast, structure.frame, structure.arrays)
 
+    def run_program(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> bool:
+        """Run a query for first or any hits with its filter, which the traversals call.
+
+        Notes
+        -----
+        A traversal finds hits in any order. So that errors do not depend on it, a query whose
+        filter raises is run again, over the nearest hits of each ray.
+        """
+        if query.kind is not Kind.FIRST_HIT and query.kind is not Kind.ANY_HIT:
+            return False
+        filter_: Any = query.on_hit
+        at_hits = filter_.at_hits(rays)
+        self.run(query._replace(on_hit=at_hits.addresses), rays, sink, progress)
+        return not at_hits.has_raised
+
     def trace_singly(
         self,
         query: Query,

@@ -19,6 +19,7 @@ from raystream.kernels.hits import (
     copy_rows,
     for_each_chunk,
 )
+from raystream.programs.filters_at_hits import FilterAtHits
 from raystream.programs.loop_source import Goal
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
@@ -89,6 +90,12 @@ class Filter(NamedTuple):
         if isinstance(on_hit, Bound):
             return cls(on_hit.function, skipped, triangles, on_hit)
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
+
+    def at_hits(self, rays: RayBatch) -> FilterAtHits:
+        """The filter compiled to be called by traversals."""
+        function = None if self.function is _keep_all else self.function
+        constants = None if self.bound is None else self.bound.constants
+        return FilterAtHits(function, self.skipped, constants, self.triangles, rays)
 
     def program(self, goal: Goal, *arguments: Any) -> Program:
         """The filter compiled into a loop."""

@@ -20,6 +20,7 @@ __all__ = [
     "SceneAt",
     "close_ray",
     "hit_at",
+    "hit_of",
     "is_open",
     "position_at",
     "ray_at",
@@ -232,12 +233,22 @@ def row_range(rows, i):
 def hit_at(rows, row, rays, position, ray, scene):
     """The hit in a row, of the ray at a position among those traced; `ray` is its batch index."""
     at = row * _WORD
-    prim_id = load(np.int32, rows.prim_id + at)
-    return Hit(
-        np.int64(ray),
+    t, u, v = (
         load(np.float32, rows.t + at),
         load(np.float32, rows.u + at),
         load(np.float32, rows.v + at),
+    )
+    return hit_of(ray, t, u, v, load(np.int32, rows.prim_id + at), rays, position, scene)
+
+
+@device
+def hit_of(ray, t, u, v, prim_id, rays, position, scene):
+    """A `Hit` of the ray at a position among those traced; `ray` is its batch index."""
+    return Hit(
+        np.int64(ray),
+        t,
+        u,
+        v,
         prim_id,
         _mesh_of(scene, prim_id),
         _is_entering(scene, prim_id, rays, position),

@@ -210,7 +210,7 @@ class Structure(ABC):
         Parameters
         ----------
         query : Query
-            Without filter or counters.
+            Without counters. Its filter is a `HitFilter` or None.
         rays : RayBatch
         sink : Sink
             Of `Kind.MULTI_HIT` with a visitor.

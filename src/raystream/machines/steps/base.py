@@ -71,7 +71,7 @@ class Steps(NamedTuple):
 def resume_search(hits, ray, wanted, found, query, seen):
     """The search of a ray as its records hold it.
 
-    Its own counters are None: steps are counted by `count_step`.
+    Its own counters are None: steps are counted by `count_step`. It has no filter.
 
     Parameters
     ----------
@@ -95,6 +95,7 @@ def resume_search(hits, ray, wanted, found, query, seen):
         query.surfaces,
         seen,
         False,
+        None,
         None,
     )
 

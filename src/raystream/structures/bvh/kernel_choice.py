@@ -9,6 +9,7 @@ import numpy as np
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
@@ -80,6 +81,7 @@ def trace_batch(
     tree: Tree,
     batch: RayBatch,
     wants_any: bool,
+    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
     kernel: str = "auto",
@@ -92,6 +94,8 @@ def trace_batch(
         Not empty.
     batch : RayBatch
     wants_any : bool
+    filter_ : HitFilter, optional
+        Decides which hits exist.
     results : ResultAddresses
     progress : callable, optional
         Called with (rays done, rays).
@@ -106,20 +110,20 @@ def trace_batch(
         batch.origins, batch.directions, batch.limits, kernel != "wavefront"
     )
     if kernel == "wavefront":  # without further preparation, for small batches
-        _trace_wavefront(tree, count, source, wants_any, results, progress)
+        _trace_wavefront(tree, count, source, wants_any, filter_, results, progress)
         return
     order = PacketOrder.of(batch.shape)
     if kernel == "auto" and count:
         found = probe(source, order, tree.frame, tree.byte_count)
         kernel = choose_kernel(found, count, tree.byte_count)
     if kernel == "wavefront":
-        _trace_wavefront(tree, count, source, wants_any, results, progress)
+        _trace_wavefront(tree, count, source, wants_any, filter_, results, progress)
     elif kernel == "stream":
         addresses, frame = tree.addresses, tree.frame
-        trace_sorted(addresses, frame, count, source, wants_any, results, progress)
+        trace_sorted(addresses, frame, count, source, wants_any, filter_, results, progress)
     else:
         packets = PacketSource(source, order, tree.frame, results.status)
-        _trace_packets(tree, packets, wants_any, results, progress)
+        _trace_packets(tree, packets, wants_any, filter_, results, progress)
     del kept  # the kernels read it by address
 
 
@@ -192,13 +196,16 @@ def _trace_wavefront(
     count: int,
     source: RaySource,
     wants_any: bool,
+    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
     addresses, frame, prefetching = tree.addresses, tree.frame, tree.prefetching
 
     def body(begin: int, end: int) -> None:
-        trace_wavefront(begin, end, addresses, frame, source, wants_any, prefetching, results)
+        trace_wavefront(
+            begin, end, addresses, frame, source, wants_any, prefetching, filter_, results
+        )
 
     if count <= SMALL_BATCH and progress is None:
         body(0, count)
@@ -211,13 +218,14 @@ def _trace_packets(
     tree: Tree,
     source: PacketSource,
     wants_any: bool,
+    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
     addresses, packet_count = tree.addresses, source.order.packet_count
 
     def body(begin: int, end: int) -> None:
-        trace_packets(begin, end, addresses, source, wants_any, results)
+        trace_packets(begin, end, addresses, source, wants_any, filter_, results)
 
     share = -(-packet_count // (8 * thread_count()))
     report = _of_rays(progress, source.order)

@@ -41,6 +41,7 @@ from raystream.jit.views import address_of, view
 from raystream.kernels.ray import PAD
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import NODE, Node, NodeLanes
+from raystream.structures.bvh.packet_filter import packet_filter
 from raystream.structures.bvh.packet_hits import Collector
 from raystream.structures.bvh.packet_leaf import (
     ANY,
@@ -281,7 +282,7 @@ def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
 
 
 @device
-def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits):
+def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_):
     """Trace the rays of one class: a pass of a packet."""
     rays = _ray_class(packet, direction_class, max_coordinate)
     farthest = _farthest(packet)
@@ -296,7 +297,7 @@ def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hi
             top = _visit_node(packet, node, rays, farthest, groups, memory, stack, top)
         else:
             box, own = box_planes(node, lane, rays), memory.planes
-            if visit_leaf(packet, child, tree.leaves, box, rays, groups, own, goal, hits):
+            if visit_leaf(packet, child, tree.leaves, box, rays, groups, own, goal, hits, filter_):
                 farthest = _farthest(packet)
                 if farthest == -_INF:
                     break
@@ -329,7 +330,7 @@ def _next_class(packet):
 
 
 @device
-def trace_packet(packet, tree, max_coordinate, memory, goal, hits):
+def trace_packet(packet, tree, max_coordinate, memory, goal, hits, filter_):
     """Trace a loaded packet.
 
     Parameters
@@ -344,15 +345,17 @@ def trace_packet(packet, tree, max_coordinate, memory, goal, hits):
         `FIRST`, `ANY`, `COUNT` or `ALL` hits, see `packet_leaf`.
     hits : Collector
         Takes the hits if the goal is `ALL`.
+    filter_ : PacketFilter or None
+        Decides which first or any hits exist.
     """
     direction_class = _next_class(packet)
     while direction_class != NO_CLASS:
-        _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits)
+        _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_)
         direction_class = _next_class(packet)
 
 
 @kernel
-def trace_packets(begin, end, tree, source, wants_any, out):
+def trace_packets(begin, end, tree, source, wants_any, filter_, out):
     """Trace packets begin to end.
 
     Parameters
@@ -363,6 +366,7 @@ def trace_packets(begin, end, tree, source, wants_any, out):
     source : PacketSource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    filter_ : HitFilter or None
     out : ResultAddresses
     """
     packet = scratch(PACKET_BYTES)
@@ -371,5 +375,6 @@ def trace_packets(begin, end, tree, source, wants_any, out):
     nowhere = Collector(_U0)
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, source)
-        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, nowhere)
+        mine = packet_filter(filter_, source.order, number, slow_groups)
+        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, nowhere, mine)
         store_packet(packet, number, source.order, slow_groups, wants_any, out)

@@ -18,6 +18,7 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
+from raystream.structures.bvh.packet_filter import kept_lanes
 from raystream.structures.bvh.packet_hits import collect
 from raystream.structures.bvh.packet_rays import Group, three
 
@@ -127,7 +128,7 @@ def _own_planes(planes, block, rays):
 
 
 @device
-def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
+def _test_triangle(group, g, block, planes, lane, rays, goal, hits, filter_):
     """Test a triangle of a block against a group; returns whether a ray has a nearer hit."""
     kx, ky, kz = rays.kx, rays.ky, rays.kz
     corners = block.corners
@@ -179,6 +180,10 @@ def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
     taken = taken & ((t < nearest) | (prim_id < best))
     if not any_lane(taken):
         return False
+    if filter_ is not None:
+        taken = kept_lanes(filter_, taken, t, u, v, block.prim_ids[lane], group, g)
+        if not any_lane(taken):
+            return False
     group.prim_id = select(taken, prim_id, best)
     if goal == ANY:
         group.t_active = select(taken, f32x16(-_INF), nearest)
@@ -189,7 +194,7 @@ def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
 
 
 @device
-def visit_leaf(packet, child, leaves, box, rays, groups, planes, goal, hits):
+def visit_leaf(packet, child, leaves, box, rays, groups, planes, goal, hits, filter_):
     """Test a leaf's triangles against groups of a packet; returns whether any ray has a hit.
 
     Parameters
@@ -205,7 +210,7 @@ def visit_leaf(packet, child, leaves, box, rays, groups, planes, goal, hits):
         Those that enter the box.
     planes : view of PLANES
         Scratch.
-    goal, hits
+    goal, hits, filter_
         See `packet.trace_packet`.
     """
     at = leaf_address(leaves, child)
@@ -225,7 +230,7 @@ def visit_leaf(packet, child, leaves, box, rays, groups, planes, goal, hits):
             t_in, t_out = _group_interval(group, box)
             if any_lane(maximum(t_in, rays.t_min) <= minimum(t_out, group.t_active)):
                 for lane in range(count):
-                    if _test_triangle(group, g, block, own, lane, rays, goal, hits):
+                    if _test_triangle(group, g, block, own, lane, rays, goal, hits, filter_):
                         has_hit = True
         at += BLOCK
     return has_hit

@@ -185,7 +185,7 @@ def _collect_packets(begin, end, tree, source, goal, sorts, has_duplicates, buff
         _number_rays(hits, number, order, is_final)
         if not keeps:
             _clear_counts(packet)
-        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, hits)
+        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, hits, None)
         if not keeps:
             _store_counts(packet, number, order, counts)
             continue

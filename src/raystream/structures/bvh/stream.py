@@ -16,6 +16,8 @@ of Computer Graphics Techniques 4(4), 2015.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
@@ -39,6 +41,7 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import address_of, view
+from raystream.kernels.hit_filter import HitFilter, RayFilter, any_kept, keeps
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes
 from raystream.kernels.triangle_lanes import (
     barycentrics,
@@ -66,6 +69,7 @@ from raystream.structures.bvh.stream_rays import (
     Fill,
     Hot,
     fill,
+    scale_of,
     stream_rays,
     write_results,
 )
@@ -184,8 +188,33 @@ def _distances(hot, cold, block):
     return plane_distance(*_vertices(hot, block), hot.origin, cold.direction)
 
 
+class StreamFilter(NamedTuple):
+    """The filter of a stream's rays.
+
+    Attributes
+    ----------
+    filter : HitFilter
+    first : uint64
+        The batch index of number 0.
+    numbers : uint64
+        Address of the rays' numbers, uint32.
+    """
+
+    filter: HitFilter
+    first: np.uint64
+    numbers: np.uint64
+
+
 @device
-def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
+def _filter_from(filter_, rays, place):
+    """The `StreamFilter` of `SortedRays` from a place on; None without a filter."""
+    if filter_ is None:
+        return None
+    return StreamFilter(filter_, rays.first, rays.numbers + place * LANE)
+
+
+@device
+def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any, filter_):
     """Test the rays of a list against a block of triangles; returns the number of hits."""
     # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one per
     # ray, mispredictions would take half the time of a leaf.)
@@ -234,12 +263,13 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
             hit, u, v = barycentrics(sheared, False)
             bits = mask_bits(candidates & hit)
             if bits != _U0:
-                hit_count += _U1
-                if wants_any:
+                lanes.t, lanes.u, lanes.v = t, u, v
+                of_lane, of_ray = HitLanes(address_of(lanes)), _filter_of(filter_, stream, number)
+                if not wants_any:
+                    hit_count += _keep_nearest(hot, cold, block, bits, of_lane, of_ray)
+                elif any_kept(of_ray, block, bits, of_lane):
+                    hit_count += _U1
                     cold.prim_id, hot.t = np.int32(0), -_INF
-                else:
-                    lanes.t, lanes.u, lanes.v = t, u, v
-                    _keep_nearest(hot, cold, block, bits, HitLanes(address_of(lanes)))
     return hit_count
 
 
@@ -252,21 +282,37 @@ def _extent(block, axis):
 
 
 @device
-def _keep_nearest(hot, cold, block, bits, lanes):
-    """Keep the nearest of the ray's hit and the hits of some lanes, by t, then prim_id."""
-    nearest, best = hot.t, cold.prim_id
+def _filter_of(filter_, stream, number):
+    """The `RayFilter` of a ray of a stream, for a `StreamFilter`; None without one."""
+    if filter_ is None:
+        return None
+    index = filter_.first + np.uint64(load(np.uint32, filter_.numbers + number * LANE))
+    t_scale, t_offset = scale_of(stream, number)
+    return RayFilter(filter_.filter, index, t_scale, t_offset)
+
+
+@device
+def _keep_nearest(hot, cold, block, bits, lanes, filter_):
+    """Keep the nearest of the ray's hit and the hits of some lanes, by t, then prim_id.
+
+    Returns 1 if it changed, else 0.
+    """
+    nearest, best, changes = hot.t, cold.prim_id, _U0
     while bits != _U0:
         lane = count_trailing_zeros(bits)
         bits &= bits - _U1
         t, prim_id = lanes.t[lane], block.prim_ids[lane]
-        if t < nearest or (t == nearest and prim_id < best):
-            nearest, best = t, prim_id
-            cold.u, cold.v = lanes.u[lane], lanes.v[lane]
+        u, v = lanes.u[lane], lanes.v[lane]
+        is_nearer = t < nearest or (t == nearest and prim_id < best)
+        if is_nearer and keeps(filter_, t, u, v, prim_id):
+            nearest, best, changes = t, prim_id, _U1
+            cold.u, cold.v = u, v
     hot.t, cold.prim_id = nearest, best
+    return changes
 
 
 @device
-def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any):
+def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any, filter_):
     """Trace the rays of a stream."""
     back_x, back_y, back_z = octant & _U1, (octant >> _U1) & _U1, octant >> _U2
     backward = back_x != _U0, back_y != _U0, back_z != _U0
@@ -293,7 +339,7 @@ def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_
             end = leaf_end(at, child)
             while at != end:
                 hit_count += _test_block(
-                    rays, length, stream, Block(at), backward, hits, small.hits, wants_any
+                    rays, length, stream, Block(at), backward, hits, small.hits, wants_any, filter_
                 )
                 at += BLOCK
             continue
@@ -319,7 +365,7 @@ def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_
 
 
 @kernel
-def trace_streams(begin, end, tree, frame, source, rays, wants_any, out):
+def trace_streams(begin, end, tree, frame, source, rays, wants_any, filter_, out):
     """Trace sorted rays begin to end.
 
     Parameters
@@ -333,6 +379,7 @@ def trace_streams(begin, end, tree, frame, source, rays, wants_any, out):
         By octant. Nearest hits are written to their rows.
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    filter_ : HitFilter or None
     out : ResultAddresses
         Written, except for nearest hits.
     """
@@ -350,7 +397,8 @@ def trace_streams(begin, end, tree, frame, source, rays, wants_any, out):
         while at < min(octant_end, np.uint64(end)):
             count = min(min(octant_end, np.uint64(end)) - at, _CAPACITY)
             fill(stream, source, rays, at, count, frame, group, out.status)
-            _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any)
+            mine = _filter_from(filter_, rays, at)
+            _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any, mine)
             write_results(stream, rays, at, count, wants_any, out)
             at += count
     # The memory must outlive its addresses.

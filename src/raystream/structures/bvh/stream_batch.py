@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import f32x16, load, load_records, store, store_nontemporal
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
+from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.layout import TreeAddresses
@@ -46,6 +47,7 @@ def trace_sorted(
     count: int,
     source: RaySource,
     wants_any: bool,
+    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
@@ -60,6 +62,7 @@ def trace_sorted(
     source : RaySource
         Packed.
     wants_any : bool
+    filter_ : HitFilter, optional
     results : ResultAddresses
     progress : callable, optional
         Called with (rays done, rays).
@@ -72,7 +75,7 @@ def trace_sorted(
         sorted_rays = memory.sort(first, part, frame, source)
 
         def trace(begin: int, end: int, rays: SortedRays = sorted_rays) -> None:
-            trace_streams(begin, end, tree, frame, source, rays, wants_any, results)
+            trace_streams(begin, end, tree, frame, source, rays, wants_any, filter_, results)
 
         parallel_for(trace, part, chunk, part_of(progress, first, count))
         if not wants_any:

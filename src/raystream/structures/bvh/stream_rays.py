@@ -34,6 +34,7 @@ __all__ = [
     "Hot",
     "StreamRays",
     "fill",
+    "scale_of",
     "stream_rays",
     "write_results",
 ]
@@ -200,6 +201,16 @@ def fill(stream, source, rays, place, count, frame, memory, status):
 
 
 @device
+def scale_of(stream, number):
+    """The t_scale and t_offset of a ray of a stream; see `kernels.ray.world_t`."""
+    t_scale, t_offset = np.float64(Cold(stream.cold, number).t_scale), np.float64(0.0)
+    if load(np.uint8, stream.flags + number // _LANES) != np.uint8(0):
+        slow = _Slow(stream.slow, number)
+        t_scale, t_offset = slow.t_scale, slow.t_offset
+    return t_scale, t_offset
+
+
+@device
 def write_results(stream, rays, place, count, wants_any, out):
     """Write the results of a stream's rays.
 
@@ -216,10 +227,7 @@ def write_results(stream, rays, place, count, wants_any, out):
         if wants_any:
             store(out.seen + rays.first + number, np.uint8(cold.prim_id != NO_PRIM))
             continue
-        t_scale, t_offset = np.float64(cold.t_scale), np.float64(0.0)
-        if load(np.uint8, stream.flags + j // _LANES) != np.uint8(0):
-            slow = _Slow(stream.slow, j)
-            t_scale, t_offset = slow.t_scale, slow.t_offset
+        t_scale, t_offset = scale_of(stream, j)
         t = world_t(Hot(stream.hot, j).t, t_scale, t_offset)
         if cold.prim_id == NO_PRIM:
             write_row(rays, number, _INF, cold.u, cold.v, _MISS)

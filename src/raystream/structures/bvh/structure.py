@@ -185,7 +185,7 @@ class BvhStructure(Structure):
                 to = ResultAddresses.of_any(sink.seen, sink.status)
             else:
                 to = ResultAddresses.of_first(sink.memory, sink.status)
-            trace_batch(tree, rays, kind is Kind.ANY_HIT, to, progress, self.kernel)
+            trace_batch(tree, rays, kind is Kind.ANY_HIT, query.on_hit, to, progress, self.kernel)
             return True
         if not self._may_collect(rays, query.limit):
             return False

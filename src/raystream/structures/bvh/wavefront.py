@@ -28,6 +28,7 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
+from raystream.kernels.hit_filter import RayFilter, any_kept, keeps
 from raystream.kernels.leaf_block import AXIS, BLOCK, HITS, Block, BlockRay, HitLanes, test_block
 from raystream.kernels.ray import component, prepare_ray, world_t
 from raystream.kernels.ray_source import load_ray
@@ -185,7 +186,15 @@ def _visit_node(slot, node, keys, children, numbers):
 
 
 @device
-def _visit_leaf(slot, leaves, lanes_at, wants_any):
+def _filter_of(filter_, slot):
+    """The `RayFilter` of a slot's ray; None without a filter."""
+    if filter_ is None:
+        return None
+    return RayFilter(filter_, np.uint64(slot.ray), slot.t_scale, slot.t_offset)
+
+
+@device
+def _visit_leaf(slot, leaves, lanes_at, wants_any, filter_):
     """Test the triangles of the next leaf; returns whether the ray is done."""
     child = slot.child
     at = leaf_address(leaves, child)
@@ -196,25 +205,29 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
         )
         bits = test_block(at, ray, slot.t_min, slot.t, False, lanes_at)
         if bits != np.uint64(0):
-            if wants_any:
+            block, lanes, of_ray = Block(at), HitLanes(lanes_at), _filter_of(filter_, slot)
+            if not wants_any:
+                _keep_nearest(slot, block, bits, lanes, of_ray)
+            elif any_kept(of_ray, block, bits, lanes):
                 slot.prim_id = np.int32(0)
                 return True
-            _keep_nearest(slot, Block(at), bits, HitLanes(lanes_at))
         at += BLOCK
     return False
 
 
 @device
-def _keep_nearest(slot, block, bits, lanes):
+def _keep_nearest(slot, block, bits, lanes, filter_):
     """Keep the nearest of the slot's hit and the hits of some lanes, by t, then prim_id."""
     nearest, best = slot.t, slot.prim_id
     while bits != np.uint64(0):
         lane = count_trailing_zeros(bits)
         bits &= bits - _ONE
         t, prim_id = lanes.t[lane], block.prim_ids[lane]
-        if t < nearest or (t == nearest and prim_id < best):
+        is_nearer = t < nearest or (t == nearest and prim_id < best)
+        u, v = lanes.u[lane], lanes.v[lane]
+        if is_nearer and keeps(filter_, t, u, v, prim_id):
             nearest, best = t, prim_id
-            slot.u, slot.v = lanes.u[lane], lanes.v[lane]
+            slot.u, slot.v = u, v
     slot.t, slot.prim_id, slot.t_key = nearest, best, t_key(nearest)
 
 
@@ -233,7 +246,7 @@ def _next(slot, top, keys, children, tree, prefetching):
 
 
 @kernel
-def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out):
+def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, filter_, out):
     """Trace rays begin to end.
 
     Parameters
@@ -247,6 +260,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
         Find whether there is a hit, else the nearest one.
     prefetching : bool
         Prefetch nodes: pays off if the tree does not fit into the cache.
+    filter_ : HitFilter or None
     out : ResultAddresses
     """
     slots = scratch(_SLOTS_BYTES)
@@ -329,7 +343,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out
             slot = _Slot(slots, k)
             keys, children = all_keys + k * _STACK, all_children + k * _STACK
             top = slot.top
-            if _visit_leaf(slot, tree.leaves, lanes, wants_any):
+            if _visit_leaf(slot, tree.leaves, lanes, wants_any, filter_):
                 top = LANE
             child = _next(slot, top, keys, children, tree, prefetching)
             is_leaf = np.uint64(child < np.int32(0))

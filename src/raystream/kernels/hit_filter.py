@@ -1,0 +1,152 @@
+"""Filters in traversals: whether a hit exists is asked where it is found.
+
+A filter is called by its address, so a traversal is compiled once for all of them. It gets the hits
+of some rays with one triangle. Whatever else it reads lies at the address of its context, whose
+first number becomes 1 if it raises: see `raystream.programs.filters_at_hits`, which makes both.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import call_filter, no_inline
+from raystream.jit.simd import count_trailing_zeros, load, scratch, store
+from raystream.kernels.ray import world_t
+
+__all__ = [
+    "FILTERED_BYTES",
+    "U_AT",
+    "V_AT",
+    "HitFilter",
+    "RayFilter",
+    "any_kept",
+    "keeps",
+    "kept_hits",
+]
+
+#: Bytes of 16 hits as filters read them, and where their u and v are.
+FILTERED_BYTES = 192
+U_AT, V_AT = np.uint64(64), np.uint64(128)
+
+_NONE, _ONE = np.uint64(0), np.uint64(1)
+_WORD = np.uint64(4)
+
+
+class HitFilter(NamedTuple):
+    """The hits that a query ignores, by address; the caller keeps what is there alive.
+
+    Attributes
+    ----------
+    function : uint64
+        Address of the filter's code; 0 if there is none.
+    context : uint64
+        Its first argument.
+    skipped : uint64
+        Address of the triangles that the first ray skips, int32; -1 skips nothing.
+    skip_count : uint64
+        Triangles per ray; 0 if rays skip none.
+    """
+
+    function: np.uint64
+    context: np.uint64
+    skipped: np.uint64
+    skip_count: np.uint64
+
+
+class RayFilter(NamedTuple):
+    """The filter of one ray's hits.
+
+    Attributes
+    ----------
+    filter : HitFilter
+    ray : uint64
+        Index in the batch.
+    t_scale, t_offset : float64
+        To distances in world direction lengths.
+    """
+
+    filter: HitFilter
+    ray: np.uint64
+    t_scale: np.float64
+    t_offset: np.float64
+
+
+@device
+def _skips(filter_, ray, prim_id):
+    at = filter_.skipped + ray * filter_.skip_count * _WORD
+    end = at + filter_.skip_count * _WORD
+    while at != end:
+        if load(np.int32, at) == prim_id:
+            return True
+        at += _WORD
+    return False
+
+
+@device
+def kept_hits(filter_, bits, hits, prim_id, first):
+    """The hits of up to 16 consecutive rays with a triangle that exist, if none skips it.
+
+    Parameters
+    ----------
+    filter_ : HitFilter
+    bits : uint64
+        Bits of the rays that hit it.
+    hits : uint64
+        Address of the hits: 16 t in world direction lengths, 16 u, 16 v.
+    prim_id : int32
+    first : uint64
+        Batch index of the first ray.
+
+    Returns
+    -------
+    uint64
+        Bits of the hits that exist.
+    """
+    if filter_.function == _NONE:
+        return bits
+    return call_filter(filter_.function, (filter_.context, bits, hits, prim_id, first))
+
+
+@device_call
+def _keeps(filter_, t, u, v, prim_id):
+    no_inline()
+    if _skips(filter_.filter, filter_.ray, prim_id):
+        return False
+    hits = scratch(FILTERED_BYTES)
+    store(hits, world_t(t, filter_.t_scale, filter_.t_offset))
+    store(hits + U_AT, u)
+    store(hits + V_AT, v)
+    return kept_hits(filter_.filter, _ONE, hits, prim_id, filter_.ray) != _NONE
+
+
+@device
+def keeps(filter_, t, u, v, prim_id):
+    """Whether a ray's hit at a local t exists, for a `RayFilter`; all do if it is None."""
+    if filter_ is None:
+        return True
+    return _keeps(filter_, t, u, v, prim_id)
+
+
+@device
+def any_kept(filter_, block, bits, lanes):
+    """Whether one of a ray's hits in a block exists; see `keeps`.
+
+    Parameters
+    ----------
+    filter_ : RayFilter or None
+    block : view of leaf_block.Block
+    bits : uint64
+        Bits of the lanes that are hit, at least one.
+    lanes : view of leaf_block.HitLanes
+    """
+    if filter_ is None:
+        return True
+    while bits != _NONE:
+        lane = count_trailing_zeros(bits)
+        bits &= bits - _ONE
+        if keeps(filter_, lanes.t[lane], lanes.u[lane], lanes.v[lane], block.prim_ids[lane]):
+            return True
+    return False

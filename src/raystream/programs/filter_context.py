@@ -1,0 +1,48 @@
+"""The context of a filter that traversals call: a row of 8-byte numbers, by its address."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import load
+from raystream.kernels.hit_filter import U_AT, V_AT
+from raystream.programs.hits import RaysAt, SceneAt, hit_of
+
+__all__ = ["CONSTANTS", "DIRECTIONS", "SCENE", "filtered_hit", "rays_of", "scene_of"]
+
+#: Its numbers: whether the filter raised; from `SCENE` on a `SceneAt`; from `DIRECTIONS` on the
+#: address and stride of the rays' directions, and whether these are float64; then the constants.
+SCENE, DIRECTIONS, CONSTANTS = 1, 5, 8
+
+_ZERO, _1, _2, _3 = (np.uint64(8 * k) for k in range(4))
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * SCENE), np.uint64(8 * DIRECTIONS)
+
+
+@device
+def _number(at, offset):
+    return load(np.uint64, at + offset)
+
+
+@device
+def scene_of(context):
+    """The `SceneAt` of a context."""
+    at = context + _SCENE_AT
+    return SceneAt(_number(at, _ZERO), _number(at, _1), _number(at, _2), _number(at, _3))
+
+
+@device
+def rays_of(context):
+    """The rays of a context, of which it has the directions only."""
+    at = context + _DIRECTIONS_AT
+    directions, step, is_double = _number(at, _ZERO), _number(at, _1), _number(at, _2) != _ZERO
+    return RaysAt(_ZERO, False, _ZERO, _ZERO, _ZERO, directions, step, is_double)
+
+
+@device
+def filtered_hit(hits, lane, prim_id, first, rays, scene):
+    """The `Hit` of a lane; see `kernels.hit_filter.kept_hits` for the arguments."""
+    at, ray = hits + (lane << _WORD), first + lane
+    t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
+    return hit_of(ray, t, u, v, prim_id, rays, ray, scene)

@@ -1,0 +1,116 @@
+"""The filter of a packet's hits: called for the lanes that have one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    count_trailing_zeros,
+    gather,
+    i32x16,
+    lane_numbers,
+    load,
+    mask_bits,
+    scratch,
+    select,
+    store,
+)
+from raystream.jit.views import address_of
+from raystream.kernels.hit_filter import FILTERED_BYTES, U_AT, V_AT, HitFilter, kept_hits
+from raystream.kernels.ray import world_t
+from raystream.structures.bvh.packet_rays import GroupLanes, group_rows, world_lanes
+
+__all__ = ["PacketFilter", "kept_lanes", "packet_filter"]
+
+_U0, _U1 = np.uint64(0), np.uint64(1)
+_LANE = np.uint64(4)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_ZERO, _ONE = np.int32(0), np.int32(1)
+
+
+class PacketFilter(NamedTuple):
+    """The filter of a packet's rays.
+
+    Attributes
+    ----------
+    filter : HitFilter
+    first : uint64
+        Batch index of the first group's first ray.
+    step : uint64
+        To that of the next group's, modulo 2**64.
+    slow_groups : uint64
+        See `packet_load.load_packet`.
+    """
+
+    filter: HitFilter
+    first: np.uint64
+    step: np.uint64
+    slow_groups: np.uint64
+
+
+@device
+def packet_filter(filter_, order, number, slow_groups):
+    """The `PacketFilter` of a packet; None without a filter."""
+    if filter_ is None:
+        return None
+    first, _ = group_rows(order, number, _U0)
+    second, _ = group_rows(order, number, _U1)
+    return PacketFilter(filter_, first, second - first, slow_groups)
+
+
+@device
+def _unskipped(filter_, taken, prim_id, first):
+    """The mask of those lanes whose rays do not skip a triangle."""
+    # Lanes that are not taken may be beyond the last ray: they read what a taken one does.
+    some = i32x16(np.int32(count_trailing_zeros(mask_bits(taken))))
+    rows = select(taken, lane_numbers(i32x16), some) * np.int32(filter_.skip_count)
+    at = filter_.skipped + first * filter_.skip_count * _LANE
+    for k in range(filter_.skip_count):
+        taken = taken & (gather(np.int32, at + k * _LANE, rows) != i32x16(prim_id))
+    return taken
+
+
+@device
+def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
+    """The mask of those lanes whose hits with a triangle exist.
+
+    Parameters
+    ----------
+    filter_ : PacketFilter
+    taken : mask16
+    t, u, v : f32x16
+    prim_id : int32
+    group : view of Group
+    g : uint64
+        The group's index.
+    """
+    own, first = filter_.filter, filter_.first + g * filter_.step
+    if own.skip_count != _U0:
+        taken = _unskipped(own, taken, prim_id, first)
+    bits = mask_bits(taken)
+    if own.function == _U0 or bits == _U0:
+        return taken
+    hits = scratch(FILTERED_BYTES)
+    store(hits, world_lanes(t, group.t_scale))
+    store(hits + U_AT, u)
+    store(hits + V_AT, v)
+    if (filter_.slow_groups >> g) & _U1 != _U0:
+        _put_slow(hits, bits, t, group)
+    bits = kept_hits(own, bits, hits, prim_id, first)
+    return ((i32x16(np.int32(bits)) >> lane_numbers(i32x16)) & i32x16(_ONE)) != i32x16(_ZERO)
+
+
+@device
+def _put_slow(hits, bits, t, group):
+    """Write the distances of a group with rays that took the slow path."""
+    lanes, local = GroupLanes(address_of(group)), scratch(64)
+    store(local, t)
+    while bits != _U0:
+        lane = count_trailing_zeros(bits)
+        bits &= bits - _U1
+        at = lane << _WORD
+        t_scale, t_offset = lanes.slow_t_scale[lane], lanes.slow_t_offset[lane]
+        store(hits + at, world_t(load(np.float32, local + at), t_scale, t_offset))
