@@ -259,7 +259,7 @@ _ENTRY = np.dtype([("t_in", "f4", 16), ("child", "i4"), ("unused", "V60")])
 _Entry = view(_ENTRY)
 _ENTRIES_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
 _NAN = np.float32(np.nan)
-_THRESHOLD = np.uint64(5)
+_THRESHOLD = np.uint64(8)
 
 
 @device
