@@ -80,12 +80,12 @@ from raystream.structures.bvh.packet_rays import (
 __all__ = ["trace_groups"]
 
 #: Most rays of a block: all that descend the tree together.
-BLOCK_RAYS = 4096
+BLOCK_RAYS = 8192
 _PACKETS = np.uint64(BLOCK_RAYS // PACKET_RAYS)
 _GROUPS = BLOCK_RAYS // 16
 
 #: Fewer rays than this per group, on average, continue as single rays.
-_FEW = np.uint64(4)
+_FEW = np.uint64(10)
 
 _U0, _U1, _U2, _U3 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
