@@ -77,11 +77,13 @@ from raystream.structures.bvh.packet_rays import (
     three,
 )
 
-__all__ = ["trace_groups"]
+__all__ = ["BLOCK_PACKETS", "trace_groups"]
 
 #: Most rays of a block: all that descend the tree together.
 BLOCK_RAYS = 8192
-_PACKETS = np.uint64(BLOCK_RAYS // PACKET_RAYS)
+#: The same in packets.
+BLOCK_PACKETS = BLOCK_RAYS // PACKET_RAYS
+_PACKETS = np.uint64(BLOCK_PACKETS)
 _GROUPS = BLOCK_RAYS // 16
 
 #: Fewer rays than this per group, on average, continue as single rays.
@@ -661,9 +663,7 @@ def _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any
             room = _visit_with_rays(
                 Node(tree.nodes, number), at, length, memory, small, lanes, hits, room
             )
-        top = _push(
-            stack, top, NodeLanes(tree.nodes, number), small, lanes, room, hit_count, tree
-        )
+        top = _push(stack, top, NodeLanes(tree.nodes, number), small, lanes, room, hit_count, tree)
 
 
 @kernel

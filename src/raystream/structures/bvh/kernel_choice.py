@@ -13,6 +13,7 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.coherence import choose_kernel, probe
+from raystream.structures.bvh.group_stream import BLOCK_PACKETS, trace_groups
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
@@ -30,8 +31,8 @@ __all__ = [
     "visit_batch",
 ]
 
-#: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of rays of
-#: one octant; one ray after another.
+#: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of groups of
+#: rays, in the order of the batch; streams of rays of one octant, sorted; one ray after another.
 KERNELS = Bvh.choices("kernel")
 
 #: Batches of at most this many rays are traced by the calling thread: waking others takes longer.
@@ -95,7 +96,7 @@ def trace_batch(
     results : ResultAddresses
     progress : callable, optional
         Called with (rays done, rays).
-    kernel : {"auto", "wavefront", "packet", "stream"}
+    kernel : {"auto", "wavefront", "packet", "groups", "stream"}
         "auto" takes the wavefront for at most `SMALL_BATCH` rays; for more, the kernel that suits
         a sample of them.
     """
@@ -117,6 +118,9 @@ def trace_batch(
     elif kernel == "stream":
         addresses, frame = tree.addresses, tree.frame
         trace_sorted(addresses, frame, count, source, wants_any, results, progress)
+    elif kernel == "groups":
+        packets = PacketSource(source, order, tree.frame, results.status)
+        _trace_groups(tree, packets, wants_any, results, progress)
     else:
         packets = PacketSource(source, order, tree.frame, results.status)
         _trace_packets(tree, packets, wants_any, results, progress)
@@ -222,6 +226,25 @@ def _trace_packets(
     share = -(-packet_count // (8 * thread_count()))
     report = _of_rays(progress, source.order)
     parallel_for(body, packet_count, max(4, min(share, MOST_PACKETS)), report)
+
+
+def _trace_groups(
+    tree: Tree,
+    source: PacketSource,
+    wants_any: bool,
+    results: ResultAddresses,
+    progress: Progress | None,
+) -> None:
+    addresses, packet_count = tree.addresses, source.order.packet_count
+
+    def body(begin: int, end: int) -> None:
+        trace_groups(begin, end, addresses, source, wants_any, results)
+
+    share = -(-packet_count // (8 * thread_count()))
+    if share > BLOCK_PACKETS:  # whole blocks
+        share = min(share // BLOCK_PACKETS * BLOCK_PACKETS, MOST_PACKETS)
+    report = _of_rays(progress, source.order)
+    parallel_for(body, packet_count, max(4, share), report)
 
 
 def _of_rays(progress: Progress | None, order: PacketOrder) -> Progress | None:

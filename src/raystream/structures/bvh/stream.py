@@ -42,8 +42,7 @@ from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes
 from raystream.kernels.triangle_lanes import (
     barycentrics,
-    distance_along,
-    plane_normal,
+    plane_distance,
     shear_vertices,
     signs_agree,
     slab_interval,
@@ -59,26 +58,19 @@ from raystream.structures.bvh.node_layout import (
     prefetch_child,
     sort_keys,
 )
-from raystream.structures.bvh.packet_rays import PACKET_RAYS
 from raystream.structures.bvh.stream_rays import (
     FILL_BYTES,
-    GROUP_BYTES,
-    ORDER_BYTES,
-    ORDER_RAYS,
     STREAM_BYTES,
     STREAM_RAYS,
     Cold,
     Fill,
     Hot,
-    block_rays,
     fill,
-    load_block,
-    store_block,
     stream_rays,
     write_results,
 )
 
-__all__ = ["trace_blocks", "trace_streams"]
+__all__ = ["trace_streams"]
 
 #: Entry distances and keys of a node's children, and hits of a block; and the former with a lane
 #: index.
@@ -86,11 +78,6 @@ _SMALL = np.dtype([("t_in", "f4", 8), ("keys", "i4", 8), ("hits", HITS)])
 _Small = view(_SMALL)
 _SmallLanes = view([("t_in", "f4", (8, 1)), ("keys", "i4", (8, 1))])
 _SMALL_BYTES = _SMALL.itemsize
-
-#: Normals of the planes of a block's triangles.
-_NORMALS = np.dtype([("normal", "f8", (3, 4))])
-_Normals = view(_NORMALS)
-_NORMALS_BYTES = _NORMALS.itemsize
 
 _U0, _U1, _U2, _U4 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -193,17 +180,12 @@ def _sheared(hot, cold, block):
 
 
 @device
-def _distances(hot, cold, block, normals):
-    """Distances of a ray to the planes of four triangles."""
-    x, y, z = _axes(hot)
-    corners, normal = block.corners, normals.normal
-    a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
-    n = normal[x], normal[y], normal[z]
-    return distance_along(a, n, hot.origin, cold.direction)
+def _distances(hot, cold, block):
+    return plane_distance(*_vertices(hot, block), hot.origin, cold.direction)
 
 
 @device
-def _test_block(rays, count, stream, block, backward, hits, lanes, normals, wants_any):
+def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
     """Test the rays of a list against a block of triangles; returns the number of hits."""
     # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one per
     # ray, mispredictions would take half the time of a leaf.)
@@ -217,12 +199,6 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, normals, want
         return _U0
 
     # Step 2: test these exactly.
-    corners, normal = block.corners, normals.normal
-    normal[_X], normal[_Y], normal[_Z] = plane_normal(
-        (corners[_FIRST, _X], corners[_FIRST, _Y], corners[_FIRST, _Z]),
-        (corners[_SECOND, _X], corners[_SECOND, _Y], corners[_SECOND, _Z]),
-        (corners[_THIRD, _X], corners[_THIRD, _Y], corners[_THIRD, _Z]),
-    )
     hit_count = _U0
     back_x, back_y, back_z = backward
     low_x, high_x = _extent(block, _X)
@@ -251,7 +227,7 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, normals, want
         if any_lane(candidates):
             # The distance first: rays that leave a surface meet its triangle behind their
             # origin, and need no barycentrics.
-            t = minimum(maximum(_distances(hot, cold, block, normals), t_in), t_out) + _ZERO
+            t = minimum(maximum(_distances(hot, cold, block), t_in), t_out) + _ZERO
             candidates = candidates & (t >= t_min) & (t <= nearest)
             if not any_lane(candidates):
                 continue
@@ -290,16 +266,18 @@ def _keep_nearest(hot, cold, block, bits, lanes):
 
 
 @device
-def _trace_stream(octant, count, stream, tree, stack, first, lists, hits, small, wants_any):
-    """Trace the rays of a list; `lists` is room for those of the children."""
+def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any):
+    """Trace the rays of a stream."""
     back_x, back_y, back_z = octant & _U1, (octant >> _U1) & _U1, octant >> _U2
     backward = back_x != _U0, back_y != _U0, back_z != _U0
     x, y, z = back_x, _U2 | back_y, _U4 | back_z
     of_lane = _SmallLanes(address_of(small))
-    normals = _Normals(scratch(_NORMALS_BYTES))
+    for j in range(count):
+        store(lists + j * LANE, np.uint32(j))
+
     hit_count = _U0
     root = _Entry(stack)
-    root.child, root.count, root.rays = np.int32(0), np.uint32(count), first
+    root.child, root.count, root.rays = np.int32(0), np.uint32(count), lists
     root.t_in, root.hit_count = -_INF, np.uint32(hit_count)
     top = _U1
     while top != _U0:
@@ -315,7 +293,7 @@ def _trace_stream(octant, count, stream, tree, stack, first, lists, hits, small,
             end = leaf_end(at, child)
             while at != end:
                 hit_count += _test_block(
-                    rays, length, stream, Block(at), backward, hits, small.hits, normals, wants_any
+                    rays, length, stream, Block(at), backward, hits, small.hits, wants_any
                 )
                 at += BLOCK
             continue
@@ -328,7 +306,7 @@ def _trace_stream(octant, count, stream, tree, stack, first, lists, hits, small,
         key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
         small.t_in, small.keys = t_in, sort_keys(select(entered, key, i32x8(_LEAST_KEY)))
         children = NodeLanes(tree.nodes, number).children
-        room = lists if rays == first else rays + length * LANE
+        room = rays + length * LANE
         for k in range(popcount(mask_bits(entered))):
             lane = np.uint64(of_lane.keys[k] & KEY_LANES)
             prefetch_child(children[lane], tree.nodes, tree.leaves)
@@ -372,68 +350,8 @@ def trace_streams(begin, end, tree, frame, source, rays, wants_any, out):
         while at < min(octant_end, np.uint64(end)):
             count = min(min(octant_end, np.uint64(end)) - at, _CAPACITY)
             fill(stream, source, rays, at, count, frame, group, out.status)
-            for j in range(count):
-                store(lists + j * LANE, np.uint32(j))
-            _trace_stream(
-                octant,
-                count,
-                stream,
-                tree,
-                stack,
-                lists,
-                lists + count * LANE,
-                hits,
-                small,
-                wants_any,
-            )
+            _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any)
             write_results(stream, rays, at, count, wants_any, out)
             at += count
-    # The memory must outlive its addresses.
-    memory[0] = np.uint8(0)
-
-
-#: Most packets of a block.
-_BLOCK_PACKETS = np.uint64(ORDER_RAYS // PACKET_RAYS)
-_ORDER_LISTS = 4 * (MAX_DEPTH + 1) * 9 * (ORDER_RAYS + 16)
-_FIRST_LISTS = 8 * 4 * (ORDER_RAYS + 16)
-_FIRST_LIST = np.uint64(4 * (ORDER_RAYS + 16))
-_ORDER_HITS = 4 * ORDER_RAYS + 64
-
-
-@kernel
-def trace_blocks(begin, end, tree, source, wants_any, out):
-    """Trace packets begin to end by streams, in the order of the batch.
-
-    Parameters
-    ----------
-    begin, end : int
-    tree : TreeAddresses
-        Not empty.
-    source : PacketSource
-    wants_any : bool
-        Find whether there is a hit, else the nearest one.
-    out : ResultAddresses
-    """
-    memory = np.empty(ORDER_BYTES + _ORDER_LISTS + _FIRST_LISTS + _ORDER_HITS + 64, np.uint8)
-    block = block_rays((address(memory) + np.uint64(63)) & ~np.uint64(63))
-    lists = block.stream.hot + np.uint64(ORDER_BYTES)
-    first_lists = lists + np.uint64(_ORDER_LISTS)
-    hits = first_lists + np.uint64(_FIRST_LISTS)
-    group = scratch(GROUP_BYTES)
-    stack = scratch(_STACK_BYTES)
-    small = _Small(scratch(_SMALL_BYTES))
-    counts = scratch(64)
-
-    for first in range(np.uint64(begin), np.uint64(end), _BLOCK_PACKETS):
-        last = min(first + _BLOCK_PACKETS, np.uint64(end))
-        load_block(block, source, first, last, group, first_lists, _FIRST_LIST, counts)
-        for octant in range(_OCTANTS):
-            count = load(np.uint64, counts + octant * _OCTANTS)
-            if count != _U0:
-                rays = first_lists + octant * _FIRST_LIST
-                _trace_stream(
-                    octant, count, block.stream, tree, stack, rays, lists, hits, small, wants_any
-                )
-        store_block(block, source.order, first, last, group, wants_any, out)
     # The memory must outlive its addresses.
     memory[0] = np.uint8(0)

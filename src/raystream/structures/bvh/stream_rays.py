@@ -11,31 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import (
-    bits_as_float,
-    f32x16,
-    float_as_bits,
-    gather,
-    i32x16,
-    lane_numbers,
-    load,
-    load_records,
-    select,
-    store,
-    store_records,
-)
+from raystream.jit.simd import bits_as_float, f32x16, i32x16, load, select, store, store_records
 from raystream.jit.views import address_of, view
 from raystream.kernels.ray import world_t
-from raystream.structures.bvh.packet_load import load_group, load_rays
-from raystream.structures.bvh.packet_rays import (
-    GROUP,
-    GROUPS,
-    NO_PRIM,
-    Group,
-    GroupLanes,
-    group_rows,
-    store_group,
-)
+from raystream.structures.bvh.packet_load import load_rays
+from raystream.structures.bvh.packet_rays import GROUP, NO_PRIM, GroupLanes
 from raystream.structures.bvh.packet_rays import three as vectors
 from raystream.structures.bvh.stream_order import (
     COPIES_BYTES,
@@ -245,86 +225,3 @@ def write_results(stream, rays, place, count, wants_any, out):
             write_row(rays, number, _INF, cold.u, cold.v, _MISS)
         else:
             write_row(rays, number, t, cold.u, cold.v, cold.prim_id)
-
-
-ORDER_RAYS = 4096
-GROUP_BYTES = GROUP.itemsize
-_BLOCK_GROUPS = ORDER_RAYS // 16
-_ORDER_COLD = np.uint64(ORDER_RAYS * _HOT.itemsize)
-_ORDER_SLOW = np.uint64(ORDER_RAYS * (_HOT.itemsize + _COLD.itemsize))
-_ORDER_FLAGS = np.uint64(ORDER_RAYS * (_HOT.itemsize + _COLD.itemsize + _SLOW.itemsize))
-ORDER_BYTES = int(_ORDER_FLAGS) + ORDER_RAYS // 16 + 64
-_LANE = np.uint64(4)
-_WIDE = np.uint64(8)
-_T = np.uint64(40)
-
-
-class BlockRays(NamedTuple):
-    stream: StreamRays
-
-
-@device
-def block_rays(memory):
-    """The `BlockRays` in `ORDER_BYTES` of memory."""
-    return BlockRays(
-        StreamRays(memory, memory + _ORDER_COLD, memory + _ORDER_SLOW, memory + _ORDER_FLAGS)
-    )
-
-
-@device
-def load_block(block, source, first, last, memory, lists, list_bytes, counts):
-    """Load packets first to last into a block, and list their rays by octant."""
-    stream = block.stream
-    group, lanes = Group(memory), GroupLanes(memory)
-    for octant in range(_WIDE):
-        store(counts + octant * _WIDE, _U0)
-    number = _U0
-    for packet in range(first, last):
-        for g in range(GROUPS):
-            row, count = group_rows(source.order, packet, g)
-            if count == _U0:
-                continue
-            is_slow = load_group(group, row, count, source.rays, source.frame, source.status)
-            _write_records(stream.hot + number * _HOT_BYTES, stream.cold + number * _COLD_BYTES, group)
-            store(stream.flags + number // _LANES, np.uint8(is_slow))
-            for k in range(_LANES):
-                kind = lanes.direction_class[k]
-                if kind >= np.int32(0):
-                    octant = np.uint64(kind >> np.int32(2))
-                    length = load(np.uint64, counts + octant * _WIDE)
-                    store(lists + octant * list_bytes + length * _LANE, np.uint32(number + k))
-                    store(counts + octant * _WIDE, length + _U1)
-            if is_slow:
-                for k in range(_LANES):
-                    slow = _Slow(stream.slow, number + k)
-                    slow.t_scale, slow.t_offset = lanes.slow_t_scale[k], lanes.slow_t_offset[k]
-            number += _LANES
-
-
-@device
-def store_block(block, order, first, last, memory, wants_any, out):
-    """Write the results of a block's rays."""
-    stream = block.stream
-    group, lanes = Group(memory), GroupLanes(memory)
-    number = _U0
-    for packet in range(first, last):
-        for g in range(GROUPS):
-            row, count = group_rows(order, packet, g)
-            if count == _U0:
-                continue
-            _, _, _, _, t_scale, u, v, prim_id = load_records(
-                f32x16, 8, stream.cold + number * _COLD_BYTES
-            )
-            group.prim_id = float_as_bits(prim_id)
-            is_slow = load(np.uint8, stream.flags + number // _LANES) != np.uint8(0)
-            if not wants_any:
-                group.t_scale, group.u, group.v = t_scale, u, v
-                step = lane_numbers(i32x16) * np.int32(16)
-                group.t = gather(np.float32, stream.hot + (number * _HOT_BYTES + _T), step)
-                if is_slow:
-                    for k in range(_LANES):
-                        slow = _Slow(stream.slow, number + k)
-                        lanes.slow_t_scale[k] = slow.t_scale
-                        lanes.slow_t_offset[k] = slow.t_offset
-            store_group(memory, row, count, is_slow, wants_any, out)
-            number += _LANES
