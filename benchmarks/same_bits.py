@@ -31,6 +31,7 @@ TRACERS = {
     "bvh": {},
     "bvh, wavefront": {"kernel": "wavefront"},
     "bvh, packet": {"kernel": "packet"},
+    "bvh, groups": {"kernel": "groups"},
     "bvh, stream": {"kernel": "stream"},
     "bvh, single": {"kernel": "single"},
     "bvh, high": {"quality": "high"},

@@ -41,6 +41,7 @@ TRACERS = {
     "bvh": {"structure": "bvh"},
     "bvh, wavefront": {"structure": "bvh", "kernel": "wavefront"},
     "bvh, packets": {"structure": "bvh", "kernel": "packet"},
+    "bvh, groups": {"structure": "bvh", "kernel": "groups"},
     "bvh, streams": {"structure": "bvh", "kernel": "stream"},
     "bvh, single rays": {"structure": "bvh", "kernel": "single"},
     "bvh, fast": {"structure": "bvh", "quality": "fast"},

@@ -37,7 +37,7 @@ PAIRS = [
     for tracer in TRACERS
 ]
 
-KERNELS = ("auto", "wavefront", "packet", "stream", "single")
+KERNELS = ("auto", "wavefront", "packet", "groups", "stream", "single")
 
 
 @cache

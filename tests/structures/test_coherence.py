@@ -58,12 +58,12 @@ def test_what_is_close_depends_on_the_size_of_triangles(frame, rng):
     ("coherence", "count", "byte_count", "kernel"),
     [
         (Coherence(1.0, 1.0, 1.0), 2_000, 10**9, "packet"),
-        (Coherence(1.0, 1.0, 0.0), 10**6, 10**8, "stream"),
-        (Coherence(0.0, 1.0, 1.0), 10**6, 10**8, "stream"),
+        (Coherence(1.0, 1.0, 0.0), 10**6, 10**8, "groups"),
+        (Coherence(0.0, 1.0, 1.0), 10**6, 10**8, "groups"),
         (Coherence(0.0, 1.0, 1.0), 2_000, 10**8, "wavefront"),
         (Coherence(0.0, 0.0, 0.0), 10**6, 10**8, "stream"),
         (Coherence(0.0, 0.0, 0.0), 10**5, 10**8, "wavefront"),
-        (Coherence(1.0, 0.0, 0.0), 10**5, 10**6, "stream"),
+        (Coherence(1.0, 0.0, 0.0), 10**5, 10**6, "groups"),
     ],
 )
 def test_choice(coherence, count, byte_count, kernel):

@@ -17,7 +17,9 @@ from raystream.jit.simd import fma, maximum, minimum, narrow, select, widen
 __all__ = [
     "ShearedVertices",
     "barycentrics",
+    "distance_along",
     "plane_distance",
+    "plane_normal",
     "shear_vertices",
     "signs_agree",
     "slab_interval",
@@ -127,12 +129,46 @@ def plane_distance(a, b, c, o, d):
     float32 vector
         Not clamped; not finite for a triangle seen edge-on.
     """
+    return distance_along(a, plane_normal(a, b, c), o, d)
+
+
+@device
+def plane_normal(a, b, c):
+    """Normals of the triangles' planes, not of unit length.
+
+    Parameters
+    ----------
+    a, b, c : tuple of three float32 vectors or numbers
+        Corners, along any three axes in cyclic order: along the same axes, the numbers are the same
+        in each of the three orders.
+
+    Returns
+    -------
+    tuple of three float64 vectors or numbers
+    """
     ax, ay, az = widen(a[0]), widen(a[1]), widen(a[2])
     px, py, pz = widen(b[0]) - ax, widen(b[1]) - ay, widen(b[2]) - az
     qx, qy, qz = widen(c[0]) - ax, widen(c[1]) - ay, widen(c[2]) - az
-    nx = py * qz - pz * qy
-    ny = pz * qx - px * qz
-    nz = px * qy - py * qx
+    return py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+
+
+@device
+def distance_along(a, n, o, d):
+    """Distance to planes of known normals: the second half of `plane_distance`.
+
+    Parameters
+    ----------
+    a, o, d : tuple of three float32 vectors or numbers
+        A point of the plane, origin and direction, in the order of the frame.
+    n : tuple of three float64 vectors or numbers
+        `plane_normal`, in the order of the frame.
+
+    Returns
+    -------
+    float32 vector
+    """
+    ax, ay, az = widen(a[0]), widen(a[1]), widen(a[2])
+    nx, ny, nz = n
     along = (ax - widen(o[0])) * nx + (ay - widen(o[1])) * ny + (az - widen(o[2])) * nz
     return narrow(along / (widen(d[0]) * nx + widen(d[1]) * ny + widen(d[2]) * nz))
 

@@ -39,6 +39,10 @@ _TRIANGLE_BYTES = 110
 _NEAR_BYTES = 8192
 _FAR_BYTES = 200
 
+#: Rays that start anywhere are not worth sorting for a tree of at most this many bytes. (Random
+#: rays on trees of 8 to 35 MB: groups are 1.1 to 2 times as fast as streams; on 110 MB, 0.9.)
+_GROUP_BYTES = 1 << 26
+
 _U1 = np.uint64(1)
 
 
@@ -81,7 +85,7 @@ def probe(source: RaySource, order: PacketOrder, frame: SceneFrame, byte_count: 
 
 def choose_kernel(
     coherence: Coherence, count: int, byte_count: int
-) -> Literal["packet", "stream", "wavefront"]:
+) -> Literal["packet", "groups", "stream", "wavefront"]:
     """The kernel for rays of a coherence.
 
     Parameters
@@ -96,7 +100,7 @@ def choose_kernel(
     if coherence.narrow >= 0.5 and coherence.close >= 0.5:
         return "packet"
     if byte_count <= count * (_NEAR_BYTES if is_near else _FAR_BYTES):
-        return "stream"
+        return "groups" if is_near or byte_count <= _GROUP_BYTES else "stream"
     return "wavefront"
 
 

@@ -9,11 +9,11 @@ import numpy as np
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.coherence import choose_kernel, probe
+from raystream.structures.bvh.group_stream import BLOCK_PACKETS, trace_groups
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
@@ -31,8 +31,8 @@ __all__ = [
     "visit_batch",
 ]
 
-#: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of rays of
-#: one octant; one ray after another.
+#: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of groups of
+#: rays, in the order of the batch; streams of rays of one octant, sorted; one ray after another.
 KERNELS = Bvh.choices("kernel")
 
 #: Batches of at most this many rays are traced by the calling thread: waking others takes longer.
@@ -81,7 +81,6 @@ def trace_batch(
     tree: Tree,
     batch: RayBatch,
     wants_any: bool,
-    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
     kernel: str = "auto",
@@ -94,12 +93,10 @@ def trace_batch(
         Not empty.
     batch : RayBatch
     wants_any : bool
-    filter_ : HitFilter, optional
-        Decides which hits exist.
     results : ResultAddresses
     progress : callable, optional
         Called with (rays done, rays).
-    kernel : {"auto", "wavefront", "packet", "stream"}
+    kernel : {"auto", "wavefront", "packet", "groups", "stream"}
         "auto" takes the wavefront for at most `SMALL_BATCH` rays; for more, the kernel that suits
         a sample of them.
     """
@@ -110,20 +107,23 @@ def trace_batch(
         batch.origins, batch.directions, batch.limits, kernel != "wavefront"
     )
     if kernel == "wavefront":  # without further preparation, for small batches
-        _trace_wavefront(tree, count, source, wants_any, filter_, results, progress)
+        _trace_wavefront(tree, count, source, wants_any, results, progress)
         return
     order = PacketOrder.of(batch.shape)
     if kernel == "auto" and count:
         found = probe(source, order, tree.frame, tree.byte_count)
         kernel = choose_kernel(found, count, tree.byte_count)
     if kernel == "wavefront":
-        _trace_wavefront(tree, count, source, wants_any, filter_, results, progress)
+        _trace_wavefront(tree, count, source, wants_any, results, progress)
     elif kernel == "stream":
         addresses, frame = tree.addresses, tree.frame
-        trace_sorted(addresses, frame, count, source, wants_any, filter_, results, progress)
+        trace_sorted(addresses, frame, count, source, wants_any, results, progress)
+    elif kernel == "groups":
+        packets = PacketSource(source, order, tree.frame, results.status)
+        _trace_groups(tree, packets, wants_any, results, progress)
     else:
         packets = PacketSource(source, order, tree.frame, results.status)
-        _trace_packets(tree, packets, wants_any, filter_, results, progress)
+        _trace_packets(tree, packets, wants_any, results, progress)
     del kept  # the kernels read it by address
 
 
@@ -196,16 +196,13 @@ def _trace_wavefront(
     count: int,
     source: RaySource,
     wants_any: bool,
-    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
     addresses, frame, prefetching = tree.addresses, tree.frame, tree.prefetching
 
     def body(begin: int, end: int) -> None:
-        trace_wavefront(
-            begin, end, addresses, frame, source, wants_any, prefetching, filter_, results
-        )
+        trace_wavefront(begin, end, addresses, frame, source, wants_any, prefetching, results)
 
     if count <= SMALL_BATCH and progress is None:
         body(0, count)
@@ -218,18 +215,36 @@ def _trace_packets(
     tree: Tree,
     source: PacketSource,
     wants_any: bool,
-    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
     addresses, packet_count = tree.addresses, source.order.packet_count
 
     def body(begin: int, end: int) -> None:
-        trace_packets(begin, end, addresses, source, wants_any, filter_, results)
+        trace_packets(begin, end, addresses, source, wants_any, results)
 
     share = -(-packet_count // (8 * thread_count()))
     report = _of_rays(progress, source.order)
     parallel_for(body, packet_count, max(4, min(share, MOST_PACKETS)), report)
+
+
+def _trace_groups(
+    tree: Tree,
+    source: PacketSource,
+    wants_any: bool,
+    results: ResultAddresses,
+    progress: Progress | None,
+) -> None:
+    addresses, packet_count = tree.addresses, source.order.packet_count
+
+    def body(begin: int, end: int) -> None:
+        trace_groups(begin, end, addresses, source, wants_any, results)
+
+    share = -(-packet_count // (8 * thread_count()))
+    if share > BLOCK_PACKETS:  # whole blocks
+        share = min(share // BLOCK_PACKETS * BLOCK_PACKETS, MOST_PACKETS)
+    report = _of_rays(progress, source.order)
+    parallel_for(body, packet_count, max(4, share), report)
 
 
 def _of_rays(progress: Progress | None, order: PacketOrder) -> Progress | None:

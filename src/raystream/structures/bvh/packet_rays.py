@@ -39,6 +39,7 @@ __all__ = [
     "PacketOrder",
     "PacketSource",
     "group_rows",
+    "store_group",
     "store_packet",
     "three",
     "world_lanes",
@@ -75,6 +76,7 @@ Group = view(GROUP)
 #: The same with a lane index.
 GroupLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _FIELDS])
 
+_GROUP_BYTES = np.uint64(GROUP.itemsize)
 PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
 
 NO_PRIM = np.int32(2**31 - 1)
@@ -224,6 +226,27 @@ def _store_few(lanes, first, count, wants_any, out):
 
 
 @device
+def store_group(group, first, count, is_slow, wants_any, out):
+    """Write the results of a group.
+
+    Parameters
+    ----------
+    group : uint64
+        Address.
+    first, count : uint64
+        Its rays: `count` from `first` on.
+    is_slow : bool
+        The result of `packet_load.load_group`.
+    wants_any : bool
+    out : ResultAddresses
+    """
+    if is_slow:
+        _store_few(GroupLanes(group), first, count, wants_any, out)
+    else:
+        _store_group(Group(group), first, wants_any, out)
+
+
+@device
 def store_packet(packet, number, order, slow_groups, wants_any, out):
     """Write the results of a packet.
 
@@ -238,9 +261,6 @@ def store_packet(packet, number, order, slow_groups, wants_any, out):
     """
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        if count == _U0:
-            continue
-        if (slow_groups >> g) & _U1 == _U0:
-            _store_group(Group(packet, g), first, wants_any, out)
-        else:
-            _store_few(GroupLanes(packet, g), first, count, wants_any, out)
+        if count != _U0:
+            is_slow = (slow_groups >> g) & _U1 != _U0
+            store_group(packet + g * _GROUP_BYTES, first, count, is_slow, wants_any, out)
