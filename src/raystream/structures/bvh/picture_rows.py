@@ -16,6 +16,8 @@ exactly one packet: a wrong guess costs time only.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,9 +35,17 @@ from raystream.jit.simd import (
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_direction, load_origin
 from raystream.structures.bvh.packet_load import load_directions, load_origins
-from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
+from raystream.structures.bvh.packet_rays import (
+    GROUPS,
+    PACKET_RAYS,
+    PacketOrder,
+    group_rows,
+)
 
-__all__ = ["find_order"]
+__all__ = ["LEAST_RAYS", "BatchOrder", "Cut", "find_order", "order_of"]
+
+#: Rows of smaller batches are not looked for: it takes some ten microseconds.
+LEAST_RAYS = 8192
 
 #: Rays beyond the start of the first row in which the second one is searched for: pictures are not
 #: wider.
@@ -69,8 +79,52 @@ _WORD = np.uint64(8)
 _COUNT_BITS = np.uint64(5)
 
 
-def find_order(source: RaySource, count: int, frame: SceneFrame) -> tuple[PacketOrder, object]:
-    """The packets of a flat batch of coherent rays, and an object to keep alive while it is used.
+class Cut(NamedTuple):
+    """A place where a batch may be divided: whole packets have the rays before it.
+
+    Attributes
+    ----------
+    packet, ray : int
+    """
+
+    packet: int
+    ray: int
+
+
+class BatchOrder(NamedTuple):
+    """The packets of a batch, and where it may be divided.
+
+    Attributes
+    ----------
+    packets : PacketOrder
+    bands : ndarray of shape (rows of packets + 1, 2), int64, or None
+        The first packet and ray of each row of packets, where the width does not say it.
+    kept : object
+        To be kept alive while the order is used.
+    """
+
+    packets: PacketOrder
+    bands: NDArray[np.int64] | None = None
+    kept: object = None
+
+    def cut(self, ray: int) -> Cut:
+        """The last cut that is not behind a ray, or the end."""
+        order = self.packets
+        if ray >= int(order.ray_count):
+            return Cut(order.packet_count, int(order.ray_count))
+        if self.bands is not None:
+            at = int(np.searchsorted(self.bands[:, 1], ray, side="right")) - 1
+            return Cut(*self.bands[at].tolist())
+        side, width = int(GROUPS), int(order.width)
+        if width == 0:
+            packet = ray // PACKET_RAYS
+            return Cut(packet, packet * PACKET_RAYS)
+        band = ray // (width * side)
+        return Cut(band * -(-width // side), band * width * side)
+
+
+def find_order(source: RaySource, count: int, frame: SceneFrame) -> BatchOrder:
+    """The packets of a flat batch of coherent rays.
 
     Parameters
     ----------
@@ -82,48 +136,55 @@ def find_order(source: RaySource, count: int, frame: SceneFrame) -> tuple[Packet
 
     Returns
     -------
-    order : PacketOrder
+    BatchOrder
         Tiles of a picture's rows if they are found, else 256 rays in a row.
-    kept : object
     """
-    straight = PacketOrder.of_rows(0, count)
-    if count < 2 * 16 * 16:
-        return straight, None
+    straight = BatchOrder(PacketOrder.of_rows(0, count))
+    if count < LEAST_RAYS:
+        return straight
     starts = np.empty(count // 16 + 2, np.uint64)
     row_count, width = find_starts(source, count, frame, address_of(starts), len(starts) - 1)
-    kept: object = None
     if width >= 16:
-        order = PacketOrder.of_rows(width, count)
+        order = BatchOrder(PacketOrder.of_rows(width, count))
     elif row_count >= 2:
         starts[row_count] = count
-        table = _table_of(starts[: row_count + 1])
-        order = straight._replace(
-            packet_count=len(table) // int(GROUPS), table=np.uint64(address_of(table))
-        )
-        kept = table
+        order = order_of(starts[: row_count + 1])
     else:
-        return straight, None
+        return straight
     # Rows end with groups of fewer rays, and packets of rows of different lengths have gaps.
-    size, gaps = _extent(order, source, frame), order.packet_count / straight.packet_count
-    if size * gaps <= _WORTHWHILE * _extent(straight, source, frame):
-        return order, kept
-    return straight, None
+    gaps = order.packets.packet_count / straight.packets.packet_count
+    size = _extent(order.packets, source, frame)
+    if size * gaps <= _WORTHWHILE * _extent(straight.packets, source, frame):
+        return order
+    return straight
+
+
+def order_of(starts: NDArray[np.uint64]) -> BatchOrder:
+    """Tiles of rows of different lengths.
+
+    Parameters
+    ----------
+    starts : ndarray of shape (rows + 1,), uint64
+        The index of each row's first ray, and the number of rays.
+    """
+    lengths = np.diff(starts)
+    side = int(GROUPS)
+    first_rows = np.arange(0, len(lengths), side)
+    across = (np.maximum.reduceat(lengths, first_rows) + _LANES - _U1) // _LANES
+    bands = np.zeros((len(first_rows) + 1, 2), np.int64)
+    np.cumsum(across, out=bands[1:, 0])
+    bands[:-1, 1], bands[-1, 1] = starts[first_rows], starts[-1]
+    packet_count = int(bands[-1, 0])
+    table = np.empty(max(packet_count * side, 1), np.uint64)
+    fill_table(len(lengths), address_of(starts), address_of(table))
+    at = np.uint64(address_of(table))
+    packets = PacketOrder(_U0, np.uint64(starts[-1]), packet_count, at)
+    return BatchOrder(packets, bands, table)
 
 
 def address_of(array: NDArray[np.uint64]) -> int:
     """The address of an array's first number."""
     return int(array.ctypes.data)
-
-
-def _table_of(starts: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """`PacketOrder.table` of tiles of rows from and to each of some indices."""
-    lengths = np.diff(starts)
-    side = int(GROUPS)
-    bands = np.arange(0, len(lengths), side)
-    across = (np.maximum.reduceat(lengths, bands) + _LANES - _U1) // _LANES
-    table = np.empty(int(across.sum()) * side, np.uint64)
-    fill_table(len(lengths), address_of(starts), address_of(table))
-    return table
 
 
 def _extent(order: PacketOrder, source: RaySource, frame: SceneFrame) -> float:
@@ -191,9 +252,7 @@ def _best_of(source, start, first, end, count, weights):
 @device
 def _is_row(source, start, width, count, weights):
     """Whether rows begin at an index and a width later."""
-    best, closeness = _best_of(
-        source, start, start + width - _WORD, start + width, count, weights
-    )
+    best, closeness = _best_of(source, start, start + width - _WORD, start + width, count, weights)
     return best == start + width and closeness <= _DOUBTFUL
 
 
@@ -314,9 +373,7 @@ def sum_extents(packet_count, source, order, frame):
             begin, count = group_rows(order, number, g)
             if count != _U0:
                 first_distance = _square_distance(_ray_at(source, begin), a, weights)
-                end_distance = _square_distance(
-                    _ray_at(source, begin + count - _U1), a, weights
-                )
+                end_distance = _square_distance(_ray_at(source, begin + count - _U1), a, weights)
                 farthest = max(farthest, first_distance, end_distance)
         total += np.sqrt(farthest)
     return total
