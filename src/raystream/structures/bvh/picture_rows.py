@@ -64,6 +64,10 @@ _DOUBTFUL = np.float32(0.25)
 _SAME_ROWS = np.uint64(8)
 _CHECKS = np.uint64(16)
 
+#: Rows of a batch that are this short on average are tiles, or none, which would take long to find.
+_MANY_ROWS = np.uint64(256)
+_SHORT_ROW = np.uint64(40)
+
 #: Packets at which orders are compared.
 _SAMPLES = 16
 
@@ -285,6 +289,8 @@ def find_starts(source, ray_count, frame, starts, most):
     while True:
         rows += _U1
         if rows >= most_rows or doubtful > _WORD + rows // np.uint64(4):
+            return 0, 0
+        if rows > _MANY_ROWS and start < rows * _SHORT_ROW:
             return 0, 0
         found, closeness = _U0, _INF
         if length != _U0 and rows % _WORD != _U0:
