@@ -18,7 +18,7 @@ from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
-from raystream.structures.bvh.picture_rows import LEAST_RAYS, BatchOrder, find_order
+from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
 from raystream.structures.bvh.stream import trace_streams
 from raystream.structures.bvh.stream_batch import trace_sorted
@@ -240,7 +240,7 @@ def _suits_packets(tree: Tree, source: PacketSource) -> bool:
 
 
 def _tiled(source: PacketSource) -> tuple[PacketSource, object]:
-    """The same rays in tiles, if they are a flat picture, and what to keep until traced."""
+    """The same rays in tiles, if they are a flat image, and what to keep until traced."""
     order = _order_of(BatchOrder(source.order), source.rays, source.frame)
     return source._replace(order=order.packets), order
 

@@ -30,7 +30,7 @@ _IN_DOUBT = 1 / 12
 #: Least rays of a piece.
 _LEAST_PIECE = 4096
 
-#: A rival is in doubt if it took at most so many times as long as the favourite.
+#: A rival is in doubt if it took at most this many times as long as the favourite.
 _NEAR = 2.0
 
 #: A rival must be faster than the kernel that was guessed by this factor: pieces vary.

@@ -12,7 +12,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
-from raystream.structures.bvh.picture_rows import BatchOrder, Cut, find_order, order_of
+from raystream.structures.bvh.image_rows import BatchOrder, Cut, find_order, order_of
 
 
 @kernel

@@ -1,6 +1,6 @@
-"""Find the rows of a picture in a list of its rays, and form packets of 16 rows.
+"""Find the rows of an image in a list of its rays, and form packets of 16 rows.
 
-People flatten pictures, and leave out pixels: rays from visible points follow each other in the
+People flatten images, and leave out pixels: rays from visible points follow each other in the
 order of the pixels, without those that missed, so that rows have different lengths. Rays of a row
 lie next to each other, and a row starts near the start of the row above. So a ray j starts a row
 if it is near the row's start s, and far from the ray before it: if
@@ -10,7 +10,7 @@ if it is near the row's start s, and far from the ray before it: if
 is small, where differences of origins are relative to the scene's size, and those of directions to
 their length. Rows are found one after another, each first where the length of the one above it
 says. If the first rows have one length, and rows at some places of the batch begin where it says,
-it is the picture's width, and the others are not looked at. Whatever is found, each ray is in
+it is the image's width, and the others are not looked at. Whatever is found, each ray is in
 exactly one packet: a wrong guess costs time only.
 """
 
@@ -47,11 +47,11 @@ __all__ = ["LEAST_RAYS", "BatchOrder", "Cut", "find_order", "order_of"]
 #: Rows of smaller batches are not looked for: it takes some ten microseconds.
 LEAST_RAYS = 8192
 
-#: Rays beyond the start of the first row in which the second one is searched for: pictures are not
+#: Rays beyond the start of the first row in which the second one is searched for: images are not
 #: wider.
 _WIDEST = 16384
 
-#: The next row is looked for so many blocks of 16 rays before and behind its likely start, then
+#: The next row is looked for that many blocks of 16 rays before and behind its likely start, then
 #: among all rays from a quarter to twice the row's length away.
 _NEARBY = np.uint64(1)
 
@@ -59,7 +59,7 @@ _NEARBY = np.uint64(1)
 _CLEAR = np.float32(0.02)
 _DOUBTFUL = np.float32(0.25)
 
-#: Rows of one length after which the batch is taken for a picture of that width, and places where
+#: Rows of one length after which the batch is taken for an image of that width, and places where
 #: this is checked.
 _SAME_ROWS = np.uint64(8)
 _CHECKS = np.uint64(16)
@@ -141,7 +141,7 @@ def find_order(source: RaySource, count: int, frame: SceneFrame) -> BatchOrder:
     Returns
     -------
     BatchOrder
-        Tiles of a picture's rows if they are found, else 256 rays in a row.
+        Tiles of an image's rows if they are found, else 256 rays in a row.
     """
     straight = BatchOrder(PacketOrder.of_rows(0, count))
     if count < LEAST_RAYS:
@@ -262,7 +262,7 @@ def _is_row(source, start, width, count, weights):
 
 @kernel
 def find_starts(source, ray_count, frame, starts, most):
-    """Find where a picture's rows start in a batch of its rays.
+    """Find where an image's rows start in a batch of its rays.
 
     Parameters
     ----------
@@ -316,12 +316,12 @@ def find_starts(source, ray_count, frame, starts, most):
         start = found
         store(np.uint64(starts) + rows * _WORD, start)
         if same == _SAME_ROWS and start == (rows) * length:
-            is_picture = True
+            is_image = True
             whole = count // length - _U1
             for k in range(_CHECKS):
                 if not _is_row(source, k * whole // _CHECKS * length, length, count, weights):
-                    is_picture = False
-            if is_picture:
+                    is_image = False
+            if is_image:
                 return 0, np.int64(length)
     return np.int64(rows), 0
 
