@@ -51,7 +51,7 @@ LEAST_RAYS = 8192
 #: wider.
 _WIDEST = 16384
 
-#: The next row is looked for that many blocks of 16 rays before and behind its likely start, then
+#: The next row is looked for one block of 16 rays before and behind its likely start, then
 #: among all rays from a quarter to twice the row's length away.
 _NEARBY = np.uint64(1)
 

@@ -13,12 +13,12 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.coherence import choose_kernel, probe, rivals
+from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
-from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
 from raystream.structures.bvh.stream import trace_streams
 from raystream.structures.bvh.stream_batch import trace_sorted
