@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.kernels.ray_source import RaySource
-from raystream.structures.bvh.coherence import Coherence, choose_kernel, probe
+from raystream.structures.bvh.coherence import Coherence, choose_kernel, probe, rivals
 from raystream.structures.bvh.packet_rays import PacketOrder
 
 
@@ -31,12 +31,12 @@ def points(frame, rng, count):
 
 def test_a_picture_is_narrow_and_close(frame):
     origins, directions = rs.load("cornell").camera.rays(512, 512)
-    assert look(frame, origins, directions) == Coherence(1.0, 1.0, 1.0)
+    assert look(frame, origins, directions) == Coherence(1.0, 1.0, 1.0, 1.0)
 
 
 def test_random_rays_have_nothing_in_common(frame, rng):
     found = look(frame, points(frame, rng, 4096), rng.normal(size=(4096, 3)))
-    assert found == Coherence(0.0, 0.0, 0.0)
+    assert found == Coherence(0.0, 0.0, 0.0, 0.0)
 
 
 def test_rays_from_a_point_in_all_directions_are_close(frame, rng):
@@ -50,21 +50,35 @@ def test_what_is_close_depends_on_the_size_of_triangles(frame, rng):
     steps = np.arange(4096) % 16 * size * 0.004  # a group is 0.06 of the scene long
     origins = np.array(frame.center) + steps[:, None] * [1, 0, 0]
     directions = np.broadcast_to([0.0, 1.0, 0.0], (4096, 3))
-    assert look(frame, origins, directions, 100_000) == Coherence(1.0, 1.0, 1.0)
-    assert look(frame, origins, directions, 100_000_000) == Coherence(1.0, 1.0, 0.0)
+    assert look(frame, origins, directions, 100_000) == Coherence(1.0, 1.0, 1.0, 0.0)
+    assert look(frame, origins, directions, 100_000_000) == Coherence(1.0, 1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("coherence", "count", "byte_count", "kernel"),
     [
-        (Coherence(1.0, 1.0, 1.0), 2_000, 10**9, "packet"),
-        (Coherence(1.0, 1.0, 0.0), 10**6, 10**8, "groups"),
-        (Coherence(0.0, 1.0, 1.0), 10**6, 10**8, "groups"),
-        (Coherence(0.0, 1.0, 1.0), 2_000, 10**8, "wavefront"),
-        (Coherence(0.0, 0.0, 0.0), 10**6, 10**8, "stream"),
-        (Coherence(0.0, 0.0, 0.0), 10**5, 10**8, "wavefront"),
-        (Coherence(1.0, 0.0, 0.0), 10**5, 10**6, "groups"),
+        (Coherence(1.0, 1.0, 1.0, 0.0), 2_000, 10**9, "packet"),
+        (Coherence(1.0, 1.0, 0.0, 0.0), 10**6, 10**8, "groups"),
+        (Coherence(0.0, 1.0, 1.0, 0.0), 10**6, 10**8, "groups"),
+        (Coherence(0.0, 1.0, 1.0, 0.0), 2_000, 10**8, "wavefront"),
+        (Coherence(0.0, 0.0, 0.0, 0.0), 10**6, 10**8, "stream"),
+        (Coherence(0.0, 0.0, 0.0, 0.0), 10**5, 10**8, "wavefront"),
+        (Coherence(1.0, 0.0, 0.0, 0.0), 10**5, 10**6, "groups"),
     ],
 )
 def test_choice(coherence, count, byte_count, kernel):
     assert choose_kernel(coherence, count, byte_count) == kernel
+
+
+@pytest.mark.parametrize(
+    ("coherence", "guess", "others"),
+    [
+        (Coherence(1.0, 1.0, 1.0, 1.0), "packet", ()),
+        (Coherence(1.0, 1.0, 1.0, 0.0), "packet", ("stream",)),
+        (Coherence(1.0, 1.0, 0.0, 0.0), "stream", ("packet",)),
+        (Coherence(0.0, 1.0, 1.0, 0.0), "stream", ("wavefront",)),
+        (Coherence(0.0, 0.0, 0.0, 0.0), "wavefront", ("stream",)),
+    ],
+)
+def test_rivals(coherence, guess, others):
+    assert rivals(coherence, guess) == others

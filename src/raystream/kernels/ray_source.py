@@ -27,6 +27,8 @@ __all__ = [
     "POWER_EXPONENT",
     "RaySource",
     "ResultAddresses",
+    "load_direction",
+    "load_origin",
     "load_ray",
     "local_ray",
 ]
@@ -199,6 +201,12 @@ def _three(at, are_double):
 def load_origin(source, i):
     """Origin of ray i in world space, as float64 numbers."""
     return _three(source.origins + i * source.origin_step, source.origins_are_double)
+
+
+@device
+def load_direction(source, i):
+    """Direction of ray i in world space, as float64 numbers."""
+    return _three(source.directions + i * source.direction_step, source.directions_are_double)
 
 
 @device

@@ -12,7 +12,7 @@ from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
 
-__all__ = ["Coherence", "choose_kernel", "probe"]
+__all__ = ["Coherence", "choose_kernel", "probe", "rivals"]
 
 #: Groups of 16 rays in a sample: about ten microseconds, for any batch.
 _SAMPLES = 24
@@ -57,11 +57,18 @@ class Coherence(NamedTuple):
         Share of the groups with nearly the same origin.
     close : float
         Share of the groups whose origins are few triangles apart.
+    joint : float
+        Share of the groups with one origin.
     """
 
     narrow: float
     near: float
     close: float
+    joint: float
+
+    def kind(self) -> tuple[bool, ...]:
+        """Which of these half of the groups are."""
+        return tuple(share >= 0.5 for share in self)
 
 
 def probe(source: RaySource, order: PacketOrder, frame: SceneFrame, byte_count: int) -> Coherence:
@@ -104,10 +111,22 @@ def choose_kernel(
     return "wavefront"
 
 
+def rivals(coherence: Coherence, guess: str) -> tuple[str, ...]:
+    """Kernels that may be faster than the one of `choose_kernel`, for a race.
+
+    Packets have none for rays from one point in similar directions: groups are at most as fast.
+    """
+    if guess == "packet":
+        return () if coherence.joint >= 0.5 else ("groups",)
+    if coherence.narrow >= 0.5:
+        return ("packet",)
+    return ("wavefront",) if guess == "stream" else ("stream",)
+
+
 @kernel
 def _look(packet_count, source, order, frame, closeness):
-    """Count sampled groups, and those of them that are narrow, near and close."""
-    groups, narrow, near, close = 0, 0, 0, 0
+    """Count sampled groups, and those of them that are narrow, near, close and joint."""
+    groups, narrow, near, close, joint = 0, 0, 0, 0, 0
     size = max(
         frame.high[0] - frame.low[0], frame.high[1] - frame.low[1], frame.high[2] - frame.low[2]
     )
@@ -129,4 +148,5 @@ def _look(packet_count, source, order, frame, closeness):
         narrow += bend <= _NARROW
         near += way <= _NEAR * size
         close += way <= closeness * size
-    return groups, narrow, near, close
+        joint += way == np.float32(0.0)
+    return groups, narrow, near, close, joint

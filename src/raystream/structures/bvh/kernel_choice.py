@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.structures.bvh.coherence import choose_kernel, probe
+from raystream.structures.bvh.coherence import choose_kernel, probe, rivals
 from raystream.structures.bvh.group_stream import BLOCK_PACKETS, trace_groups
+from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
+from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
+from raystream.structures.bvh.stream import trace_streams
 from raystream.structures.bvh.stream_batch import trace_sorted
 from raystream.structures.bvh.wavefront import trace_wavefront
 
@@ -77,13 +81,26 @@ class Tree(NamedTuple):
         return cls(TreeAddresses(np.uint64(nodes), np.uint64(leaves)), frame, byte_count)
 
 
+class _Batch(NamedTuple):
+    """A batch, and where its results go, for the kernels of `_TRACERS`."""
+
+    tree: Tree
+    source: RaySource
+    order: BatchOrder
+    wants_any: bool
+    filter_: HitFilter | None
+    results: ResultAddresses
+
+
 def trace_batch(
     tree: Tree,
     batch: RayBatch,
     wants_any: bool,
+    filter_: HitFilter | None,
     results: ResultAddresses,
     progress: Progress | None,
     kernel: str = "auto",
+    races: Races | None = None,
 ) -> None:
     """Find the nearest hit of each ray, or whether there is one.
 
@@ -93,12 +110,16 @@ def trace_batch(
         Not empty.
     batch : RayBatch
     wants_any : bool
+    filter_ : HitFilter, optional
+        Decides which hits exist.
     results : ResultAddresses
     progress : callable, optional
         Called with (rays done, rays).
     kernel : {"auto", "wavefront", "packet", "groups", "stream"}
         "auto" takes the wavefront for at most `SMALL_BATCH` rays; for more, the kernel that suits
-        a sample of them.
+        a sample of them, or is the fastest of those that may.
+    races : Races, optional
+        Results of earlier races on this tree; updated. No races without.
     """
     count = len(batch)
     if kernel == "auto" and count <= SMALL_BATCH:
@@ -106,25 +127,61 @@ def trace_batch(
     source, kept = RaySource.of(
         batch.origins, batch.directions, batch.limits, kernel != "wavefront"
     )
-    if kernel == "wavefront":  # without further preparation, for small batches
-        _trace_wavefront(tree, count, source, wants_any, results, progress)
+    order = BatchOrder(PacketOrder.of(batch.shape))
+    work = _Batch(tree, source, order, wants_any, filter_, results)
+    if kernel == "wavefront" or count == 0:  # without further preparation, for small batches
+        _trace_wavefront(work, 0, count, progress)
         return
-    order = PacketOrder.of(batch.shape)
-    if kernel == "auto" and count:
-        found = probe(source, order, tree.frame, tree.byte_count)
-        kernel = choose_kernel(found, count, tree.byte_count)
-    if kernel == "wavefront":
-        _trace_wavefront(tree, count, source, wants_any, results, progress)
-    elif kernel == "stream":
-        addresses, frame = tree.addresses, tree.frame
-        trace_sorted(addresses, frame, count, source, wants_any, results, progress)
-    elif kernel == "groups":
-        packets = PacketSource(source, order, tree.frame, results.status)
-        _trace_groups(tree, packets, wants_any, results, progress)
+    if kernel == "groups" and filter_ is not None:
+        kernel = _FILTERING["groups"]
+    if kernel == "packet":
+        work = work._replace(order=_order_of(work.order, source, tree.frame))
+    if kernel != "auto":
+        _TRACERS[kernel](work, 0, count, progress)
+        return
+    found = probe(source, order.packets, tree.frame, tree.byte_count)
+    guess = choose_kernel(found, count, tree.byte_count)
+    names: tuple[str, ...] = (guess,)
+    if races is not None and count >= LEAST_RACE:
+        names += rivals(found, guess)
+    if filter_ is not None:
+        names = tuple(dict.fromkeys(_FILTERING.get(name, name) for name in names))
+    if "packet" in names:
+        work = work._replace(order=_order_of(work.order, source, tree.frame))
+    if len(names) > 1 and races is not None:
+        kind = (wants_any, filter_ is not None, count.bit_length(), *found.kind())
+        _trace_raced(names, kind, work, races, progress)
     else:
-        packets = PacketSource(source, order, tree.frame, results.status)
-        _trace_packets(tree, packets, wants_any, results, progress)
+        _TRACERS[names[0]](work, 0, count, progress)
     del kept  # the kernels read it by address
+
+
+def _trace_raced(
+    names: tuple[str, ...],
+    kind: tuple[int, ...],
+    work: _Batch,
+    races: Races,
+    progress: Progress | None,
+) -> None:
+    """Trace a batch by the fastest kernel, as far as that is known."""
+    count = int(work.order.packets.ray_count)
+    name, is_due = races.plan(kind, names, all(map(_is_loaded, names)))
+
+    def run(name: str, begin: int, end: int, progress: Progress | None) -> None:
+        _TRACERS[name](work, begin, end, progress)
+
+    if is_due:
+        run_race(names, count, lambda ray: work.order.cut(ray).ray, run, races, kind, progress)
+    else:
+        run(name, 0, count, progress)
+
+
+def _order_of(order: BatchOrder, source: RaySource, frame: SceneFrame) -> BatchOrder:
+    """The order of a batch's packets: tiles of its rows, if it is flat and they are found."""
+    count = int(order.packets.ray_count)
+    if order.packets.width or count < LEAST_RAYS:
+        return order
+    return find_order(source, count, frame)
 
 
 def visit_batch(
@@ -155,9 +212,10 @@ def visit_batch(
     source, kept = _packets_of(tree, rays, sink)
     if only_if_narrow and not _suits_packets(tree, source):
         return False
-    report = _of_rays(progress, source.order)
+    source, order = _tiled(source)
+    report = _of_rays(progress, len(rays), source.order.packet_count)
     visit_all(tree.addresses, source, query, sink, has_duplicates, report)
-    del kept
+    del kept, order
     return True
 
 
@@ -173,14 +231,15 @@ def count_batch(
     source, kept = _packets_of(tree, rays, sink)
     if only_if_narrow and not _suits_packets(tree, source):
         return False
-    report = _of_rays(progress, source.order)
+    source, order = _tiled(source)
+    report = _of_rays(progress, len(rays), source.order.packet_count)
     sink.counts = count_all(tree.addresses, source, query, report)
-    del kept
+    del kept, order
     return True
 
 
 def _packets_of(tree: Tree, rays: RayBatch, sink: Sink) -> tuple[PacketSource, object]:
-    """A batch as packets, and the arrays to keep until they are traced."""
+    """A batch as packets of consecutive rays or tiles, and the arrays to keep until traced."""
     source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, True)
     status = np.uint64(sink.status.ctypes.data)
     return PacketSource(source, PacketOrder.of(rays.shape), tree.frame, status), kept
@@ -191,18 +250,29 @@ def _suits_packets(tree: Tree, source: PacketSource) -> bool:
     return choose_kernel(found, int(source.order.ray_count), tree.byte_count) == "packet"
 
 
-def _trace_wavefront(
-    tree: Tree,
-    count: int,
-    source: RaySource,
-    wants_any: bool,
-    results: ResultAddresses,
-    progress: Progress | None,
-) -> None:
-    addresses, frame, prefetching = tree.addresses, tree.frame, tree.prefetching
+def _tiled(source: PacketSource) -> tuple[PacketSource, object]:
+    """The same rays in tiles, if they are a flat image, and what to keep until traced."""
+    order = _order_of(BatchOrder(source.order), source.rays, source.frame)
+    return source._replace(order=order.packets), order
 
-    def body(begin: int, end: int) -> None:
-        trace_wavefront(begin, end, addresses, frame, source, wants_any, prefetching, results)
+
+def _trace_wavefront(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
+    tree, source, wants_any, results = work.tree, work.source, work.wants_any, work.results
+    addresses, frame, prefetching = tree.addresses, tree.frame, tree.prefetching
+    count = end - first
+
+    def body(low: int, high: int) -> None:
+        trace_wavefront(
+            first + low,
+            first + high,
+            addresses,
+            frame,
+            source,
+            wants_any,
+            prefetching,
+            work.filter_,
+            results,
+        )
 
     if count <= SMALL_BATCH and progress is None:
         body(0, count)
@@ -211,45 +281,81 @@ def _trace_wavefront(
         parallel_for(body, count, max(LEAST_CHUNK, min(share, MOST_CHUNK)), progress)
 
 
-def _trace_packets(
-    tree: Tree,
-    source: PacketSource,
-    wants_any: bool,
-    results: ResultAddresses,
-    progress: Progress | None,
-) -> None:
-    addresses, packet_count = tree.addresses, source.order.packet_count
+def _trace_streams(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
+    tree, wants_any, filter_ = work.tree, work.wants_any, work.filter_
+    addresses, frame, source = tree.addresses, tree.frame, work.source
+    trace_sorted(
+        addresses, frame, first, end, source, wants_any, filter_, work.results, progress
+    )
 
-    def body(begin: int, end: int) -> None:
-        trace_packets(begin, end, addresses, source, wants_any, results)
+
+def _trace_packets(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
+    """Trace rays between two cuts of the batch's order."""
+    addresses, wants_any, results = work.tree.addresses, work.wants_any, work.results
+    order = work.order
+    source = PacketSource(work.source, order.packets, work.tree.frame, results.status)
+    start = order.cut(first).packet
+    packet_count = order.cut(end).packet - start
+
+    def body(low: int, high: int) -> None:
+        trace_packets(start + low, start + high, addresses, source, wants_any, work.filter_, results)
 
     share = -(-packet_count // (8 * thread_count()))
-    report = _of_rays(progress, source.order)
+    report = _of_rays(progress, end - first, packet_count)
     parallel_for(body, packet_count, max(4, min(share, MOST_PACKETS)), report)
 
 
-def _trace_groups(
-    tree: Tree,
-    source: PacketSource,
-    wants_any: bool,
-    results: ResultAddresses,
-    progress: Progress | None,
-) -> None:
-    addresses, packet_count = tree.addresses, source.order.packet_count
+def _trace_groups(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
+    """Trace rays between two cuts of the batch's order, without a filter."""
+    addresses, wants_any, results = work.tree.addresses, work.wants_any, work.results
+    order = work.order
+    source = PacketSource(work.source, order.packets, work.tree.frame, results.status)
+    start = order.cut(first).packet
+    packet_count = order.cut(end).packet - start
 
-    def body(begin: int, end: int) -> None:
-        trace_groups(begin, end, addresses, source, wants_any, results)
+    def body(low: int, high: int) -> None:
+        trace_groups(start + low, start + high, addresses, source, wants_any, results)
 
     share = -(-packet_count // (8 * thread_count()))
     if share > BLOCK_PACKETS:  # whole blocks
         share = min(share // BLOCK_PACKETS * BLOCK_PACKETS, MOST_PACKETS)
-    report = _of_rays(progress, source.order)
+    report = _of_rays(progress, end - first, packet_count)
     parallel_for(body, packet_count, max(4, share), report)
 
 
-def _of_rays(progress: Progress | None, order: PacketOrder) -> Progress | None:
+def _of_rays(progress: Progress | None, ray_count: int, packet_count: int) -> Progress | None:
     """A callback that takes packets done, and reports rays done."""
     if progress is None:
         return None
-    whole, ray_count, packet_count = progress, int(order.ray_count), max(order.packet_count, 1)
-    return lambda done, _: whole(done * ray_count // packet_count, ray_count)
+    whole = progress
+    return lambda done, _: whole(done * ray_count // max(packet_count, 1), ray_count)
+
+
+class _Tracer(Protocol):
+    """Traces the rays from `first` to `end` of a batch; between two cuts of its order."""
+
+    def __call__(self, work: _Batch, first: int, end: int, progress: Progress | None) -> None: ...
+
+
+#: The kernels that trace large batches, which `coherence.rivals` lets race.
+_TRACERS: dict[str, _Tracer] = {
+    "packet": _trace_packets,
+    "groups": _trace_groups,
+    "stream": _trace_streams,
+    "wavefront": _trace_wavefront,
+}
+
+#: Kernels that call no filters, and those that take their place.
+_FILTERING = {"groups": "stream"}
+
+_KERNEL_OF: dict[str, Any] = {
+    "packet": trace_packets,
+    "groups": trace_groups,
+    "stream": trace_streams,
+    "wavefront": trace_wavefront,
+}
+
+
+def _is_loaded(name: str) -> bool:
+    """Whether a kernel has been compiled or loaded in this process."""
+    return bool(_KERNEL_OF[name].signatures)

@@ -21,7 +21,7 @@ from raystream.jit.simd import (
 from raystream.jit.views import address_of
 from raystream.kernels.hit_filter import FILTERED_BYTES, U_AT, V_AT, HitFilter, kept_hits
 from raystream.kernels.ray import world_t
-from raystream.structures.bvh.packet_rays import GroupLanes, group_rows, world_lanes
+from raystream.structures.bvh.packet_rays import GroupLanes, PacketOrder, group_rows, world_lanes
 
 __all__ = ["PacketFilter", "kept_lanes", "packet_filter"]
 
@@ -37,17 +37,16 @@ class PacketFilter(NamedTuple):
     Attributes
     ----------
     filter : HitFilter
-    first : uint64
-        Batch index of the first group's first ray.
-    step : uint64
-        To that of the next group's, modulo 2**64.
+    order : PacketOrder
+    number : uint64
+        The packet's.
     slow_groups : uint64
         See `packet_load.load_packet`.
     """
 
     filter: HitFilter
-    first: np.uint64
-    step: np.uint64
+    order: PacketOrder
+    number: np.uint64
     slow_groups: np.uint64
 
 
@@ -56,9 +55,7 @@ def packet_filter(filter_, order, number, slow_groups):
     """The `PacketFilter` of a packet; None without a filter."""
     if filter_ is None:
         return None
-    first, _ = group_rows(order, number, _U0)
-    second, _ = group_rows(order, number, _U1)
-    return PacketFilter(filter_, first, second - first, slow_groups)
+    return PacketFilter(filter_, order, number, slow_groups)
 
 
 @device
@@ -87,7 +84,8 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     g : uint64
         The group's index.
     """
-    own, first = filter_.filter, filter_.first + g * filter_.step
+    own = filter_.filter
+    first, _ = group_rows(filter_.order, filter_.number, g)
     if own.skip_count != _U0:
         taken = _unskipped(own, taken, prim_id, first)
     bits = mask_bits(taken)

@@ -273,6 +273,22 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
 
 
 @device
+def _load_part(packet, g, first, count, source):
+    """Load fewer than 16 rays with those behind them, which become inactive.
+
+    A group as of rays that took the slow path, so that its results are written one by one.
+    """
+    group = Group(packet, g)
+    if not load_group(group, first, _LANES, source.rays, source.frame, source.status):
+        group.slow_t_scale = widen(group.t_scale)
+        group.slow_t_offset = f64x16(np.float64(0.0))
+    lanes = GroupLanes(packet, g)
+    for lane in range(count, _LANES):
+        lanes.t[lane], lanes.t_min[lane] = -_INF, _INF
+        lanes.direction_class[lane] = NO_CLASS
+
+
+@device
 def load_packet(packet, number, source):
     """Load and prepare a packet.
 
@@ -292,6 +308,10 @@ def load_packet(packet, number, source):
     slow_groups = _U0
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
+        if count != _LANES and count != _U0 and first + _LANES <= source.order.ray_count:
+            _load_part(packet, g, first, count, source)
+            slow_groups |= _U1 << g
+            continue
         if load_group(Group(packet, g), first, count, source.rays, source.frame, source.status):
             slow_groups |= _U1 << g
     return slow_groups

@@ -16,6 +16,7 @@ from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     f32x16,
     i32x16,
+    load,
     mask_bits,
     maximum,
     minimum,
@@ -92,6 +93,8 @@ _ALL_LANES = np.uint64(0xFFFF)
 _SIDE = np.uint64(16)
 _LANE = np.uint64(4)
 _LINE_BITS = np.uint64(63)
+_ENTRY_BYTES = np.uint64(8)
+_COUNT_BITS, _COUNT_MASK = np.uint64(5), np.uint64(31)
 
 
 class PacketOrder(NamedTuple):
@@ -99,31 +102,35 @@ class PacketOrder(NamedTuple):
 
     Attributes
     ----------
-    width, height : int
-        Of an image-shaped batch; 0 for consecutive rays.
-    ray_count : int
+    width : int
+        Rays in a row: packets are tiles of 16 x 16 of these rows. 0 for consecutive rays.
+    ray_count, packet_count : int
         Of the batch.
+    table : int
+        Address of a uint64 for each group of 16 of each packet: 32 times the index of its first
+        ray, plus the number of its rays. 0 where the width says it.
     """
 
     width: np.uint64
-    height: np.uint64
     ray_count: np.uint64
+    packet_count: int
+    table: np.uint64
 
     @classmethod
     def of(cls, shape: tuple[int, ...]) -> PacketOrder:
         """The packets of rays of a shape, whose last two dimensions are an image's."""
-        count = math.prod(shape)
         is_image = len(shape) >= 2 and shape[-1] >= int(_SIDE)
-        width, height = (shape[-1], count // shape[-1]) if is_image else (0, 0)
-        return cls(np.uint64(width), np.uint64(height), np.uint64(count))
+        return cls.of_rows(shape[-1] if is_image else 0, math.prod(shape))
 
-    @property
-    def packet_count(self) -> int:
-        """Packets of the batch."""
-        if self.width == 0:
-            return -(-int(self.ray_count) // PACKET_RAYS)
+    @classmethod
+    def of_rows(cls, width: int, ray_count: int) -> PacketOrder:
+        """Tiles of rows of `width` rays, the last of which may be shorter; 256 in a row for 0."""
         side = int(_SIDE)
-        return -(-int(self.width) // side) * -(-int(self.height) // side)
+        if width == 0:
+            packet_count = -(-ray_count // PACKET_RAYS)
+        else:
+            packet_count = -(-width // side) * -(-ray_count // (width * side))
+        return cls(np.uint64(width), np.uint64(ray_count), packet_count, _U0)
 
 
 class PacketSource(NamedTuple):
@@ -148,15 +155,18 @@ class PacketSource(NamedTuple):
 @device
 def group_rows(order, packet, group):
     """The rays of a group: index of the first one, and their number."""
+    if order.table != _U0:
+        entry = load(np.uint64, order.table + (packet * GROUPS + group) * _ENTRY_BYTES)
+        return entry >> _COUNT_BITS, entry & _COUNT_MASK
+    limit = _LANES
     if order.width == _U0:
         first = packet * np.uint64(PACKET_RAYS) + group * _LANES
-        return first, min(order.ray_count - min(first, order.ray_count), _LANES)
-    across = (order.width + _SIDE - _U1) // _SIDE
-    x = packet % across * _SIDE
-    y = packet // across * _SIDE + group
-    if y >= order.height:
-        return _U0, _U0
-    return y * order.width + x, min(order.width - x, _LANES)
+    else:
+        across = (order.width + _SIDE - _U1) // _SIDE
+        x = packet % across * _SIDE
+        first = (packet // across * _SIDE + group) * order.width + x
+        limit = min(order.width - x, _LANES)
+    return first, min(order.ray_count - min(first, order.ray_count), limit)
 
 
 @device

@@ -44,7 +44,8 @@ _LINE_BITS = np.uint64(63)
 def trace_sorted(
     tree: TreeAddresses,
     frame: SceneFrame,
-    count: int,
+    begin: int,
+    end: int,
     source: RaySource,
     wants_any: bool,
     filter_: HitFilter | None,
@@ -58,7 +59,8 @@ def trace_sorted(
     tree : TreeAddresses
         Not empty.
     frame : SceneFrame
-    count : int
+    begin, end : int
+        The rays of the batch to trace.
     source : RaySource
         Packed.
     wants_any : bool
@@ -67,17 +69,21 @@ def trace_sorted(
     progress : callable, optional
         Called with (rays done, rays).
     """
-    memory = _Memory(min(count, SORTED_RAYS), wants_any)
-    share = -(-min(count, SORTED_RAYS) // (8 * thread_count()))
+    count = end - begin
+    # Parts of equal size: the last one must not be too small to share nodes.
+    part_count = max(-(-count // SORTED_RAYS), 1)
+    size = min(-(-count // (part_count * 16)) * 16, SORTED_RAYS)
+    memory = _Memory(size, wants_any)
+    share = -(-size // (8 * thread_count()))
     chunk = max(_LEAST_TRACED, min(share // _LEAST_TRACED * _LEAST_TRACED, _MOST_TRACED))
-    for first in range(0, count, SORTED_RAYS):
-        part = min(SORTED_RAYS, count - first)
+    for first in range(begin, end, max(size, 1)):
+        part = min(size, end - first)
         sorted_rays = memory.sort(first, part, frame, source)
 
-        def trace(begin: int, end: int, rays: SortedRays = sorted_rays) -> None:
-            trace_streams(begin, end, tree, frame, source, rays, wants_any, filter_, results)
+        def trace(low: int, high: int, rays: SortedRays = sorted_rays) -> None:
+            trace_streams(low, high, tree, frame, source, rays, wants_any, filter_, results)
 
-        parallel_for(trace, part, chunk, part_of(progress, first, count))
+        parallel_for(trace, part, chunk, part_of(progress, first - begin, count))
         if not wants_any:
             _write_all(sorted_rays, part, results)
 

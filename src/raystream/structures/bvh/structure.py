@@ -27,6 +27,7 @@ from raystream.structures.bvh.kernel_choice import (
 )
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses, check_arrays
 from raystream.structures.bvh.options import Bvh
+from raystream.structures.bvh.race import Races
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import stack_half
@@ -63,6 +64,7 @@ class BvhStructure(Structure):
         self.tree = tree
         self.options = options
         self._numbers = Tree.of(tree, self.frame)
+        self._races = Races()
         self._held_ids = triangles.prim_ids
         self._has_duplicates = False
         entry_count = int(np.count_nonzero(tree.prim_ids >= 0))
@@ -185,7 +187,8 @@ class BvhStructure(Structure):
                 to = ResultAddresses.of_any(sink.seen, sink.status)
             else:
                 to = ResultAddresses.of_first(sink.memory, sink.status)
-            trace_batch(tree, rays, kind is Kind.ANY_HIT, query.on_hit, to, progress, self.kernel)
+            wants_any, filter_ = kind is Kind.ANY_HIT, query.on_hit
+            trace_batch(tree, rays, wants_any, filter_, to, progress, self.kernel, self._races)
             return True
         if not self._may_collect(rays, query.limit):
             return False

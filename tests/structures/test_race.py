@@ -1,0 +1,129 @@
+"""Races of kernels: who wins, what is remembered, and that each ray is traced once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from raystream.structures.bvh import kernel_choice, race
+from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
+
+COUNT = 100_000
+
+
+class FakeKernels:
+    """Kernels of given speeds, on a clock of their own."""
+
+    def __init__(self, monkeypatch, **rates):
+        self.rates, self.now = rates, 0.0
+        self.rays = dict.fromkeys(rates, 0)
+        self.pieces = []
+        monkeypatch.setattr(race, "clock", lambda: self.now)
+
+    def run(self, name, begin, end, progress):
+        self.now += self.rates[name] * (end - begin)
+        self.rays[name] += end - begin
+        self.pieces.append((begin, end))
+        if progress:
+            progress(end - begin, end - begin)
+
+
+def run(kernels, races, names, count=COUNT, cut=lambda ray: min(ray, COUNT), progress=None):
+    run_race(names, count, cut, kernels.run, races, "kind", progress)
+
+
+@pytest.mark.parametrize(
+    ("rates", "winner"),
+    [
+        ({"a": 1.0, "b": 3.0}, "a"),
+        ({"a": 1.0, "b": 1.02}, "a"),
+        ({"a": 1.02, "b": 1.0}, "a"),
+        ({"a": 2.0, "b": 1.0}, "b"),
+        ({"a": 2.0, "b": 1.5, "c": 1.0}, "c"),
+    ],
+)
+def test_the_fastest_wins(monkeypatch, rates, winner):
+    kernels, races = FakeKernels(monkeypatch, **rates), Races()
+    run(kernels, races, tuple(rates))
+    assert races.fastest("kind", tuple(rates)) == winner
+    assert kernels.rays[winner] > 0.5 * COUNT
+
+
+def test_a_slow_rival_costs_little(monkeypatch):
+    kernels = FakeKernels(monkeypatch, a=1.0, b=2.5)
+    run(kernels, Races(), ("a", "b"))
+    assert kernels.rays["b"] <= 0.05 * COUNT
+
+
+@pytest.mark.parametrize("step", [1, 256, 16 * 1024, 40_000, COUNT])
+def test_each_ray_is_traced_once(monkeypatch, step):
+    def cut(ray):
+        return COUNT if ray >= COUNT else ray // step * step
+
+    kernels, reports = FakeKernels(monkeypatch, a=1.0, b=0.5), []
+    run(kernels, Races(), ("a", "b"), cut=cut, progress=lambda *now: reports.append(now))
+    pieces = sorted(kernels.pieces)
+    assert [begin for begin, _ in pieces] == [0, *(end for _, end in pieces[:-1])]
+    assert pieces[-1][1] == COUNT
+    assert reports == sorted(reports)
+    assert reports[-1] == (COUNT, COUNT)
+
+
+def test_races_become_rare():
+    races, names = Races(), ("a", "b")
+    due = [number for number in range(1, 40) if races.plan("kind", names, True)[1]]
+    assert due == [1, 2, 4, 8, 16, 32]
+    due = [number for number in range(1, 40) if races.plan("other", names, False)[1]]
+    assert due == [4, 8, 16, 32]
+
+
+def test_the_winner_is_remembered_for_its_kind_only():
+    races = Races()
+    races.learn("kind", {"a": 2.0, "b": 1.0})
+    assert races.plan("kind", ("a", "b"), True)[0] == "b"
+    assert races.plan("other", ("a", "b"), True)[0] == "a"
+
+
+def test_an_interrupt_teaches_nothing(monkeypatch):
+    kernels, races = FakeKernels(monkeypatch, a=1.0, b=0.1), Races()
+
+    def interrupted(name, begin, end, progress):
+        if name == "b":
+            raise KeyboardInterrupt
+        kernels.run(name, begin, end, progress)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_race(("a", "b"), COUNT, lambda ray: ray, interrupted, races, "kind", None)
+    assert races.fastest("kind", ("a", "b")) == "a"
+
+
+def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
+    """Each of a batch's kernels in turn seems the fastest."""
+    scene = rs.load("spheres")
+    origins = rng.uniform(-2, 2, (LEAST_RACE + 5000, 3)).astype(np.float32)
+    directions = rng.normal(size=origins.shape).astype(np.float32)
+    want = rs.Tracer(scene, kernel="stream").first_hit(origins, directions)
+    for fastest in ("stream", "wavefront"):
+        tracer, now, used = rs.Tracer(scene), [0.0], set()
+
+        def timed(name, trace, fastest=fastest, now=now, used=used):
+            def run(work, first, end, progress):
+                trace(work, first, end, progress)
+                used.add(name)
+                now[0] += (end - first) * (1.0 if name == fastest else 1.9)
+
+            return run
+
+        with monkeypatch.context() as patch:
+            tracers = kernel_choice._TRACERS.items()
+            patch.setattr(
+                kernel_choice, "_TRACERS", {name: timed(name, one) for name, one in tracers}
+            )
+            patch.setattr(kernel_choice, "_is_loaded", lambda name: True)
+            patch.setattr(race, "clock", lambda now=now: now[0])
+            for _ in range(3):
+                got = tracer.first_hit(origins, directions)
+                for name in ("t", "u", "v", "prim_id"):
+                    np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
+        assert used == {"stream", "wavefront"}
