@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 
-__all__ = ["MAX_COORDINATE", "MAX_TRIANGLES", "Triangles"]
+__all__ = ["MAX_COORDINATE", "MAX_TRIANGLES", "Triangles", "local_frame"]
 
 #: Coordinates beyond this count as non-finite: products of three would leave float64.
 MAX_COORDINATE = 2.0**200
@@ -117,19 +117,25 @@ class Triangles:
         triangles._set_corners(finite)
         return triangles
 
-    def moved(
-        self,
+    @classmethod
+    def from_solid(
+        cls,
         corners: NDArray[np.float32],
+        mesh_splits: NDArray[np.int64],
+        center: NDArray[np.float64],
+        scale: float,
         solid: NDArray[np.bool_],
         nonfinite_count: int,
         bounds: NDArray[np.float32],
     ) -> Triangles:
-        """Make the store of the same triangles after they moved, in the same local frame.
+        """Make the store of triangles that were examined already.
 
         Parameters
         ----------
         corners : ndarray of shape (F, 3, 3), float32
             Local frame; NaN for vertices that are not finite.
+        mesh_splits, center, scale
+            See `Triangles`.
         solid : ndarray of shape (F,), bool
             The finite triangles that have an area.
         nonfinite_count : int
@@ -139,11 +145,11 @@ class Triangles:
         Returns
         -------
         Triangles
-            See `kernels.move_triangles.move_triangles`, which computes the arguments.
+            See `kernels.move_triangles`, which computes the arguments.
         """
-        triangles = Triangles.__new__(Triangles)
-        triangles.corners, triangles.mesh_splits = corners, self.mesh_splits
-        triangles.center, triangles.scale = self.center, self.scale
+        triangles = cls.__new__(cls)
+        triangles.corners, triangles.mesh_splits = corners, mesh_splits
+        triangles.center, triangles.scale = center, scale
         triangles.nonfinite_count = nonfinite_count
         triangles._set_solid(solid, bounds)
         return triangles
@@ -159,7 +165,8 @@ class Triangles:
 
     def _set_solid(self, solid: NDArray[np.bool_], bounds: NDArray[np.float32]) -> None:
         count = len(self.corners)
-        self.prim_ids = np.flatnonzero(solid).astype(np.int32)
+        every = solid.all()
+        self.prim_ids = np.arange(count, dtype=np.int32) if every else _rows_of(solid)
         self.degenerate_count = count - self.nonfinite_count - len(self.prim_ids)
         self.bounds = bounds if len(self.prim_ids) else np.zeros((2, 3), np.float32)
         self.max_coordinate = np.float32(np.abs(self.bounds).max())
@@ -182,6 +189,10 @@ class Triangles:
     def world_bounds(self) -> NDArray[np.float64]:
         """`bounds` in world space, shape (2, 3), float64."""
         return self.to_world(self.bounds) if len(self.prim_ids) else np.zeros((2, 3))
+
+
+def _rows_of(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
+    return np.flatnonzero(mask).astype(np.int32)
 
 
 def local_frame(
