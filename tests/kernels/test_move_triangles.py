@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import raystream as rs
 from raystream.core.triangles import Triangles
 from raystream.kernels.move_triangles import make_triangles
 
@@ -63,3 +64,30 @@ def test_several_meshes_and_chunks(rng):
 def test_nothing():
     assert_same([])
     assert_same([(np.full((3, 3), np.nan), np.array([[0, 1, 2]], np.int32))])
+
+
+def test_corners_are_restored_after_a_release(rng):
+    meshes = [soup(rng, 100, np.float64), soup(rng, 50, np.float32)]
+    made = make_triangles(meshes)
+    before = made.corners
+    made.release()
+    assert made._corners is None
+    assert made.corners is not before
+    np.testing.assert_array_equal(made.corners, before)
+    assert made.corners is made.corners
+    kept = Triangles(meshes)
+    before = kept.corners
+    kept.release()
+    assert kept.corners is before
+
+
+def test_a_built_tree_does_not_keep_the_corners():
+    scene = rs.load("spheres:40000")
+    triangles = scene.triangles
+    expected = Triangles([(mesh.vertices, mesh.faces) for mesh in scene.meshes]).corners
+    tracer = rs.Tracer(scene)
+    assert triangles._corners is None
+    hits = tracer.first_hit(*scene.camera.rays(30, 20))
+    assert triangles._corners is None
+    assert hits.is_hit.any()
+    np.testing.assert_array_equal(triangles.corners, expected)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,8 @@ class Triangles:
     Attributes
     ----------
     corners : ndarray of shape (F, 3, 3), float32
-        Vertices 0, 1, 2 of each triangle, local frame; row = `prim_id`.
+        Vertices 0, 1, 2 of each triangle, local frame; row = `prim_id`. Structures with their own
+        copy of the triangles let go of it, see `release`; the next access restores it.
     prim_ids : ndarray of shape (A,), int32
         The triangles that can be hit, in increasing order: the finite ones with an area.
     mesh_splits : ndarray of shape (M + 1,), int64
@@ -63,8 +64,6 @@ class Triangles:
         Of the meshes, if the triangles come from a scene: used by hits, not by queries.
     """
 
-    corners: NDArray[np.float32]
-    prim_ids: NDArray[np.int32]
     mesh_splits: NDArray[np.int64]
     center: NDArray[np.float64]
     scale: float
@@ -73,6 +72,9 @@ class Triangles:
     degenerate_count: int
     nonfinite_count: int
     attributes: Attributes | None = None
+    _corners: NDArray[np.float32] | None
+    _prim_ids: NDArray[np.int32] | None  # None for all
+    _restore: Callable[[], NDArray[np.float32]] | None = None
 
     def __init__(self, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> None:
         counts = [len(faces) for _, faces in meshes]
@@ -91,13 +93,14 @@ class Triangles:
         low, high = _finite_bounds(meshes, finite, self.mesh_splits)
         self.center, self.scale = local_frame(low, high)
 
-        self.corners = np.empty((count, 3, 3), np.float32)
+        corners = np.empty((count, 3, 3), np.float32)
         for (vertices, faces), good, first in zip(meshes, usable, self.mesh_splits, strict=False):
             local = self.to_local(vertices)
             if not good.all():
                 local[~good] = np.nan
-            self.corners[first : first + len(faces)] = local[faces]
+            corners[first : first + len(faces)] = local[faces]
 
+        self._corners = corners
         self._set_corners(finite)
 
     @classmethod
@@ -110,7 +113,7 @@ class Triangles:
     ) -> Triangles:
         """Make the store from corners that are in a local frame already, as from a file."""
         triangles = cls.__new__(cls)
-        triangles.corners, triangles.mesh_splits = corners, mesh_splits
+        triangles._corners, triangles.mesh_splits = corners, mesh_splits
         triangles.center, triangles.scale = center, scale
         finite: NDArray[np.bool_] = np.all(np.isfinite(corners), axis=(1, 2))
         triangles.nonfinite_count = len(corners) - int(np.count_nonzero(finite))
@@ -127,6 +130,7 @@ class Triangles:
         solid: NDArray[np.bool_],
         nonfinite_count: int,
         bounds: NDArray[np.float32],
+        restore: Callable[[], NDArray[np.float32]] | None = None,
     ) -> Triangles:
         """Make the store of triangles that were examined already.
 
@@ -141,6 +145,8 @@ class Triangles:
         nonfinite_count : int
         bounds : ndarray of shape (2, 3), float32
             Of the solid triangles; ignored without any.
+        restore : callable, optional
+            Returns equal corners: then `release` may free these.
 
         Returns
         -------
@@ -148,9 +154,10 @@ class Triangles:
             See `kernels.move_triangles`, which computes the arguments.
         """
         triangles = cls.__new__(cls)
-        triangles.corners, triangles.mesh_splits = corners, mesh_splits
+        triangles._corners, triangles.mesh_splits = corners, mesh_splits
         triangles.center, triangles.scale = center, scale
         triangles.nonfinite_count = nonfinite_count
+        triangles._restore = restore
         triangles._set_solid(solid, bounds)
         return triangles
 
@@ -165,14 +172,35 @@ class Triangles:
 
     def _set_solid(self, solid: NDArray[np.bool_], bounds: NDArray[np.float32]) -> None:
         count = len(self.corners)
-        every = solid.all()
-        self.prim_ids = np.arange(count, dtype=np.int32) if every else _rows_of(solid)
-        self.degenerate_count = count - self.nonfinite_count - len(self.prim_ids)
-        self.bounds = bounds if len(self.prim_ids) else np.zeros((2, 3), np.float32)
+        self._prim_ids = None if solid.all() else np.flatnonzero(solid).astype(np.int32)
+        solid_count = len(self.prim_ids)
+        self.degenerate_count = count - self.nonfinite_count - solid_count
+        self.bounds = bounds if solid_count else np.zeros((2, 3), np.float32)
         self.max_coordinate = np.float32(np.abs(self.bounds).max())
 
+    @property
+    def corners(self) -> NDArray[np.float32]:
+        """Vertices 0, 1, 2 of each triangle, shape (F, 3, 3), float32, local frame."""
+        corners = self._corners
+        if corners is None:
+            assert self._restore is not None
+            self._corners = corners = self._restore()
+        return corners
+
+    @property
+    def prim_ids(self) -> NDArray[np.int32]:
+        """The triangles that can be hit, shape (A,), int32, in increasing order."""
+        if self._prim_ids is None:
+            return np.arange(len(self), dtype=np.int32)
+        return self._prim_ids
+
+    def release(self) -> None:
+        """Free `corners` if they can be computed again: 36 bytes a triangle."""
+        if self._restore is not None:
+            self._corners = None
+
     def __len__(self) -> int:
-        return len(self.corners)
+        return int(self.mesh_splits[-1])
 
     def to_local(self, points: NDArray[Any]) -> NDArray[np.float32]:
         """Move world-space points of shape (..., 3) into the local frame."""
@@ -189,10 +217,6 @@ class Triangles:
     def world_bounds(self) -> NDArray[np.float64]:
         """`bounds` in world space, shape (2, 3), float64."""
         return self.to_world(self.bounds) if len(self.prim_ids) else np.zeros((2, 3))
-
-
-def _rows_of(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-    return np.flatnonzero(mask).astype(np.int32)
 
 
 def local_frame(

@@ -36,12 +36,21 @@ class _Placed(NamedTuple):
     bounds: NDArray[np.float32]  # of the solid ones, local
     reach: NDArray[np.float64]  # bounds of the finite ones, world space
 
-    def store(self, splits: NDArray[np.int64], center: NDArray[Any], scale: float) -> Triangles:
+    def store(
+        self, meshes: _Meshes, splits: NDArray[np.int64], center: NDArray[Any], scale: float
+    ) -> Triangles:
         """The triangle store of these; `center` and `scale` are the frame."""
         solid = self.kinds == _SOLID
         nonfinite_count = int(np.count_nonzero(self.kinds == _NONFINITE))
         return Triangles.from_solid(
-            self.corners, splits, center, scale, solid, nonfinite_count, self.bounds
+            self.corners,
+            splits,
+            center,
+            scale,
+            solid,
+            nonfinite_count,
+            self.bounds,
+            lambda: _place(meshes, splits, center, scale).corners,
         )
 
 
@@ -51,7 +60,7 @@ def make_triangles(meshes: _Meshes) -> Triangles:
     Parameters
     ----------
     meshes : sequence of (vertices, faces)
-        As in `Triangles`, C-contiguous.
+        As in `Triangles`, C-contiguous. The store keeps these arrays: they must not change.
 
     Returns
     -------
@@ -71,7 +80,7 @@ def make_triangles(meshes: _Meshes) -> Triangles:
         placed = _place(meshes, splits, center, scale)
     if (placed.kinds == _TOO_FAR).any():  # beside a vertex that is not finite
         return Triangles(meshes)
-    return placed.store(splits, center, scale)
+    return placed.store(meshes, splits, center, scale)
 
 
 def move_triangles(triangles: Triangles, meshes: _Meshes) -> Triangles:
@@ -81,7 +90,7 @@ def move_triangles(triangles: Triangles, meshes: _Meshes) -> Triangles:
     ----------
     triangles : Triangles
     meshes : sequence of (vertices, faces)
-        As in `Triangles`, with the same numbers of faces.
+        As in `Triangles`, with the same numbers of faces. The store keeps these arrays.
 
     Returns
     -------
@@ -93,7 +102,7 @@ def move_triangles(triangles: Triangles, meshes: _Meshes) -> Triangles:
     placed = _place(meshes, splits, center, scale)
     if (placed.kinds == _TOO_FAR).any():
         return Triangles(meshes)
-    return placed.store(splits, center, scale)
+    return placed.store(meshes, splits, center, scale)
 
 
 def _place(
