@@ -199,6 +199,12 @@ class Triangles:
         if self._restore is not None:
             self._corners = None
 
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the arrays that are kept now, without the attributes."""
+        arrays = (self._corners, self._prim_ids)
+        return sum(array.nbytes for array in arrays if array is not None)
+
     def __len__(self) -> int:
         return int(self.mesh_splits[-1])
 
