@@ -44,7 +44,7 @@ class Triangles:
     ----------
     corners : ndarray of shape (F, 3, 3), float32
         Vertices 0, 1, 2 of each triangle, local frame; row = `prim_id`. Structures with their own
-        copy of the triangles let go of it, see `release`; the next access restores it.
+        copy of the triangles free it, see `release`; the next access restores it.
     prim_ids : ndarray of shape (A,), int32
         The triangles that can be hit, in increasing order: the finite ones with an area.
     mesh_splits : ndarray of shape (M + 1,), int64
@@ -195,7 +195,7 @@ class Triangles:
         return self._prim_ids
 
     def release(self) -> None:
-        """Free `corners` if they can be computed again: 36 bytes a triangle."""
+        """Free `corners` if they can be computed again: 36 bytes per triangle."""
         if self._restore is not None:
             self._corners = None
 

@@ -130,7 +130,7 @@ def _place(
 
 def _nothing(count: int, dtype: type) -> NDArray[Any]:
     """Empty boxes."""
-    boxes = np.full((count, 2, 3), np.inf, dtype)
+    boxes: NDArray[Any] = np.full((count, 2, 3), np.inf, dtype)
     boxes[:, 1] = -np.inf
     return boxes
 

@@ -71,7 +71,7 @@ class BvhStructure(Structure):
             # Some are in several leaves, or cannot be hit any more after a refit.
             held_ids = np.unique(tree.prim_ids[tree.prim_ids >= 0])
             self._has_duplicates = entry_count != len(held_ids)
-        # None for all: hardly ever needed, and 4 bytes a triangle.
+        # None for all: hardly ever needed, and 4 bytes per triangle.
         self._held_ids = None if len(held_ids) == len(triangles) else held_ids
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
