@@ -11,6 +11,7 @@ from conftest import assert_same_bits
 from meshes import lattice_soup, soup
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.kernels.hits import HitArrays, Sink
@@ -66,7 +67,15 @@ def parts_of(triangles):
         solid = (number % len(Views._fields) == k) & np.isin(number, triangles.prim_ids)
         corners = triangles.corners[solid]
         bounds = np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
-        some = triangles.moved(triangles.corners, solid, 0, bounds)
+        some = Triangles.from_solid(
+            triangles.corners,
+            triangles.mesh_splits,
+            triangles.center,
+            triangles.scale,
+            solid,
+            0,
+            bounds,
+        )
         yield build_structure(name, some, **OPTIONS.get(name, {}))
 
 

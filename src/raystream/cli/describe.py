@@ -64,7 +64,7 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
         "lights": _describe_lights(scene),
         "memory": {
             "scene": sum(_mesh_byte_count(mesh) for mesh in scene.meshes),
-            "triangles": triangles.corners.nbytes + triangles.prim_ids.nbytes,
+            "triangles": triangles.byte_count,
             "structure": structure.report.byte_count,
         },
         "structure": {

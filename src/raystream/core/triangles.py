@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 
-__all__ = ["MAX_COORDINATE", "MAX_TRIANGLES", "Triangles"]
+__all__ = ["MAX_COORDINATE", "MAX_TRIANGLES", "Triangles", "local_frame"]
 
 #: Coordinates beyond this count as non-finite: products of three would leave float64.
 MAX_COORDINATE = 2.0**200
@@ -43,7 +43,8 @@ class Triangles:
     Attributes
     ----------
     corners : ndarray of shape (F, 3, 3), float32
-        Vertices 0, 1, 2 of each triangle, local frame; row = `prim_id`.
+        Vertices 0, 1, 2 of each triangle, local frame; row = `prim_id`. Structures with their own
+        copy of the triangles free it, see `release`; the next access restores it.
     prim_ids : ndarray of shape (A,), int32
         The triangles that can be hit, in increasing order: the finite ones with an area.
     mesh_splits : ndarray of shape (M + 1,), int64
@@ -63,8 +64,6 @@ class Triangles:
         Of the meshes, if the triangles come from a scene: used by hits, not by queries.
     """
 
-    corners: NDArray[np.float32]
-    prim_ids: NDArray[np.int32]
     mesh_splits: NDArray[np.int64]
     center: NDArray[np.float64]
     scale: float
@@ -73,6 +72,9 @@ class Triangles:
     degenerate_count: int
     nonfinite_count: int
     attributes: Attributes | None = None
+    _corners: NDArray[np.float32] | None
+    _prim_ids: NDArray[np.int32] | None  # None for all
+    _restore: Callable[[], NDArray[np.float32]] | None = None
 
     def __init__(self, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> None:
         counts = [len(faces) for _, faces in meshes]
@@ -91,13 +93,14 @@ class Triangles:
         low, high = _finite_bounds(meshes, finite, self.mesh_splits)
         self.center, self.scale = local_frame(low, high)
 
-        self.corners = np.empty((count, 3, 3), np.float32)
+        corners = np.empty((count, 3, 3), np.float32)
         for (vertices, faces), good, first in zip(meshes, usable, self.mesh_splits, strict=False):
             local = self.to_local(vertices)
             if not good.all():
                 local[~good] = np.nan
-            self.corners[first : first + len(faces)] = local[faces]
+            corners[first : first + len(faces)] = local[faces]
 
+        self._corners = corners
         self._set_corners(finite)
 
     @classmethod
@@ -110,41 +113,51 @@ class Triangles:
     ) -> Triangles:
         """Make the store from corners that are in a local frame already, as from a file."""
         triangles = cls.__new__(cls)
-        triangles.corners, triangles.mesh_splits = corners, mesh_splits
+        triangles._corners, triangles.mesh_splits = corners, mesh_splits
         triangles.center, triangles.scale = center, scale
         finite: NDArray[np.bool_] = np.all(np.isfinite(corners), axis=(1, 2))
         triangles.nonfinite_count = len(corners) - int(np.count_nonzero(finite))
         triangles._set_corners(finite)
         return triangles
 
-    def moved(
-        self,
+    @classmethod
+    def from_solid(
+        cls,
         corners: NDArray[np.float32],
+        mesh_splits: NDArray[np.int64],
+        center: NDArray[np.float64],
+        scale: float,
         solid: NDArray[np.bool_],
         nonfinite_count: int,
         bounds: NDArray[np.float32],
+        restore: Callable[[], NDArray[np.float32]] | None = None,
     ) -> Triangles:
-        """Make the store of the same triangles after they moved, in the same local frame.
+        """Make the store of triangles that were examined already.
 
         Parameters
         ----------
         corners : ndarray of shape (F, 3, 3), float32
             Local frame; NaN for vertices that are not finite.
+        mesh_splits, center, scale
+            See `Triangles`.
         solid : ndarray of shape (F,), bool
             The finite triangles that have an area.
         nonfinite_count : int
         bounds : ndarray of shape (2, 3), float32
             Of the solid triangles; ignored without any.
+        restore : callable, optional
+            Returns equal corners: then `release` may free these.
 
         Returns
         -------
         Triangles
-            See `kernels.move_triangles.move_triangles`, which computes the arguments.
+            See `kernels.move_triangles`, which computes the arguments.
         """
-        triangles = Triangles.__new__(Triangles)
-        triangles.corners, triangles.mesh_splits = corners, self.mesh_splits
-        triangles.center, triangles.scale = self.center, self.scale
+        triangles = cls.__new__(cls)
+        triangles._corners, triangles.mesh_splits = corners, mesh_splits
+        triangles.center, triangles.scale = center, scale
         triangles.nonfinite_count = nonfinite_count
+        triangles._restore = restore
         triangles._set_solid(solid, bounds)
         return triangles
 
@@ -159,13 +172,41 @@ class Triangles:
 
     def _set_solid(self, solid: NDArray[np.bool_], bounds: NDArray[np.float32]) -> None:
         count = len(self.corners)
-        self.prim_ids = np.flatnonzero(solid).astype(np.int32)
-        self.degenerate_count = count - self.nonfinite_count - len(self.prim_ids)
-        self.bounds = bounds if len(self.prim_ids) else np.zeros((2, 3), np.float32)
+        self._prim_ids = None if solid.all() else np.flatnonzero(solid).astype(np.int32)
+        solid_count = len(self.prim_ids)
+        self.degenerate_count = count - self.nonfinite_count - solid_count
+        self.bounds = bounds if solid_count else np.zeros((2, 3), np.float32)
         self.max_coordinate = np.float32(np.abs(self.bounds).max())
 
+    @property
+    def corners(self) -> NDArray[np.float32]:
+        """Vertices 0, 1, 2 of each triangle, shape (F, 3, 3), float32, local frame."""
+        corners = self._corners
+        if corners is None:
+            assert self._restore is not None
+            self._corners = corners = self._restore()
+        return corners
+
+    @property
+    def prim_ids(self) -> NDArray[np.int32]:
+        """The triangles that can be hit, shape (A,), int32, in increasing order."""
+        if self._prim_ids is None:
+            return np.arange(len(self), dtype=np.int32)
+        return self._prim_ids
+
+    def release(self) -> None:
+        """Free `corners` if they can be computed again: 36 bytes per triangle."""
+        if self._restore is not None:
+            self._corners = None
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the arrays that are kept now, without the attributes."""
+        arrays = (self._corners, self._prim_ids)
+        return sum(array.nbytes for array in arrays if array is not None)
+
     def __len__(self) -> int:
-        return len(self.corners)
+        return int(self.mesh_splits[-1])
 
     def to_local(self, points: NDArray[Any]) -> NDArray[np.float32]:
         """Move world-space points of shape (..., 3) into the local frame."""

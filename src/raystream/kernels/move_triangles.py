@@ -1,18 +1,18 @@
-"""Triangles with moved vertices, in their old local frame."""
+"""Triangles of meshes, made on all threads: of a new scene, or with moved vertices."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.triangles import MAX_COORDINATE, Triangles
+from raystream.core.triangles import MAX_COORDINATE, MAX_TRIANGLES, Triangles, local_frame
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import parallel_for
 
-__all__ = ["MAX_LOCAL", "move_triangles"]
+__all__ = ["MAX_LOCAL", "make_triangles", "move_triangles"]
 
 #: Local coordinates beyond this need a new frame: their float32 products would overflow.
 MAX_LOCAL = 2.0**40
@@ -25,17 +25,72 @@ _SOLID, _DEGENERATE, _NONFINITE, _TOO_FAR = (np.uint8(kind) for kind in range(4)
 
 _NAN = np.float32(np.nan)
 
+_Meshes = Sequence[tuple[NDArray[Any], NDArray[np.int32]]]
 
-def move_triangles(
-    triangles: Triangles, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]
-) -> Triangles:
+
+class _Placed(NamedTuple):
+    """Triangles in a local frame."""
+
+    corners: NDArray[np.float32]
+    kinds: NDArray[np.uint8]
+    bounds: NDArray[np.float32]  # of the solid ones, local
+    reach: NDArray[np.float64]  # bounds of the finite ones, world space
+
+    def store(
+        self, meshes: _Meshes, splits: NDArray[np.int64], center: NDArray[Any], scale: float
+    ) -> Triangles:
+        """The triangle store of these; `center` and `scale` are the frame."""
+        solid = self.kinds == _SOLID
+        nonfinite_count = int(np.count_nonzero(self.kinds == _NONFINITE))
+        return Triangles.from_solid(
+            self.corners,
+            splits,
+            center,
+            scale,
+            solid,
+            nonfinite_count,
+            self.bounds,
+            lambda: _place(meshes, splits, center, scale).corners,
+        )
+
+
+def make_triangles(meshes: _Meshes) -> Triangles:
+    """Make a triangle store on all threads.
+
+    Parameters
+    ----------
+    meshes : sequence of (vertices, faces)
+        As in `Triangles`, C-contiguous. The store keeps these arrays: they must not change.
+
+    Returns
+    -------
+    Triangles
+        As ``Triangles(meshes)``, bit for bit.
+    """
+    splits = np.cumsum([0, *(len(faces) for _, faces in meshes)], dtype=np.int64)
+    if splits[-1] > MAX_TRIANGLES:
+        return Triangles(meshes)  # which explains
+    # Most scenes need no frame of their own: then one pass is enough.
+    center, scale = np.zeros(3), 1.0
+    placed = _place(meshes, splits, center, scale)
+    found = np.isfinite(placed.reach).all()
+    frame = local_frame(*placed.reach) if found else (center, scale)
+    if frame[1] != scale or frame[0].any():
+        center, scale = frame
+        placed = _place(meshes, splits, center, scale)
+    if (placed.kinds == _TOO_FAR).any():  # beside a vertex that is not finite
+        return Triangles(meshes)
+    return placed.store(meshes, splits, center, scale)
+
+
+def move_triangles(triangles: Triangles, meshes: _Meshes) -> Triangles:
     """Copy a triangle store with other vertices.
 
     Parameters
     ----------
     triangles : Triangles
     meshes : sequence of (vertices, faces)
-        As in `Triangles`, with the same numbers of faces.
+        As in `Triangles`, with the same numbers of faces. The store keeps these arrays.
 
     Returns
     -------
@@ -43,28 +98,46 @@ def move_triangles(
         With the centre and scale of `triangles`, or a new frame if float32 does not suffice for
         the vertices in the old one.
     """
-    count = len(triangles)
+    splits, center, scale = triangles.mesh_splits, triangles.center, triangles.scale
+    placed = _place(meshes, splits, center, scale)
+    if (placed.kinds == _TOO_FAR).any():
+        return Triangles(meshes)
+    return placed.store(meshes, splits, center, scale)
+
+
+def _place(
+    meshes: _Meshes, splits: NDArray[np.int64], center: NDArray[Any], scale: float
+) -> _Placed:
+    count = int(splits[-1])
     corners = np.empty((count, 3, 3), np.float32)
     kinds = np.empty(count, np.uint8)
-    all_bounds = []
-    x, y, z = triangles.center.tolist()
-    for (vertices, faces), first in zip(meshes, triangles.mesh_splits, strict=False):
+    all_bounds, all_reaches = [_nothing(1, np.float32)], [_nothing(1, np.float64)]
+    frame = center[0].item(), center[1].item(), center[2].item()
+    for (vertices, faces), first in zip(meshes, splits, strict=False):
         rows = slice(first, first + len(faces))
-        bounds = np.full((-(-len(faces) // _CHUNK), 2, 3), np.inf, np.float32)
-        bounds[:, 1] = -np.inf
-        arrays = vertices, faces, corners[rows], kinds[rows], bounds
+        chunk_count = -(-len(faces) // _CHUNK)
+        bounds, reaches = _nothing(chunk_count, np.float32), _nothing(chunk_count, np.float64)
+        arrays = vertices, faces, corners[rows], kinds[rows], bounds, reaches
 
         def body(begin: int, end: int, arrays: Any = arrays) -> None:
-            _move(begin, end, (x, y, z), triangles.scale, *arrays)
+            _move(begin, end, frame, scale, *arrays)
 
         parallel_for(body, len(faces), _CHUNK)
         all_bounds.append(bounds)
-    numbers = np.bincount(kinds, minlength=4)
-    if numbers[_TOO_FAR]:
-        return Triangles(meshes)
-    joined = np.concatenate(all_bounds) if all_bounds else np.zeros((0, 2, 3), np.float32)
-    ends = joined[:, 0].min(axis=0, initial=np.inf), joined[:, 1].max(axis=0, initial=-np.inf)
-    return triangles.moved(corners, kinds == _SOLID, int(numbers[_NONFINITE]), np.array(ends))
+        all_reaches.append(reaches)
+    return _Placed(corners, kinds, _union(all_bounds), _union(all_reaches))
+
+
+def _nothing(count: int, dtype: type) -> NDArray[Any]:
+    """Empty boxes."""
+    boxes: NDArray[Any] = np.full((count, 2, 3), np.inf, dtype)
+    boxes[:, 1] = -np.inf
+    return boxes
+
+
+def _union(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    boxes = np.concatenate(parts)
+    return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
 @device
@@ -73,13 +146,15 @@ def _is_usable(x):
 
 
 @kernel
-def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds):
+def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds, reaches):
     """Move faces begin to end, a chunk, and compute their bounds."""
     chunk = begin // _CHUNK
     low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
     high_x, high_y, high_z = -low_x, -low_y, -low_z
+    west, south, down = np.inf, np.inf, np.inf
+    east, north, up = -west, -south, -down
     for i in range(np.uint64(begin), np.uint64(end)):
-        kind = _SOLID
+        kind, is_finite = _SOLID, True
         for k in range(np.uint64(3)):
             vertex = np.uint64(faces[i, k])
             x, y, z = vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
@@ -93,8 +168,15 @@ def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds):
                 corners[i, k, 1] = np.float32(local_y)
                 corners[i, k, 2] = np.float32(local_z)
             else:
-                kind = max(kind, _NONFINITE)
+                kind, is_finite = max(kind, _NONFINITE), False
                 corners[i, k, 0] = corners[i, k, 1] = corners[i, k, 2] = _NAN
+        if is_finite:
+            for k in range(np.uint64(3)):
+                vertex = np.uint64(faces[i, k])
+                x, y, z = vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
+                west, east = min(west, np.float64(x)), max(east, np.float64(x))
+                south, north = min(south, np.float64(y)), max(north, np.float64(y))
+                down, up = min(down, np.float64(z)), max(up, np.float64(z))
         if kind == _SOLID:
             ax, ay, az = corners[i, 0, 0], corners[i, 0, 1], corners[i, 0, 2]
             bx, by, bz = corners[i, 1, 0], corners[i, 1, 1], corners[i, 1, 2]
@@ -109,6 +191,8 @@ def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds):
     if begin < end:
         bounds[chunk, 0, 0], bounds[chunk, 0, 1], bounds[chunk, 0, 2] = low_x, low_y, low_z
         bounds[chunk, 1, 0], bounds[chunk, 1, 1], bounds[chunk, 1, 2] = high_x, high_y, high_z
+        reaches[chunk, 0, 0], reaches[chunk, 0, 1], reaches[chunk, 0, 2] = west, south, down
+        reaches[chunk, 1, 0], reaches[chunk, 1, 1], reaches[chunk, 1, 2] = east, north, up
 
 
 @device

@@ -157,13 +157,12 @@ def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]
         array = array.astype(np.int32)
     if array.dtype.kind not in "iu":
         raise TypeError(f"material_ids: expected integers, got dtype {array.dtype}")
-    if array.ndim == 0:
-        array = np.full(face_count, array)
-    if array.shape != (face_count,):
+    if array.ndim and array.shape != (face_count,):
         raise ValueError(f"material_ids: expected shape ({face_count},), got {array.shape}")
     if face_count and int(array.min()) < 0:
         raise ValueError(f"material_ids: {int(array.min())} is negative")
-    return _kept(array, np.int32)
+    # One number for all faces is kept once.
+    return np.broadcast_to(_kept(array, np.int32), (face_count,))
 
 
 def _kept(array: NDArray[Any], dtype: type) -> NDArray[Any]:

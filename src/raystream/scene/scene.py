@@ -30,6 +30,10 @@ __all__ = ["Scene"]
 _ANIMATED = ("meshes", "materials", "lights")
 
 
+#: Triangles of small scenes are made by NumPy: that is faster than to load a kernel.
+_FEW = 1 << 14
+
+
 class _Geometry:
     """Meshes and their triangles, built once for all scenes that share the meshes."""
 
@@ -41,7 +45,13 @@ class _Geometry:
 
     @cached_property
     def triangles(self) -> Triangles:
-        return self._described(Triangles([(mesh.vertices, mesh.faces) for mesh in self.meshes]))
+        arrays = [(mesh.vertices, mesh.faces) for mesh in self.meshes]
+        if sum(mesh.triangle_count for mesh in self.meshes) <= _FEW:
+            return self._described(Triangles(arrays))
+        # Here, not above: it loads the compiler.
+        from raystream.kernels.move_triangles import make_triangles
+
+        return self._described(make_triangles(arrays))
 
     def _described(self, triangles: Triangles) -> Triangles:
         if triangles.attributes is None:  # replacing them would change existing hits

@@ -57,6 +57,7 @@ class BvhStructure(Structure):
     ) -> None:
         started = time.perf_counter()
         arrays = build_arrays(triangles, options.quality, options.max_leaf_size, progress)
+        triangles.release()  # the leaves have them
         self._set(triangles, arrays, options, started)
 
     def _set(self, triangles: Triangles, tree: BvhArrays, options: Bvh, started: float) -> None:
@@ -65,13 +66,15 @@ class BvhStructure(Structure):
         self.options = options
         self._numbers = Tree.of(tree, self.frame)
         self._races = Races()
-        self._held_ids = triangles.prim_ids
         self._has_duplicates = False
+        held_ids = triangles.prim_ids
         entry_count = int(np.count_nonzero(tree.prim_ids >= 0))
-        if entry_count != len(triangles.prim_ids):
+        if entry_count != len(held_ids):
             # Some are in several leaves, or cannot be hit any more after a refit.
-            self._held_ids = np.unique(tree.prim_ids[tree.prim_ids >= 0])
-            self._has_duplicates = entry_count != len(self._held_ids)
+            held_ids = np.unique(tree.prim_ids[tree.prim_ids >= 0])
+            self._has_duplicates = entry_count != len(held_ids)
+        # None for all: hardly ever needed, and 4 bytes per triangle.
+        self._held_ids = None if len(held_ids) == len(triangles) else held_ids
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in tree),
@@ -158,7 +161,7 @@ class BvhStructure(Structure):
             return False
         if not np.array_equal(triangles.center, self.triangles.center):
             return False
-        if np.array_equal(triangles.prim_ids, self._held_ids):
+        if self._held_ids is None or np.array_equal(triangles.prim_ids, self._held_ids):
             return True
         is_held = np.zeros(len(triangles), np.bool_)
         is_held[self._held_ids] = True
