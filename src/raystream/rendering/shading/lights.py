@@ -18,6 +18,7 @@ from raystream.jit.simd import (
     absolute,
     any_lane,
     as_int32,
+    f32x16,
     f64x16,
     gather,
     maximum,
@@ -209,8 +210,10 @@ def sample_light(tables, lights, point, choice, u, v):
     count = lights.point_count + lights.sun_count + np.uint64(2)
     number, share, within = sample_discrete_lanes(lights.ends, count, widen(choice))
     is_sky = number == as_int32(lights.point_count + lights.sun_count)
-    toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
-    nowhere = f64x16(0.0)
+    nothing, nowhere = f32x16(_NULL), f64x16(0.0)
+    toward, pdf, color = (nothing, nothing, nothing), nothing, (nothing, nothing, nothing)
+    if any_lane(is_sky):
+        toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
     is_found = is_sky & (pdf > _NULL)
     found = LightSample(toward, (nowhere, nowhere, nowhere), is_sky | ~is_sky, color, pdf, is_found)
     if lights.point_count != _NONE:
