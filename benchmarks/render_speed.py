@@ -1,186 +1,273 @@
-"""How long a picture takes beside its rays alone.
+"""Path tracing here and with Mitsuba 3: time of a sample, and whether the images agree.
 
-    python benchmarks/render_speed.py cornell sibenik.obj.gz --size 1024x768
+    python benchmarks/render_speed.py cornell sponza
+    python benchmarks/render_speed.py --size 256 --samples 1024 --parts 16   # for the images
 
-Renders 8 samples of each pixel by ``ao``, ``kajiya`` and ``path``, and keeps all rays of one
-sample that the tracer is asked about. Then it asks a tracer about the same rays again, all of a
-kind and bounce at once, as a user would: that is the time of the rays alone. The two take turns;
-the ratio's median says what shading and bookkeeping add. ``--threads 1`` also tells the parts
-of the rendering by stage, in seconds of the processor.
+Renders scenes whose surfaces are made matte, with their textures of colour and, where they have no
+light of their own, under a white sky; here and with Mitsuba (``pip install mitsuba``), which traces
+paths with samples of the lights too, with Russian roulette from the same surface on, to the same
+depth: Mitsuba's ``max_depth`` counts a path's edges from the eye to the light, one more than the
+surfaces between. Both spread their samples evenly over each pixel (a box filter), with independent
+numbers. Each runs in a process of its own, since idle threads of one would take the other's cores.
+After a part that warms it up (compilation, memory), they take turns, a part of the samples each;
+the ratio is that of the medians.
+
+Error is
+
+    mean(|ours - theirs|) / mean(theirs)
+
+over blocks of pixels and all channels; so is its noise, what two pictures without any fault
+would differ by at this number of samples, for which E|x| = sqrt(2 / pi) sigma. The last lines
+compare the variance of a sample, averaged over the pixels: equal times at unequal noise would be
+no tie.
+
+Mitsuba's compiled variants need an LLVM that selects ``minimum`` of floats (15 stops there, 22 does
+not): ``DRJIT_LIBLLVM_PATH`` names it; ``--variant scalar_rgb`` needs none.
 """
 
+from __future__ import annotations
+
 import argparse
+import math
+import multiprocessing
 import statistics
 import time
-from collections import defaultdict
-from functools import partial
+import warnings
 
 import numpy as np
+from render_stages import view_of
 
 import raystream as rs
-from raystream.rendering import ao, integrator, path
-from raystream.rendering.render import RENDERERS
-
-#: Of a picture; its time is that of one.
-SAMPLES = 8
-
-MODES = {"ao": {}, "kajiya": {}, "path": {"max_bounces": 8}}
-
-#: Looks from inside, of scenes without a camera of their own; see the samples' descriptions.
-VIEWS = {
-    "sponza": {"eye": (-9, 2, 0), "look_at": (8, 4, 0), "up": (0, 1, 0), "fov": 65},
-    "sibenik": {"eye": (-17, -11, 0.5), "look_at": (0, -8, 0), "up": (0, 1, 0), "fov": 60},
-    "conference": {
-        "eye": (1250, 330, -800),
-        "look_at": (100, 130, 100),
-        "up": (0, 1, 0),
-        "fov": 60,
-    },
-}
+from raystream.rendering.color import decode_srgb
 
 
-class Listener:
-    """A tracer that keeps the rays it is asked about, by query."""
+class Ours:
+    """raystream's path tracer."""
 
-    def __init__(self, tracer):
-        self.tracer, self.scene, self.batches = tracer, tracer.scene, []
+    def __init__(self, scene, size, bounces, threads, _):
+        rs.set_thread_count(threads)
+        self.tracer, self.size, self.bounces = rs.Tracer(scene), size, bounces
 
-    def __getattr__(self, name):
-        return getattr(self.tracer, name)
-
-    def first_hit(self, origins, directions, **options):
-        """Ask the tracer."""
-        hits = self.tracer.first_hit(origins, directions, **options)
-        self.batches.append(("first_hit", origins.copy(), directions.copy(), None))
-        return hits
-
-    def any_hit(self, origins, directions, t_max=np.inf, **options):
-        """Ask the tracer."""
-        seen = self.tracer.any_hit(origins, directions, t_max=t_max, **options)
-        self.batches.append(("any_hit", origins.copy(), directions.copy(), np.array(t_max)))
-        return seen
+    def render(self, samples, seed):
+        """Pixels of shape (H, W, 3)."""
+        options = {"seed": seed, "sampler": "random", "max_bounces": self.bounces}
+        size = self.size, self.size
+        return rs.render(self.tracer, "path", size, samples, **options).pixels
 
 
-def view_of(name, scene, aspect):
-    """The scene's own camera, or the one that is known for it."""
-    for known, parts in VIEWS.items():
-        if known in name:
-            return rs.Camera(**parts)
-    return scene.camera_for(aspect)
+class Mitsuba:
+    """Mitsuba's, of the same triangles, materials and camera."""
+
+    def __init__(self, scene, size, bounces, threads, variant):
+        import drjit
+        import mitsuba
+
+        mitsuba.set_variant(variant)
+        drjit.set_thread_count(threads)
+        self.render_scene = mitsuba.render
+        made = {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": bounces + 1, "rr_depth": 4},
+            "sensor": _sensor(mitsuba, scene.camera, size),
+        }
+        for light in scene.lights:
+            radiance = {"type": "rgb", "value": light.radiance}
+            made["sky"] = {"type": "constant", "radiance": radiance}
+        bitmaps = {}
+        for index, mesh in enumerate(scene.meshes):
+            for material_id in np.unique(mesh.material_ids):
+                faces = mesh.faces[mesh.material_ids == material_id]
+                material = scene.materials[material_id]
+                made[f"mesh_{index}_{material_id}"] = _mesh(mitsuba, mesh, faces, material, bitmaps)
+        self.scene = mitsuba.load_dict(made)
+
+    def render(self, samples, seed):
+        """Pixels of shape (H, W, 3)."""
+        return np.array(self.render_scene(self.scene, spp=samples, seed=seed))
 
 
-def rays_of(tracer, mode, size, camera, options):
-    """All rays of one sample of a picture: origins, directions, t_max, by query and bounce."""
-    renderer = RENDERERS[mode]
-    listener = Listener(tracer)
-    chosen = renderer.check({**renderer.options, **options})
-    numbers = integrator.Sampler.of("sobol", 0, 16)
-    context = integrator.make_context(listener, camera, size, numbers, chosen)
-    parts = defaultdict(list)
-    rows = max(1, (1 << 16) // size[0])
-    for first in range(0, size[1], rows):
-        listener.batches = []
-        renderer.trace(context, range(first, min(first + rows, size[1])), 0)
-        seen = defaultdict(int)
-        for query, *batch in listener.batches:
-            parts[query, seen[query]].append(batch)
-            seen[query] += 1
-    return {key: _joined(batches) for key, batches in parts.items()}
+def _sensor(mitsuba, camera, size):
+    look = mitsuba.ScalarTransform4f().look_at(camera.eye, camera.look_at, camera.up)
+    film = {
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "pixel_format": "rgb",
+        "component_format": "float32",
+        "rfilter": {"type": "box"},
+    }
+    return {
+        "type": "perspective",
+        "fov": camera.fov,
+        "fov_axis": "y",
+        "near_clip": 1e-2,
+        "far_clip": 1e5,
+        "to_world": look,
+        "film": film,
+        "sampler": {"type": "independent"},
+    }
 
 
-def _joined(batches):
-    origins, directions, t_max = zip(*batches, strict=True)
-    longest = None if t_max[0] is None else np.concatenate(t_max)
-    return np.concatenate(origins), np.concatenate(directions), longest
+def _reflectance(mitsuba, material, bitmaps):
+    """A colour, or a bitmap times it."""
+    texture = material.textures.get("diffuse")
+    if texture is None:
+        return {"type": "rgb", "value": material.diffuse}
+    key = id(texture), material.diffuse
+    if key not in bitmaps:
+        pixels = texture.pixels()
+        pixels = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels[:, :, :3]
+        light = decode_srgb(np.ascontiguousarray(pixels)) * np.float32(material.diffuse)
+        bitmaps[key] = mitsuba.Bitmap(light)
+    return {"type": "bitmap", "bitmap": bitmaps[key], "raw": True, "wrap_mode": texture.wrap}
 
 
-def ask(tracer, rays):
-    """Ask a tracer about rays."""
-    for (query, _), (origins, directions, t_max) in rays.items():
-        if query == "first_hit":
-            tracer.first_hit(origins, directions)
-        else:
-            tracer.any_hit(origins, directions, t_max=t_max)
+def _mesh(mitsuba, mesh, faces, material, bitmaps):
+    reflectance = _reflectance(mitsuba, material, bitmaps)
+    matte = {"type": "diffuse", "reflectance": reflectance}
+    properties = mitsuba.Properties()
+    properties["bsdf"] = mitsuba.load_dict({"type": "twosided", "bsdf": matte})
+    if material.emits:
+        radiance = {"type": "rgb", "value": material.emission}
+        properties["emitter"] = mitsuba.load_dict({"type": "area", "radiance": radiance})
+    # Only its own vertices: a mesh of the file has those of all materials.
+    used, places = np.unique(faces, return_inverse=True)
+    has_texture = reflectance["type"] == "bitmap" and mesh.texcoords is not None
+    made = mitsuba.Mesh(
+        "mesh", len(used), len(faces), props=properties, has_vertex_texcoords=has_texture
+    )
+    parameters = mitsuba.traverse(made)
+    parameters["vertex_positions"] = np.asarray(mesh.vertices[used], np.float32).ravel()
+    parameters["faces"] = places.astype(np.uint32).ravel()
+    if has_texture:
+        upward = mesh.texcoords[used] * [1, -1] + [0, 1]
+        parameters["vertex_texcoords"] = upward.astype(np.float32).ravel()
+    parameters.update()
+    return made
 
 
-def seconds(function):
-    """How long a call takes."""
-    started = time.perf_counter()
-    function()
-    return time.perf_counter() - started
+def matte(name):
+    """A scene whose surfaces only scatter evenly, on both sides, with a light and a camera."""
+    scene = rs.load(name)
+    materials = [
+        rs.Material(
+            diffuse=material.diffuse,
+            emission=material.emission,
+            textures={k: t for k, t in material.textures.items() if k == "diffuse"},
+        )
+        for material in scene.materials
+    ]
+    meshes = [
+        rs.Mesh(m.vertices, m.faces, texcoords=m.texcoords, material_ids=m.material_ids)
+        for m in scene.meshes
+    ]
+    lit = any(material.emits for material in materials)
+    lights = [] if lit else [rs.EnvironmentLight((1.0, 1.0, 1.0))]
+    camera = view_of(name, scene, 1.0)
+    return rs.Scene(meshes, materials=materials, lights=lights, camera=camera)
 
 
-STAGES = {
-    "first_hit": (rs.Tracer, "first_hit"),
-    "any_hit": (rs.Tracer, "any_hit"),
-    "shading of paths": (path, "shade_paths"),
-    "shading of ao": (ao, "spawn_ao_rays"),
-    "rays from the eye": (integrator, "camera_paths"),
-    "adding light": (integrator, "add_unblocked"),
-}
+def in_blocks(pixels, side):
+    """Means over blocks of side x side pixels: shape (H / side, W / side, 3)."""
+    height, width, _ = pixels.shape
+    return pixels.reshape(height // side, side, width // side, side, 3).mean(axis=(1, 3))
 
 
-def profile(render):
-    """Processor seconds of a rendering on one thread, by stage."""
-    spent = dict.fromkeys(STAGES, 0.0)
+def relative_error(ours, theirs):
+    """mean(|ours - theirs|) / mean(theirs)."""
+    return np.abs(ours - theirs).mean() / theirs.mean()
 
-    def timed(name, function):
-        def call(*arguments, **options):
-            started = time.thread_time()
-            result = function(*arguments, **options)
-            spent[name] += time.thread_time() - started
-            return result
 
-        return call
+def expected_error(parts, side):
+    """The relative error that noise alone would bring, from the spread of parts."""
+    spread = [np.var([in_blocks(part, side) for part in each], axis=0, ddof=1) for each in parts]
+    variance = sum(s / len(each) for s, each in zip(spread, parts, strict=True))
+    mean = np.mean([part.mean() for part in parts[1]])
+    # The root of an estimated variance is too small by 1 / (4 degrees of freedom).
+    degrees = sum(len(each) - 1 for each in parts)
+    sigma = np.sqrt(variance).mean() / (1 - 1 / (4 * degrees))
+    return math.sqrt(2 / math.pi) * sigma / mean
 
-    kept = {name: getattr(*place) for name, place in STAGES.items()}
-    for name, place in STAGES.items():
-        setattr(*place, timed(name, kept[name]))
-    started = time.thread_time()
-    render()
-    total = time.thread_time() - started
-    for name, place in STAGES.items():
-        setattr(*place, kept[name])
-    return {**{name: value for name, value in spent.items() if value}, "whole": total}
+
+def serve(pipe, kind, name, *options):
+    """Render parts of a scene on request, in a process of its own: sends pixels and seconds."""
+    warnings.simplefilter("ignore")  # triangles without area
+    renderer = kind(matte(name), *options)
+    while request := pipe.recv():
+        started = time.perf_counter()
+        pixels = renderer.render(*request)
+        taken = time.perf_counter() - started
+        pipe.send((pixels.astype(np.float64), taken))
+
+
+def measure(name, arguments):
+    """Parts by both renderers in turns: two lists of pixels, two of seconds."""
+    spawning = multiprocessing.get_context("spawn")
+    options = name, arguments.size, arguments.bounces, arguments.threads, arguments.variant
+    servers = []
+    for kind in (Ours, Mitsuba):
+        pipe, far = spawning.Pipe()
+        process = spawning.Process(target=serve, args=(far, kind, *options), daemon=True)
+        process.start()
+        servers.append((pipe, process))
+    samples = arguments.samples // arguments.parts
+    parts, seconds = ([], []), ([], [])
+    for seed in range(arguments.parts + 1):
+        for (pipe, _), pictures, times in zip(servers, parts, seconds, strict=True):
+            pipe.send((samples, seed))
+            pixels, taken = pipe.recv()
+            if seed:  # the first part warms up
+                pictures.append(pixels)
+                times.append(taken)
+    for pipe, process in servers:
+        pipe.send(None)
+        process.join()
+    return parts, seconds
+
+
+def report(name, parts, seconds, arguments):
+    """Print times and errors."""
+    size, samples = arguments.size, arguments.samples // arguments.parts
+    print(
+        f"{name}, {size}x{size}, max_bounces={arguments.bounces}, {arguments.parts} parts of "
+        f"{samples} samples, {arguments.threads} threads, Mitsuba's {arguments.variant}"
+    )
+    count = size * size * samples
+    medians = [statistics.median(times) / count * 1e9 for times in seconds]
+    ratios = [a / b for a, b in zip(*seconds, strict=True)]
+    print(
+        f"ns per sample: ours {medians[0]:.0f}, theirs {medians[1]:.0f}; ours / theirs "
+        f"{medians[0] / medians[1]:.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+    )
+    ours, theirs = (np.mean(pictures, axis=0) for pictures in parts)
+    print(f"{'blocks':>8s} {'error':>8s} {'of noise':>9s}")
+    for side in (1, 4, 16, size):
+        error = relative_error(in_blocks(ours, side), in_blocks(theirs, side))
+        print(f"{side:>8d} {error:>8.3%} {expected_error(parts, side):>9.3%}")
+    print(f"{'':>8s} {'red':>9s} {'green':>9s} {'blue':>9s} {'variance of a sample':>21s}")
+    for whose, picture, pictures in (("ours", ours, parts[0]), ("theirs", theirs, parts[1])):
+        variance = np.var(pictures, axis=0, ddof=1).mean() * samples
+        print(
+            f"{whose:>8s} "
+            + " ".join(f"{value:>9.6f}" for value in picture.mean(axis=(0, 1)))
+            + f" {variance:>21.5f}"
+        )
 
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("scenes", nargs="*", default=["cornell"])
-    parser.add_argument("--size", default="1024x768")
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--modes", nargs="*", default=list(MODES))
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--samples", type=int, default=112)
+    parser.add_argument("--parts", type=int, default=7)
+    parser.add_argument("--bounces", type=int, default=4)
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba, or scalar_rgb")
     parser.add_argument("--threads", type=int, default=rs.thread_count())
     arguments = parser.parse_args()
-    rs.set_thread_count(arguments.threads)
-    width, height = map(int, arguments.size.split("x"))
+    if arguments.parts < 2:
+        parser.error("--parts: at least 2, for the noise")
     for name in arguments.scenes:
-        scene = rs.load(name)
-        tracer = rs.Tracer(scene)
-        camera = view_of(name, scene, width / height)
-        for mode in arguments.modes:
-            rays = rays_of(tracer, mode, (width, height), camera, MODES[mode])
-            count = sum(len(origins) for origins, _, _ in rays.values())
-
-            render = partial(rs.render, tracer, mode, (width, height), camera=camera, **MODES[mode])
-            render(samples=2)
-            ask(tracer, rays)
-            asking = partial(ask, tracer, rays)
-            pairs = [
-                (seconds(partial(render, samples=SAMPLES)) / SAMPLES, seconds(asking))
-                for _ in range(arguments.rounds)
-            ]
-            ratios = [picture / alone for picture, alone in pairs]
-            picture, alone = (statistics.median(column) for column in zip(*pairs, strict=True))
-            print(
-                f"{name}, {mode}, {width}x{height}, {arguments.threads} threads: "
-                f"{count / width / height:.2f} rays a pixel, {count / alone / 1e6:.1f} M/s alone; "
-                f"picture {picture:.2f} s, rays {alone:.2f} s, ratio "
-                f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
-            )
-            if arguments.threads == 1:
-                for stage, value in profile(partial(render, samples=1)).items():
-                    print(f"    {stage:<18s} {value:7.3f} s")
+        report(name, *measure(name, arguments), arguments)
 
 
 if __name__ == "__main__":

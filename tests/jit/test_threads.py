@@ -262,3 +262,23 @@ def two_threads():
     set_thread_count(2)
     yield
     set_thread_count(None)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_nested_loop_of_one_thread_takes_several_chunks_at_once():
+    """Each call of a body may wait for the interpreter lock, which the other threads use."""
+    calls = []
+
+    def outer(begin, end):
+        if begin < end:
+            time.sleep(0.05)  # until both threads are busy
+            mine = []
+            parallel_for(lambda first, last: mine.append((first, last)), 100, 2)
+            calls.append(mine)
+
+    parallel_for(outer, 2, 1)
+    alone = [mine for mine in calls if max(last - first for first, last in mine) > 2]
+    assert alone
+    for mine in calls:
+        assert sorted(i for first, last in mine for i in range(first, last)) == [*range(100)]
+    assert max(last - first for mine in calls for first, last in mine) <= 32

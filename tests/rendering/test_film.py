@@ -104,6 +104,20 @@ def test_error_is_a_part_of_the_brightness():
     assert filled(samples[:1]).error() == np.inf
 
 
+def test_samples_added_together_give_the_bits_of_one_by_one():
+    """In order, so that an image does not depend on how many are traced at once."""
+    samples = samples_of(7)
+    samples[2, 3:9] = np.inf
+    together = Film(WIDTH, HEIGHT)
+    together.add_samples(0, samples[:3])
+    together.add_samples(0, samples[3:])
+    singly = filled(samples)
+    np.testing.assert_array_equal(together.mean(), singly.mean())
+    np.testing.assert_array_equal(together.variance(), singly.variance())
+    np.testing.assert_array_equal(together.counts, singly.counts)
+    assert together.dropped == singly.dropped > 0
+
+
 # Layers.
 
 

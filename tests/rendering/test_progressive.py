@@ -11,7 +11,7 @@ import pytest
 
 import raystream as rs
 from raystream.jit.threads import set_thread_count
-from raystream.rendering import sample_file
+from raystream.rendering import progressive, sample_file
 from raystream.rendering.film import Film
 from raystream.structures.bvh import kernel_choice
 
@@ -91,6 +91,63 @@ def test_interrupt_waits_for_a_sample_that_is_being_added(tracer, tmp_path, monk
     whole = rs.render(tracer, **PICTURE, samples=4)
     np.testing.assert_array_equal(image.pixels, whole.pixels)
     np.testing.assert_array_equal(image.layers["variance"], whole.layers["variance"])
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Numbers of samples that are traced at once, however long they take."""
+    seen = []
+    trace_samples = progressive.trace_samples
+
+    def note(renderer, context, samples, progress):
+        seen.append(len(samples))
+        return trace_samples(renderer, context, samples, progress)
+
+    monkeypatch.setattr(progressive, "SAMPLES_SECONDS", 1e9)
+    monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "1e9")
+    monkeypatch.setattr(progressive, "trace_samples", note)
+    return seen
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_samples_at_once_give_the_bits_of_one_by_one(tracer, at_once, monkeypatch, count):
+    many = {"mode": "path", "size": (50, 40), "samples": 6}
+    monkeypatch.setattr(progressive, "SAMPLES_BYTES", 1)
+    monkeypatch.setattr(progressive, "LEAST_BAND", 256)
+    set_thread_count(count)
+    try:
+        singly = rs.render(tracer, **many)
+        monkeypatch.setattr(progressive, "SAMPLES_BYTES", 1 << 20)
+        together = rs.render(tracer, **many)
+    finally:
+        set_thread_count(None)
+    assert at_once == [1] * 6 + [1, 5]
+    np.testing.assert_array_equal(together.pixels, singly.pixels)
+    np.testing.assert_array_equal(together.layers["variance"], singly.layers["variance"])
+
+
+def test_interrupt_keeps_whole_samples_only(tracer, at_once, tmp_path):
+    kept = tmp_path / "a.npz"
+
+    def stop(done, total):
+        if done > PIXELS:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rs.render(tracer, **PICTURE, samples=9, checkpoint=kept, progress=stop)
+    assert at_once == [1, 8]
+    with np.load(kept) as file:
+        assert len(set(file["counts"].tolist())) == 1
+    image = rs.render(tracer, **PICTURE, samples=9, checkpoint=kept)
+    whole = rs.render(tracer, **PICTURE, samples=9)
+    np.testing.assert_array_equal(image.pixels, whole.pixels)
+
+
+@pytest.mark.parametrize("limit", [{"noise": 1e-9}, {"time_limit": 1e9}, {"layers": ["depth"]}])
+def test_samples_that_may_not_be_needed_are_traced_singly(tracer, at_once, limit):
+    image = rs.render(tracer, **PICTURE, samples=3, **limit)
+    assert (image.layers["samples"] == 3).all()
+    assert at_once == []
 
 
 def test_interrupt_before_the_first_sample_leaves_no_checkpoint(tracer, tmp_path):

@@ -18,6 +18,9 @@ Progress = Callable[[int, int], object]
 #: Seconds between two calls of a progress callback.
 PROGRESS_INTERVAL = 0.05
 
+#: Chunks per call of the body of a nested loop that runs on one thread.
+_CHUNKS_ALONE = 16
+
 
 def part_of(progress: Progress | None, first: int, total: int) -> Progress | None:
     """Progress callback of one of several loops, which begins after `first` of `total` steps."""
@@ -109,7 +112,8 @@ def parallel_for(
     KeyboardInterrupt is raised. An exception in any chunk stops the loop likewise.
     A nested loop stops with the loop around it, and runs on the body's thread alone while the
     outer loop keeps all threads busy: more threads than processors would wait for each other,
-    which took a quarter of the time of an image.
+    which took a quarter of the time of an image. It then calls its body for several chunks at
+    once, since each call may wait for another thread to release the interpreter lock.
 
     Parameters
     ----------
@@ -135,13 +139,15 @@ def parallel_for(
             raise _StoppedError
         body(0, count)
         return
-    begins = itertools.count(0, chunk)  # next() is atomic under the interpreter lock
-    finished = itertools.count(1)
     around = getattr(_current, "loop", None)
     state = _LoopState(around)
     spare = thread_count() - 1 if around is None else thread_count() - around.busy_threads()
     thread_total = min(1 + max(spare, 0), -(-count // chunk))
     state.thread_total = thread_total
+    if around is not None and thread_total == 1 and progress is None:
+        chunk *= _CHUNKS_ALONE
+    begins = itertools.count(0, chunk)  # next() is atomic under the interpreter lock
+    finished = itertools.count(1)
 
     def work(report: Progress | None) -> None:
         shown = time.monotonic()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import check_memory
 from raystream.core.npz import read_npz, write_npz
+from raystream.jit.threads import parallel_for
 from raystream.rendering.arguments import check_size
 from raystream.rendering.checkpoint_arrays import CheckpointArrays, identity_bytes
 from raystream.rendering.film_sums import add_light
@@ -27,6 +28,9 @@ _VERSION = 1
 
 #: Two sums of three float64, and a count.
 _BYTES_PER_PIXEL = 56
+
+#: Pixels whose samples a thread adds at a time.
+_ADDED_PIXELS = 1 << 14
 
 #: Names of a checkpoint's arrays, apart from those of layers.
 _SUM, _SQUARES, _COUNTS = "sum", "squares", "counts"
@@ -71,13 +75,13 @@ class Film:
         self._lock = threading.Lock()
 
     def add_samples(self, first_pixel: int, radiance: NDArray[Any]) -> None:
-        """Add one sample to each of N consecutive pixels.
+        """Add a sample, or several, to each of N consecutive pixels, on all threads.
 
         Parameters
         ----------
         first_pixel : int
             Row times width plus column. Pixels may continue in the next rows.
-        radiance : ndarray of shape (N, 3), float32
+        radiance : ndarray of shape (N, 3) or (S, N, 3), float32
             Linear RGB. A sample that is not finite in all channels counts as black.
 
         Raises
@@ -85,14 +89,20 @@ class Film:
         ValueError
             If the shape is wrong, or pixels are out of range.
         """
-        if radiance.ndim != 2 or radiance.shape[1] != 3:
-            raise ValueError(f"radiance: expected shape (N, 3), got {radiance.shape}")
-        pixels = self._pixels(first_pixel, len(radiance))
-        light = np.ascontiguousarray(radiance, np.float32)
-        dropped = add_light(light, self._sum[pixels], self._squares[pixels], self.counts[pixels])
-        if dropped:
-            with self._lock:
-                self.dropped += dropped
+        if radiance.ndim not in (2, 3) or radiance.shape[-1] != 3:
+            raise ValueError(f"radiance: expected shape (N, 3) or (S, N, 3), got {radiance.shape}")
+        count = radiance.shape[-2]
+        pixels = self._pixels(first_pixel, count)
+        light = np.ascontiguousarray(radiance, np.float32).reshape(-1, count, 3)
+        sums = self._sum[pixels], self._squares[pixels], self.counts[pixels]
+
+        def add(begin: int, end: int) -> None:
+            dropped = add_light(begin, end, light, *sums)
+            if dropped:
+                with self._lock:
+                    self.dropped += dropped
+
+        parallel_for(add, count, _ADDED_PIXELS)
 
     def set_layer(self, name: str, first_pixel: int, values: NDArray[Any]) -> None:
         """Add one sample of a layer to each of N consecutive pixels.

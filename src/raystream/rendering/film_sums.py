@@ -12,12 +12,13 @@ __all__ = ["add_light"]
 
 
 @kernel
-def add_light(light, sums, squares, counts):
-    """Add a sample to each of N pixels, in an eighth of NumPy's time.
+def add_light(begin, end, light, sums, squares, counts):
+    """Add samples to pixels begin to end, in order, in an eighth of NumPy's time.
 
     Parameters
     ----------
-    light : ndarray of shape (N, 3), float32
+    begin, end : int
+    light : ndarray of shape (S, N, 3), float32
         A sample that is not finite in all channels counts as black.
     sums, squares : ndarray of shape (N, 3), float64
         Changed.
@@ -30,16 +31,25 @@ def add_light(light, sums, squares, counts):
         Number of samples that were not finite.
     """
     dropped = 0
-    for i in range(len(light)):
-        r, g, b = np.float64(light[i, 0]), np.float64(light[i, 1]), np.float64(light[i, 2])
-        counts[i] += 1
-        if not math.isfinite(r + g + b):
-            dropped += 1
-            continue
-        sums[i, 0] += r
-        sums[i, 1] += g
-        sums[i, 2] += b
-        squares[i, 0] += r * r
-        squares[i, 1] += g * g
-        squares[i, 2] += b * b
+    for i in range(begin, end):
+        red, green, blue = sums[i, 0], sums[i, 1], sums[i, 2]
+        reds, greens, blues = squares[i, 0], squares[i, 1], squares[i, 2]
+        for k in range(len(light)):
+            r, g, b = (
+                np.float64(light[k, i, 0]),
+                np.float64(light[k, i, 1]),
+                np.float64(light[k, i, 2]),
+            )
+            if not math.isfinite(r + g + b):
+                dropped += 1
+                continue
+            red += r
+            green += g
+            blue += b
+            reds += r * r
+            greens += g * g
+            blues += b * b
+        sums[i, 0], sums[i, 1], sums[i, 2] = red, green, blue
+        squares[i, 0], squares[i, 1], squares[i, 2] = reds, greens, blues
+        counts[i] += len(light)
     return dropped

@@ -28,6 +28,7 @@ __all__ = [
     "checkpoint_seconds",
     "render_samples",
     "trace_sample",
+    "trace_samples",
 ]
 
 #: A sample of every pixel: its light, and its AOVs; see `trace_sample`.
@@ -42,6 +43,10 @@ LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
 
 #: Most rays that a band of more than one row may spawn at once: 110 MB.
 MOST_RAYS = 1 << 21
+
+#: Most samples that are traced at once, so that threads need not wait for each other after each:
+#: half a second of them, since an interrupt discards them, and 64 MB of their light.
+SAMPLES_SECONDS, SAMPLES_BYTES = 0.5, 1 << 26
 
 #: See `checkpoint_seconds`.
 CHECKPOINT_SECONDS = 10.0
@@ -70,9 +75,17 @@ class Limits:
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name}: expected a number above 0, got {value}")
 
+    @property
+    def only_samples(self) -> bool:
+        """Whether nothing but the number of samples ends the rendering."""
+        return self.noise is None and self.seconds is None
+
 
 #: Samples before their variance is meaningful.
 _FIRST_SAMPLES = 8
+
+#: Of a sample's light.
+_LIGHT_BYTES = 12
 
 
 def render_samples(
@@ -136,6 +149,9 @@ def render_samples(
         _compile(renderer, context, sample)
     if bands is not None:
         bands.start()
+    # Samples are traced one by one where another may not be needed, or each is asked for.
+    at_once = take is None and not context.layers and not is_serial and limits.only_samples
+    seconds = math.inf  # of a sample
     shown = time.monotonic()
     try:
         # Ctrl-C reaches this thread only. Another thread, which the block joins, never leaves
@@ -156,13 +172,18 @@ def render_samples(
                         on_pass(sums.image())
                     shown = time.monotonic()
                 report = part_of(progress, sample * pixel_count, expected * pixel_count)
-                light, aovs = (
-                    trace_sample(renderer, context, sample, report)
-                    if take is None
-                    else take(sample, report)
-                )
+                count = 1
+                if at_once:
+                    count = _samples_at_once(expected - sample, pixel_count, seconds, interval)
+                    numbers = range(sample, sample + count)
+                    light, aovs = trace_samples(renderer, context, numbers, report), None
+                elif take is None:
+                    light, aovs = trace_sample(renderer, context, sample, report)
+                else:
+                    light, aovs = take(sample, report)
                 adder.submit(_add, sums, context.layers, light, aovs).result()
-                sample += 1
+                sample += count
+                seconds = (time.monotonic() - now) / count
     except (KeyboardInterrupt, RaystreamError):
         if file is not None and sums.counts.any():
             file.save(sums)
@@ -241,6 +262,21 @@ def _expected_samples(sums: Film, first: int, sample: int, limits: Limits, secon
     return min(limits.samples, max(math.ceil(expected), sample + 1))
 
 
+def _samples_at_once(left: int, pixel_count: int, seconds: float, interval: float) -> int:
+    """Number of samples to trace at once, of those that are left.
+
+    Parameters
+    ----------
+    left, pixel_count : int
+    seconds : float
+        That a sample takes; inf for unknown.
+    interval : float
+        See `checkpoint_seconds`.
+    """
+    fitting = SAMPLES_BYTES // (pixel_count * _LIGHT_BYTES)
+    return max(1, min(left, fitting, int(min(SAMPLES_SECONDS, interval) / seconds)))
+
+
 def trace_sample(
     renderer: Integrator,
     context: RenderContext,
@@ -269,45 +305,88 @@ def trace_sample(
         Of its first hits, if layers are rendered.
     """
     rows = range(context.height) if rows is None else rows
-    width, height = context.width, len(rows)
-    band_count = -(-height // _rows_per_band(renderer, context, height))
-    light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
-    aovs = AovBuffers.empty(width * height) if context.layers else None
+    aovs = AovBuffers.empty(context.width * len(rows)) if context.layers else None
+    light = _trace_bands(renderer, context, range(sample, sample + 1), rows, progress, aovs)
+    return light[0], aovs
 
-    def trace_band(band: int, serial: Progress | None = None) -> None:
+
+def trace_samples(
+    renderer: Integrator,
+    context: RenderContext,
+    samples: range,
+    progress: Progress | None = None,
+) -> NDArray[np.float32]:
+    """Trace samples of every pixel on all threads, without layers.
+
+    Parameters
+    ----------
+    renderer : Integrator
+    context : RenderContext
+    samples : range
+        Their numbers.
+    progress : callable, optional
+        Called with (paths done, paths).
+
+    Returns
+    -------
+    ndarray of shape (S, H * W, 3), float32
+        Linear RGB of each sample.
+    """
+    return _trace_bands(renderer, context, samples, range(context.height), progress)
+
+
+def _trace_bands(
+    renderer: Integrator,
+    context: RenderContext,
+    samples: range,
+    rows: range,
+    progress: Progress | None = None,
+    aovs: AovBuffers | None = None,
+) -> NDArray[np.float32]:
+    """Samples of some rows, see `trace_samples`; and the AOVs of a single one."""
+    width, height = context.width, len(rows)
+    pixel_count = width * height
+    path_count = len(samples) * pixel_count
+    band_count = -(-height // _rows_per_band(renderer, context, height, len(samples)))
+    light = np.empty((len(samples), pixel_count, 3), np.float32)
+
+    def trace_band(number: int, serial: Progress | None = None) -> None:
+        sample, band = divmod(number, band_count)
         here = rows[height * band // band_count : height * (band + 1) // band_count]
         first = (here.start - rows.start) * width
         last = first + len(here) * width
         part = None if aovs is None else aovs.part(first, last)
-        report = part_of(serial, first, width * height)
-        light[first:last] = renderer.trace(context, here, sample, part, report)
+        report = part_of(serial, sample * pixel_count + first, path_count)
+        light[sample, first:last] = renderer.trace(context, here, samples[sample], part, report)
 
     bands = renderer.bands_of(context)
     if bands is not None and bands.is_serial:
-        for band in range(band_count):
-            trace_band(band, progress)
-        return light, aovs
+        for number in range(len(samples) * band_count):
+            trace_band(number, progress)
+        return light
 
     def trace(begin: int, end: int) -> None:
-        for band in range(begin, end):
-            trace_band(band)
+        for number in range(begin, end):
+            trace_band(number)
 
     report = None
     if progress is not None:
         whole = progress
-        report = lambda done, steps: whole(width * height * done // steps, width * height)  # noqa: E731
-    parallel_for(trace, band_count, 1, report)
-    return light, aovs
+        report = lambda done, steps: whole(path_count * done // steps, path_count)  # noqa: E731
+    parallel_for(trace, len(samples) * band_count, 1, report)
+    return light
 
 
-def _rows_per_band(renderer: Integrator, context: RenderContext, rows: int) -> int:
-    """Number of rows in a band, for an image of `rows` rows."""
+def _rows_per_band(
+    renderer: Integrator, context: RenderContext, rows: int, samples: int = 1
+) -> int:
+    """Number of rows in a band, for some samples of an image of `rows` rows."""
     bands = renderer.bands_of(context)
     per_pixel = max(renderer.rays_per_pixel(context), 1)
     if bands is not None:
         pixels = bands.pixels_at_once(renderer.stages, per_pixel)
     else:
-        share = -(-context.width * rows // (4 * thread_count()))
+        share = -(-context.width * rows * samples // (4 * thread_count()))
         pixels = min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
     return max(1, pixels // context.width)
 
@@ -318,7 +397,7 @@ def _add(
     light: NDArray[np.float32],
     aovs: AovBuffers | None,
 ) -> None:
-    """Add a sample of every pixel to the film."""
+    """Add samples of every pixel to the film, with the layers of a single one."""
     sums.add_samples(0, light)
     for name in layers:
         sums.set_layer(name, 0, getattr(aovs, name))

@@ -18,6 +18,7 @@ from raystream.jit.simd import (
     absolute,
     any_lane,
     as_int32,
+    f32x16,
     f64x16,
     gather,
     maximum,
@@ -163,7 +164,9 @@ def _from_triangles(tables, lights, is_area, point, within, u, v, found):
     toward, distance = _toward(px - point.x, py - point.y, pz - point.z)
     cosine = -dot(toward, normal)
     density = gather(np.float32, lights.patches, row + _15)
-    pdf = density * distance * distance / maximum(cosine, _TINY)
+    # A light that faces away is seen at an angle of 0: reciprocals of huge densities would be
+    # subnormal, for which processors take a hundred times as long.
+    pdf = density * distance * distance / select(cosine > _NULL, cosine, _WHOLE)
     # Off the light's own triangle, so that it does not block its light, even when the ray's
     # direction is rounded to float32. Twice the extent covers the rounding of edges.
     extent = widen(gather(np.float32, lights.patches, row + _16))
@@ -207,8 +210,10 @@ def sample_light(tables, lights, point, choice, u, v):
     count = lights.point_count + lights.sun_count + np.uint64(2)
     number, share, within = sample_discrete_lanes(lights.ends, count, widen(choice))
     is_sky = number == as_int32(lights.point_count + lights.sun_count)
-    toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
-    nowhere = f64x16(0.0)
+    nothing, nowhere = f32x16(_NULL), f64x16(0.0)
+    toward, pdf, color = (nothing, nothing, nothing), nothing, (nothing, nothing, nothing)
+    if any_lane(is_sky):
+        toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
     is_found = is_sky & (pdf > _NULL)
     found = LightSample(toward, (nowhere, nowhere, nowhere), is_sky | ~is_sky, color, pdf, is_found)
     if lights.point_count != _NONE:
