@@ -197,11 +197,11 @@ class BenchResult:
         return [*self.own, *self.peers]
 
     def ratio(self, rays: SetResult) -> float | None:
-        """raystream's speed relative to the best peer's on a set."""
+        """Speed of raystream relative to the best peer's on a set."""
         return rays.ratio(self.own[0], rays.best_peer(self.peers)) if self.own else None
 
     def share(self, rays: SetResult) -> float | None:
-        """raystream's speed relative to the set's roofline."""
+        """Speed of raystream relative to the set's roofline."""
         speed = rays.speed(self.own[0]) if self.own else None
         if speed is None or rays.counts is None or self.peaks is None:
             return None

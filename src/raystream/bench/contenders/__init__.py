@@ -35,11 +35,11 @@ class Peer(NamedTuple):
 
 _FOLDER = "raystream.bench.contenders"
 
-_MITSUBA = (
-    ("mitsuba", "drjit"),
+_MITSUBA_HINT = (
     "pip install mitsuba; it also needs LLVM's shared library (Debian: libllvm15; elsewhere, set "
-    "DRJIT_LIBLLVM_PATH)",
+    "DRJIT_LIBLLVM_PATH)"
 )
+_MITSUBA = ("mitsuba", "drjit"), _MITSUBA_HINT
 
 #: The peers by name, in the order of the tables' columns.
 PEERS: Mapping[str, Peer] = MappingProxyType(
