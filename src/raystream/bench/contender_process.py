@@ -92,7 +92,12 @@ class ContenderProcess:
         assert process.stdout is not None
         self._signal("SIGCONT")
         late = threading.Event()
-        watch = threading.Timer(MAX_SECONDS, lambda: (late.set(), process.kill()))
+
+        def end() -> None:
+            late.set()
+            process.kill()
+
+        watch = threading.Timer(MAX_SECONDS, end)
         watch.daemon = True
         watch.start()
         try:

@@ -231,7 +231,7 @@ class BenchResult:
         }
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> BenchResult:
+    def from_json(cls, content: Any) -> BenchResult:
         """The result that was stored.
 
         Raises

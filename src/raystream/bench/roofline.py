@@ -110,11 +110,11 @@ def count_tests(tracer: Tracer, query: Query, rays: Rays) -> Counts:
     step = -(-len(origins) // _SAMPLE)
     sample = origins[::step], directions[::step]
     if query == "first":
-        hits = np.count_nonzero(tracer.first_hit(*sample, t_max=rays.t_max).is_hit)
+        hits = np.sum(tracer.first_hit(*sample, t_max=rays.t_max).is_hit)
     elif query == "any":
-        hits = np.count_nonzero(tracer.any_hit(*sample, t_max=rays.t_max))
+        hits = np.sum(tracer.any_hit(*sample, t_max=rays.t_max))
     else:
-        hits = int(np.sum(tracer.count_hits(*sample, t_max=rays.t_max))) / 4
+        hits = np.sum(tracer.count_hits(*sample, t_max=rays.t_max)) / 4
     counted, count = tracer.counters, len(sample[0])
     assert counted is not None
     nodes, blocks = (float(np.sum(one)) / count for one in (counted.steps, counted.leaves))
