@@ -32,8 +32,9 @@ def test_all_are_plain_arrays(sets, scene, tracer):
     hits = tracer.first_hit(*scene.camera.rays(*SIZE))
     seen = int(np.count_nonzero(hits.is_hit))
     shapes = dict.fromkeys(RAY_SETS, (seen, 3)) | {
-        "primary": (12, 16, 3),
-        "multi": (12, 16, 3),
+        "primary": (192, 3),
+        "image": (12, 16, 3),
+        "multi": (192, 3),
         "random": (192, 3),
         "random_multi": (192, 3),
     }
@@ -43,6 +44,11 @@ def test_all_are_plain_arrays(sets, scene, tracer):
             assert array.dtype == np.float32
             assert array.flags.c_contiguous
             assert np.isfinite(array).all()
+
+
+def test_an_image_is_the_same_rays(sets):
+    for flat, shaped in zip(sets["primary"].rays[:2], sets["image"].rays[:2], strict=True):
+        assert np.array_equal(flat, shaped.reshape(-1, 3))
 
 
 def test_shadow_rays_end_at_one_light(sets):
@@ -83,5 +89,5 @@ def test_a_set_does_not_depend_on_the_others(sets, scene, tracer):
 def test_nothing_to_see(scene, tracer):
     away = rs.Camera(eye=(0, 1e4, 0), look_at=(0, 2e4, 0), up=(0, 0, 1))
     sets = {r.name: r.rays for r in make_ray_sets(tracer, away, SIZE, list(RAY_SETS))}
-    assert len(sets["primary"]) == len(sets["random"]) == 192
+    assert len(sets["primary"]) == len(sets["image"]) == len(sets["random"]) == 192
     assert len(sets["shadow"]) == len(sets["ao"]) == len(sets["bounce"]) == 0

@@ -132,7 +132,7 @@ class Bench:
     keep : callable, optional
         Called with the result after each ray set and at the end of each scene.
     earlier : BenchResult, optional
-        A result to go on with: its complete scenes are not measured again.
+        A result to resume: its complete scenes are not measured again.
 
     Raises
     ------

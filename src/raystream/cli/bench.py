@@ -151,7 +151,7 @@ def bench(
     if output is not None:
         options.check_output(output, (".json",), inputs=scenes or ())
     elif resume:
-        raise BadInputError("--resume: needs the --output that it goes on with")
+        raise BadInputError("--resume: needs the --output to resume")
     entries = _entries(contenders)
     choose_threads(measuring.threads)
     from raystream.bench.cores import limit_cores
