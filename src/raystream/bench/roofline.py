@@ -110,15 +110,15 @@ def count_tests(tracer: Tracer, query: Query, rays: Rays) -> Counts:
     step = -(-len(origins) // _SAMPLE)
     sample = origins[::step], directions[::step]
     if query == "first":
-        hits = np.sum(tracer.first_hit(*sample, t_max=rays.t_max).is_hit)
+        hits = float(np.sum(tracer.first_hit(*sample, t_max=rays.t_max).is_hit))
     elif query == "any":
-        hits = np.sum(tracer.any_hit(*sample, t_max=rays.t_max))
+        hits = float(np.sum(tracer.any_hit(*sample, t_max=rays.t_max)))
     else:
-        hits = np.sum(tracer.count_hits(*sample, t_max=rays.t_max)) / 4
+        hits = float(np.sum(tracer.count_hits(*sample, t_max=rays.t_max))) / 4.0
     counted, count = tracer.counters, len(sample[0])
     assert counted is not None
     nodes, blocks = (float(np.sum(one)) / count for one in (counted.steps, counted.leaves))
-    return Counts(nodes, blocks, float(hits) / count)
+    return Counts(nodes, blocks, hits / count)
 
 
 def most_rays(peaks: Peaks, counts: Counts) -> float:
