@@ -4,7 +4,7 @@
 
    .. bench:: performance/result.json chart
 
-The arguments are a file, relative to ``docs``, and one of `PARTS`. What is shown is made of the file
+The arguments are a file, relative to ``docs``, and one of `PARTS`. It is made of the file
 when the pages are built.
 """
 
@@ -17,6 +17,7 @@ from typing import ClassVar
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
+from sphinx import addnodes
 from sphinx.application import Sphinx
 
 from raystream.bench.chart import chart_text, draw_chart
@@ -65,11 +66,9 @@ class Bench(Directive):
         if part == "machine":
             return self._parsed([_plain(machine_line(result))])
         if part == "chart":
-            # Wider than a column of text: scrolled where there is no room.
             image = f'<div style="overflow-x: auto">{draw_chart(result)}</div>'
-            others = nodes.paragraph("", chart_text(result))
-            only = nodes.container("", others, classes=["visually-hidden"])
-            return [nodes.raw("", image, format="html"), only]
+            words = addnodes.only("", nodes.paragraph("", chart_text(result)), expr="not html")
+            return [nodes.raw("", image, format="html"), words]
         shown = [node for table in TABLES[part](result) for node in self._table(table)]
         if part not in FOLDED:
             return shown

@@ -11,9 +11,12 @@ from raystream.bench.results import BenchResult
 
 __all__ = ["chart_text", "draw_chart"]
 
-#: Pixels: a scene's row, a ray set's panel and the gap to the next one, the names' column, the
-#: heads, the axes' labels and the legend.
-_ROW, _PANEL, _GAP, _NAMES, _HEAD, _FOOT = 22, 128, 14, 128, 52, 58
+#: Pixels: a scene's row, a ray set's panel and the gap to the next one, the names' column, a
+#: panel's head and axis, and the legend.
+_ROW, _PANEL, _GAP, _NAMES, _HEAD, _AXIS, _LEGEND = 22, 132, 14, 128, 52, 34, 46
+
+#: Panels side by side: as wide as a column of text.
+_COLUMNS = 4
 
 #: Colours that all kinds of colour vision tell apart (Okabe and Ito 2008): from the median's goal
 #: up, from 1 up, below.
@@ -28,14 +31,14 @@ _MARGIN = 1.15
 
 
 class _Panel:
-    """The logarithmic axis of one ray set."""
+    """The place and the logarithmic axis of one ray set."""
 
-    def __init__(self, verdict: Verdict, left: float) -> None:
+    def __init__(self, verdict: Verdict, left: float, top: float) -> None:
         values = [1.0, *verdict.ratios.values()]
         if verdict.goal is not None:
             values += verdict.goal
         self.low, self.high = min(values) / _MARGIN, max(values) * _MARGIN
-        self.left = left
+        self.left, self.top = left, top
 
     def x(self, ratio: float) -> float:
         """Place of a ratio, in pixels."""
@@ -61,15 +64,19 @@ def draw_chart(result: BenchResult) -> str:
     """
     verdicts = judge(result)
     scenes = [scene.scene for scene in result.scenes]
-    width = _NAMES + len(verdicts) * (_PANEL + _GAP)
-    bottom = _HEAD + _ROW * (len(scenes) + 1)
-    height = bottom + _FOOT
-    shapes = [_name(scene, row, "normal") for row, scene in enumerate(scenes)]
-    shapes.append(_name("median", len(scenes), "bold"))
+    width = _NAMES + _COLUMNS * (_PANEL + _GAP)
+    band = _HEAD + _ROW * (len(scenes) + 1) + _AXIS
+    height = -(-len(verdicts) // _COLUMNS) * band + _LEGEND
+    shapes = []
     for number, verdict in enumerate(verdicts):
-        panel = _Panel(verdict, _NAMES + number * (_PANEL + _GAP))
-        shapes += _draw_panel(panel, verdict, scenes, bottom)
-    shapes += _legend(height - 12)
+        line, column = divmod(number, _COLUMNS)
+        top = line * band + _HEAD
+        if column == 0:
+            shapes += [_name(scene, top, row, "normal") for row, scene in enumerate(scenes)]
+            shapes.append(_name("median", top, len(scenes), "bold"))
+        panel = _Panel(verdict, _NAMES + column * (_PANEL + _GAP), top)
+        shapes += _draw_panel(panel, verdict, scenes)
+    shapes += _legend(height - _LEGEND + 14)
     label = quoteattr(chart_text(result))
     return "\n".join(
         [
@@ -89,21 +96,22 @@ def chart_text(result: BenchResult) -> str:
     return f"raystream's speed relative to the best peer's, medians of the scenes: {medians}"
 
 
-def _draw_panel(panel: _Panel, verdict: Verdict, scenes: list[str], bottom: float) -> list[str]:
-    middle = panel.left + _PANEL / 2
-    shapes = [_text(middle, 16, RAY_SETS[verdict.name].title, anchor="middle", weight="bold")]
+def _draw_panel(panel: _Panel, verdict: Verdict, scenes: list[str]) -> list[str]:
+    middle, top = panel.left + _PANEL / 2, panel.top
+    bottom = top + _ROW * (len(scenes) + 1)
+    shapes = [_text(middle, top - 36, RAY_SETS[verdict.name].title, anchor="middle", weight="bold")]
     for tick in panel.ticks():
         x = panel.x(tick)
         color = _INK if tick == 1.0 else _RULE
-        shapes.append(_line(x, _HEAD, x, bottom, color))
+        shapes.append(_line(x, top, x, bottom, color))
         shapes.append(_text(x, bottom + 15, f"{tick:g}", anchor="middle", color=_FAINT))
     if verdict.goal is not None:
         median, least = verdict.goal
         goals = f"goal {median:g}, least {least:g}"
-        shapes.append(_text(middle, 32, goals, anchor="middle", color=_FAINT, size=11))
+        shapes.append(_text(middle, top - 20, goals, anchor="middle", color=_FAINT, size=11))
         for goal, dashes in ((median, ""), (least, "3 3")):
             x = panel.x(goal)
-            shapes.append(_line(x, _HEAD - 8, x, bottom, _GOOD, dashes, wide=1.6))
+            shapes.append(_line(x, top - 8, x, bottom, _GOOD, dashes, wide=1.6))
     shapes.append(_line(panel.left, bottom - _ROW, panel.left + _PANEL, bottom - _ROW, _FAINT))
     for row, scene in enumerate(scenes):
         if scene in verdict.ratios:
@@ -114,7 +122,7 @@ def _draw_panel(panel: _Panel, verdict: Verdict, scenes: list[str], bottom: floa
 
 def _dot(panel: _Panel, verdict: Verdict, ratio: float, row: int, weight: str) -> list[str]:
     """A ratio as a dot and a number, beside it where there is room."""
-    x, y = panel.x(ratio), _HEAD + _ROW * (row + 0.5)
+    x, y = panel.x(ratio), panel.top + _ROW * (row + 0.5)
     color = _POOR if ratio < 1.0 else _FAIR
     if verdict.goal is not None and ratio >= verdict.goal.median:
         color = _GOOD
@@ -122,13 +130,13 @@ def _dot(panel: _Panel, verdict: Verdict, ratio: float, row: int, weight: str) -
     place, anchor = (x - 8, "end") if is_left else (x + 8, "start")
     text = f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.1f}"
     dot = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="{color}"/>'
-    halo = 'stroke="#ffffff" stroke-width="3" paint-order="stroke"'
+    halo = 'stroke="#ffffff" stroke-width="4" paint-order="stroke"'
     number = _text(place, y + 4, text, anchor=anchor, weight=weight, size=11, more=halo)
     return [dot, number]
 
 
-def _legend(y: float) -> list[str]:
-    shapes, x = [], 8.0
+def _legend(top: float) -> list[str]:
+    shapes, x, y = [], 8.0, top
     for color, text in (
         (_GOOD, "at the goal of the median or above"),
         (_FAIR, "as fast as the best peer or faster"),
@@ -137,6 +145,7 @@ def _legend(y: float) -> list[str]:
         shapes.append(f'<circle cx="{x}" cy="{y - 4}" r="4.5" fill="{color}"/>')
         shapes.append(_text(x + 10, y, text))
         x += 34 + 6.6 * len(text)
+    x, y = 8.0, top + 22.0
     for dashes, text in (("", "goal of the median"), ("3 3", "least goal")):
         shapes.append(_line(x, y - 12, x, y + 2, _GOOD, dashes, wide=1.6))
         shapes.append(_text(x + 8, y, text))
@@ -144,8 +153,8 @@ def _legend(y: float) -> list[str]:
     return shapes
 
 
-def _name(text: str, row: int, weight: str) -> str:
-    return _text(_NAMES - 12, _HEAD + _ROW * (row + 0.5) + 4, text, anchor="end", weight=weight)
+def _name(text: str, top: float, row: int, weight: str) -> str:
+    return _text(_NAMES - 12, top + _ROW * (row + 0.5) + 4, text, anchor="end", weight=weight)
 
 
 def _text(
