@@ -7,6 +7,7 @@ import pytest
 
 import raystream as rs
 from raystream.bench.ray_sets import AO_LENGTH, DEFAULT_SETS, RAY_SETS, make_ray_sets
+from raystream.bench.worker import load_rays, save_rays
 
 SIZE = (16, 12)
 
@@ -84,6 +85,17 @@ def test_a_set_does_not_depend_on_the_others(sets, scene, tracer):
     assert np.array_equal(alone.rays.directions, sets["bounce"].rays.directions)
     (other,) = make_ray_sets(tracer, scene.camera, SIZE, ["bounce"], seed=1)
     assert not np.array_equal(other.rays.directions, sets["bounce"].rays.directions)
+
+
+def test_rays_reach_other_processes_as_they_are(sets, tmp_path):
+    for name in ("ao", "image"):
+        rays = sets[name].rays
+        save_rays(tmp_path, rays)
+        there = load_rays(tmp_path)
+        assert there.t_max == rays.t_max
+        assert np.array_equal(there.origins, rays.origins)
+        assert np.array_equal(there.directions, rays.directions)
+        assert there.origins.flags.c_contiguous
 
 
 def test_nothing_to_see(scene, tracer):
