@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 import raystream as rs
-from raystream.bench.agreement import compare
+from raystream.bench.agreement import compare, outcome
 from raystream.bench.contenders import Entry, make_contender
 from raystream.bench.contenders.base import FirstHits, Rays, UnavailableError
 from raystream.bench.contenders.own import Raystream
@@ -260,7 +260,9 @@ def trace_set(name, query, parts, turns, repeats):
             kernels[turn.label].append(best[turn.label][0])
             whole[turn.label].append(best[turn.label][1])
             if number == 0:
-                differing[turn.label] = compare(answers[turns[0].label], answers[turn.label])
+                differing[turn.label] = compare(
+                    query, outcome(answers[turns[0].label]), outcome(answers[turn.label])
+                )
         first = answers[turns[0].label]
         if name == "primary" and number == 0 and isinstance(first, FirstHits):
             other_bits = same_bits(first, turns[0].contender.tracer.structure, rays)

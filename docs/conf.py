@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "myst_nb",
     "numpydoc",
+    "bench_result",
     "paper_map",
 ]
 exclude_patterns = ["_build", "extra"]

@@ -7,29 +7,39 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from conftest import child_environment
-from raystream.bench.contenders import PEERS
+from meshes import icosphere
+from raystream.bench.contender_process import ContenderError, ContenderProcess
+from raystream.bench.contenders import PEERS, Entry
+from raystream.bench.contenders.base import Geometry, Rays
+from raystream.bench.worker import OUTCOME, save_geometry, save_rays
 
 #: Peers with tests that are not watertight, or with looser boxes, may differ more.
-LIMITS = {"open3d": 2e-3, "embreex": 2e-3, "mitsuba": 2e-3, "warp": 2e-2, "fcpw": 2e-2}
+LIMITS = {"open3d": 2e-3, "embreex": 2e-3, "mitsuba": 2e-3, "mitsuba-robust": 2e-3, "warp": 2e-2}
 
 #: Spheres and cubes touch the floor: where two surfaces are in one place, both peers that find
 #: all hits lose one of the two.
 MULTI_LIMIT = 0.1
 
 
-@pytest.mark.parametrize("name", PEERS)
-def test_peer_agrees(name):
+def need_peer(name):
+    """Skip the test if a peer is not installed: no extra for tests has them."""
     missing = [
         package for package in PEERS[name].packages if importlib.util.find_spec(package) is None
     ]
     if missing:
         pytest.skip(f"needs {', '.join(missing)}: {PEERS[name].install_hint}")
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_peer_agrees(name):
+    need_peer(name)
     command = (
-        "bench spheres:3000 --width 64 --height 48 --repeats 1 --no-memory --json --threads 1 "
-        f"--sets primary,shadow,ao,bounce,random,multi,random_multi --peers {name}"
+        "bench spheres:3000 --width 64 --height 48 --repeats 1 --json --threads 1 "
+        f"--sets primary,image,shadow,ao,bounce,random,multi,random_multi --peers {name}"
     )
     done = subprocess.run(
         [sys.executable, "-m", "raystream", *command.split()],
@@ -50,5 +60,29 @@ def test_peer_agrees(name):
             continue
         assert rays["failures"] == {}
         limit = MULTI_LIMIT if rays["query"] == "multi" else LIMITS[name]
-        assert rays["agreement"][name]["differing"] < limit, rays["set"]
-        assert rays["mrays_per_second"][name] > 0.0
+        assert rays["agreement"][name]["differing"] < limit, rays["name"]
+        assert rays["figures"]["mrays_per_second"][name] > 0.0
+
+
+def test_robust_mitsuba_lets_no_ray_through_an_edge(tmp_path):
+    """Rays at the middles of a sphere's edges, from within and from afar."""
+    need_peer("mitsuba-robust")
+    vertices, faces = icosphere(4)
+    vertices, faces = vertices.astype(np.float32), faces.astype(np.int32)
+    save_geometry(tmp_path, Geometry(vertices, faces))
+    middles = 0.5 * (vertices[faces[:, 0]] + vertices[faces[:, 1]]).astype(np.float64)
+    origins = np.concatenate([np.full_like(middles, 0.1), 7.0 * middles + [0.1, 0.2, 0.3]])
+    directions = np.concatenate([middles, middles]) - origins
+    save_rays(tmp_path, Rays(origins.astype(np.float32), directions.astype(np.float32), np.inf))
+    try:
+        process = ContenderProcess(Entry("robust", "mitsuba-robust", {}), 1)
+    except ContenderError as error:
+        pytest.skip(str(error))
+    try:
+        process.ask("build", folder=str(tmp_path), measured=False)
+        for mode in process.about["modes"]:
+            folder = str(tmp_path)
+            process.ask("trace", folder=folder, query="first", mode=mode, keep=folder)
+            assert np.isfinite(np.load(tmp_path / OUTCOME)).all(), mode
+    finally:
+        process.close()

@@ -7,27 +7,33 @@ import os
 import pytest
 
 import raystream as rs
+from raystream.bench.contender_process import ContenderError, ContenderProcess
 from raystream.bench.contenders import Entry
 from raystream.bench.cores import limit_cores
 from raystream.bench.machine import describe_machine
-from raystream.bench.memory import can_measure, measure_memory
+from raystream.bench.memory import Memory, can_measure
 from raystream.bench.runner import geometry_of
+from raystream.bench.worker import save_geometry
 
 
 @pytest.mark.skipif(not can_measure(), reason="needs /proc/self/status, which only Linux has")
-def test_memory_is_that_of_the_structure():
+def test_memory_is_that_of_the_structure(tmp_path):
     geometry = geometry_of(rs.load("forest:200000"))
-    memory = measure_memory(Entry("raystream", "raystream", {}), geometry, 1)
-    assert memory is not None
+    save_geometry(tmp_path, geometry)
+    process = ContenderProcess(Entry("raystream", "raystream", {}), 1)
+    try:
+        memory = Memory(**process.ask("build", folder=str(tmp_path), measured=True)["memory"])
+        assert "memory" not in process.ask("build", folder=str(tmp_path), measured=False)
+    finally:
+        process.close()
     triangle_bytes = 36 * len(geometry.faces)
     assert triangle_bytes < memory.kept < 30 * triangle_bytes
     assert memory.kept <= memory.peak + (1 << 20)
 
 
-@pytest.mark.skipif(not can_measure(), reason="needs /proc/self/status, which only Linux has")
-def test_memory_of_what_fails_is_unknown():
-    geometry = geometry_of(rs.load("cornell"))
-    assert measure_memory(Entry("raystream", "raystream", {"speed": 9}), geometry, 1) is None
+def test_a_contender_that_cannot_start_leaves_no_process():
+    with pytest.raises(ContenderError, match=r"TypeError: .*speed"):
+        ContenderProcess(Entry("raystream", "raystream", {"speed": 9}), 1)
 
 
 @pytest.mark.skipif(

@@ -7,6 +7,7 @@ import pytest
 
 import raystream as rs
 from raystream.bench.ray_sets import AO_LENGTH, DEFAULT_SETS, RAY_SETS, make_ray_sets
+from raystream.bench.worker import load_rays, save_rays
 
 SIZE = (16, 12)
 
@@ -32,8 +33,9 @@ def test_all_are_plain_arrays(sets, scene, tracer):
     hits = tracer.first_hit(*scene.camera.rays(*SIZE))
     seen = int(np.count_nonzero(hits.is_hit))
     shapes = dict.fromkeys(RAY_SETS, (seen, 3)) | {
-        "primary": (12, 16, 3),
-        "multi": (12, 16, 3),
+        "primary": (192, 3),
+        "image": (12, 16, 3),
+        "multi": (192, 3),
         "random": (192, 3),
         "random_multi": (192, 3),
     }
@@ -43,6 +45,11 @@ def test_all_are_plain_arrays(sets, scene, tracer):
             assert array.dtype == np.float32
             assert array.flags.c_contiguous
             assert np.isfinite(array).all()
+
+
+def test_an_image_is_the_same_rays(sets):
+    for flat, shaped in zip(sets["primary"].rays[:2], sets["image"].rays[:2], strict=True):
+        assert np.array_equal(flat, shaped.reshape(-1, 3))
 
 
 def test_shadow_rays_end_at_one_light(sets):
@@ -80,8 +87,19 @@ def test_a_set_does_not_depend_on_the_others(sets, scene, tracer):
     assert not np.array_equal(other.rays.directions, sets["bounce"].rays.directions)
 
 
+def test_rays_reach_other_processes_as_they_are(sets, tmp_path):
+    for name in ("ao", "image"):
+        rays = sets[name].rays
+        save_rays(tmp_path, rays)
+        there = load_rays(tmp_path)
+        assert there.t_max == rays.t_max
+        assert np.array_equal(there.origins, rays.origins)
+        assert np.array_equal(there.directions, rays.directions)
+        assert there.origins.flags.c_contiguous
+
+
 def test_nothing_to_see(scene, tracer):
     away = rs.Camera(eye=(0, 1e4, 0), look_at=(0, 2e4, 0), up=(0, 0, 1))
     sets = {r.name: r.rays for r in make_ray_sets(tracer, away, SIZE, list(RAY_SETS))}
-    assert len(sets["primary"]) == len(sets["random"]) == 192
+    assert len(sets["primary"]) == len(sets["image"]) == len(sets["random"]) == 192
     assert len(sets["shadow"]) == len(sets["ao"]) == len(sets["bounce"]) == 0

@@ -9,64 +9,84 @@ import pytest
 
 from raystream.bench.contenders import PEERS
 from raystream.bench.ray_sets import DEFAULT_SETS, RAY_SETS
-from raystream.bench.report import OUTPUT_SUFFIXES
+from raystream.bench.report import REPORT_SUFFIXES
+from raystream.bench.results import read_result
 from raystream.bench.runner import Bench
 from raystream.cli import options
 from raystream.cli.bench import DEFAULT_SCENES, bench
 
 pytestmark = pytest.mark.usefixtures("few_objects")
 
-QUICK = ("--width", 8, "--height", 6, "--repeats", 1, "--no-memory")
+QUICK = ("--width", 8, "--height", 6, "--repeats", 1)
 
 
 def test_names_are_the_librarys():
     assert tuple(RAY_SETS) == options.RAY_SETS
     assert tuple(PEERS) == options.PEERS
     assert inspect.signature(bench).parameters["sets"].default == ",".join(DEFAULT_SETS)
-    assert OUTPUT_SUFFIXES == (".md", ".rst", ".json")
+    assert REPORT_SUFFIXES == (".md", ".rst", ".svg")
 
 
 def test_json(run):
     done = run("bench", "cornell", *QUICK, "--peers", "none", "--sets", "primary,ao", "--json")
     assert done.code == 0
     figures = done.figures
-    assert figures["size"] == [8, 6]
-    assert figures["repeats"] == 1
+    assert figures["schema"] == 1
+    assert figures["settings"]["size"] == [8, 6]
+    assert figures["settings"]["repeats"] == 1
     assert figures["own"] == ["raystream"]
     assert figures["machine"]["threads"] >= 1
     (scene,) = figures["scenes"]
     assert scene["scene"] == "cornell"
-    assert [rays["set"] for rays in scene["sets"]] == ["primary", "ao"]
+    assert [rays["name"] for rays in scene["sets"]] == ["primary", "ao"]
     assert len(scene["builds"]["raystream"]["seconds"]) == 1
-    assert scene["sets"][0]["ratio_to_open3d"] == {"raystream": None}
+    assert scene["sets"][0]["figures"]["ratio_to_best_peer"] == {"raystream": None}
+    assert scene["sets"][0]["figures"]["share_of_roofline"] > 0.0
 
 
-def test_table_variants_and_file(run, tmp_path):
+def test_variants_and_a_stored_result(run, tmp_path):
     done = run(
         *("bench", "cornell", "spheres:500", *QUICK, "--peers", "none", "--sets", "bounce,multi"),
         *("--option", "max_leaf_size=2", "--variant", "fat:max_leaf_size=8,structure=bvh"),
-        *("-o", "table.md"),
+        *("-o", "result.json"),
     )
     assert done.code == 0
     assert "cornell: 3" in done.out
     header = next(line for line in done.out.splitlines() if line.startswith("rays"))
     assert header.split()[:4] == ["rays", "count", "raystream", "fat"]
+    assert "spheres:500" not in done.err  # it is the last one
+    assert "cornell: done after" in done.err
+    again = run("bench", "--report", "result.json")
+    assert again.out == done.out
+    assert run("bench", "--report", "result.json", "--json").figures["own"] == ["raystream", "fat"]
+    assert run("bench", "--report", "result.json", "-o", "table.md").code == 0
     assert "| bounce |" in (tmp_path / "table.md").read_text()
+    assert run("bench", "--report", "result.json", "-o", "chart.svg").code == 0
+    assert (tmp_path / "chart.svg").read_text().startswith("<svg")
 
 
-def test_interrupt_shows_what_there_is(run, monkeypatch):
-    ran = Bench.run
+def test_an_interrupt_shows_what_there_is_and_the_run_can_go_on(run, monkeypatch, tmp_path):
+    ran, names = Bench.run, []
 
     def stop(self, name, scene, progress=None):
-        if name == "spheres":
+        names.append(name)
+        if names == ["cornell", "spheres"]:
             raise KeyboardInterrupt
         ran(self, name, scene, progress)
 
     monkeypatch.setattr(Bench, "run", stop)
-    done = run("bench", "cornell", "spheres", *QUICK, "--peers", "none", "--sets", "primary")
+    asked = ("bench", "cornell", "spheres", *QUICK, "--peers", "none", "--sets", "primary")
+    asked += ("-o", "result.json", "--resume")
+    done = run(*asked)
     assert done.code == 130
     assert done.err.endswith("interrupted\n")
     assert "cornell" in done.out
+    assert [one.scene for one in read_result(tmp_path / "result.json").scenes] == ["cornell"]
+    assert run(*asked).code == 0
+    assert names == ["cornell", "spheres", "spheres"]
+    kept = read_result(tmp_path / "result.json")
+    assert [one.scene for one in kept.scenes] == ["cornell", "spheres"]
+    assert "other settings" in run(*asked, "--repeats", 2).complaint
 
 
 def test_default_scenes_that_are_not_there_are_left_out(run, monkeypatch, tmp_path):
@@ -89,11 +109,23 @@ def test_default_scenes_that_are_not_there_are_left_out(run, monkeypatch, tmp_pa
         (["--option", "max_leaf_size=0"], "max_leaf_size"),
         (["--variant", "leaf=2"], "--variant: expected NAME:KEY=VALUE"),
         (["--variant", "raystream:structure=brute"], "'raystream' is given twice"),
-        (["--output", "table.pdf"], ".md or .rst or .json"),
+        (["--output", "table.md"], ".json"),
+        (["--resume"], "--resume: needs the --output"),
+        (["--report", "result.json"], "--report: takes no scenes"),
     ],
 )
 def test_bad_arguments(run, arguments, fault):
     assert fault in run("bench", "cornell", *QUICK, "--peers", "none", *arguments).complaint
+
+
+def test_bad_reports(run, tmp_path):
+    assert "nothing.json" in run("bench", "--report", "nothing.json").complaint
+    (tmp_path / "other.json").write_text("{}")
+    assert "other.json: no benchmark's result" in run("bench", "--report", "other.json").complaint
+    (tmp_path / "broken.json").write_text("{")
+    assert "broken.json" in run("bench", "--report", "broken.json").complaint
+    bad = run("bench", "--report", "other.json", "-o", "chart.png").complaint
+    assert ".md or .rst or .svg" in bad
 
 
 def test_bad_scenes(run, tmp_path):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import MISS_T, AllHits, FirstHits, Result
+from raystream.bench.contenders.base import MISS_T, AllHits, FirstHits, Query, Result
 
-__all__ = ["T_TOLERANCE", "Agreement", "compare", "count_hits"]
+__all__ = ["T_TOLERANCE", "Agreement", "compare", "count_hits", "outcome"]
 
 #: Relative difference of t below which two hits agree.
 T_TOLERANCE = 1e-4
@@ -31,40 +31,52 @@ class Agreement(NamedTuple):
     hits: int
 
 
-def compare(ours: Result, theirs: Result) -> Agreement:
+def outcome(result: Result) -> NDArray[Any]:
+    """The part of a result that is compared, one number per ray.
+
+    Parameters
+    ----------
+    result : FirstHits, AllHits or ndarray of bool
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        For first hits t, inf for a miss; for any hits whether there is one; for all hits their
+        number.
+    """
+    if isinstance(result, FirstHits):
+        t = np.ravel(result.t)
+        return np.where(t < MISS_T, t, np.inf)
+    if isinstance(result, AllHits):
+        return np.diff(result.ray_splits.astype(np.int64))
+    return np.ravel(result)
+
+
+def compare(query: Query, ours: NDArray[Any], theirs: NDArray[Any]) -> Agreement:
     """Compare a peer's result with raystream's for the same query and rays.
 
     Parameters
     ----------
-    ours, theirs : FirstHits, AllHits or ndarray of bool
-        Shapes may differ, but not the number of rays.
+    query : {"first", "any", "multi"}
+    ours, theirs : ndarray of shape (N,)
+        See `outcome`.
     """
-    hits = count_hits(theirs)
-    if isinstance(ours, FirstHits) and isinstance(theirs, FirstHits):
-        return Agreement(_share(_first_differs(ours, theirs)), hits)
-    if isinstance(ours, AllHits) and isinstance(theirs, AllHits):
-        counts = (np.diff(result.ray_splits.astype(np.int64)) for result in (ours, theirs))
-        return Agreement(_share(np.not_equal(*counts)), hits)
-    return Agreement(_share(np.ravel(ours) != np.ravel(theirs)), hits)
+    differs = _first_differs(ours, theirs) if query == "first" else ours != theirs
+    share = float(np.count_nonzero(differs)) / max(1, differs.size)
+    return Agreement(share, count_hits(query, theirs))
 
 
-def count_hits(result: Result) -> int:
-    """Count the rays that hit; for all hits, count the hits."""
-    if isinstance(result, FirstHits):
-        return int(np.count_nonzero(np.less(result.t, MISS_T)))
-    if isinstance(result, AllHits):
-        return len(result.t)
-    return int(np.count_nonzero(result))
+def count_hits(query: Query, result: NDArray[Any]) -> int:
+    """Count the rays that hit; for all hits, count the hits. See `outcome`."""
+    if query == "first":
+        return int(np.count_nonzero(np.isfinite(result)))
+    return int(np.sum(result, dtype=np.int64))
 
 
-def _first_differs(ours: FirstHits, theirs: FirstHits) -> NDArray[np.bool_]:
-    a, b = (np.ravel(result.t).astype(np.float64) for result in (ours, theirs))
-    hit_a, hit_b = a < MISS_T, b < MISS_T
-    a, b = np.where(hit_a, a, 0.0), np.where(hit_b, b, 0.0)
+def _first_differs(ours: NDArray[Any], theirs: NDArray[Any]) -> NDArray[np.bool_]:
+    hit_a, hit_b = np.isfinite(ours), np.isfinite(theirs)
+    a = np.where(hit_a, ours, 0.0).astype(np.float64)
+    b = np.where(hit_b, theirs, 0.0).astype(np.float64)
     far = np.abs(a - b) > T_TOLERANCE * np.maximum(np.abs(a), np.abs(b))
     differs: NDArray[np.bool_] = (hit_a != hit_b) | (hit_a & hit_b & far)
     return differs
-
-
-def _share(differs: NDArray[np.bool_]) -> float:
-    return float(np.count_nonzero(differs)) / max(1, differs.size)

@@ -52,7 +52,8 @@ class _View(NamedTuple):
 
 class _RaySetSpec(NamedTuple):
     query: Query
-    description: str
+    title: str
+    stream: int  # of random numbers: sets that are added leave the others as they are
     make: Callable[[_View], Rays]
 
 
@@ -76,8 +77,8 @@ def make_ray_sets(
     Yields
     ------
     RaySet
-        All arrays are float32 and C-contiguous. Primary rays have the shape (height, width,
-        3); rays that start at their hits have the shape (hits, 3), in pixel order, without
+        All arrays are float32 and C-contiguous, of shape (N, 3), in the order of the pixels;
+        those of ``image`` have the shape (height, width, 3). Rays that start at hits leave out
         pixels that miss. If no hits remain, or the scene has no extent, there are 0 rays.
     """
     width, height = size
@@ -85,16 +86,20 @@ def make_ray_sets(
     primary = Rays(np.ascontiguousarray(origins, np.float32), directions, np.inf)
     found = tracer.first_hit(primary.origins, primary.directions)
     hits = found[found.is_hit]
-    for index, name in enumerate(RAY_SETS):
+    for name, recipe in RAY_SETS.items():
         if name in names:
-            recipe = RAY_SETS[name]
-            generator = np.random.default_rng([seed, index])
+            generator = np.random.default_rng([seed, recipe.stream])
             rays = recipe.make(_View(tracer, camera, primary, hits, generator))
             yield RaySet(name, recipe.query, rays)
 
 
-def _primary(view: _View) -> Rays:
+def _image(view: _View) -> Rays:
     return view.primary
+
+
+def _primary(view: _View) -> Rays:
+    """The camera's rays as a list, as most programs keep them."""
+    return Rays(*view.primary.rows(), np.inf)
 
 
 def _shadow(view: _View) -> Rays:
@@ -164,19 +169,16 @@ def _spawn(view: _View, directions: NDArray[np.float64], t_max: float) -> Rays:
 #: The ray sets by name, in the order of the tables' rows.
 RAY_SETS: Mapping[str, _RaySetSpec] = MappingProxyType(
     {
-        "primary": _RaySetSpec("first", "first hit of the camera's rays", _primary),
-        "shadow": _RaySetSpec(
-            "any", "any hit between visible points and a light near the eye", _shadow
-        ),
-        "ao": _RaySetSpec("any", "any hit of one short cosine-distributed ray per pixel", _ao),
-        "bounce": _RaySetSpec(
-            "first", "first hit of one cosine-distributed ray per pixel", _bounce
-        ),
-        "random": _RaySetSpec("first", "first hit of uniformly random rays", _random),
-        "multi": _RaySetSpec("multi", "all hits of the camera's rays, sorted", _primary),
-        "random_multi": _RaySetSpec("multi", "all hits of uniformly random rays, sorted", _random),
+        "primary": _RaySetSpec("first", "primary, (N, 3)", 0, _primary),
+        "image": _RaySetSpec("first", "primary, (H, W, 3)", 0, _image),
+        "shadow": _RaySetSpec("any", "shadow", 1, _shadow),
+        "ao": _RaySetSpec("any", "ambient occlusion", 2, _ao),
+        "bounce": _RaySetSpec("first", "bounce", 3, _bounce),
+        "random": _RaySetSpec("first", "random", 4, _random),
+        "multi": _RaySetSpec("multi", "all hits, primary", 5, _primary),
+        "random_multi": _RaySetSpec("multi", "all hits, random", 6, _random),
     }
 )
 
 #: The ray sets traced by default.
-DEFAULT_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi")
+DEFAULT_SETS = ("primary", "image", "shadow", "ao", "bounce", "random", "multi")

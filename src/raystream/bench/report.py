@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+import statistics
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+from raystream.bench.chart import draw_chart
+from raystream.bench.goals import Verdict, judge
+from raystream.bench.ray_sets import RAY_SETS
 from raystream.bench.results import (
     AGREEMENT_LIMIT,
     NO_QUERY,
@@ -15,9 +18,21 @@ from raystream.bench.results import (
     SceneResult,
     SetResult,
 )
+from raystream.bench.roofline import most_rays
 from raystream.core.atomic_write import atomic_write
 
-__all__ = ["OUTPUT_SUFFIXES", "Table", "make_notes", "make_tables", "write_result"]
+__all__ = [
+    "REPORT_SUFFIXES",
+    "Table",
+    "build_table",
+    "goal_table",
+    "machine_line",
+    "make_notes",
+    "make_tables",
+    "roofline_table",
+    "speed_tables",
+    "write_report",
+]
 
 _NONE = "–"
 
@@ -38,7 +53,7 @@ class Table(NamedTuple):
 
 
 def make_tables(result: BenchResult) -> list[Table]:
-    """Format a result as tables: the speed in each scene, then builds and memory of all.
+    """Format a result as tables: speeds of each scene; builds and memory; roofline; goals.
 
     Parameters
     ----------
@@ -47,34 +62,37 @@ def make_tables(result: BenchResult) -> list[Table]:
     Returns
     -------
     list of Table
+        Without those that would be empty.
     """
-    tables = [_speed_table(result, scene) for scene in result.scenes if scene.sets]
-    if any(build.seconds for scene in result.scenes for build in scene.builds.values()):
-        tables.append(_build_table(result))
-    return tables
+    tables = [*speed_tables(result), build_table(result)]
+    tables += [roofline_table(result), goal_table(result)]
+    return [table for table in tables if table.rows]
+
+
+def speed_tables(result: BenchResult) -> list[Table]:
+    """A table of each scene: millions of rays per second of all contenders."""
+    return [_speed_table(result, scene) for scene in result.scenes if scene.sets]
 
 
 def _speed_table(result: BenchResult, scene: SceneResult) -> Table:
-    own = result.own[0]
-    columns = ["rays", "count", *result.labels, "x best peer", "x open3d", "min diff", "max diff"]
-    rows = []
-    for rays in scene.sets:
-        best = rays.best_peer(result.peers)
-        rows.append(
-            [
-                rays.name,
-                f"{rays.ray_count:,}",
-                *(_speed(rays, label) for label in result.labels),
-                _ratio(rays.ratio(own, best)),
-                _ratio(rays.ratio(own, "open3d")),
-                *_differing(rays),
-            ]
-        )
+    columns = ["rays", "count", *result.labels, "x best peer", "share", "min diff", "max diff"]
+    rows = [
+        [
+            rays.name,
+            f"{rays.ray_count:,}",
+            *(_speed(rays, label) for label in result.labels),
+            _ratio(result.ratio(rays)),
+            _share_of(result.share(rays)),
+            *_differing(rays),
+        ]
+        for rays in scene.sets
+    ]
     title = f"{scene.scene}: {scene.triangle_count:,} triangles; millions of rays per second"
     return Table(title, columns, rows)
 
 
-def _build_table(result: BenchResult) -> Table:
+def build_table(result: BenchResult) -> Table:
+    """Build times and memory of all contenders."""
     rows = []
     for scene in result.scenes:
         for what, cell in (("build, s", _build), ("kept, MB", _kept), ("peak, MB", _peak)):
@@ -84,6 +102,60 @@ def _build_table(result: BenchResult) -> Table:
     return Table("Build times and memory", ["scene", "figure", *result.labels], rows)
 
 
+def roofline_table(result: BenchResult) -> Table:
+    """Tests per ray, and the share of the roofline that raystream reaches; see `roofline`."""
+    columns = ["rays", "nodes", "blocks", "hit blocks", "roofline, Mrays/s", "share", "to"]
+    found: dict[str, list[tuple[SetResult, float]]] = {}
+    for scene in result.scenes:
+        for rays in scene.sets:
+            share = result.share(rays)
+            if share is not None:
+                found.setdefault(rays.name, []).append((rays, share))
+    rows = []
+    for name, pairs in found.items():
+        counts = [rays.counts for rays, _ in pairs if rays.counts is not None]
+        peaks, shares = result.peaks, [share for _, share in pairs]
+        assert peaks is not None
+        rows.append(
+            [
+                RAY_SETS[name].title,
+                *(f"{_median(one[k] for one in counts):.1f}" for k in range(3)),
+                f"{_median(most_rays(peaks, one) for one in counts) / 1e6:.0f}",
+                f"{_median(shares):.0%}",
+                f"{min(shares):.0%} to {max(shares):.0%}",
+            ]
+        )
+    return Table(
+        "Roofline: tests per ray, and the share reached; medians of the scenes", columns, rows
+    )
+
+
+def goal_table(result: BenchResult) -> Table:
+    """The ratios to the best peer over all scenes, beside the goals."""
+    columns = ["rays", "median", "goal", "least", "goal", "in", "met"]
+    return Table("Times the best peer", columns, [_goal_row(one) for one in judge(result)])
+
+
+def _goal_row(one: Verdict) -> list[str]:
+    goals = (_NONE, _NONE) if one.goal is None else (f"{one.goal.median:g}", f"{one.goal.least:g}")
+    met = "both" if one.meets_median else "least"
+    if not one.meets_least:
+        met = "median" if one.meets_median else "neither"
+    return [
+        RAY_SETS[one.name].title,
+        f"{one.median:.2f}",
+        goals[0],
+        f"{one.least:.2f}",
+        goals[1],
+        one.worst_scene,
+        _NONE if one.goal is None else met,
+    ]
+
+
+def _median(values: Iterable[float]) -> float:
+    return statistics.median(values)
+
+
 def _speed(rays: SetResult, label: str) -> str:
     speed = rays.speed(label)
     return _NONE if speed is None else f"{speed:.3g}" if speed < 100.0 else f"{speed:.0f}"
@@ -91,6 +163,10 @@ def _speed(rays: SetResult, label: str) -> str:
 
 def _ratio(ratio: float | None) -> str:
     return _NONE if ratio is None else f"{ratio:.2f}"
+
+
+def _share_of(share: float | None) -> str:
+    return _NONE if share is None else f"{share:.0%}"
 
 
 def _differing(rays: SetResult) -> tuple[str, str]:
@@ -134,11 +210,19 @@ def make_notes(result: BenchResult) -> list[str]:
     ----------
     result : BenchResult
     """
-    notes = [_machine_line(result)]
+    notes = [machine_line(result)]
+    if result.peaks is not None:
+        nodes, blocks, hit_blocks = (f"{one / 1e6:.0f}" for one in result.peaks)
+        notes.append(
+            f"share: of the roofline, with {nodes} million tests of a node, {blocks} of a leaf "
+            f"block and {hit_blocks} of one with a hit per second."
+        )
     notes += [f"{label}: {note}." for label, note in result.notes.items()]
     notes += [f"{label} is absent: {reason}" for label, reason in result.absent.items()]
     notes += [f"{scene} is skipped: {reason}" for scene, reason in result.skipped.items()]
     for scene in result.scenes:
+        if not scene.is_complete:
+            notes.append(f"{scene.scene} is incomplete: it was interrupted.")
         notes += [f"{scene.scene}: {label}: {why}" for label, why in scene.failures.items()]
         for rays in scene.sets:
             notes += [
@@ -156,13 +240,13 @@ def make_notes(result: BenchResult) -> list[str]:
     return notes
 
 
-def write_result(path: Path, result: BenchResult) -> None:
-    """Write a result to a file: its tables, for inclusion in a page, or everything as JSON.
+def write_report(path: Path, result: BenchResult) -> None:
+    """Write tables for inclusion in a page, or the chart.
 
     Parameters
     ----------
     path : Path
-        With one of `OUTPUT_SUFFIXES`: Markdown, reStructuredText or JSON.
+        With one of `REPORT_SUFFIXES`: Markdown or reStructuredText for tables, SVG for the chart.
     result : BenchResult
 
     Raises
@@ -170,23 +254,25 @@ def write_result(path: Path, result: BenchResult) -> None:
     OSError
         If the file cannot be written.
     """
-    if path.suffix.lower() == ".json":
-        text = json.dumps(result.as_json(), indent=2, allow_nan=False)
+    suffix = path.suffix.lower()
+    if suffix == ".svg":
+        text = draw_chart(result)
     else:
-        write = _WRITERS[path.suffix.lower()]
-        parts = [*(write(table) for table in make_tables(result)), *make_notes(result)]
+        parts = [*(_WRITERS[suffix](table) for table in make_tables(result)), *make_notes(result)]
         text = "\n\n".join(parts)
     with atomic_write(path) as part:
         part.write_text(text + "\n", encoding="utf-8")
 
 
-def _machine_line(result: BenchResult) -> str:
-    machine = result.machine
+def machine_line(result: BenchResult) -> str:
+    """Where, when and how the figures were measured, in one sentence."""
+    machine, settings = result.machine, result.settings
     versions = ", ".join(f"{label} {version}" for label, version in result.versions.items())
-    width, height = result.size
+    width, height = settings["size"]
     return (
-        f"{machine['cpu']}, threads: {machine['threads']}; {width} x {height} pixels, medians of "
-        f"{result.repeats} rounds; {versions}."
+        f"{machine['cpu']}, threads: {machine['threads']}, {result.date}; {width} x {height} "
+        f"pixels, medians of {settings['repeats']} rounds after {settings['warm_up_rounds']} to "
+        f"warm up; {versions}."
     )
 
 
@@ -212,5 +298,5 @@ _WRITERS: Mapping[str, Callable[[Table], str]] = MappingProxyType(
     {".md": _as_markdown, ".rst": _as_rst}
 )
 
-#: Supported extensions of result files.
-OUTPUT_SUFFIXES = (*_WRITERS, ".json")
+#: Extensions of files that are made from a result.
+REPORT_SUFFIXES = (*_WRITERS, ".svg")

@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import statistics
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from raystream.bench.agreement import Agreement
 from raystream.bench.contenders.base import Query
 from raystream.bench.memory import Memory
+from raystream.bench.roofline import Counts, Peaks, most_rays
+from raystream.core.atomic_write import atomic_write
 
 __all__ = [
     "AGREEMENT_LIMIT",
     "NO_QUERY",
+    "SCHEMA",
     "BenchResult",
     "BuildResult",
     "SceneResult",
     "SetResult",
+    "read_result",
+    "write_result",
 ]
+
+#: Version of the stored form; files of another version are refused.
+SCHEMA = 1
 
 #: Reason for skipping a contender that lacks a query.
 NO_QUERY = "does not support this query"
@@ -32,12 +43,15 @@ class BuildResult:
 
     Attributes
     ----------
+    start_seconds : float
+        Before: import, a small build, and some rays.
     seconds : list of float
         From the user's arrays until the first ray can be traced, one per build.
     memory : Memory or None
         None if not measured.
     """
 
+    start_seconds: float = 0.0
     seconds: list[float] = field(default_factory=list)
     memory: Memory | None = None
 
@@ -58,6 +72,10 @@ class SetResult:
     ray_count : int
     hit_count : int
         raystream's number of hits.
+    counts : Counts or None
+        Tests per ray; None if not counted.
+    warm_up : dict of str to dict of str to float
+        By contender and mode: seconds of the first call, which does not count.
     seconds : dict of str to dict of str to list of float
         By contender and mode, one per round after the warm-up.
     agreement : dict of str to Agreement
@@ -70,6 +88,8 @@ class SetResult:
     query: Query
     ray_count: int
     hit_count: int = 0
+    counts: Counts | None = None
+    warm_up: dict[str, dict[str, float]] = field(default_factory=dict)
     seconds: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     agreement: dict[str, Agreement] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
@@ -98,7 +118,7 @@ class SetResult:
 
     @property
     def worst(self) -> Agreement | None:
-        """The agreement with the contender that differs most."""
+        """Agreement with the contender that differs most."""
         return max(self.agreement.values(), default=None)
 
 
@@ -115,7 +135,11 @@ class SceneResult:
         By contender.
     sets : list of SetResult
     failures : dict of str to str
-        By contender: why its build failed.
+        By contender: why it took no part, or no longer.
+    is_complete : bool
+        False while it is measured, or if that was interrupted.
+    wall_seconds : float
+        Duration of the whole scene.
     """
 
     scene: str
@@ -123,6 +147,8 @@ class SceneResult:
     builds: dict[str, BuildResult] = field(default_factory=dict)
     sets: list[SetResult] = field(default_factory=list)
     failures: dict[str, str] = field(default_factory=dict)
+    is_complete: bool = False
+    wall_seconds: float = 0.0
 
 
 @dataclass
@@ -133,10 +159,14 @@ class BenchResult:
     ----------
     machine : dict
         See `describe_machine`.
-    size : (int, int)
-        Image width and height.
-    repeats : int
-        Rounds after the warm-up.
+    date : str
+        ISO date of the first measurement.
+    settings : dict
+        ``size`` (image width and height), ``sets``, ``repeats`` (rounds that count),
+        ``warm_up_rounds``, ``seed``, and ``entries``: the label, name and options of each
+        contender.
+    peaks : Peaks or None
+        None if not measured.
     own, peers : list of str
         Contenders that took part, in column order: raystream's configurations, the first of
         which is the numerator of ratios; and the peers.
@@ -150,8 +180,9 @@ class BenchResult:
     """
 
     machine: dict[str, Any]
-    size: tuple[int, int]
-    repeats: int
+    date: str
+    settings: dict[str, Any]
+    peaks: Peaks | None = None
     own: list[str] = field(default_factory=list)
     peers: list[str] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
@@ -165,46 +196,102 @@ class BenchResult:
         """All contenders that took part."""
         return [*self.own, *self.peers]
 
+    def ratio(self, rays: SetResult) -> float | None:
+        """Speed of raystream relative to the best peer's on a set."""
+        return rays.ratio(self.own[0], rays.best_peer(self.peers)) if self.own else None
+
+    def share(self, rays: SetResult) -> float | None:
+        """Speed of raystream relative to the set's roofline."""
+        speed = rays.speed(self.own[0]) if self.own else None
+        if speed is None or rays.counts is None or self.peaks is None:
+            return None
+        return speed * 1e6 / most_rays(self.peaks, rays.counts)
+
     def as_json(self) -> dict[str, Any]:
-        """All raw measurements, and the figures derived from them."""
-        raw = asdict(self)
-        raw["size"] = list(self.size)
-        raw["scenes"] = [self._scene_as_json(scene) for scene in self.scenes]
+        """All measurements, and under ``figures`` of each set those derived from them."""
+        raw = {"schema": SCHEMA, **asdict(self)}
+        raw["peaks"] = _fields(self.peaks)
+        for scene, kept in zip(self.scenes, raw["scenes"], strict=True):
+            for label, build in scene.builds.items():
+                kept["builds"][label]["memory"] = _fields(build.memory)
+            for rays, one in zip(scene.sets, kept["sets"], strict=True):
+                one["counts"] = _fields(rays.counts)
+                one["agreement"] = {name: a._asdict() for name, a in rays.agreement.items()}
+                one["figures"] = self._figures(rays)
         return raw
 
-    def _scene_as_json(self, scene: SceneResult) -> dict[str, Any]:
-        return {
-            "scene": scene.scene,
-            "triangles": scene.triangle_count,
-            "builds": {
-                label: {
-                    "seconds": build.seconds,
-                    "median_seconds": build.median,
-                    "memory": None if build.memory is None else build.memory._asdict(),
-                }
-                for label, build in scene.builds.items()
-                if build.seconds
-            },
-            "failures": scene.failures,
-            "sets": [self._set_as_json(rays) for rays in scene.sets],
-        }
-
-    def _set_as_json(self, rays: SetResult) -> dict[str, Any]:
+    def _figures(self, rays: SetResult) -> dict[str, Any]:
         best = rays.best_peer(self.peers)
         return {
-            "set": rays.name,
-            "query": rays.query,
-            "rays": rays.ray_count,
-            "hits": rays.hit_count,
-            "seconds": rays.seconds,
             "mrays_per_second": {label: rays.speed(label) for label in rays.seconds},
             "mode": {label: rays.best_mode(label) for label in rays.seconds},
             "best_peer": best,
             "ratio_to_best_peer": {label: rays.ratio(label, best) for label in self.own},
-            "ratio_to_open3d": {label: rays.ratio(label, "open3d") for label in self.own},
-            "agreement": {
-                label: {**agreement._asdict(), "flagged": agreement.differing > AGREEMENT_LIMIT}
-                for label, agreement in rays.agreement.items()
-            },
-            "failures": rays.failures,
+            "share_of_roofline": self.share(rays),
         }
+
+    @classmethod
+    def from_json(cls, content: Any) -> BenchResult:
+        """The result that was stored.
+
+        Raises
+        ------
+        ValueError
+            If it is no result of this `SCHEMA`.
+        """
+        if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
+            raise ValueError(f"no benchmark's result of schema {SCHEMA}")
+        try:
+            raw = {key: value for key, value in content.items() if key != "schema"}
+            peaks = None if raw["peaks"] is None else Peaks(**raw["peaks"])
+            scenes = [_scene(one) for one in raw["scenes"]]
+            return cls(**{**raw, "peaks": peaks, "scenes": scenes})
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"a damaged benchmark's result: {error}") from error
+
+
+def write_result(path: Path, result: BenchResult) -> None:
+    """Write a result as JSON; the file is complete or stays as it was.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    text = json.dumps(result.as_json(), indent=1, allow_nan=False)
+    with atomic_write(path) as part:
+        part.write_text(text + "\n", encoding="utf-8")
+
+
+def read_result(path: Path) -> BenchResult:
+    """Read a result.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it holds no result.
+    """
+    return BenchResult.from_json(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _fields(one: Memory | Counts | Peaks | None) -> dict[str, Any] | None:
+    return None if one is None else one._asdict()
+
+
+def _scene(raw: Mapping[str, Any]) -> SceneResult:
+    builds = {label: _build(one) for label, one in raw["builds"].items()}
+    return SceneResult(**{**raw, "builds": builds, "sets": [_set(one) for one in raw["sets"]]})
+
+
+def _build(raw: Mapping[str, Any]) -> BuildResult:
+    memory = None if raw["memory"] is None else Memory(**raw["memory"])
+    return BuildResult(**{**raw, "memory": memory})
+
+
+def _set(raw: Mapping[str, Any]) -> SetResult:
+    raw = {key: value for key, value in raw.items() if key != "figures"}
+    counts = None if raw["counts"] is None else Counts(**raw["counts"])
+    agreement = {label: Agreement(**one) for label, one in raw["agreement"].items()}
+    return SetResult(**{**raw, "counts": counts, "agreement": agreement})

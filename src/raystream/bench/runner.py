@@ -1,41 +1,51 @@
-"""Runner: builds and traces with all contenders in turn, and measures times."""
+"""Runner: builds and traces with all contenders in turn, each in a process of its own."""
 
 from __future__ import annotations
 
-import gc
+import datetime as dt
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from raystream.bench.agreement import Agreement, compare, count_hits
+from raystream.bench.agreement import Agreement, compare
+from raystream.bench.contender_process import ContenderError, ContenderProcess
 from raystream.bench.contenders import Entry, make_contender
-from raystream.bench.contenders.base import (
-    Contender,
-    Geometry,
-    Result,
-    UnavailableError,
-    warmup_geometry,
-)
-from raystream.bench.contenders.own import Raystream
+from raystream.bench.contenders.base import Geometry, warmup_geometry
 from raystream.bench.machine import describe_machine
-from raystream.bench.memory import measure_memory
-from raystream.bench.ray_sets import DEFAULT_SETS, RaySet, make_ray_sets
+from raystream.bench.memory import Memory
+from raystream.bench.ray_sets import DEFAULT_SETS, make_ray_sets
 from raystream.bench.results import NO_QUERY, BenchResult, BuildResult, SceneResult, SetResult
+from raystream.bench.roofline import Peaks, count_tests, measure_peaks
+from raystream.bench.worker import OUTCOME, save_geometry, save_rays
 from raystream.jit.threads import Progress
 from raystream.scene.scene import Scene
+from raystream.structures.bvh.options import Bvh
+from raystream.tracer import Tracer
 
 Item = TypeVar("Item")
 
 __all__ = ["Bench", "Plan", "geometry_of"]
 
-#: Contenders that take longer than this for one call, in seconds, are timed in one round only.
-MAX_CALL_SECONDS = 10.0
+#: Rounds before those that count.
+WARM_UP_ROUNDS = 1
+
+#: A contender joins no further round of a set after this many seconds of tracing it; everyone
+#: joins one that counts.
+MAX_SET_SECONDS = 8.0
 
 #: Builds are repeated until they took this long in total, in seconds, or once per round.
 MAX_BUILD_SECONDS = 3.0
+
+#: For the estimate: seconds of a contender's start, builds and turns in one scene of a million
+#: triangles, and of one call with a million rays; of two cores, the mean of the default scenes.
+_SCENE_SECONDS, _CALL_SECONDS = 4.0, 0.3
+_ESTIMATED_CORES = 2
 
 
 @dataclass(frozen=True)
@@ -45,7 +55,7 @@ class Plan:
     Attributes
     ----------
     entries : sequence of Entry
-        The first is raystream's: it generates the rays, and is the reference for the others.
+        The first is raystream's: the others are compared with it.
     sets : sequence of str
         Keys of `RAY_SETS`.
     size : (int, int)
@@ -54,8 +64,6 @@ class Plan:
         Rounds after a warm-up round.
     threads : int
     seed : int
-    with_memory : bool
-        Whether to measure memory: repeats every build in a separate process.
     """
 
     entries: Sequence[Entry]
@@ -64,15 +72,39 @@ class Plan:
     repeats: int = 5
     threads: int = 1
     seed: int = 0
-    with_memory: bool = True
+
+    def settings(self) -> dict[str, Any]:
+        """Everything that figures depend on, but for the machine; see `BenchResult`."""
+        return {
+            "size": list(self.size),
+            "sets": list(self.sets),
+            "repeats": self.repeats,
+            "warm_up_rounds": WARM_UP_ROUNDS,
+            "seed": self.seed,
+            "entries": [[entry.label, entry.name, entry.options] for entry in self.entries],
+        }
+
+    def expected_seconds(self, scene_count: int) -> float:
+        """Roughly how long some scenes take, from the sizes alone."""
+        width, height = self.size
+        calls = len(self.sets) * (self.repeats + WARM_UP_ROUNDS) * width * height / 1e6
+        cores = _ESTIMATED_CORES / max(self.threads, 1)
+        each = _SCENE_SECONDS + cores * calls * _CALL_SECONDS
+        return scene_count * len(self.entries) * each
 
 
-class _Configuration(NamedTuple):
+class _Turn(NamedTuple):
     """One contender in one of its modes."""
 
     label: str
     mode: str
-    contender: Contender
+
+
+class _StoredSet(NamedTuple):
+    """A ray set in a folder, and what is known of it before it is traced."""
+
+    folder: Path
+    measured: SetResult
 
 
 @dataclass
@@ -92,57 +124,89 @@ class _StepCounter:
 class Bench:
     """A running benchmark; `result` holds the measurements so far at any time.
 
+    A context manager: its end ends the contenders' processes.
+
     Parameters
     ----------
     plan : Plan
+    keep : callable, optional
+        Called with the result after each ray set and at the end of each scene.
+    earlier : BenchResult, optional
+        A result to resume: its complete scenes are not measured again.
 
     Raises
     ------
     ValueError
-        If the first entry is not raystream's.
+        If the first entry is not raystream's; or the earlier result has other settings.
 
     Notes
     -----
-    In each round every contender runs once, in turn, starting with a different one. A
-    disturbance of the machine therefore affects all of them.
+    Every scene begins with new processes, so that no contender is affected by what it did before,
+    and one that crashed takes part again. In each round every contender runs once, in turn,
+    starting with a different one. A disturbance of the machine therefore affects all of them.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        keep: Callable[[BenchResult], object] = lambda _: None,
+        earlier: BenchResult | None = None,
+    ) -> None:
         if not plan.entries or plan.entries[0].name != "raystream":
             raise ValueError("entries: expected raystream first")
         self._plan = plan
-        self.result = BenchResult(describe_machine(plan.threads), plan.size, plan.repeats)
-        self._entries: dict[str, Entry] = {}
-        self._contenders: dict[str, Contender] = {}
+        self._keep = keep
+        self._processes: dict[str, ContenderProcess] = {}
+        self._own = plan.entries[0].label
+        machine = describe_machine(plan.threads)
+        if earlier is None:
+            today = dt.date.today().isoformat()
+            self.result = BenchResult(machine, today, plan.settings())
+        elif earlier.settings != plan.settings() or earlier.machine != machine:
+            raise ValueError("the earlier result has other settings, or is of another machine")
+        else:
+            self.result = earlier
+            earlier.scenes = [scene for scene in earlier.scenes if scene.is_complete]
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._close()
 
     def open(self) -> None:
-        """Import the contenders and try them; unavailable ones are listed as absent.
+        """Start the contenders; unavailable ones are listed as absent.
 
         Raises
         ------
         ValueError, TypeError
             If an option is not valid for raystream.
+        ContenderError
+            If raystream itself cannot be started.
         """
-        result = self.result
-        for entry in self._plan.entries:
-            try:
-                contender = make_contender(entry, self._plan.threads)
-                contender.build(warmup_geometry())  # triggers compilation and loading
+        plan, result = self._plan, self.result
+        for entry in plan.entries:
+            if entry.name == "raystream":  # for its own errors
+                contender = make_contender(entry, plan.threads)
+                contender.build(warmup_geometry())
                 contender.release()
-            except UnavailableError as error:
+        result.own, result.peers, result.absent = [], [], {}
+        for entry in plan.entries:
+            try:
+                about = self._start(entry)
+            except ContenderError as error:
+                if entry.label == self._own:
+                    raise
                 result.absent[entry.label] = str(error)
                 continue
-            except Exception as error:  # third-party packages can raise anything
-                if entry.name == "raystream":
-                    raise
-                result.absent[entry.label] = _reason(error)
-                continue
             (result.own if entry.name == "raystream" else result.peers).append(entry.label)
-            result.versions[entry.label] = contender.version
-            if contender.notes:
-                result.notes[entry.label] = contender.notes
-            self._entries[entry.label] = entry
-            self._contenders[entry.label] = contender
+            result.versions[entry.label] = about["version"]
+            if about["notes"]:
+                result.notes[entry.label] = about["notes"]
+
+    def has(self, name: str) -> bool:
+        """Whether a scene has been measured completely."""
+        return any(scene.scene == name and scene.is_complete for scene in self.result.scenes)
 
     def run(self, name: str, scene: Scene, progress: Progress | None = None) -> None:
         """Measure one scene.
@@ -154,112 +218,180 @@ class Bench:
         scene : Scene
         progress : callable, optional
             Called with (steps done, steps).
+
+        Raises
+        ------
+        ContenderError
+            If raystream itself fails.
         """
+        started = time.perf_counter()
         plan = self._plan
-        entry_count = len(self._contenders)
-        turns_of_set = sum(len(c.modes) for c in self._contenders.values()) * (plan.repeats + 1)
-        total = entry_count * (1 + plan.with_memory) + turns_of_set * len(plan.sets)
-        steps = _StepCounter(total, progress)
         geometry = geometry_of(scene)
         found = SceneResult(name, len(geometry.faces))
         self.result.scenes.append(found)
+        steps = _StepCounter(1 + len(plan.sets) * (plan.repeats + 1), progress)
+        self._measure_peaks()
         try:
-            self._build(geometry, found, steps)
-            own = self._contenders[plan.entries[0].label]
-            assert isinstance(own, Raystream)
-            width, height = plan.size
-            camera = scene.camera_for(width / height)
-            for rays in make_ray_sets(own.tracer, camera, plan.size, plan.sets, plan.seed):
-                measured = SetResult(rays.name, rays.query, len(rays.rays))
-                found.sets.append(measured)
-                self._trace(rays, measured, found, steps)
-        finally:
-            for contender in self._contenders.values():
-                contender.release()
-
-    def _build(self, geometry: Geometry, found: SceneResult, steps: _StepCounter) -> None:
-        plan, own = self._plan, self._plan.entries[0].label
-        if plan.with_memory:
-            for label, entry in self._entries.items():
-                found.builds[label] = BuildResult()
-                found.builds[label].memory = measure_memory(entry, geometry, plan.threads)
+            with tempfile.TemporaryDirectory(prefix="raystream-bench-") as place:
+                folder = Path(place)
+                save_geometry(folder, geometry)
+                del geometry
+                stored = self._make_sets(scene, folder)
+                self._start_all(found)
+                self._build(folder, found)
                 steps.forward()
-        for repeat in range(plan.repeats):
-            for label, contender in _rotated(list(self._contenders.items()), repeat):
-                build = found.builds.setdefault(label, BuildResult())
+                for one in stored:
+                    found.sets.append(one.measured)
+                    self._trace(one, found, steps)
+                    found.wall_seconds = time.perf_counter() - started
+                    self._keep(self.result)
+                found.is_complete = True
+        finally:
+            self._close()
+            found.wall_seconds = time.perf_counter() - started
+            self._keep(self.result)
+
+    def _measure_peaks(self) -> None:
+        """Measure the roofline again, and keep the best: other work makes it lower at times."""
+        before, now = self.result.peaks, measure_peaks()
+        self.result.peaks = now if before is None else Peaks(*map(max, before, now))
+
+    def _make_sets(self, scene: Scene, folder: Path) -> list[_StoredSet]:
+        """Write the ray sets, and count their tests."""
+        plan = self._plan
+        options = plan.entries[0].options
+        is_counted = options.get("structure", "bvh") == "bvh" and "machine" not in options
+        kept = {key: options[key] for key in ("quality", "max_leaf_size") if key in options}
+        is_counted = is_counted and kept.get("max_leaf_size", Bvh.max_leaf_size) <= 4
+        tracer = Tracer(scene, counters=True, **(kept if is_counted else {}))
+        width, height = plan.size
+        camera = scene.camera_for(width / height)
+        stored = []
+        for rays in make_ray_sets(tracer, camera, plan.size, plan.sets, plan.seed):
+            measured = SetResult(rays.name, rays.query, len(rays.rays))
+            if is_counted and len(rays.rays):
+                measured.counts = count_tests(tracer, rays.query, rays.rays)
+            place = folder / rays.name
+            place.mkdir()
+            save_rays(place, rays.rays)
+            stored.append(_StoredSet(place, measured))
+        return stored
+
+    def _start(self, entry: Entry) -> dict[str, Any]:
+        process = ContenderProcess(entry, self._plan.threads)
+        self._processes[entry.label] = process
+        return process.about
+
+    def _start_all(self, found: SceneResult) -> None:
+        """Start the contenders that do not run yet."""
+        for entry in self._plan.entries:
+            if entry.label in self.result.labels and entry.label not in self._processes:
+                with self._blaming(entry.label, found.failures):
+                    self._start(entry)
+        for label, process in self._processes.items():
+            found.builds[label] = BuildResult(process.about["seconds"])
+
+    def _close(self) -> None:
+        while self._processes:
+            self._processes.popitem()[1].close()
+
+    def _blaming(self, label: str, failures: dict[str, str]) -> _Blaming:
+        return _Blaming(label, failures, is_fatal=label == self._own)
+
+    def _build(self, folder: Path, found: SceneResult) -> None:
+        for repeat in range(self._plan.repeats):
+            for label, process in _rotated(list(self._processes.items()), repeat):
+                build = found.builds[label]
                 is_done = sum(build.seconds) > MAX_BUILD_SECONDS
                 if label in found.failures or (repeat and is_done):
                     continue
-                contender.release()
-                try:
-                    build.seconds.append(_timed(contender.build, geometry)[0])
-                except Exception as error:  # third-party packages can raise anything
-                    if label == own:
-                        raise
-                    found.failures[label] = _reason(error)
-        steps.forward(len(self._contenders))
+                with self._blaming(label, found.failures):
+                    answer = process.ask("build", folder=str(folder), measured=repeat == 0)
+                    build.seconds.append(answer["seconds"])
+                    if answer.get("memory") is not None:
+                        build.memory = Memory(**answer["memory"])
 
-    def _trace(
-        self, rays: RaySet, measured: SetResult, found: SceneResult, steps: _StepCounter
-    ) -> None:
-        turns = list(self._turns(rays, measured, found))
-        rounds = self._plan.repeats
-        slow = self._warm_up(rays, measured, turns, steps)
-        for number in range(rounds):
+    def _trace(self, stored: _StoredSet, found: SceneResult, steps: _StepCounter) -> None:
+        measured = stored.measured
+        turns = list(self._turns(measured, found))
+        spent = self._warm_up(stored, turns, found)
+        steps.forward()
+        for number in range(self._plan.repeats):
             for turn in _rotated(turns, number):
-                steps.forward()
-                if turn.label in measured.failures or (number and turn in slow):
+                is_done = spent[turn] > MAX_SET_SECONDS
+                if turn.label in measured.failures or (number and is_done):
                     continue
-                contender = turn.contender
-                seconds, _ = _timed(contender.run, rays.query, rays.rays, turn.mode)
-                measured.seconds.setdefault(turn.label, {}).setdefault(turn.mode, []).append(
-                    seconds
-                )
+                answer = self._ask(turn, stored, found, keep=None)
+                if answer is not None:
+                    spent[turn] += answer["seconds"]
+                    modes = measured.seconds.setdefault(turn.label, {})
+                    modes.setdefault(turn.mode, []).append(answer["seconds"])
+            steps.forward()
 
-    def _turns(
-        self, rays: RaySet, measured: SetResult, found: SceneResult
-    ) -> Iterator[_Configuration]:
+    def _turns(self, measured: SetResult, found: SceneResult) -> Iterator[_Turn]:
         """Iterate over the contenders that support the query."""
-        for label, contender in self._contenders.items():
+        for label, process in self._processes.items():
             if label in found.failures:
                 measured.failures[label] = found.failures[label]
-            elif not len(rays.rays):
+            elif not measured.ray_count:
                 measured.failures[label] = "no rays"
-            elif rays.query not in contender.queries:
+            elif measured.query not in process.about["queries"]:
                 measured.failures[label] = NO_QUERY
             else:
-                for mode in contender.modes:
-                    yield _Configuration(label, mode, contender)
+                for mode in process.about["modes"]:
+                    yield _Turn(label, mode)
 
     def _warm_up(
-        self,
-        rays: RaySet,
-        measured: SetResult,
-        turns: Sequence[_Configuration],
-        steps: _StepCounter,
-    ) -> list[_Configuration]:
-        """Run each contender once and compare the results; returns the slow ones."""
-        slow = []
-        reference: Result | None = None
+        self, stored: _StoredSet, turns: Sequence[_Turn], found: SceneResult
+    ) -> dict[_Turn, float]:
+        """Run each contender once and compare the results; returns the seconds."""
+        measured, spent = stored.measured, dict.fromkeys(turns, 0.0)
+        reference: NDArray[Any] | None = None
         for turn in turns:
-            steps.forward()
-            try:
-                seconds, result = _timed(turn.contender.run, rays.query, rays.rays, turn.mode)
-            except Exception as error:  # third-party packages can raise anything
-                if reference is None:
-                    raise
-                measured.failures[turn.label] = _reason(error)
+            if turn.label in measured.failures:
                 continue
-            if seconds > MAX_CALL_SECONDS:
-                slow.append(turn)
+            answer = self._ask(turn, stored, found, keep=str(stored.folder))
+            if answer is None:
+                continue
+            spent[turn] = answer["seconds"]
+            measured.warm_up.setdefault(turn.label, {})[turn.mode] = answer["seconds"]
+            result = np.load(stored.folder / OUTCOME)
             if reference is None:
                 reference = result
-                measured.hit_count = count_hits(result)
+                measured.hit_count = answer["hits"]
             else:
-                agreement = compare(reference, result)
+                agreement = compare(measured.query, reference, result)
                 before = measured.agreement.get(turn.label, Agreement(0.0, agreement.hits))
                 measured.agreement[turn.label] = max(before, agreement)
-        return slow
+        return spent
+
+    def _ask(
+        self, turn: _Turn, stored: _StoredSet, found: SceneResult, keep: str | None
+    ) -> dict[str, Any] | None:
+        """Let a contender trace a set; None if that fails. A crash ends its part in the scene."""
+        measured, process = stored.measured, self._processes[turn.label]
+        with self._blaming(turn.label, measured.failures):
+            folder, query = str(stored.folder), measured.query
+            return process.ask("trace", folder=folder, query=query, mode=turn.mode, keep=keep)
+        if not process.is_alive:
+            found.failures[turn.label] = measured.failures[turn.label]
+        return None
+
+
+class _Blaming:
+    """Notes a contender's failure in the block, by its label."""
+
+    def __init__(self, label: str, failures: dict[str, str], is_fatal: bool) -> None:
+        self._label, self._failures, self._is_fatal = label, failures, is_fatal
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> bool:
+        if not isinstance(error, ContenderError) or self._is_fatal:
+            return False
+        self._failures[self._label] = str(error)
+        return True
 
 
 def geometry_of(scene: Scene) -> Geometry:
@@ -280,22 +412,7 @@ def geometry_of(scene: Scene) -> Geometry:
     )
 
 
-def _timed(call: Callable[..., Item], *arguments: Any) -> tuple[float, Item]:
-    gc.collect()
-    gc.disable()
-    try:
-        started = time.perf_counter()
-        result = call(*arguments)
-        return time.perf_counter() - started, result
-    finally:
-        gc.enable()
-
-
 def _rotated(items: Sequence[Item], count: int) -> Sequence[Item]:
     """Rotate items so that each round starts with a different one."""
     first = count % len(items) if items else 0
     return [*items[first:], *items[:first]]
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())

@@ -1,9 +1,10 @@
-"""``raystream bench``: trace the same rays with raystream and its peers."""
+"""``raystream bench``: trace the same rays with raystream and its peers; or report a result."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +19,7 @@ from raystream.cli.console import (
     refuse,
     write_json,
     write_line,
+    write_note,
 )
 from raystream.cli.load import choose_threads
 from raystream.cli.option_groups import expand_groups
@@ -27,7 +29,7 @@ from raystream.cli.tracer_options import parse_keywords
 if TYPE_CHECKING:
     from raystream.bench.contenders import Entry
     from raystream.bench.results import BenchResult
-    from raystream.bench.runner import Bench
+    from raystream.bench.runner import Bench, Plan
 
 __all__ = ["DEFAULT_SCENES", "bench"]
 
@@ -70,7 +72,7 @@ class ContenderOptions:
 
 @dataclass(frozen=True)
 class MeasureOptions:
-    """Options of how speed and memory are measured."""
+    """Options of how speed is measured."""
 
     width: Annotated[
         int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image width in pixels.")
@@ -92,9 +94,6 @@ class MeasureOptions:
         ),
     ] = None
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the random rays.")] = 0
-    memory: Annotated[
-        bool, typer.Option(help="Also measure memory: builds again, in separate processes.")
-    ] = True
 
 
 @expand_groups
@@ -122,16 +121,37 @@ def bench(
         typer.Option(
             "--output",
             "-o",
-            metavar="FILE",
-            help="Write the tables: .md, .rst, or .json with all figures.",
+            metavar="FILE.json",
+            help="Write all measurements, as they come; with --report: tables (.md, .rst) or the "
+            "chart (.svg).",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Keep the scenes that are complete in the --output."),
+    ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.json",
+            help="Measure nothing: show a stored result, or write it to the --output.",
         ),
     ] = None,
     json: options.Json = False,
 ) -> None:
     """Compare speed with other ray tracers. All trace the same rays, taking turns."""
+    from raystream.bench.results import write_result
+
+    if report is not None:
+        if scenes or resume:
+            raise BadInputError("--report: takes no scenes and no --resume")
+        _report(report, output, json)
+        return
     chosen_sets = _names("--sets", sets, options.RAY_SETS)
     if output is not None:
-        options.check_output(output, (".md", ".rst", ".json"), inputs=scenes or ())
+        options.check_output(output, (".json",), inputs=scenes or ())
+    elif resume:
+        raise BadInputError("--resume: needs the --output to resume")
     entries = _entries(contenders)
     choose_threads(measuring.threads)
     from raystream.bench.cores import limit_cores
@@ -145,33 +165,47 @@ def bench(
         measuring.repeats,
         thread_count(),
         measuring.seed,
-        with_memory=measuring.memory,
     )
+    earlier = None
+    if resume and output is not None and output.exists():
+        earlier = _read(output)
+
+    def keep(result: BenchResult) -> None:
+        if output is not None:
+            with refuse(OSError, where=str(output)):
+                write_result(output, result)
+
     # Output printed by packages is not part of the figures.
     with limit_cores(plan.threads), contextlib.redirect_stdout(sys.stderr):
-        running = Bench(plan)
+        with refuse(ValueError, where="--resume"):
+            running = Bench(plan, keep, earlier)
         interrupted = False
         try:
-            _run(running, scenes or list(DEFAULT_SCENES), scenes is None or not scenes)
+            with running:
+                _run(running, plan, scenes or list(DEFAULT_SCENES), not scenes)
         except KeyboardInterrupt:
             interrupted = True
     if running.result.scenes or not interrupted:
+        keep(running.result)
         _show(running.result, json)
-        if output is not None:
-            _write(running.result, output)
     if interrupted:
         raise typer.Exit(INTERRUPTED)
 
 
-def _run(running: Bench, scenes: list[str], by_default: bool) -> None:
+def _run(running: Bench, plan: Plan, scenes: list[str], by_default: bool) -> None:
+    from raystream.bench.contender_process import ContenderError
     from raystream.core.errors import RaystreamError
     from raystream.scene.load import load
 
+    started, done = time.perf_counter(), 0
     with Bars() as bars:
-        with bars.step("importing"), refuse(ValueError, TypeError, where="--option, --variant"):
+        with bars.step("starting"), refuse(ValueError, TypeError, where="--option, --variant"):
             running.open()
-        for number, name in enumerate(scenes):
-            place = f" ({number + 1} of {len(scenes)})" if len(scenes) > 1 else ""
+        todo = [name for name in scenes if not running.has(name)]
+        if len(todo) > 1:
+            write_note(f"{len(todo)} scenes: {_minutes(plan.expected_seconds(len(todo)))}")
+        for number, name in enumerate(todo):
+            place = f" ({number + 1} of {len(todo)})" if len(todo) > 1 else ""
             try:
                 with bars.step(f"{one_line(name)}{place}: loading"), refuse(ValueError, where=name):
                     scene = load(name)
@@ -182,9 +216,42 @@ def _run(running: Bench, scenes: list[str], by_default: bool) -> None:
                     raise
                 running.result.skipped[name] = str(error)
                 continue
-            with bars.step(f"{one_line(name)}{place}") as progress:
+            with (
+                bars.step(f"{one_line(name)}{place}") as progress,
+                refuse(ContenderError, where=f"{one_line(name)}: raystream"),
+            ):
                 running.run(name, scene, progress)
             del scene
+            done += 1
+            spent = time.perf_counter() - started
+            if number + 1 < len(todo):
+                left = _minutes(spent / done * (len(todo) - number - 1))
+                write_note(f"{one_line(name)}: done after {spent / 60.0:.1f} minutes; {left} left")
+
+
+def _minutes(seconds: float) -> str:
+    return f"about {max(1, round(seconds / 60.0))} minutes"
+
+
+def _report(source: Path, output: Path | None, json: bool) -> None:
+    """Show a stored result, or write what is made of it."""
+    from raystream.bench.report import REPORT_SUFFIXES, write_report
+
+    if output is not None:
+        options.check_output(output, REPORT_SUFFIXES, inputs=[str(source)])
+    result = _read(source)
+    if output is None:
+        _show(result, json)
+        return
+    with refuse(OSError, where=str(output)):
+        write_report(output, result)
+
+
+def _read(path: Path) -> BenchResult:
+    from raystream.bench.results import read_result
+
+    with refuse(OSError, ValueError, where=str(path)):
+        return read_result(path)
 
 
 def _names(option: str, text: str, known: tuple[str, ...]) -> list[str]:
@@ -231,10 +298,3 @@ def _show(result: BenchResult, json: bool) -> None:
         write_line()
     for note in make_notes(result):
         write_line(one_line(note))
-
-
-def _write(result: BenchResult, path: Path) -> None:
-    from raystream.bench.report import write_result
-
-    with refuse(OSError, where=str(path)):
-        write_result(path, result)

@@ -65,8 +65,8 @@ LIGHTS = ("auto", "file")
 DEVICES = ("cpu", "graphics", "cuda")
 #: Default machine of each device.
 DEFAULT_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
-RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
-PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
+RAY_SETS = ("primary", "image", "shadow", "ao", "bounce", "random", "multi", "random_multi")
+PEERS = ("open3d", "embreex", "mitsuba", "mitsuba-robust", "warp")
 
 CAMERA_PARTS = {
     "eye": "eye=X,Y,Z",

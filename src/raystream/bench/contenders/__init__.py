@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from raystream.bench.contenders.base import Contender, UnavailableError
 
-__all__ = ["PEERS", "Entry", "Peer", "make_contender"]
+__all__ = ["PEERS", "Entry", "Peer", "load_contender", "make_contender", "peer_of"]
 
 
 class Peer(NamedTuple):
@@ -23,14 +23,23 @@ class Peer(NamedTuple):
         Packages it imports.
     install_hint : str
         Installation hint, shown if the import fails.
+    options : mapping of str to any, optional
+        Options of the package.
     """
 
     adapter: str
     packages: tuple[str, ...]
     install_hint: str
+    options: Mapping[str, Any] = MappingProxyType({})
 
 
 _FOLDER = "raystream.bench.contenders"
+
+_MITSUBA_HINT = (
+    "pip install mitsuba; it also needs LLVM's shared library (Debian: libllvm15; elsewhere, set "
+    "DRJIT_LIBLLVM_PATH)"
+)
+_MITSUBA = ("mitsuba", "drjit"), _MITSUBA_HINT
 
 #: The peers by name, in the order of the tables' columns.
 PEERS: Mapping[str, Peer] = MappingProxyType(
@@ -41,14 +50,11 @@ PEERS: Mapping[str, Peer] = MappingProxyType(
             "pip install open3d; it also needs the system's libusb-1.0, libGL and libgomp",
         ),
         "embreex": Peer(f"{_FOLDER}.embreex:Embreex", ("embreex",), "pip install embreex"),
-        "mitsuba": Peer(
-            f"{_FOLDER}.mitsuba:Mitsuba",
-            ("mitsuba", "drjit"),
-            "pip install mitsuba; it also needs LLVM's shared library (Debian: libllvm15; "
-            "elsewhere, set DRJIT_LIBLLVM_PATH)",
+        "mitsuba": Peer(f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA),
+        "mitsuba-robust": Peer(
+            f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA, {"embree_use_robust_intersections": True}
         ),
         "warp": Peer(f"{_FOLDER}.warp:Warp", ("warp",), "pip install warp-lang"),
-        "fcpw": Peer(f"{_FOLDER}.fcpw:Fcpw", ("fcpw",), "pip install fcpw"),
     }
 )
 
@@ -88,13 +94,35 @@ def make_contender(entry: Entry, threads: int) -> Contender:
     UnavailableError
         If it or one of its requirements is not installed; the message says what to do.
     """
-    place = _OWN if entry.name == "raystream" else PEERS[entry.name].adapter
-    module, _, kind = place.partition(":")
+    return load_contender(peer_of(entry), entry.options, threads)
+
+
+def peer_of(entry: Entry) -> Peer:
+    """The adapter of an entry: raystream's own, or a peer's."""
+    return Peer(_OWN, (), "") if entry.name == "raystream" else PEERS[entry.name]
+
+
+def load_contender(peer: Peer, options: Mapping[str, Any], threads: int) -> Contender:
+    """Import an adapter and prepare it for a build.
+
+    Parameters
+    ----------
+    peer : Peer
+    options : mapping
+        In addition to the peer's own.
+    threads : int
+
+    Raises
+    ------
+    UnavailableError
+        See `make_contender`; raystream's own errors are raised as they are.
+    """
+    module, _, kind = peer.adapter.partition(":")
     try:
         adapter: type[Contender] = getattr(importlib.import_module(module), kind)
-        return adapter(threads, entry.options)
+        return adapter(threads, {**peer.options, **options})
     except (ImportError, OSError, UnavailableError) as error:
-        if entry.name == "raystream":
+        if peer.adapter == _OWN:
             raise
         reason = " ".join(str(error).split())
-        raise UnavailableError(f"{reason} ({PEERS[entry.name].install_hint})") from error
+        raise UnavailableError(f"{reason} ({peer.install_hint})") from error

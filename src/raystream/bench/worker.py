@@ -1,0 +1,165 @@
+"""Worker: the process of one contender, which builds and traces on request.
+
+Requests and answers are lines of JSON on the standard input and output; arrays are in files. What
+packages print goes to the standard error.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from raystream.bench.agreement import count_hits, outcome
+from raystream.bench.contenders import Peer, load_contender
+from raystream.bench.contenders.base import (
+    Contender,
+    Geometry,
+    Query,
+    Rays,
+    UnavailableError,
+    warmup_geometry,
+)
+from raystream.bench.memory import MemoryGauge
+
+__all__ = ["OUTCOME", "load_geometry", "load_rays", "main", "save_geometry", "save_rays"]
+
+Item = TypeVar("Item")
+
+#: File of a kept outcome.
+OUTCOME = "outcome.npy"
+
+
+def save_geometry(folder: Path, geometry: Geometry) -> None:
+    """Write triangles for `load_geometry`."""
+    np.save(folder / "vertices.npy", geometry.vertices)
+    np.save(folder / "faces.npy", geometry.faces)
+
+
+def load_geometry(folder: Path) -> Geometry:
+    """Read the triangles of a scene."""
+    return Geometry(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"))
+
+
+def save_rays(folder: Path, rays: Rays) -> None:
+    """Write rays for `load_rays`."""
+    np.save(folder / "origins.npy", rays.origins)
+    np.save(folder / "directions.npy", rays.directions)
+    np.save(folder / "t_max.npy", np.float64(rays.t_max))
+
+
+def load_rays(folder: Path) -> Rays:
+    """Read the rays of a set, C-contiguous and in memory."""
+    origins, directions = np.load(folder / "origins.npy"), np.load(folder / "directions.npy")
+    return Rays(origins, directions, float(np.load(folder / "t_max.npy")))
+
+
+class _Worker:
+    """The state of the process: a contender, and the rays of the current set."""
+
+    def __init__(self) -> None:
+        self._contender: Contender | None = None
+        self._rays: tuple[str, Rays] | None = None
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out a request: ``do`` is a method's name, the rest its arguments."""
+        names: dict[str, Callable[..., dict[str, Any]]] = {
+            "open": self._open,
+            "build": self._build,
+            "trace": self._trace,
+        }
+        return names[request.pop("do")](**request)
+
+    @property
+    def contender(self) -> Contender:
+        assert self._contender is not None, "open first"
+        return self._contender
+
+    def _open(
+        self, adapter: Sequence[Any], options: dict[str, Any], threads: int
+    ) -> dict[str, Any]:
+        """Import the package, and try it: triggers loading and compilation."""
+        started = time.perf_counter()
+        contender = load_contender(Peer(*adapter), options, threads)
+        contender.build(warmup_geometry())
+        rays = Rays(np.zeros((2048, 3), np.float32), np.ones((2048, 3), np.float32), np.inf)
+        for query in sorted(contender.queries):
+            for mode in contender.modes:
+                contender.run(query, rays, mode)
+        contender.release()
+        self._contender = contender
+        return {
+            "version": contender.version,
+            "notes": contender.notes,
+            "modes": contender.modes,
+            "queries": sorted(contender.queries),
+            "seconds": time.perf_counter() - started,
+        }
+
+    def _build(self, folder: str, measured: bool) -> dict[str, Any]:
+        """Build; and measure memory, if this is the first build."""
+        self.contender.release()
+        gauge = MemoryGauge() if measured else None
+        geometry = load_geometry(Path(folder))
+        seconds, _ = _timed(self.contender.build, geometry)
+        if gauge is None:
+            return {"seconds": seconds}
+        peak = gauge.peak()
+        del geometry
+        memory = gauge.memory(peak)
+        return {"seconds": seconds, "memory": None if memory is None else memory._asdict()}
+
+    def _trace(self, folder: str, query: Query, mode: str, keep: str | None) -> dict[str, Any]:
+        """Trace a set; write its outcome to a folder if asked."""
+        if self._rays is None or self._rays[0] != folder:
+            self._rays = folder, load_rays(Path(folder))
+        seconds, result = _timed(self.contender.run, query, self._rays[1], mode)
+        answer: dict[str, Any] = {"seconds": seconds}
+        if keep is not None:
+            found = outcome(result)
+            np.save(Path(keep) / OUTCOME, found)
+            answer["hits"] = count_hits(query, found)
+        return answer
+
+
+def _timed(call: Callable[..., Item], *arguments: Any) -> tuple[float, Item]:
+    gc.collect()
+    gc.disable()
+    try:
+        started = time.perf_counter()
+        result = call(*arguments)
+        return time.perf_counter() - started, result
+    finally:
+        gc.enable()
+
+
+def main() -> None:
+    """Answer requests until the standard input ends."""
+    # The bench decides what a Ctrl-C ends.
+    with contextlib.suppress(ValueError):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    worker = _Worker()
+    for line in sys.stdin:
+        try:
+            answer = worker.answer(json.loads(line))
+        except UnavailableError as error:
+            answer = {"error": str(error)}
+        except Exception as error:  # third-party packages can raise anything
+            answer = {"error": " ".join(f"{type(error).__name__}: {error}".split())}
+        answers.write(json.dumps(answer) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()
