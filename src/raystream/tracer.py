@@ -186,7 +186,8 @@ class Tracer(RayCaster):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
             return found
         sink, shape = self._answer(query, rays, progress), rays.shape
-        columns, sectors = (*sink.hits, sink.status), sink.sectors
+        sectors = sink.sectors
+        columns: tuple[Any, ...] = (*sink.hits, sink.status)
         if len(shape) != 1:
             columns = tuple(column.reshape(shape) for column in columns)
             sectors = None if sectors is None else sectors.reshape(shape)
