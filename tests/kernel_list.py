@@ -58,6 +58,8 @@ def query(kind: str) -> None:
 
     origins, directions = tracer.scene.camera.rays(300, 200)
     ask(origins[0, 0], directions[0, 0])
+    if kind == "first":
+        tracer.cast(origins[0, 0], directions[0, 0])
     for dtype in (np.float32, np.float64):
         rays = np.array([origins, directions], dtype)
         ask(*rays)

@@ -186,11 +186,13 @@ class Tracer(RayCaster):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
             return found
         sink, shape = self._answer(query, rays, progress), rays.shape
-        columns, sectors = (*sink.hits, sink.status), sink.sectors
+        t, u, v, prim_id = sink.hits
+        status, sectors = sink.status, sink.sectors
         if len(shape) != 1:
-            columns = tuple(column.reshape(shape) for column in columns)
+            t, u, v = t.reshape(shape), u.reshape(shape), v.reshape(shape)
+            prim_id, status = prim_id.reshape(shape), status.reshape(shape)
             sectors = None if sectors is None else sectors.reshape(shape)
-        return Hits(*columns, self.structure.triangles, sectors)
+        return Hits(t, u, v, prim_id, status, self.structure.triangles, sectors)
 
     def any_hit(
         self,

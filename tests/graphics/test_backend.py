@@ -72,3 +72,11 @@ def test_progress_reaches_the_end(opened, scene, rays):
         done, total = seen[-1]
         assert done == total >= 300
     assert np.isfinite(tracer.first_hit(**rays).t).any()
+
+
+@pytest.mark.parametrize("name", ["bvh, graphics", "grid, fragments, graphics"])
+def test_a_cast_is_a_first_hit_of_one_ray(opened, name):
+    tracer = rs.Tracer(rs.load("cornell"), **GRAPHICS_TRACERS[name])
+    ray = (278, 273, -800), (0, 0, 1)
+    hit, hits = tracer.cast(*ray), tracer.first_hit(*ray)
+    assert hit == (hits.t.item(), hits.u.item(), hits.v.item(), 30)

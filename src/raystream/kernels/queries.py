@@ -117,7 +117,6 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
         ``search_ray(i, scene, goal) -> (search, ray)`` for ray i of a `RayScene` and a `Goal`: the
         finished search and the `LocalRay`.
     """
-
     search_local = _local_search(traverse)
 
     @device

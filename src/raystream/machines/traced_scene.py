@@ -76,6 +76,15 @@ class TracedScene:
             self.machine, structure, self._machine_options
         )
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the backend, which is made for the copy of the structure."""
+        names = ("structure", "device", "machine", "_scene", "_machine_options", "_counts")
+        return {name: getattr(self, name) for name in names}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._set(self._scene, self.structure)
+
     @property
     def is_counting(self) -> bool:
         """Whether it was made with ``counters=True``."""

@@ -150,6 +150,10 @@ class Structure(ABC):
             read out of bounds or never end.
         """
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle what a file holds: addresses are those of the copy's own arrays."""
+        return _restored, (type(self), self.triangles, self.saved_arrays(), self.options)
+
     def quality(self) -> dict[str, float]:
         """Figures such as node counts and the expected traversal cost."""
         return {}
@@ -223,3 +227,9 @@ class Structure(ABC):
             False if it did nothing: the machine traces the rays one by one.
         """
         return False
+
+
+def _restored(
+    made: type[Structure], triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Any
+) -> Structure:
+    return made.from_arrays(triangles, arrays, options)
