@@ -156,7 +156,7 @@ def main():
             continue
         scene = rs.load(name)
         camera = scene.camera_for(WIDTH / HEIGHT)
-        sets = make_ray_sets(rs.Tracer(scene), camera, (WIDTH, HEIGHT), arguments.sets)
+        sets = list(make_ray_sets(rs.Tracer(scene), camera, (WIDTH, HEIGHT), arguments.sets))
         for structure in arguments.structures:
             tracer = rs.Tracer(scene, structure)
             for one in sets:

@@ -150,7 +150,8 @@ class Tracer(RayCaster):
         on_hit : callable, optional
             A filter: ``on_hit(hit)`` gets a `Hit` and returns whether to accept it, as a boolean
             or as `Decision.CONTINUE` or `Decision.IGNORE`; `Decision.STOP` accepts it and ends
-            the search. See `trace` for what it may do. A `Bound` passes it constants.
+            the search. It may be called in any order, more than once, and at hits behind the
+            nearest. See `trace` for what it may do. A `Bound` passes it constants.
         skip_prim_ids : array_like of shape S or S + (k,), int, optional
             Triangles that each ray ignores, such as the one that it starts on; -1 ignores
             nothing. The filter is not called for them. With rays in arrays on a GPU, it may be
