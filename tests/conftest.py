@@ -157,6 +157,7 @@ CODE_PATHS = (
     "bvh",
     "bvh, wavefront",
     "bvh, packets",
+    "bvh, groups",
     "bvh, streams",
     "bvh, single rays",
     "bvh, high",  # lists triangles twice

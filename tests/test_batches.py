@@ -20,6 +20,7 @@ READERS = (
     "bvh",
     "bvh, wavefront",
     "bvh, packets",
+    "bvh, groups",
     "bvh, streams",
     "bvh, single rays",
     "bvh, multipass",

@@ -134,7 +134,7 @@ def test_every_kernel_gives_the_same_bits(narrow):
 @pytest.mark.exhaustive
 def test_every_kernel_is_written_in_generic_instructions(narrow):
     names = " ".join(narrow["instructions"])
-    for kernel in ("trace_wavefront", "trace_packets", "trace_streams", "first_hit"):
+    for kernel in ("trace_wavefront", "trace_packets", "trace_groups", "first_hit"):
         assert kernel in names
     for name, (special, registers) in narrow["instructions"].items():
         assert special == [], name
