@@ -123,7 +123,8 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
     def search_ray(i, scene, goal):
         ray = load_ray(scene.source, i, scene.frame)
         _note_status(scene.status, i, ray.status)
-        return search_local(ray, scene.frame, scene.arrays, scene.stack, goal), ray
+        filter_ = _ray_filter(scene.filter, i, ray)
+        return search_local(ray, scene.frame, scene.arrays, scene.stack, goal, filter_), ray
 
     return search_ray
 
@@ -132,7 +133,7 @@ def _local_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
     """Make the search of a `LocalRay`; see `ray_search`."""
 
     @device
-    def search_local(ray, frame, arrays, stack, goal):
+    def search_local(ray, frame, arrays, stack, goal, filter_):
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         search = begin_search(
             ray.t_min,
@@ -143,7 +144,7 @@ def _local_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
             goal.surfaces,
             goal.seen,
             goal.counters,
-            _ray_filter(scene.filter, i, ray),
+            filter_,
         )
         return traverse(arrays, local, search, stack)
 
@@ -417,7 +418,7 @@ def ray_queries(
         ray = local_ray(ox, oy, oz, dx, dy, dz, np.float32(t_min), np.float32(t_max), frame)
         hits = HitAddresses(row, row + np.uint64(4), row + np.uint64(8), row + np.uint64(12))
         goal = Goal(_ONE, hits, _NONE, False, None, None)
-        search = search_local(ray, frame, arrays, stack, goal)
+        search = search_local(ray, frame, arrays, stack, goal, None)
         finish_first(hits, _NONE, search.hit_count, ray)
         t, u, v, prim_id = get_hit(hits, _NONE)
         numbers = np.float64(t), np.float64(u), np.float64(v), np.int64(prim_id)

@@ -284,9 +284,7 @@ def _trace_wavefront(work: _Batch, first: int, end: int, progress: Progress | No
 def _trace_streams(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
     tree, wants_any, filter_ = work.tree, work.wants_any, work.filter_
     addresses, frame, source = tree.addresses, tree.frame, work.source
-    trace_sorted(
-        addresses, frame, first, end, source, wants_any, filter_, work.results, progress
-    )
+    trace_sorted(addresses, frame, first, end, source, wants_any, filter_, work.results, progress)
 
 
 def _trace_packets(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
@@ -298,7 +296,9 @@ def _trace_packets(work: _Batch, first: int, end: int, progress: Progress | None
     packet_count = order.cut(end).packet - start
 
     def body(low: int, high: int) -> None:
-        trace_packets(start + low, start + high, addresses, source, wants_any, work.filter_, results)
+        trace_packets(
+            start + low, start + high, addresses, source, wants_any, work.filter_, results
+        )
 
     share = -(-packet_count // (8 * thread_count()))
     report = _of_rays(progress, end - first, packet_count)

@@ -1,0 +1,285 @@
+"""Leaves of `group_stream`: triangles against groups of 16 rays, and against single rays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    any_lane,
+    count_trailing_zeros,
+    f32x16,
+    f64x16,
+    i32x16,
+    load,
+    mask_bits,
+    maximum,
+    minimum,
+    select,
+    store,
+)
+from raystream.jit.views import address_of, view
+from raystream.kernels.leaf_block import HITS, Block, HitLanes
+from raystream.kernels.triangle_lanes import (
+    barycentrics,
+    distance_along,
+    plane_normal,
+    shear_vertices,
+    signs_agree,
+)
+from raystream.structures.bvh.group_rays import (
+    COLD_AT,
+    GROUP_SHIFT,
+    HOT_AT,
+    LANE_SHIFT,
+    Cold,
+    Hot,
+    axis_kinds,
+    in_frame,
+    interval,
+)
+from raystream.structures.bvh.node_layout import LANE
+from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
+
+__all__ = ["SMALL_BYTES", "Small", "SmallLanes", "leaf_with_groups", "leaf_with_rays"]
+
+_U0, _U1 = np.uint64(0), np.uint64(1)
+_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
+_FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
+_BLOCK_LANES = np.uint64(4)
+_LAST_LANE = np.uint64(15)
+_ZERO = np.float32(0.0)
+_INF = np.float32(np.inf)
+
+#: Children of a node and their lists; hits of a block; normals of its triangles.
+_SMALL = np.dtype(
+    [
+        ("list", "u8", 8),
+        ("count", "u8", 8),
+        ("ray_count", "u8", 8),
+        ("normal", "f8", (3, 4)),
+        ("t_in", "f4", 8),
+        ("keys", "i4", 8),
+        ("hits", HITS),
+        ("unused", "V48"),
+    ]
+)
+Small = view(_SMALL)
+SmallLanes = view(
+    [
+        ("list", "u8", (8, 1)),
+        ("count", "u8", (8, 1)),
+        ("ray_count", "u8", (8, 1)),
+        ("normal", "f8", (3, 4, 1)),
+        ("t_in", "f4", (8, 1)),
+        ("keys", "i4", (8, 1)),
+        ("hits", HITS),
+        ("unused", "V48"),
+    ]
+)
+SMALL_BYTES = _SMALL.itemsize
+
+
+@device
+def _corner_in_frame(is_y, is_z, corners, corner, lane):
+    return in_frame(
+        is_y,
+        is_z,
+        f32x16(corners[corner, _X, lane]),
+        f32x16(corners[corner, _Y, lane]),
+        f32x16(corners[corner, _Z, lane]),
+    )
+
+
+@device
+def _extent_of(corners, axis, lane):
+    a, b, c = corners[_FIRST, axis, lane], corners[_SECOND, axis, lane], corners[_THIRD, axis, lane]
+    return f32x16(min(min(a, b), c)), f32x16(max(max(a, b), c))
+
+
+@device
+def _extent(block, axis):
+    """Low and high coordinates of four triangles along an axis."""
+    corners = block.corners
+    a, b, c = corners[_FIRST, axis], corners[_SECOND, axis], corners[_THIRD, axis]
+    return minimum(minimum(a, b), c), maximum(maximum(a, b), c)
+
+
+@device
+def _write_normals(block, small):
+    corners, normal = block.corners, small.normal
+    normal[_X], normal[_Y], normal[_Z] = plane_normal(
+        (corners[_FIRST, _X], corners[_FIRST, _Y], corners[_FIRST, _Z]),
+        (corners[_SECOND, _X], corners[_SECOND, _Y], corners[_SECOND, _Z]),
+        (corners[_THIRD, _X], corners[_THIRD, _Y], corners[_THIRD, _Z]),
+    )
+
+
+@device
+def _test_with_group(g, memory, block, lane, lanes, wants_any):
+    """Test a triangle against a group; returns whether a ray has a nearer hit."""
+    group = Group(memory, g)
+    is_y, is_z = axis_kinds(group)
+    corners = block.corners
+    a = _corner_in_frame(is_y, is_z, corners, _FIRST, lane)
+    b = _corner_in_frame(is_y, is_z, corners, _SECOND, lane)
+    c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
+    origin, shear = three(group.origin), group.shear
+    sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
+    candidates = signs_agree(sheared)
+    if not any_lane(candidates):
+        return False
+    low_x, high_x = _extent_of(corners, _X, lane)
+    low_y, high_y = _extent_of(corners, _Y, lane)
+    low_z, high_z = _extent_of(corners, _Z, lane)
+    t_in, t_out = interval(
+        low_x,
+        low_y,
+        low_z,
+        high_x,
+        high_y,
+        high_z,
+        three(group.inv),
+        three(group.near),
+        three(group.far),
+    )
+    nearest, t_min = group.t, group.t_min
+    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+    if not any_lane(candidates):
+        return False
+    normal = lanes.normal
+    n = in_frame(
+        is_y,
+        is_z,
+        f64x16(normal[_X, lane]),
+        f64x16(normal[_Y, lane]),
+        f64x16(normal[_Z, lane]),
+    )
+    # The distance first: rays that leave a surface meet its triangle behind their origin.
+    t = minimum(maximum(distance_along(a, n, origin, three(group.direction)), t_in), t_out) + _ZERO
+    candidates = candidates & (t >= t_min) & (t <= nearest)
+    if not any_lane(candidates):
+        return False
+    hit, u, v = barycentrics(sheared, False)
+    prim_id, best = i32x16(block.prim_ids[lane]), group.prim_id
+    taken = candidates & hit & ((t < nearest) | (prim_id < best))
+    bits = mask_bits(taken)
+    if bits == _U0:
+        return False
+    group.prim_id = select(taken, prim_id, best)
+    if wants_any:
+        t = f32x16(-_INF)
+    group.t = select(taken, t, nearest)
+    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
+    at = GroupLanes(memory, g)
+    while bits != _U0:
+        k = count_trailing_zeros(bits)
+        bits &= bits - _U1
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = at.t[k]
+    return True
+
+
+@device
+def leaf_with_groups(block, groups, count, memory, small, lanes, wants_any):
+    """Test a block's triangles against the groups of a list; returns the number of hits."""
+    _write_normals(Block(address_of(block)), small)
+    hit_count = _U0
+    for lane in range(_BLOCK_LANES):
+        if block.prim_ids[lane] < np.int32(0):
+            break
+        for j in range(count):
+            g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
+            hit_count += np.uint64(_test_with_group(g, memory, block, lane, lanes, wants_any))
+    return hit_count
+
+
+@device
+def _vertices(hot, block):
+    """The vertices of a block's four triangles, in the order of a ray's axes."""
+    kx, ky, kz = hot.axes
+    x, y, z = np.uint64(kx), np.uint64(ky), np.uint64(kz)
+    corners = block.corners
+    a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+    b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
+    c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
+    return a, b, c
+
+
+@device
+def _sheared(hot, cold, block):
+    """The vertices of a block's four triangles in a ray's frame."""
+    return shear_vertices(*_vertices(hot, block), hot.origin, (hot.sx, cold.sy))
+
+
+@device
+def _distances(hot, cold, block, small):
+    """Distances of a ray to the planes of four triangles."""
+    kx, ky, kz = hot.axes
+    x, y, z = np.uint64(kx), np.uint64(ky), np.uint64(kz)
+    corners, normal = block.corners, small.normal
+    a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+    n = normal[x], normal[y], normal[z]
+    return distance_along(a, n, hot.origin, cold.direction)
+
+
+@device
+def leaf_with_rays(block, rays, count, memory, small, hits, wants_any):
+    """Test a block's triangles against the rays of a list; returns the number of hits."""
+    # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one per
+    # ray, mispredictions would take half the time of a leaf.)
+    hots, colds = memory + HOT_AT, memory + COLD_AT
+    candidate_count = _U0
+    for j in range(count):
+        number = load(np.uint32, rays + j * LANE)
+        hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
+        store(hits + candidate_count * LANE, number)
+        candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
+    if candidate_count == _U0:
+        return _U0
+
+    # Step 2: test these exactly.
+    hit_count = _U0
+    low_x, high_x = _extent(block, _X)
+    low_y, high_y = _extent(block, _Y)
+    low_z, high_z = _extent(block, _Z)
+    _write_normals(block, small)
+    found = small.hits
+    for j in range(candidate_count):
+        number = np.uint64(load(np.uint32, hits + j * LANE))
+        hot, cold = Hot(hots, number), Cold(colds, number)
+        t_in, t_out = interval(
+            low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high
+        )
+        nearest, t_min = hot.t, hot.t_min
+        sheared = _sheared(hot, cold, block)
+        candidates = signs_agree(sheared) & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+        # The distance first: rays that leave a surface meet its triangle behind their origin.
+        t = minimum(maximum(_distances(hot, cold, block, small), t_in), t_out) + _ZERO
+        candidates = candidates & (t >= t_min) & (t <= nearest)
+        if not any_lane(candidates):
+            continue
+        hit, u, v = barycentrics(sheared, False)
+        bits = mask_bits(candidates & hit)
+        if bits != _U0:
+            hit_count += _U1
+            group, k = GroupLanes(memory, number >> LANE_SHIFT), number & _LAST_LANE
+            if wants_any:
+                group.prim_id[k], group.t[k], hot.t = np.int32(0), -_INF, -_INF
+            else:
+                found.t, found.u, found.v = t, u, v
+                _keep_nearest(hot, group, k, block, bits, HitLanes(address_of(found)))
+    return hit_count
+
+
+@device
+def _keep_nearest(hot, group, k, block, bits, found):
+    """Keep the nearest of the ray's hit and the hits of some lanes, by t, then prim_id."""
+    nearest, best = hot.t, group.prim_id[k]
+    while bits != _U0:
+        lane = count_trailing_zeros(bits)
+        bits &= bits - _U1
+        t, prim_id = found.t[lane], block.prim_ids[lane]
+        if t < nearest or (t == nearest and prim_id < best):
+            nearest, best = t, prim_id
+            group.u[k], group.v[k] = found.u[lane], found.v[lane]
+    hot.t, group.t[k], group.prim_id[k] = nearest, nearest, best
