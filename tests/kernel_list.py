@@ -109,9 +109,11 @@ def run(task: str, folder: Path | None = None) -> list[dict[str, Any]]:
     """The result of `record` in a separate process, with an empty cache if a folder is given."""
     environment = dict(os.environ)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    # One thread: no helper compiles the kernels that are timed here, and the batches of a picture
+    # have the same size on every machine.
+    environment["RAYSTREAM_THREADS"] = "1"
     if folder is not None:
-        # One thread, so that no helper compiles the kernels that are timed here.
-        environment |= {"RAYSTREAM_CACHE_DIR": str(folder), "RAYSTREAM_THREADS": "1"}
+        environment["RAYSTREAM_CACHE_DIR"] = str(folder)
     with tempfile.TemporaryDirectory() as place:
         command = [sys.executable, str(Path(__file__).resolve()), task]
         done = subprocess.run(

@@ -132,7 +132,7 @@ def run_pass(
             add_to(tally, STEPS, _ONE)
             child = states.child[i]
             to = rows_of(out)
-            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, met, tally)
+            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, met, tally, None)
             is_any = wants_any(goal)
             states.top[i] = visit(tree, child, line, t_min, t_far, is_any, stack, half_bytes, top)
             stage = _POP

@@ -76,9 +76,9 @@ def test_choice(coherence, count, byte_count, kernel):
         (Coherence(1.0, 1.0, 1.0, 1.0), "packet", ()),
         (Coherence(1.0, 1.0, 1.0, 0.0), "packet", ("groups",)),
         (Coherence(1.0, 1.0, 0.0, 0.0), "groups", ("packet",)),
-        (Coherence(0.0, 1.0, 1.0, 0.0), "groups", ("stream",)),
+        (Coherence(0.0, 1.0, 1.0, 0.0), "groups", ("wavefront",)),
         (Coherence(0.0, 1.0, 1.0, 0.0), "stream", ("wavefront",)),
-        (Coherence(0.0, 0.0, 0.0, 0.0), "wavefront", ("stream",)),
+        (Coherence(0.0, 0.0, 0.0, 0.0), "wavefront", ("groups",)),
     ],
 )
 def test_rivals(coherence, guess, others):

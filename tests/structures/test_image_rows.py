@@ -132,3 +132,27 @@ def test_answers_do_not_depend_on_the_order(tracer):
         for name in ("t", "prim_id", "ray_splits"):
             np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
         np.testing.assert_array_equal(packet.count_hits(o, d), single.count_hits(o, d))
+
+
+def test_filters_see_the_rays_of_tiles(tracer):
+    """A filter that depends on its ray, and triangles to skip, in packets of rows and of holes."""
+    single = rs.Tracer(tracer.scene, kernel="single")
+    packet = rs.Tracer(tracer.scene, kernel="packet")
+    width = 203
+    rays = np.array(np.broadcast_arrays(*tracer.scene.camera.rays(width, 160)), np.float32)
+    flat = rays.reshape(2, -1, 3).copy()
+    flat[0, width * 9 + 195 : width * 9 + width] += 1e6  # far away
+    origins, directions, _ = points_of(tracer, 256, 192)
+
+    def odd(hit):
+        return (hit.ray * 7 + hit.prim_id) % 3 != 0
+
+    for o, d in (tuple(flat), (origins, directions)):
+        skipped = single.first_hit(o, d).prim_id
+        skipped[::2] = -1
+        for options in ({"on_hit": odd}, {"skip_prim_ids": skipped}):
+            want, got = (t.first_hit(o, d, **options) for t in (single, packet))
+            for name in ("t", "u", "v", "prim_id"):
+                np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
+            want, got = (t.any_hit(o, d, **options) for t in (single, packet))
+            np.testing.assert_array_equal(got, want)

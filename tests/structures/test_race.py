@@ -104,7 +104,7 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
     origins = rng.uniform(-2, 2, (LEAST_RACE + 5000, 3)).astype(np.float32)
     directions = rng.normal(size=origins.shape).astype(np.float32)
     want = rs.Tracer(scene, kernel="stream").first_hit(origins, directions)
-    for fastest in ("stream", "wavefront"):
+    for fastest in ("groups", "wavefront"):
         tracer, now, used = rs.Tracer(scene), [0.0], set()
 
         def timed(name, trace, fastest=fastest, now=now, used=used):
@@ -126,4 +126,4 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
                 got = tracer.first_hit(origins, directions)
                 for name in ("t", "u", "v", "prim_id"):
                     np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
-        assert used == {"stream", "wavefront"}
+        assert used == {"groups", "wavefront"}

@@ -120,7 +120,7 @@ def rivals(coherence: Coherence, guess: str) -> tuple[str, ...]:
         return () if coherence.joint >= 0.5 else ("groups",)
     if coherence.narrow >= 0.5:
         return ("packet",)
-    return ("wavefront",) if guess == "stream" else ("stream",)
+    return ("groups",) if guess == "wavefront" else ("wavefront",)
 
 
 @kernel
