@@ -106,7 +106,8 @@ def test_without_samples_resume_begins(run):
     assert result.figures["samples_before"] == 0
 
 
-def test_samples_are_not_overwritten(run, tmp_path):
+def test_samples_are_not_overwritten(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(progressive, "SAMPLES_SECONDS", 0.0)  # one at a time
     interrupted("out.png")
     kept = Path("out.png.samples.npz").read_bytes()
     complaint = run(*ASKED).complaint
@@ -177,15 +178,16 @@ def test_checkpoints_come_once_they_are_due(run, monkeypatch):
 @pytest.mark.parametrize("taken", [1, 3])
 def test_early_interrupt_keeps_the_samples(run, tmp_path, monkeypatch, taken):
     """Before the first checkpoint is due, it is written all the same."""
-    trace = progressive.trace_sample
+    trace = progressive.trace_samples
 
-    def stop(renderer, setting, sample, *more):
-        if sample == taken:
+    def stop(renderer, setting, samples, *more):
+        if taken in samples:
             raise KeyboardInterrupt
-        return trace(renderer, setting, sample, *more)
+        return trace(renderer, setting, samples, *more)
 
     with monkeypatch.context() as patch:
-        patch.setattr(progressive, "trace_sample", stop)
+        patch.setattr(progressive, "SAMPLES_SECONDS", 0.0)  # one at a time
+        patch.setattr(progressive, "trace_samples", stop)
         result = run(*ASKED)
     assert result.code == 130
     assert result.err.startswith("interrupted; out.png.samples.npz contains the samples")

@@ -11,7 +11,7 @@ import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray_source import RaySource
-from raystream.structures.bvh.image_rows import BatchOrder, Cut, find_order, order_of
+from raystream.structures.bvh.image_rows import BatchOrder, Cut, _extent, find_order, order_of
 from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
 
 
@@ -156,3 +156,17 @@ def test_filters_see_the_rays_of_tiles(tracer):
                 np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
             want, got = (t.any_hit(o, d, **options) for t in (single, packet))
             np.testing.assert_array_equal(got, want)
+
+
+def test_a_short_last_row_is_not_read_beyond_its_end(tracer):
+    """Behind the rays there is no number: the extent of the packets would have none."""
+    width, count = 1000, 16_100
+    _, directions = tracer.scene.camera.rays(width, 40)
+    behind = np.full((count + 2 * width, 3), np.nan, np.float32)
+    behind[:count] = directions.reshape(-1, 3)[:count]
+    batch = RayBatch(tracer.scene.camera.eye, behind[:count])
+    source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
+    order = PacketOrder.of_rows(width, count)
+    assert np.isfinite(_extent(order, source, tracer.structure.frame))
+    assert int(find_order(source, count, tracer.structure.frame).packets.width) == width
+    del kept

@@ -120,10 +120,26 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
             patch.setattr(
                 kernel_choice, "_TRACERS", {name: timed(name, one) for name, one in tracers}
             )
-            patch.setattr(kernel_choice, "_is_loaded", lambda name: True)
+            patch.setattr(kernel_choice, "_loaded", {(name, False) for name, _ in tracers})
             patch.setattr(race, "clock", lambda now=now: now[0])
             for _ in range(3):
                 got = tracer.first_hit(origins, directions)
                 for name in ("t", "u", "v", "prim_id"):
                     np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
         assert used == {"groups", "wavefront"}
+
+
+def test_a_kernel_that_must_be_loaded_is_not_timed(monkeypatch):
+    """Its first piece, which loads it, does not count."""
+    kernels, races = FakeKernels(monkeypatch, a=1.0, b=0.5), Races()
+    loaded = set()
+
+    def run(name, begin, end, progress):
+        if name == "b" and name not in loaded:
+            loaded.add(name)
+            kernels.run(name, begin, begin + 1000 * (end - begin), progress)
+        else:
+            kernels.run(name, begin, end, progress)
+
+    run_race(("a", "b"), COUNT, lambda ray: ray, run, races, "kind", None, ["b"])
+    assert races.fastest("kind", ("a", "b")) == "b"

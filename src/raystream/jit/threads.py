@@ -125,8 +125,9 @@ def parallel_for(
     count : int
         Length of the range.
     chunk : int
-        Largest range for one call of `body`: decides the balance between threads, and how soon
-        an interrupt takes effect.
+        Largest range for one call of `body`, or 16 of them where a nested loop has one thread:
+        decides the balance between threads, and how soon an interrupt takes effect. Each range
+        begins at a multiple of it.
     progress : callable, optional
         Called with (done, count) from the calling thread, at most every `PROGRESS_INTERVAL`
         seconds, and once at the end.

@@ -69,8 +69,8 @@ class RayCaster(TracedScene):
         >>> import raystream as rs
         >>> tracer = rs.Tracer(rs.load("cornell"))
         >>> if hit := tracer.cast((278, 273, -800), (0, 0, 1)):
-        ...     print(round(hit.t, 1), hit.prim_id, hit.normal)
-        1359.2 1 [ 0.  0. -1.]
+        ...     print(round(hit.t, 1), hit.prim_id)
+        1092.0 30
         """
         origin, direction = as_vector("origin", origin), as_vector("direction", direction)
         if type(t_min) is not float:

@@ -193,7 +193,8 @@ def address_of(array: NDArray[np.uint64]) -> int:
 
 def _extent(order: PacketOrder, source: RaySource, frame: SceneFrame) -> float:
     """Mean extent of a sample of packets."""
-    return float(sum_extents(order.packet_count, source, order, frame))
+    total, used = sum_extents(order.packet_count, source, order, frame)
+    return float(total) / max(used, 1)
 
 
 @device
@@ -315,7 +316,7 @@ def find_starts(source, ray_count, frame, starts, most):
         length = found - start
         start = found
         store(np.uint64(starts) + rows * _WORD, start)
-        if same == _SAME_ROWS and start == (rows) * length:
+        if same == _SAME_ROWS and start == rows * length:
             is_image = True
             whole = count // length - _U1
             for k in range(_CHECKS):
@@ -359,7 +360,7 @@ def fill_table(row_count, starts, table):
 
 @kernel
 def sum_extents(packet_count, source, order, frame):
-    """Sum of the extents of a sample of packets, to compare orders.
+    """Sum of the extents of a sample of packets, and their number, to compare orders.
 
     Parameters
     ----------
@@ -369,17 +370,24 @@ def sum_extents(packet_count, source, order, frame):
     frame : SceneFrame
     """
     weights = _weights(source, frame)
-    total = np.float64(0.0)
+    total, used = np.float64(0.0), 0
     for sample in range(_SAMPLES):
         number = np.uint64((sample + sample + 1) * packet_count // (_SAMPLES + _SAMPLES))
-        first, _ = group_rows(order, number, _U0)
-        a = _ray_at(source, first)
-        farthest = np.float64(0.0)
-        for g in range(GROUPS):
+        begin, count, g = _U0, _U0, _U0
+        # The first group that has rays: where rows end, groups are empty, and may be past the end.
+        while g < GROUPS and count == _U0:
             begin, count = group_rows(order, number, g)
+            g += _U1
+        if count == _U0:
+            continue
+        a = _ray_at(source, begin)
+        farthest = _square_distance(_ray_at(source, begin + count - _U1), a, weights)
+        for other in range(g, GROUPS):
+            begin, count = group_rows(order, number, other)
             if count != _U0:
                 first_distance = _square_distance(_ray_at(source, begin), a, weights)
                 end_distance = _square_distance(_ray_at(source, begin + count - _U1), a, weights)
                 farthest = max(farthest, first_distance, end_distance)
         total += np.sqrt(farthest)
-    return total
+        used += 1
+    return total, used

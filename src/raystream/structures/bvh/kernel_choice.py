@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
 from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
-from raystream.structures.bvh.stream import trace_streams
 from raystream.structures.bvh.stream_batch import trace_sorted
 from raystream.structures.bvh.wavefront import trace_wavefront
 
@@ -132,8 +131,8 @@ def trace_batch(
     if kernel == "wavefront" or count == 0:  # without further preparation, for small batches
         _trace_wavefront(work, 0, count, progress)
         return
-    if kernel == "groups" and filter_ is not None:
-        kernel = _FILTERING["groups"]
+    if filter_ is not None:
+        kernel = _FILTERING.get(kernel, kernel)
     if kernel == "packet":
         work = work._replace(order=_order_of(work.order, source, tree.frame))
     if kernel != "auto":
@@ -164,14 +163,19 @@ def _trace_raced(
     progress: Progress | None,
 ) -> None:
     """Trace a batch by the fastest kernel, as far as that is known."""
-    count = int(work.order.packets.ray_count)
-    name, is_due = races.plan(kind, names, all(map(_is_loaded, names)))
+    count, has_filter = int(work.order.packets.ray_count), work.filter_ is not None
+    cold = [name for name in names if (name, has_filter) not in _loaded]
+    name, is_due = races.plan(kind, names, not cold)
 
     def run(name: str, begin: int, end: int, progress: Progress | None) -> None:
         _TRACERS[name](work, begin, end, progress)
+        _loaded.add((name, has_filter))
+
+    def cut(ray: int) -> int:
+        return work.order.cut(ray).ray
 
     if is_due:
-        run_race(names, count, lambda ray: work.order.cut(ray).ray, run, races, kind, progress)
+        run_race(names, count, cut, run, races, kind, progress, cold)
     else:
         run(name, 0, count, progress)
 
@@ -348,14 +352,5 @@ _TRACERS: dict[str, _Tracer] = {
 #: Kernels that call no filters, and those that take their place.
 _FILTERING = {"groups": "stream"}
 
-_KERNEL_OF: dict[str, Any] = {
-    "packet": trace_packets,
-    "groups": trace_groups,
-    "stream": trace_streams,
-    "wavefront": trace_wavefront,
-}
-
-
-def _is_loaded(name: str) -> bool:
-    """Whether a kernel has been compiled or loaded in this process."""
-    return bool(_KERNEL_OF[name].signatures)
+#: Kernels that have traced a batch in this process, without or with a filter: those are loaded.
+_loaded: set[tuple[str, bool]] = set()

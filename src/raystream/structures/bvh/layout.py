@@ -119,6 +119,8 @@ def _check_tree(nodes, children, prim_ids, depths, wanted):
         deepest = max(deepest, depth)
         for lane in range(WIDTH):
             child = np.int64(children[node, lane])
+            if child != 0 and lane > 0 and children[node, lane - 1] == 0:
+                return _BAD_LANE  # kernels stop at the first empty lane
             if child == 0:
                 for axis in range(3):
                     low = nodes[node, axis * 2 * WIDTH + lane]
@@ -140,6 +142,8 @@ def _check_tree(nodes, children, prim_ids, depths, wanted):
                         prim_id = np.int64(prim_ids[block, k])
                         if prim_id < -1 or prim_id >= len(wanted):
                             return _BAD_ID
+                        if prim_id >= 0 and k > 0 and prim_ids[block, k - 1] < 0:
+                            return _BAD_ID  # likewise
                         if prim_id >= 0:
                             wanted[prim_id] = False
     for row in range(len(wanted)):

@@ -127,6 +127,7 @@ def run_race(
     races: Races,
     kind: Hashable,
     progress: Progress | None,
+    cold: Sequence[str] = (),
 ) -> None:
     """Trace a batch: pieces by each kernel, the rest by the fastest.
 
@@ -143,6 +144,8 @@ def run_race(
         Of the batch.
     progress : callable, optional
         Called with (rays done, rays).
+    cold : sequence of str
+        Kernels to run before they are timed, as they must be loaded.
     """
     done = 0
 
@@ -162,8 +165,12 @@ def run_race(
 
     favourite = races.fastest(kind, names)
     first = cut(int((0.5 - _FAVOURITE) * count))
-    at = after(first, _FAVOURITE)
-    before = trace(favourite, first, at)
+    at = first
+    for name in cold:
+        begin, at = at, after(at, 0.0)
+        trace(name, begin, at)
+    begin, at = at, after(at, _FAVOURITE)
+    before = trace(favourite, begin, at)
     times: dict[str, _Time] = {}
     for name in names:
         if name == favourite:
