@@ -7,7 +7,9 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, grid_floor, lattice_soup, soup
 from raystream.core.triangles import Triangles
+from raystream.jit.threads import parallel_for, thread_count
 from raystream.kernels.aligned import aligned_array
+from raystream.structures.bvh import parallel_split
 from raystream.structures.bvh.build import QUALITIES, build_arrays
 from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
@@ -337,3 +339,31 @@ def test_building_can_be_interrupted():
 
     with pytest.raises(KeyboardInterrupt):
         build_arrays(triangles_of(*soup(40_000, 9, 0.01)), progress=interrupt)
+
+
+class _Soiled:
+    """NumPy whose new arrays hold what others left."""
+
+    def __getattr__(self, name):
+        return getattr(np, name)
+
+    def empty(self, shape, dtype):
+        return np.full(shape, 1e30, dtype)
+
+
+def test_a_build_inside_a_loop_on_all_threads_gives_the_same_tree(monkeypatch):
+    """A nested loop takes several chunks at once: bins that it leaves empty must be empty."""
+    triangles = triangles_of(*soup(300_000, 9, 0.01))
+    want = build_arrays(triangles)
+    monkeypatch.setattr(parallel_split, "np", _Soiled())
+    found = []
+
+    def body(begin, end):
+        if end > begin:
+            found.append(build_arrays(triangles))
+
+    parallel_for(body, thread_count(), 1)
+    assert len(found) == thread_count()
+    for arrays in found:
+        for got, wanted in zip(arrays, want, strict=True):
+            assert_same_bits(got, wanted)
