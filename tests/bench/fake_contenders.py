@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import stat
 import sys
 import time
 
@@ -13,7 +15,7 @@ from raystream.bench.contenders.base import FirstHits, UnavailableError
 from raystream.bench.contenders.own import Raystream
 
 #: The adapters that `adopt` makes peers of.
-KINDS = ("Nearsighted", "Broken", "Crashing", "Killed", "Missing", "Silent")
+KINDS = ("Nearsighted", "Broken", "Crashing", "Killed", "Missing", "Silent", "Interrupted")
 
 
 class Nearsighted(Raystream):
@@ -77,4 +79,19 @@ class Silent(Nearsighted):
     def first_hit(self, rays, mode):
         if len(rays) < 1000:
             time.sleep(600.0)
+        return super().first_hit(rays, mode)
+
+
+class Interrupted(Nearsighted):
+    """Is killed in the middle of an answer."""
+
+    modes = ("",)
+
+    def first_hit(self, rays, mode):
+        if len(rays) < 1000:
+            for number in range(3, 64):  # the copy of the standard output that answers go to
+                with contextlib.suppress(OSError):
+                    if stat.S_ISFIFO(os.fstat(number).st_mode):
+                        os.write(number, b'{"seconds": 1.')
+            os.kill(os.getpid(), signal.SIGKILL)
         return super().first_hit(rays, mode)

@@ -9,7 +9,9 @@ import pytest
 from bench.made_results import made
 from raystream.bench.goals import GOALS, judge
 from raystream.bench.ray_sets import DEFAULT_SETS
+from raystream.bench.report import roofline_table, speed_tables
 from raystream.bench.results import SetResult, read_result, write_result
+from raystream.bench.roofline import Counts
 
 
 def test_the_median_of_the_better_mode_counts():
@@ -57,6 +59,21 @@ def test_the_roofline_of_a_set():
     assert result.share(rays) == pytest.approx(1e6 / (1.0 / 13e-9))
     rays.counts = None
     assert result.share(rays) is None
+
+
+def test_rays_that_need_no_test_have_no_share(tmp_path):
+    result, path = made(a={"ao": 2.0}, b={"ao": 2.0}), tmp_path / "result.json"
+    for scene in result.scenes:
+        (rays,) = scene.sets
+        rays.counts = Counts(0.0, 0.0, 0.0)
+    assert result.share(rays) is None
+    assert roofline_table(result).rows == []
+    assert [table.rows[0][6] for table in speed_tables(result)] == ["–", "–"]
+    write_result(path, result)
+    assert read_result(path) == result
+    result.scenes[0].sets[0].counts = Counts(5.0, 2.0, 0.5)
+    (row,) = roofline_table(result).rows
+    assert row[1:5] == ["5.0", "2.0", "0.5", "77"]
 
 
 def test_the_stored_form_holds_everything(tmp_path):

@@ -43,6 +43,7 @@ def test_most_rays():
     assert most_rays(peaks, Counts(1.0, 0.0, 0.0)) == pytest.approx(1e9)
     assert most_rays(peaks, Counts(0.0, 2.0, 0.0)) == pytest.approx(2.5e8)
     assert most_rays(peaks, Counts(0.0, 1.0, 1.0)) == pytest.approx(1e8)
+    assert most_rays(peaks, Counts(0.0, 0.0, 0.0)) is None
     assert most_rays(peaks, Counts(10.0, 3.0, 1.0)) == pytest.approx(1e9 / (10 + 2 * 2 + 10))
 
 

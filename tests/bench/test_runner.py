@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -15,8 +18,8 @@ from raystream.bench import contender_process, contenders
 from raystream.bench.contender_process import ContenderError, ContenderProcess
 from raystream.bench.contenders import Entry, Peer
 from raystream.bench.report import make_notes, make_tables
-from raystream.bench.results import read_result, write_result
-from raystream.bench.runner import Bench, Plan, geometry_of
+from raystream.bench.results import SceneResult, read_result, write_result
+from raystream.bench.runner import Bench, OtherContendersError, Plan, geometry_of
 from raystream.jit.threads import set_thread_count
 
 pytestmark = pytest.mark.usefixtures("few_objects", "peers")
@@ -102,6 +105,15 @@ def test_crashes_lose_no_other_results(result):
     assert all(len(rays.seconds["raystream"][""]) == 3 for rays in scene.sets)
 
 
+def test_half_an_answer_is_a_failure(box):
+    with Bench(plan_of("interrupted", sets=("primary",), repeats=1)) as bench:
+        bench.open()
+        bench.run("box", box)
+    (scene,) = bench.result.scenes
+    assert scene.failures["interrupted"].startswith("its process was ended by SIGKILL")
+    assert scene.is_complete
+
+
 def test_a_contender_that_does_not_answer_is_ended(box, monkeypatch):
     monkeypatch.setattr(contender_process, "MAX_SECONDS", 60.0)
     with Bench(plan_of("silent", sets=("primary",), repeats=1)) as bench:
@@ -173,6 +185,64 @@ def test_an_interrupt_keeps_what_there_is_and_the_run_goes_on(box, tmp_path):
     other = Plan([OWN], ["primary"], (8, 6), repeats=2)
     with pytest.raises(ValueError, match="other settings"):
         Bench(other, keep, again)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"raystream": "0.0.1", "nearsighted": rs.__version__}, "raystream 0.0.1 (now "),
+        ({"raystream": rs.__version__}, "nearsighted none (now "),
+        (
+            {"raystream": rs.__version__, "nearsighted": rs.__version__, "missing": "3"},
+            "missing 3 (now none)",
+        ),
+    ],
+)
+def test_other_contenders_are_not_mixed_into_a_result(change, words):
+    plan = plan_of("nearsighted", "missing")
+    with Bench(plan) as bench:
+        earlier = bench.result
+    earlier.versions = dict(change)
+    earlier.scenes.append(SceneResult("a", 12, is_complete=True))
+    with Bench(plan, earlier=earlier) as bench, pytest.raises(OtherContendersError) as caught:
+        bench.open()
+    assert words in str(caught.value)
+    assert earlier.versions == change  # the earlier result stays as it was
+
+
+def test_a_resumed_result_forgets_old_notes_and_skipped_scenes(box):
+    plan = Plan([OWN], ["primary"], (8, 6), repeats=1)
+    with Bench(plan) as bench:
+        earlier = bench.result
+    earlier.notes, earlier.skipped = {"raystream": "old"}, {"box": "no file", "other": "no file"}
+    with Bench(plan, earlier=earlier) as bench:
+        bench.open()
+        bench.run("box", box)
+    assert "old" not in bench.result.notes.values()
+    assert bench.result.skipped == {"other": "no file"}
+
+
+LONELY = """
+import os, signal
+from raystream.bench.contender_process import ContenderProcess
+from raystream.bench.contenders import Entry
+process = ContenderProcess(Entry("raystream", "raystream", {}), 1)
+print(process._process.pid, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs prctl, as on Linux")
+def test_a_killed_bench_leaves_no_process():
+    """Its worker is stopped, in the session of the process that adopts it."""
+    done = subprocess.run([sys.executable, "-c", LONELY], stdout=subprocess.PIPE, check=False)
+    assert done.returncode == -signal.SIGKILL
+    stat = Path(f"/proc/{int(done.stdout)}/stat")
+    deadline = time.monotonic() + 20.0
+    # Nobody may collect the exit status of what is ended.
+    while stat.exists() and stat.read_text().rpartition(")")[2].split()[0] not in "ZX":
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_variants_are_contenders(box):

@@ -126,6 +126,29 @@ def test_samples_at_once_give_the_bits_of_one_by_one(tracer, at_once, monkeypatc
     np.testing.assert_array_equal(together.layers["variance"], singly.layers["variance"])
 
 
+def test_a_clock_that_stands_still_sets_no_bound():
+    """Coarse clocks do not advance during a small sample."""
+    assert progressive._samples_at_once(7, PIXELS, 0.0, 10.0) == 7
+    assert progressive._samples_at_once(7, PIXELS, 0.0, 0.0) == 1
+    assert progressive._samples_at_once(7, PIXELS, np.inf, 10.0) == 1
+
+
+def test_checkpoints_do_not_count_as_time_of_samples(tracer, tmp_path, monkeypatch):
+    seen, ask = [], progressive._samples_at_once
+
+    def note(left, pixel_count, seconds, interval):
+        seen.append(seconds)
+        return ask(left, pixel_count, seconds, interval)
+
+    monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
+    monkeypatch.setattr(progressive, "_samples_at_once", note)
+    rs.render(tracer, **PICTURE, samples=2)  # compiles
+    seen.clear()
+    rs.render(tracer, **PICTURE, samples=4, on_pass=lambda _: time.sleep(1.5))
+    assert len(seen) == 4
+    assert max(seen[1:]) < 1.5
+
+
 def test_interrupt_keeps_whole_samples_only(tracer, at_once, tmp_path):
     kept = tmp_path / "a.npz"
 

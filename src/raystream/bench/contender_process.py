@@ -50,9 +50,9 @@ class ContenderProcess:
     """
 
     def __init__(self, entry: Entry, threads: int) -> None:
-        # A process group of its own keeps a Ctrl-C in the terminal from it; and if this process is
-        # killed, the system ends a group that is stopped and has no other process above it.
-        # Its path is ours, however we came by it.
+        # A process group of its own keeps a Ctrl-C in the terminal from it. If this process is
+        # killed, Linux ends the worker, which asks for that; elsewhere the system may leave it
+        # stopped. Its path is ours, however we came by it.
         self._log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         path = os.pathsep.join(one for one in sys.path if one)
         self._process = subprocess.Popen(
@@ -108,7 +108,7 @@ class ContenderProcess:
             line = ""
         finally:
             watch.cancel()
-        if not line:
+        if not line.endswith("\n"):  # nothing, or the beginning of an answer
             code = process.wait()
             reason = f"no answer for {MAX_SECONDS:.0f} s" if late.is_set() else _end(code)
             raise ContenderError(reason + self._last_words())

@@ -116,11 +116,12 @@ def roofline_table(result: BenchResult) -> Table:
         counts = [rays.counts for rays, _ in pairs if rays.counts is not None]
         peaks, shares = result.peaks, [share for _, share in pairs]
         assert peaks is not None
+        most = [rate for one in counts if (rate := most_rays(peaks, one)) is not None]
         rows.append(
             [
                 RAY_SETS[name].title,
                 *(f"{_median(one[k] for one in counts):.1f}" for k in range(3)),
-                f"{_median(most_rays(peaks, one) for one in counts) / 1e6:.0f}",
+                f"{_median(most) / 1e6:.0f}",
                 f"{_median(shares):.0%}",
                 f"{min(shares):.0%} to {max(shares):.0%}",
             ]

@@ -201,11 +201,12 @@ class BenchResult:
         return rays.ratio(self.own[0], rays.best_peer(self.peers)) if self.own else None
 
     def share(self, rays: SetResult) -> float | None:
-        """Speed of raystream relative to the set's roofline."""
+        """Speed of raystream relative to the set's roofline; None without figures or tests."""
         speed = rays.speed(self.own[0]) if self.own else None
         if speed is None or rays.counts is None or self.peaks is None:
             return None
-        return speed * 1e6 / most_rays(self.peaks, rays.counts)
+        most = most_rays(self.peaks, rays.counts)
+        return None if most is None else speed * 1e6 / most
 
     def as_json(self) -> dict[str, Any]:
         """All measurements, and under ``figures`` of each set those derived from them."""

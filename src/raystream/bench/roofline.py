@@ -121,11 +121,12 @@ def count_tests(tracer: Tracer, query: Query, rays: Rays) -> Counts:
     return Counts(nodes, blocks, hits / count)
 
 
-def most_rays(peaks: Peaks, counts: Counts) -> float:
-    """Rays per second if they took no longer than their tests."""
+def most_rays(peaks: Peaks, counts: Counts) -> float | None:
+    """Rays per second if they took no longer than their tests; None if they need no test."""
     whole = max(1.0 / peaks.hit_blocks, 1.0 / peaks.blocks)
     missed = max(counts.blocks - counts.hits, 0.0)
-    return 1.0 / (counts.nodes / peaks.nodes + missed / peaks.blocks + counts.hits * whole)
+    seconds = counts.nodes / peaks.nodes + missed / peaks.blocks + counts.hits * whole
+    return 1.0 / seconds if seconds > 0.0 else None
 
 
 def _structure(corners: NDArray[np.float64]) -> BvhStructure:

@@ -30,7 +30,7 @@ from raystream.tracer import Tracer
 
 Item = TypeVar("Item")
 
-__all__ = ["Bench", "Plan", "geometry_of"]
+__all__ = ["Bench", "OtherContendersError", "Plan", "geometry_of"]
 
 #: Rounds before those that count.
 WARM_UP_ROUNDS = 1
@@ -91,6 +91,10 @@ class Plan:
         cores = _ESTIMATED_CORES / max(self.threads, 1)
         each = _SCENE_SECONDS + cores * calls * _CALL_SECONDS
         return scene_count * len(self.entries) * each
+
+
+class OtherContendersError(ValueError):
+    """A result cannot be resumed: other contenders are available now, or other versions."""
 
 
 class _Turn(NamedTuple):
@@ -181,6 +185,9 @@ class Bench:
         ------
         ValueError, TypeError
             If an option is not valid for raystream.
+        OtherContendersError
+            If the earlier result's scenes were measured with other contenders or versions: their
+            figures cannot be compared with new ones.
         ContenderError
             If raystream itself cannot be started.
         """
@@ -190,19 +197,29 @@ class Bench:
                 contender = make_contender(entry, plan.threads)
                 contender.build(warmup_geometry())
                 contender.release()
-        result.own, result.peers, result.absent = [], [], {}
+        own: list[str] = []
+        peers: list[str] = []
+        versions: dict[str, str] = {}
+        notes: dict[str, str] = {}
+        absent: dict[str, str] = {}
         for entry in plan.entries:
             try:
                 about = self._start(entry)
             except ContenderError as error:
                 if entry.label == self._own:
                     raise
-                result.absent[entry.label] = str(error)
+                absent[entry.label] = str(error)
                 continue
-            (result.own if entry.name == "raystream" else result.peers).append(entry.label)
-            result.versions[entry.label] = about["version"]
+            (own if entry.name == "raystream" else peers).append(entry.label)
+            versions[entry.label] = about["version"]
             if about["notes"]:
-                result.notes[entry.label] = about["notes"]
+                notes[entry.label] = about["notes"]
+        if result.scenes and versions != result.versions:
+            raise OtherContendersError(
+                "the earlier result has other contenders: " + _changes(result.versions, versions)
+            )
+        result.own, result.peers, result.absent = own, peers, absent
+        result.versions, result.notes = versions, notes
 
     def has(self, name: str) -> bool:
         """Whether a scene has been measured completely."""
@@ -229,6 +246,7 @@ class Bench:
         geometry = geometry_of(scene)
         found = SceneResult(name, len(geometry.faces))
         self.result.scenes.append(found)
+        self.result.skipped.pop(name, None)
         steps = _StepCounter(1 + len(plan.sets) * (plan.repeats + 1), progress)
         self._measure_peaks()
         try:
@@ -410,6 +428,13 @@ def geometry_of(scene: Scene) -> Geometry:
         np.concatenate([mesh.vertices.astype(np.float32, copy=False) for mesh in meshes]),
         np.concatenate([m.faces + np.int32(n) for m, n in zip(meshes, firsts, strict=False)]),
     )
+
+
+def _changes(before: dict[str, str], now: dict[str, str]) -> str:
+    """List the contenders that differ, with their versions."""
+    labels = [label for label in {**before, **now} if before.get(label) != now.get(label)]
+    none = "none"
+    return ", ".join(f"{one} {before.get(one, none)} (now {now.get(one, none)})" for one in labels)
 
 
 def _rotated(items: Sequence[Item], count: int) -> Sequence[Item]:

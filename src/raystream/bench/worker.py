@@ -7,6 +7,7 @@ packages print goes to the standard error.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -34,6 +35,9 @@ from raystream.bench.memory import MemoryGauge
 __all__ = ["OUTCOME", "load_geometry", "load_rays", "main", "save_geometry", "save_rays"]
 
 Item = TypeVar("Item")
+
+#: ``PR_SET_PDEATHSIG`` of ``linux/prctl.h``.
+_PARENT_DEATH_SIGNAL = 1
 
 #: File of a kept outcome.
 OUTCOME = "outcome.npy"
@@ -142,8 +146,23 @@ def _timed(call: Callable[..., Item], *arguments: Any) -> tuple[float, Item]:
         gc.enable()
 
 
+def _end_with_parent() -> None:
+    """Let Linux kill this process when the thread that started it ends.
+
+    A killed bench cannot end its workers, and one that is stopped does not notice by itself.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    parent = os.getppid()
+    number, none = ctypes.c_ulong(signal.SIGKILL), ctypes.c_ulong(0)
+    ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, number, none, none, none)
+    if os.getppid() != parent:  # it ended before; if even earlier, the standard input is at its end
+        sys.exit(1)
+
+
 def main() -> None:
     """Answer requests until the standard input ends."""
+    _end_with_parent()
     # The bench decides what a Ctrl-C ends.
     with contextlib.suppress(ValueError):
         signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -194,12 +194,17 @@ def bench(
 
 def _run(running: Bench, plan: Plan, scenes: list[str], by_default: bool) -> None:
     from raystream.bench.contender_process import ContenderError
+    from raystream.bench.runner import OtherContendersError
     from raystream.core.errors import RaystreamError
     from raystream.scene.load import load
 
     started, done = time.perf_counter(), 0
     with Bars() as bars:
-        with bars.step("starting"), refuse(ValueError, TypeError, where="--option, --variant"):
+        with (
+            bars.step("starting"),
+            refuse(ValueError, TypeError, where="--option, --variant"),
+            refuse(OtherContendersError, where="--resume"),
+        ):
             running.open()
         todo = [name for name in scenes if not running.has(name)]
         if len(todo) > 1:

@@ -171,6 +171,7 @@ def render_samples(
                     if on_pass is not None:
                         on_pass(sums.image())
                     shown = time.monotonic()
+                begun = time.monotonic()  # without the checkpoint
                 report = part_of(progress, sample * pixel_count, expected * pixel_count)
                 count = 1
                 if at_once:
@@ -183,7 +184,7 @@ def render_samples(
                     light, aovs = take(sample, report)
                 adder.submit(_add, sums, context.layers, light, aovs).result()
                 sample += count
-                seconds = (time.monotonic() - now) / count
+                seconds = (time.monotonic() - begun) / count
     except (KeyboardInterrupt, RaystreamError):
         if file is not None and sums.counts.any():
             file.save(sums)
@@ -269,12 +270,13 @@ def _samples_at_once(left: int, pixel_count: int, seconds: float, interval: floa
     ----------
     left, pixel_count : int
     seconds : float
-        That a sample takes; inf for unknown.
+        That a sample takes, 0 if the clock did not advance; inf for unknown.
     interval : float
         See `checkpoint_seconds`.
     """
+    most = min(SAMPLES_SECONDS, interval) / max(seconds, 1e-9)
     fitting = SAMPLES_BYTES // (pixel_count * _LIGHT_BYTES)
-    return max(1, min(left, fitting, int(min(SAMPLES_SECONDS, interval) / seconds)))
+    return max(1, min(left, fitting, int(most)))
 
 
 def trace_sample(
