@@ -10,7 +10,7 @@ import pytest
 from raystream.bench.contenders import PEERS
 from raystream.bench.ray_sets import DEFAULT_SETS, RAY_SETS
 from raystream.bench.report import REPORT_SUFFIXES
-from raystream.bench.results import read_result
+from raystream.bench.results import read_result, write_result
 from raystream.bench.runner import Bench
 from raystream.cli import options
 from raystream.cli.bench import DEFAULT_SCENES, bench
@@ -87,6 +87,11 @@ def test_an_interrupt_shows_what_there_is_and_the_run_can_go_on(run, monkeypatch
     kept = read_result(tmp_path / "result.json")
     assert [one.scene for one in kept.scenes] == ["cornell", "spheres"]
     assert "other settings" in run(*asked, "--repeats", 2).complaint
+    kept.versions["raystream"] = "0.0.1"
+    write_result(tmp_path / "result.json", kept)
+    fault = run(*asked).complaint
+    assert "--resume: the earlier result has other contenders: raystream 0.0.1 (now " in fault
+    assert "--option" not in fault
 
 
 def test_default_scenes_that_are_not_there_are_left_out(run, monkeypatch, tmp_path):
