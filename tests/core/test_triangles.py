@@ -1,3 +1,6 @@
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -85,3 +88,26 @@ def test_nothing_at_all():
     assert len(triangles) == 0
     assert triangles.max_coordinate == 0
     np.testing.assert_array_equal(triangles.world_bounds, np.zeros((2, 3)))
+
+
+def restorable(wait=lambda: None):
+    """A store whose corners can be freed."""
+    corners = TRIANGLE.astype(np.float32)[None]
+
+    def restore():
+        wait()
+        return corners.copy()
+
+    solid, bounds = np.ones(1, bool), np.array([corners[0].min(0), corners[0].max(0)])
+    splits = np.array([0, 1])
+    return Triangles.from_solid(corners, splits, np.zeros(3), 1.0, solid, 0, bounds, restore)
+
+
+def test_threads_that_restore_corners_at_once_share_them():
+    """An array that one of them lost would be freed under those that have its address."""
+    barrier = threading.Barrier(4)
+    triangles = restorable(lambda: barrier.wait(60))
+    triangles.release()
+    with ThreadPoolExecutor(4) as pool:
+        arrays = list(pool.map(lambda _: triangles.corners, range(4)))
+    assert all(one is triangles.corners for one in arrays)

@@ -1,10 +1,12 @@
 import re
+import weakref
 
 import numpy as np
 import pytest
 
 import raystream as rs
-from meshes import cube
+from meshes import cube, soup
+from raystream.jit import threads
 from raystream.machines.backend import Capabilities
 from raystream.programs.program import Program
 
@@ -155,6 +157,72 @@ def test_a_filter_raises_only_at_the_nearest_hits(kernel):
         for query in (tracer.first_hit, tracer.any_hit):
             with pytest.raises(RuntimeError, match=r"^raises_in_front: raised ValueError: in"):
                 query(origins, toward, on_hit=raises_in_front)
+
+
+@pytest.mark.parametrize("kernel", ["wavefront", "packet", "stream", "single"])
+@pytest.mark.parametrize("query", ["first_hit", "any_hit"])
+def test_progress_never_decreases_when_a_filter_raises(kernel, query, monkeypatch):
+    """Though the rays are traced again then, over their nearest hits."""
+    monkeypatch.setattr(threads, "PROGRESS_INTERVAL", 0.0)
+    tracer = rs.Tracer(rs.Scene.from_arrays(*cube()), kernel=kernel)
+    origins = np.zeros((40_000, 3)) + RAY[0]
+    reports = []
+
+    def progress(done, total):
+        reports.append(done / total)
+
+    with pytest.raises(RuntimeError, match="in front"):
+        getattr(tracer, query)(origins, RAY[1], on_hit=raises_in_front, progress=progress)
+    assert len(reports) > 1
+    assert reports == sorted(reports)
+
+
+def ends_first(hit):
+    return rs.Decision.STOP if hit.t < 2.5 else rs.Decision.CONTINUE
+
+
+def test_progress_never_decreases_when_hits_are_counted_again(monkeypatch):
+    monkeypatch.setattr(threads, "PROGRESS_INTERVAL", 0.0)
+    tracer = rs.Tracer(rs.Scene.from_arrays(*cube()))
+    reports = []
+    origins = np.zeros((40_000, 3)) + RAY[0]
+    tracer.count_hits(
+        origins,
+        RAY[1],
+        on_hit=ends_first,
+        progress=lambda done, total: reports.append(done / total),
+    )
+    assert reports == sorted(reports)
+
+
+def starts_inside(hit):
+    return hit.is_entering
+
+
+def note_entering(hit, payload):
+    payload[0] = hit.is_entering
+
+
+@pytest.mark.parametrize("query", ["first_hit", "any_hit", "count_hits", "trace"])
+def test_triangles_stay_while_programs_read_them(query, monkeypatch):
+    """Another tracer of the scene frees the corners, in another thread or in a callback."""
+    tracer = rs.Tracer(rs.Scene.from_arrays(*soup(20_000)))
+    structure, triangles = tracer.structure, tracer.structure.triangles
+    corners, trace_batch, alive = weakref.ref(triangles.corners), structure.trace_batch, []
+
+    def trace_after_release(*arguments, **options):
+        triangles.release()
+        alive.append(corners() is not None)
+        return trace_batch(*arguments, **options)
+
+    monkeypatch.setattr(structure, "trace_batch", trace_after_release)
+    origins = np.zeros((500, 3))
+    if query == "trace":
+        tracer.trace(origins, RAY[1], on_hit=note_entering, payload=np.zeros((500, 1)))
+    else:
+        getattr(tracer, query)(origins, RAY[1], on_hit=starts_inside)
+    assert alive
+    assert all(alive)
 
 
 def test_shapes_and_names(tracer):

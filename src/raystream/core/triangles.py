@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -28,6 +29,10 @@ RECENTRE_RATIO = 16.0
 SCALE_EXPONENTS = (-10, 20)
 
 
+#: Held to keep restored corners, not while they are computed, which takes other threads.
+_KEEPING = threading.Lock()
+
+
 class Triangles:
     """Triangles of a scene, in a local frame where float32 suffices.
 
@@ -44,7 +49,8 @@ class Triangles:
     ----------
     corners : ndarray of shape (F, 3, 3), float32
         Vertices 0, 1, 2 of each triangle, local frame; row = `prim_id`. Structures with their own
-        copy of the triangles free it, see `release`; the next access restores it.
+        copy of the triangles free it, see `release`; the next access restores it. Who passes its
+        address on holds the array itself, as another thread may free it here at any time.
     prim_ids : ndarray of shape (A,), int32
         The triangles that can be hit, in increasing order: the finite ones with an area.
     mesh_splits : ndarray of shape (M + 1,), int64
@@ -184,7 +190,11 @@ class Triangles:
         corners = self._corners
         if corners is None:
             assert self._restore is not None
-            self._corners = corners = self._restore()
+            restored = self._restore()
+            with _KEEPING:  # threads that restore them at once share one array
+                corners = self._corners
+                if corners is None:
+                    self._corners = corners = restored
         return corners
 
     @property
@@ -195,9 +205,13 @@ class Triangles:
         return self._prim_ids
 
     def release(self) -> None:
-        """Free `corners` if they can be computed again: 36 bytes per triangle."""
+        """Free `corners` if they can be computed again: 36 bytes per triangle.
+
+        Arrays that `corners` returned before stay valid.
+        """
         if self._restore is not None:
-            self._corners = None
+            with _KEEPING:
+                self._corners = None
 
     @property
     def byte_count(self) -> int:

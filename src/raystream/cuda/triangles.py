@@ -42,5 +42,5 @@ class DeviceTriangles:
                 self._gpu.wait()  # other streams do not
                 self._arrays = corners, splits
         corners, splits = self._arrays
-        host = SceneAt.of(self._triangles)
-        return host._replace(corners=corners.address, mesh_splits=splits.address)
+        count = len(self._triangles.mesh_splits) - 1
+        return SceneAt.at(int(corners.address), int(splits.address), count)

@@ -10,7 +10,15 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
-__all__ = ["Progress", "parallel_for", "part_of", "set_thread_count", "thread_count", "thread_pool"]
+__all__ = [
+    "Progress",
+    "parallel_for",
+    "part_of",
+    "rising",
+    "set_thread_count",
+    "thread_count",
+    "thread_pool",
+]
 
 #: Called with the steps done and their total, from the calling thread.
 Progress = Callable[[int, int], object]
@@ -28,6 +36,21 @@ def part_of(progress: Progress | None, first: int, total: int) -> Progress | Non
         return None
     whole = progress
     return lambda done, _: whole(first + done, total)
+
+
+def rising(progress: Progress | None) -> Progress | None:
+    """Progress callback of loops that may have to run again: its reports never decrease."""
+    if progress is None:
+        return None
+    whole, most, of = progress, 0, 1
+
+    def report(done: int, total: int) -> object:
+        nonlocal most, of
+        if done * of >= most * total:
+            most, of = done, total
+        return whole(most, of)
+
+    return report
 
 
 _chosen_count: int | None = None

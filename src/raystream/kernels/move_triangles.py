@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ class _Placed(NamedTuple):
             solid,
             nonfinite_count,
             self.bounds,
-            lambda: _place(meshes, splits, center, scale).corners,
+            partial(_corners, meshes, splits, center, scale),
         )
 
 
@@ -126,6 +127,13 @@ def _place(
         all_bounds.append(bounds)
         all_reaches.append(reaches)
     return _Placed(corners, kinds, _union(all_bounds), _union(all_reaches))
+
+
+def _corners(
+    meshes: _Meshes, splits: NDArray[np.int64], center: NDArray[Any], scale: float
+) -> NDArray[np.float32]:
+    """The corners alone, to restore them: a function of the module, as it is pickled."""
+    return _place(meshes, splits, center, scale).corners
 
 
 def _nothing(count: int, dtype: type) -> NDArray[Any]:

@@ -10,13 +10,14 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.jit.threads import Progress, parallel_for, rising, thread_count
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import HitAccumulator, HitArrays, HitBatch, Sink, allocate_hits
 from raystream.kernels.queries import Wanted, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
+from raystream.programs.run import run_on_hits
 from raystream.structures import Structure
 
 __all__ = ["Branching"]
@@ -95,8 +96,17 @@ class Branching(Backend):
             return False
         filter_: Any = query.on_hit
         at_hits = filter_.at_hits(rays)
+        progress = rising(progress)
         self.run(query._replace(on_hit=at_hits.addresses), rays, sink, progress)
-        return not at_hits.has_raised
+        if at_hits.has_raised:
+            first = query._replace(kind=Kind.FIRST_HIT)
+            is_first = query.kind is Kind.FIRST_HIT
+            found = sink if is_first else Sink.of(first, len(rays), status=sink.status)
+            run_on_hits(self.run, first, rays, found, self.structure.triangles, progress)
+            if not is_first:
+                # The nearest hit that exists says whether there is one.
+                sink.seen = found.hits.prim_id >= 0
+        return True
 
     def trace_singly(
         self,

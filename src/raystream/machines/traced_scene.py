@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import operator
 from collections.abc import Mapping, Sequence
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from raystream.machines.counters import RayCounters
 
 __all__ = ["TracedScene"]
+
+#: Attributes that belong to the structure in place, or to the latest query.
+_TRANSIENT = ("_backend", "_cast", "_latest")
 
 
 class TracedScene:
@@ -77,13 +81,20 @@ class TracedScene:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the backend, which is made for the copy of the structure."""
-        names = ("structure", "device", "machine", "_scene", "_machine_options", "_counts")
-        return {name: getattr(self, name) for name in names}
+        """All but what is made for the copy of the structure, attributes of subclasses included."""
+        return {name: value for name, value in vars(self).items() if name not in _TRANSIENT}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._set(self._scene, self.structure)
+
+    def __copy__(self) -> Self:
+        """A copy with a structure of its own, as `update` changes it; the triangles are shared."""
+        triangles = self.structure.triangles
+        structure = copy.deepcopy(self.structure, {id(triangles): triangles})
+        other = type(self).__new__(type(self))
+        other.__setstate__({**self.__getstate__(), "structure": structure})
+        return other
 
     @property
     def is_counting(self) -> bool:

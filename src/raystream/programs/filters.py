@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress
+from raystream.jit.threads import Progress, rising
 from raystream.kernels.hits import (
     HitAccumulator,
     HitAddresses,
@@ -137,6 +137,7 @@ def count_filtered(
     filter_: Filter, find: FindHits, batch: RayBatch, progress: Progress | None
 ) -> NDArray[np.int64]:
     """Count the hits of each ray that are kept."""
+    progress = rising(progress)
     counts = np.zeros(len(batch), np.int64)
     program = filter_.program("count", np.uint64(counts.ctypes.data))
     program.compile()

@@ -73,12 +73,12 @@ class FilterAtHits:
         reader = _Reader()
         text = "" if constants is None else reader.read(constants)
         self._context = np.zeros(CONSTANTS + len(reader.values), np.uint64)
-        self._context[SCENE:DIRECTIONS] = SceneAt.of(triangles)
+        self._context[SCENE:DIRECTIONS], self._scene_arrays = SceneAt.of(triangles)
         directions = source.directions, source.direction_step, source.directions_are_double
         self._context[DIRECTIONS:CONSTANTS] = directions
         for k, value in enumerate(reader.values, CONSTANTS):
             self._context[k : k + 1].view(value.dtype)[0] = value
-        self._triangles, self._skipped = triangles, skipped
+        self._skipped = skipped
         code = 0
         if function is not None:
             check_function(function, "first", constants is not None)

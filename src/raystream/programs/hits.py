@@ -98,7 +98,7 @@ class RowsAt(NamedTuple):
 
 
 class SceneAt(NamedTuple):
-    """Addresses of triangles; the caller keeps them alive.
+    """Addresses of triangles; the caller keeps the arrays alive.
 
     Attributes
     ----------
@@ -115,11 +115,17 @@ class SceneAt(NamedTuple):
     halvings: np.uint64
 
     @classmethod
-    def of(cls, triangles: Triangles) -> SceneAt:
-        """Addresses of triangles."""
-        count = len(triangles.mesh_splits) - 1
-        places = triangles.corners.ctypes.data, triangles.mesh_splits.ctypes.data
-        return cls(*np.array((*places, count, max(count - 1, 0).bit_length()), np.uint64))
+    def of(cls, triangles: Triangles) -> tuple[SceneAt, tuple[NDArray[Any], ...]]:
+        """Addresses of triangles, and the arrays to keep alive: the triangles may free theirs."""
+        kept = triangles.corners, triangles.mesh_splits
+        corners, splits = (array.ctypes.data for array in kept)
+        return cls.at(corners, splits, len(triangles.mesh_splits) - 1), kept
+
+    @classmethod
+    def at(cls, corners: int, mesh_splits: int, mesh_count: int) -> SceneAt:
+        """Triangles of `mesh_count` meshes at these addresses."""
+        halvings = max(mesh_count - 1, 0).bit_length()
+        return cls(*np.array((corners, mesh_splits, mesh_count, halvings), np.uint64))
 
 
 class RaysAt(NamedTuple):

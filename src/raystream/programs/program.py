@@ -35,7 +35,7 @@ class Program:
         Arguments of the goal's loop: the payload's array or None; the output of hits or counts,
         by rays of the batch; for ``"multi"`` the hits found so far and the most.
     triangles : Triangles
-        Those of the scene; the program keeps them alive.
+        Those of the scene; the program keeps their arrays alive.
     constants : tuple, optional
         The function's last argument.
 
@@ -61,8 +61,7 @@ class Program:
         self._loop: Loop = compile_loop(text, function, loop_globals(goal), __name__)
         own = [value for value in (skips, constants) if value is not None]
         self._arguments = (*own, *arguments)
-        self._triangles = triangles
-        self._scene = SceneAt.of(triangles)
+        self._scene, self._scene_arrays = SceneAt.of(triangles)
 
     @property
     def compiled_count(self) -> int:

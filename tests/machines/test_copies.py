@@ -1,0 +1,91 @@
+"""Copies and pickles of tracers, hits and scenes, of any size and after updates."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from meshes import soup
+from raystream.scene.scene import _FEW
+
+STRUCTURES = ["bvh", "brute", "grid", "kdtree", "graph"]
+
+
+@pytest.fixture
+def rays(rng):
+    return rng.normal(size=(2, 200, 3))
+
+
+class Named(rs.Tracer):
+    """A tracer with an attribute of its own."""
+
+    def __init__(self, scene, extra):
+        super().__init__(scene)
+        self.extra = extra
+
+
+def pickled(one):
+    return pickle.loads(pickle.dumps(one))
+
+
+def assert_same_hits(one, other):
+    assert (one.prim_id >= 0).any()
+    for name in ("t", "u", "v", "prim_id"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_large_scenes_hits_and_tracers_are_pickled(rays):
+    """Their triangles are made on all threads, and can be made again."""
+    scene = rs.Scene.from_arrays(*soup(_FEW + 1))
+    tracer = rs.Tracer(scene)
+    hits = tracer.first_hit(*rays)
+    assert_same_hits(hits, rs.Tracer(pickled(scene)).first_hit(*rays))
+    for copied in (pickled, copy.deepcopy, copy.copy):
+        assert_same_hits(hits, copied(tracer).first_hit(*rays))
+        np.testing.assert_array_equal(copied(hits).positions, hits.positions)
+        cast = tracer.cast(*(one[hits.prim_id.argmax()] for one in rays))
+        assert cast
+        assert copied(cast) == cast
+
+
+def test_restored_corners_of_pickles_are_the_same():
+    triangles = rs.Scene.from_arrays(*soup(_FEW + 1)).triangles
+    corners = triangles.corners
+    other = pickled(triangles)
+    other.release()
+    np.testing.assert_array_equal(other.corners, corners)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_updated_tracers_are_pickled(structure, rays):
+    vertices, faces = soup(500)
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), structure)
+    tracer.update(vertices + 0.125)
+    hits = tracer.first_hit(*rays)
+    for copied in (pickled, copy.deepcopy, copy.copy):
+        assert_same_hits(hits, copied(tracer).first_hit(*rays))
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_updates_of_copies_leave_the_original_alone(structure, rays):
+    vertices, faces = soup(500)
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), structure)
+    hits = tracer.first_hit(*rays)
+    other = copy.copy(tracer)
+    assert other.structure is not tracer.structure
+    assert other.scene is tracer.scene
+    other.update(vertices + [0.0, 0.0, 50.0], max_cost_growth=np.inf)
+    assert_same_hits(hits, tracer.first_hit(*rays))
+    assert other.scene is not tracer.scene
+
+
+def test_attributes_of_subclasses_and_users_are_copied():
+    tracer = Named(rs.Scene.from_arrays(*soup(50)), extra=3)
+    tracer.note = ["mine"]
+    for copied in (pickled, copy.deepcopy, copy.copy):
+        other = copied(tracer)
+        assert type(other) is Named
+        assert (other.extra, other.note) == (3, ["mine"])
+        assert other.structure is not tracer.structure
