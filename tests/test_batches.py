@@ -11,6 +11,7 @@ import raystream as rs
 from batches import BATCHES
 from conftest import TRACERS, assert_same_bits, is_default
 from meshes import soup
+from raystream.jit.threads import parallel_for, thread_count
 from raystream.structures.bvh import stream_batch
 from test_agreement import Answers, answers_of, assert_expected
 
@@ -134,6 +135,27 @@ def test_large_batches_are_shared_by_the_threads(make_tracer, rng):
         assert_same_bits(tracer.first_hit(**rays).u, expected.u)
     finally:
         rs.set_thread_count(None)
+
+
+@pytest.mark.parametrize("make_tracer", READERS, indirect=True)
+def test_batches_in_a_loop_that_keeps_all_threads_busy(make_tracer):
+    """As an image's bands are: each batch then has one thread for many pieces of work."""
+    tracer = make_tracer(rs.Scene.from_arrays(*soup(40, 1)))
+    side = 40 if tracer.machine == "multipass" else 160
+    x, y = np.meshgrid(np.linspace(-0.2, 1.2, side), np.linspace(-0.2, 1.2, side))
+    directions = np.stack([x - 0.4, y - 0.6, np.full_like(x, 3.0)], axis=-1).astype(np.float32)
+    rays = {"origins": np.array([0.4, 0.6, -3.0], np.float32), "directions": directions}
+    expected = answers_of(tracer, rays, is_brief=True)
+    found = []
+
+    def body(begin, end):
+        if begin < end:
+            found.append(answers_of(tracer, rays, is_brief=True))
+
+    parallel_for(body, thread_count(), 1)
+    assert len(found) == thread_count()
+    for answers in found:
+        assert_expected(answers, expected)
 
 
 def test_rays_are_sorted_in_parts(monkeypatch, rng):

@@ -265,7 +265,8 @@ def two_threads():
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_nested_loop_of_one_thread_takes_several_chunks_at_once():
+@pytest.mark.parametrize(("joins_chunks", "most"), [(False, 2), (True, 32)])
+def test_nested_loop_of_one_thread_joins_chunks_if_its_body_allows(joins_chunks, most):
     """Each call of a body may wait for the interpreter lock, which the other threads use."""
     calls = []
 
@@ -273,12 +274,14 @@ def test_nested_loop_of_one_thread_takes_several_chunks_at_once():
         if begin < end:
             time.sleep(0.05)  # until both threads are busy
             mine = []
-            parallel_for(lambda first, last: mine.append((first, last)), 100, 2)
+
+            def body(first, last):
+                mine.append((first, last))
+
+            parallel_for(body, 100, 2, joins_chunks=joins_chunks)
             calls.append(mine)
 
     parallel_for(outer, 2, 1)
-    alone = [mine for mine in calls if max(last - first for first, last in mine) > 2]
-    assert alone
     for mine in calls:
         assert sorted(i for first, last in mine for i in range(first, last)) == [*range(100)]
-    assert max(last - first for mine in calls for first, last in mine) <= 32
+    assert max(last - first for mine in calls for first, last in mine) == most

@@ -352,7 +352,7 @@ class _Soiled:
 
 
 def test_a_build_inside_a_loop_on_all_threads_gives_the_same_tree(monkeypatch):
-    """A nested loop takes several chunks at once: bins that it leaves empty must be empty."""
+    """A nested loop has one thread, which must fill every chunk's bins."""
     triangles = triangles_of(*soup(300_000, 9, 0.01))
     want = build_arrays(triangles)
     monkeypatch.setattr(parallel_split, "np", _Soiled())

@@ -26,7 +26,7 @@ Progress = Callable[[int, int], object]
 #: Seconds between two calls of a progress callback.
 PROGRESS_INTERVAL = 0.05
 
-#: Chunks per call of the body of a nested loop that runs on one thread.
+#: Chunks per call of the body of a nested loop that runs on one thread, if the body allows it.
 _CHUNKS_ALONE = 16
 
 
@@ -127,6 +127,8 @@ def parallel_for(
     count: int,
     chunk: int,
     progress: Progress | None = None,
+    *,
+    joins_chunks: bool = False,
 ) -> None:
     """Run ``body(begin, end)`` over [0, count) in chunks, on all threads.
 
@@ -135,8 +137,7 @@ def parallel_for(
     KeyboardInterrupt is raised. An exception in any chunk stops the loop likewise.
     A nested loop stops with the loop around it, and runs on the body's thread alone while the
     outer loop keeps all threads busy: more threads than processors would wait for each other,
-    which took a quarter of the time of an image. It then calls its body for several chunks at
-    once, since each call may wait for another thread to release the interpreter lock.
+    which took a quarter of the time of an image.
 
     Parameters
     ----------
@@ -148,12 +149,15 @@ def parallel_for(
     count : int
         Length of the range.
     chunk : int
-        Largest range for one call of `body`, or 16 of them where a nested loop has one thread:
-        decides the balance between threads, and how soon an interrupt takes effect. Each range
-        begins at a multiple of it.
+        Largest range for one call of `body`: decides the balance between threads, and how soon
+        an interrupt takes effect. Each range begins at a multiple of it.
     progress : callable, optional
         Called with (done, count) from the calling thread, at most every `PROGRESS_INTERVAL`
         seconds, and once at the end.
+    joins_chunks : bool
+        Whether `body` takes longer ranges, too: a nested loop that has one thread then calls it
+        for 16 chunks at once, since each call may wait for another thread to release the
+        interpreter lock. Not for a body whose memory is made for one chunk.
     """
     if count <= 0:
         return
@@ -168,7 +172,7 @@ def parallel_for(
     spare = thread_count() - 1 if around is None else thread_count() - around.busy_threads()
     thread_total = min(1 + max(spare, 0), -(-count // chunk))
     state.thread_total = thread_total
-    if around is not None and thread_total == 1 and progress is None:
+    if joins_chunks and around is not None and thread_total == 1 and progress is None:
         chunk *= _CHUNKS_ALONE
     begins = itertools.count(0, chunk)  # next() is atomic under the interpreter lock
     finished = itertools.count(1)

@@ -144,6 +144,7 @@ class Sampler(NamedTuple):
             lambda begin, end: _fill(begin, end, self, pixels, samples, dimension, out),
             length,
             _CHUNK,
+            joins_chunks=True,
         )
         return out
 

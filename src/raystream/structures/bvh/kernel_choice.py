@@ -282,7 +282,8 @@ def _trace_wavefront(work: _Batch, first: int, end: int, progress: Progress | No
         body(0, count)
     else:
         share = -(-count // (8 * thread_count()))
-        parallel_for(body, count, max(LEAST_CHUNK, min(share, MOST_CHUNK)), progress)
+        chunk = max(LEAST_CHUNK, min(share, MOST_CHUNK))
+        parallel_for(body, count, chunk, progress, joins_chunks=True)
 
 
 def _trace_streams(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
@@ -306,7 +307,8 @@ def _trace_packets(work: _Batch, first: int, end: int, progress: Progress | None
 
     share = -(-packet_count // (8 * thread_count()))
     report = _of_rays(progress, end - first, packet_count)
-    parallel_for(body, packet_count, max(4, min(share, MOST_PACKETS)), report)
+    chunk = max(4, min(share, MOST_PACKETS))
+    parallel_for(body, packet_count, chunk, report, joins_chunks=True)
 
 
 def _trace_groups(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
@@ -324,7 +326,7 @@ def _trace_groups(work: _Batch, first: int, end: int, progress: Progress | None)
     if share > BLOCK_PACKETS:  # whole blocks
         share = min(share // BLOCK_PACKETS * BLOCK_PACKETS, MOST_PACKETS)
     report = _of_rays(progress, end - first, packet_count)
-    parallel_for(body, packet_count, max(4, share), report)
+    parallel_for(body, packet_count, max(4, share), report, joins_chunks=True)
 
 
 def _of_rays(progress: Progress | None, ray_count: int, packet_count: int) -> Progress | None:

@@ -61,9 +61,7 @@ def split_large(
     None if all centroids are equal; nothing is moved then.
     """
     chunk_count = -(-(end - begin) // _CHUNK)
-    # Empty bins for those that are not filled: a nested loop fills several chunks' at once.
-    bins = np.full((chunk_count, 3, BIN_COUNT, REF_FLOATS), -np.inf, np.float32)
-    bins[..., 7] = 0.0
+    bins = np.empty((chunk_count, 3, BIN_COUNT, REF_FLOATS), np.float32)
 
     def fill(first: int, last: int) -> None:
         _fill_bins(begin + first, begin + last, refs, centroids, bins[first // _CHUNK])

@@ -83,7 +83,8 @@ def trace_sorted(
         def trace(low: int, high: int, rays: SortedRays = sorted_rays) -> None:
             trace_streams(low, high, tree, frame, source, rays, wants_any, filter_, results)
 
-        parallel_for(trace, part, chunk, part_of(progress, first - begin, count))
+        report = part_of(progress, first - begin, count)
+        parallel_for(trace, part, chunk, report, joins_chunks=True)
         if not wants_any:
             _write_all(sorted_rays, part, results)
 
@@ -119,16 +120,19 @@ class _Memory:
             place_rays(begin, end, count, keys, counts, numbers)
 
         chunk_count = -(-count // SORTED_CHUNK)
-        parallel_for(count_some, chunk_count, 1)
+        parallel_for(count_some, chunk_count, 1, joins_chunks=True)
         place_keys(chunk_count, counts, self._octant_ends)
-        parallel_for(place_some, chunk_count, 1)
+        parallel_for(place_some, chunk_count, 1, joins_chunks=True)
         return SortedRays(
             np.uint64(first), np.uint64(count), numbers, self._octant_ends, self._rows
         )
 
 
 def _write_all(rays: SortedRays, count: int, results: ResultAddresses) -> None:
-    parallel_for(lambda begin, end: write_rows(begin, end, rays, results), count, SORTED_CHUNK)
+    def write(begin: int, end: int) -> None:
+        write_rows(begin, end, rays, results)
+
+    parallel_for(write, count, SORTED_CHUNK, joins_chunks=True)
 
 
 @kernel
