@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from raystream.core.rays import DEFAULT_LIMITS, RayStatus
 from raystream.jit.cpu import device
 from raystream.jit.simd import bits_as_float, float_as_bits, load
+from raystream.kernels.adjacent_rows import adjacent_rows
 from raystream.kernels.ray import FAR, LocalRay, to_local
 
 __all__ = [
@@ -114,7 +115,7 @@ def _readable(array: NDArray[Any], packed: bool) -> NDArray[Any]:
         return array if array.ndim == 1 or array[0].flags.c_contiguous else array.copy()
     if not packed and flags.aligned and (array.ndim == 1 or array.strides[1] == array.itemsize):
         return array
-    return np.ascontiguousarray(array)
+    return np.ascontiguousarray(array) if array.ndim == 1 else adjacent_rows(array)
 
 
 def _place(array: NDArray[Any]) -> tuple[np.uint64, np.uint64]:

@@ -16,6 +16,7 @@ from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
+from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.move_triangles import move_triangles
 from raystream.machines.backend import Backend
@@ -306,7 +307,7 @@ class TracedScene:
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")
                 return arrays
-        rays = RayBatch(origins, directions, t_min, t_max)
+        rays = RayBatch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
         return rays
