@@ -40,7 +40,7 @@ __all__ = [
 FINE_BITS, COARSE_BITS = 16, 10
 
 #: Costs of a node and of a leaf block, as on the CPU.
-_COSTS = (np.float32(1.0), np.float32(1.0))
+_COSTS = (np.float32(1.0), np.float32(1.0), np.float32(0.0))
 
 _AXES = np.uint64(3)
 
@@ -163,7 +163,7 @@ def _make_leaf(i, corners, values, nodes):
     store(box + np.uint64(COUNT_AT), np.int32(1))
     link = Link(nodes.links, i)
     link.left, link.is_top = np.int32(-1), np.int32(0)
-    store(nodes.costs + i * np.uint64(COST_BYTES), leaf_costs(box, _COSTS[1]))
+    store(nodes.costs + i * np.uint64(COST_BYTES), leaf_costs(box, _COSTS))
 
 
 @device

@@ -140,8 +140,9 @@ class BuildSettings(NamedTuple):
         From this depth on ranges are halved by count.
     spare_share : float
         Most references that spatial splits add, per triangle; 0 for none.
-    costs : tuple of two float32
-        Relative times of a node step and of the test of a block of 4 triangles.
+    costs : tuple of three float32
+        Relative times of a node step and of the test of a block of 4 triangles, to be multiplied by
+        the area of the box; and the price of a block's memory, as such a product.
     """
 
     min_split_size: int
@@ -149,7 +150,7 @@ class BuildSettings(NamedTuple):
     max_leaf_size: int
     sah_depth: int
     spare_share: float
-    costs: tuple[np.float32, np.float32]
+    costs: tuple[np.float32, np.float32, np.float32]
 
 
 @device

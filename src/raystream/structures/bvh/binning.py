@@ -49,6 +49,10 @@ SUMS_BYTES = BIN_COUNT * 4
 
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
+_QUARTER = np.float32(0.25)
+
+#: Most references whose leaf blocks are counted; those of more are estimated.
+_FEW = np.int32(8)
 
 
 @device
@@ -101,7 +105,11 @@ def block_count(ref_count):
 
 @device
 def _cost(box):
-    return half_area(box) * block_count(lane(box, 7))
+    count = np.int32(lane(box, 7))
+    # Of many references as if leaves were less than full: rounded up at any number, counts have two
+    # sides at odds with a good place, and a wall shares a leaf with what stands before it.
+    many = np.float32(count + np.int32(2)) * _QUARTER
+    return half_area(box) * (block_count(count) if count <= _FEW else many)
 
 
 @device_call

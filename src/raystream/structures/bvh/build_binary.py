@@ -129,6 +129,8 @@ class _Grower:
         root = self._make_refs()
         size = root.bounds[0, 4:7] + root.bounds[0, :3]
         area = np.float32(size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
+        node_cost, block_cost, price = self.settings.costs
+        self.settings = self.settings._replace(costs=(node_cost, block_cost, price * area))
         pad = np.float32(self.triangles.max_coordinate * PAD)
         self.space = Space(self.triangles.corners, pad, area)
         ranges = [root]  # parts come after the whole

@@ -66,10 +66,10 @@ _up_a_lane = permutation(0, 0, 1, 2, 3, 4, 5, 6)
 
 
 @device
-def leaf_costs(box, block_price):
+def leaf_costs(box, prices):
     """Costs of a binary leaf: the same in any number of lanes."""
     count = load(np.int32, box + np.uint64(COUNT_AT))
-    return f32x8(half_area(load(f32x8, box)) * block_count(count) * block_price)
+    return f32x8((half_area(load(f32x8, box)) * prices[1] + prices[2]) * block_count(count))
 
 
 @device_call
@@ -85,7 +85,7 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
         Costs of its children.
     max_leaf_size : int
     prices : tuple of float32
-        Of a node and of a leaf block.
+        See `BuildSettings.costs`.
     """
     # best: lane i is the least cost in i + 1 lanes that the children share.
     best, choice = f32x8(_INF), i32x8(np.int32(1))
@@ -101,7 +101,8 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
     area = half_area(load(f32x8, box))
     node_cost = lane(best, WIDTH - 1) + area * prices[0]
     count = load(np.int32, box + np.uint64(COUNT_AT))
-    leaf_cost = area * block_count(count) * prices[1] if count <= max_leaf_size else _INF
+    price = (area * prices[1] + prices[2]) * block_count(count)
+    leaf_cost = price if count <= max_leaf_size else _INF
     decision = np.int32(_IS_LEAF) if leaf_cost <= node_cost else np.int32(0)
     one = f32x8(min(leaf_cost, node_cost))
     # Eight lanes are always shared: that is a wide node.
@@ -136,7 +137,7 @@ def collapse_subtree(boxes, links, root, node_end, settings, costs):
         box = boxes + node * np.uint64(REF_BYTES)
         to = cost_at + node * np.uint64(COST_BYTES)
         if left_node < np.int32(0):
-            store(to, leaf_costs(box, settings.costs[1]))
+            store(to, leaf_costs(box, settings.costs))
         else:
             right_node = link.right
             left = load(f32x8, cost_at + np.uint64(left_node) * np.uint64(COST_BYTES))
