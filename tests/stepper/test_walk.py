@@ -112,7 +112,7 @@ def test_steps_follow_each_other(walks, key):
 
 @pytest.mark.parametrize("key", WALKED)
 def test_the_ray_is_in_the_box_that_is_named(plan, walks, key):
-    """At the middle of its interval it is in the box of the cell, leaf or sector."""
+    """At the middle of its interval it is in the box of the cell, leaf or sector, or very near."""
     corners = plan.scene.triangles.corners.reshape(-1, 3).astype(float)
     box = corners.min(axis=0), corners.max(axis=0)
     for walked in walks[key]:
@@ -121,9 +121,8 @@ def test_the_ray_is_in_the_box_that_is_named(plan, walks, key):
             spot = step.at
             if spot is None or spot.kind == "split" or step.kernel == "up":
                 continue  # going up, the interval is what is left of the ray
-            if key == "bvh" and spot.t_in > spot.t_out:
-                assert spot.number == 0  # which the ray misses
-                assert walked.prim_id == -1
+            if key == "bvh" and spot.t_in > spot.t_out and spot.number == 0:
+                assert walked.prim_id == -1  # the ray misses the root
                 continue
             # The last cell of an axis reaches on without end: up to the side of the scene's box.
             sides = np.where(direction > 0.0, box[1], box[0])
