@@ -205,6 +205,19 @@ def test_cut_boxes_reach_beyond_every_point_of_a_triangle(rng):
     assert inside.all()
 
 
+def test_a_wall_shares_no_leaf_with_what_stands_before_it():
+    """Four triangles fit into one leaf, and stay there if they are one thing."""
+    wall = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    square = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    for other, size in ((wall * 0.01 + 0.5, 2), (wall + [0, 0, 1e-3], 4)):
+        places = np.arange(3)[:, None, None] * [9.0, 0.0, 0.0]
+        vertices = (np.concatenate([wall, other]) + places).reshape(-1, 3)
+        faces = np.concatenate([square + 4 * k for k in range(6)])
+        rows = build_arrays(triangles_of(vertices, faces)).prim_ids
+        held = sorted(sorted(row[row >= 0].tolist()) for row in rows)
+        assert held == np.arange(12).reshape(-1, size).tolist()
+
+
 def test_statistics_count_what_a_ray_meets():
     """Two triangles side by side in one leaf, seen by every ray; a known sum for more."""
     one = statistics(build_arrays(triangles_of(*soup(2))))
