@@ -46,13 +46,13 @@ from raystream.structures.bvh.packet_hits import Collector
 from raystream.structures.bvh.packet_leaf import (
     ANY,
     FIRST,
-    PLANES,
+    LEAF_SCRATCH,
     GroupRange,
     box_planes,
     group_range,
     visit_leaf,
 )
-from raystream.structures.bvh.packet_load import load_packet
+from raystream.structures.bvh.packet_load import load_packet, prefetch_packet
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
     NO_CLASS,
@@ -85,9 +85,9 @@ _ENTRY = np.dtype(
 _Entry = view(_ENTRY)
 _EntryWords = view([("words", "u8", 3)])
 
-#: Scratch of `trace_packet`: keys of a node's children, planes of a block's triangles; behind it
+#: Scratch of `trace_packet`: keys of a node's children, the scratch of a leaf; behind it
 #: the stack.
-_MEMORY = np.dtype([("keys", "i4", 8), ("planes", PLANES)])
+_MEMORY = np.dtype([("keys", "i4", 8), ("leaf", LEAF_SCRATCH)])
 _Memory = view(_MEMORY)
 _Keys = view([("keys", "i4", (8, 1))])
 _MEMORY_BYTES = np.uint64(_MEMORY.itemsize)
@@ -296,7 +296,7 @@ def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hi
             node = tree.nodes + np.uint64(child) * NODE
             top = _visit_node(packet, node, rays, farthest, groups, memory, stack, top)
         else:
-            box, own = box_planes(node, lane, rays), memory.planes
+            box, own = box_planes(node, lane, rays), memory.leaf
             if visit_leaf(packet, child, tree.leaves, box, rays, groups, own, goal, hits, filter_):
                 farthest = _farthest(packet)
                 if farthest == -_INF:
@@ -375,6 +375,7 @@ def trace_packets(begin, end, tree, source, wants_any, filter_, out):
     nowhere = Collector(_U0)
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, source)
+        prefetch_packet(number + _U1, source)
         mine = packet_filter(filter_, source.order, number, slow_groups)
         trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, nowhere, mine)
         store_packet(packet, number, source.order, slow_groups, wants_any, out)

@@ -23,6 +23,7 @@ from raystream.jit.simd import (
     mask_bits,
     maximum,
     narrow,
+    prefetch,
     select,
     store,
     widen,
@@ -47,7 +48,14 @@ from raystream.structures.bvh.packet_rays import (
     three,
 )
 
-__all__ = ["load_directions", "load_group", "load_origins", "load_packet", "load_rays"]
+__all__ = [
+    "load_directions",
+    "load_group",
+    "load_origins",
+    "load_packet",
+    "load_rays",
+    "prefetch_packet",
+]
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -60,6 +68,7 @@ _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
 _LANE = np.uint64(4)
 _WIDE = np.uint64(8)
+_LINE = np.uint64(64)
 
 
 @device
@@ -286,6 +295,31 @@ def _load_part(packet, g, first, count, source):
     for lane in range(count, _LANES):
         lanes.t[lane], lanes.t_min[lane] = -_INF, _INF
         lanes.direction_class[lane] = NO_CLASS
+
+
+@device
+def _prefetch_rows(base, step, first, count):
+    begin = base + first * step
+    for at in range(begin, begin + count * step, _LINE):
+        prefetch(at)
+
+
+@device
+def prefetch_packet(number, source):
+    """Prefetch the rays of a packet that is loaded later, if it is a tile.
+
+    The processor foresees consecutive rays, but not a tile's rows: waiting for them took up to a
+    quarter of the time of camera rays.
+    """
+    rays, order = source.rays, source.order
+    is_tile = order.width | order.table != _U0
+    if is_tile and number < np.uint64(order.packet_count):
+        for g in range(GROUPS):
+            first, count = group_rows(order, number, g)
+            _prefetch_rows(rays.origins, rays.origin_step, first, count)
+            _prefetch_rows(rays.directions, rays.direction_step, first, count)
+            _prefetch_rows(rays.t_min, rays.t_min_step, first, count)
+            _prefetch_rows(rays.t_max, rays.t_max_step, first, count)
 
 
 @device
