@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import kernel
-from raystream.jit.simd import load, store
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import load, prefetch, store
 from raystream.jit.threads import parallel_for
 
 __all__ = ["adjacent_rows", "rows_of"]
 
-#: Vectors along the first axis that are copied together: the lines of memory that a transposed
-#: image's columns share are read once.
-_TOGETHER = 16
+#: Side of the tiles in which images are copied: the lines of memory that a transposed image's
+#: columns share are read once, and stay in the L1 cache until then.
+_SIDE = 8
+_LINE = np.uint64(64)
 
 #: Bytes that one call of the kernel copies, about.
 _BYTES = 1 << 18
@@ -75,9 +76,26 @@ def adjacent_rows(vectors: NDArray[Any]) -> NDArray[Any]:
         _copy(begin, end, *shared)
 
     row_bytes = max(inner, 1) * 3 * vectors.itemsize
-    chunk = max(_BYTES // (row_bytes * _TOGETHER), 1) * _TOGETHER
+    chunk = max(_BYTES // (row_bytes * _SIDE), 1) * _SIDE
     parallel_for(body, len(vectors), chunk, joins_chunks=True)
     return copied
+
+
+@device
+def _copy_run(source, distance, step, target, count, is_double):
+    """Copy vectors that are at equal distances."""
+    size = np.uint64(8) if is_double else np.uint64(4)
+    for _ in range(count):
+        if is_double:
+            store(target, load(np.float64, source))
+            store(target + size, load(np.float64, source + step))
+            store(target + size + size, load(np.float64, source + step + step))
+        else:
+            store(target, load(np.float32, source))
+            store(target + size, load(np.float32, source + step))
+            store(target + size + size, load(np.float32, source + step + step))
+        source += distance
+        target += size + size + size
 
 
 @kernel
@@ -96,23 +114,27 @@ def _copy(begin, end, given, copied, inner, outer_step, inner_step, step, is_dou
     is_double : bool
         Whether numbers have 8 bytes, not 4.
     """
-    two, three = np.uint64(2), np.uint64(3)
-    size = np.uint64(8) if is_double else np.uint64(4)
-    row = three * size
-    end = np.uint64(end)
-    first = np.uint64(begin)
-    while first < end:
-        last = min(first + np.uint64(_TOGETHER), end)
-        for k in range(inner):
-            for i in range(first, last):
-                source = given + i * outer_step + k * inner_step
-                target = copied + (i * inner + k) * row
-                if is_double:
-                    store(target, load(np.float64, source))
-                    store(target + size, load(np.float64, source + step))
-                    store(target + two * size, load(np.float64, source + two * step))
-                else:
-                    store(target, load(np.float32, source))
-                    store(target + size, load(np.float32, source + step))
-                    store(target + two * size, load(np.float32, source + two * step))
-        first = last
+    row = np.uint64(24) if is_double else np.uint64(12)
+    first, end, side = np.uint64(begin), np.uint64(end), np.uint64(_SIDE)
+    if inner == np.uint64(1):
+        _copy_run(
+            given + first * outer_step,
+            outer_step,
+            step,
+            copied + first * row,
+            end - first,
+            is_double,
+        )
+        return
+    for top in range(first, end, side):
+        bottom = min(top + side, end)
+        for left in range(np.uint64(0), inner, side):
+            for k in range(left + side, min(left + side + side, inner)):
+                at = given + top * outer_step + k * inner_step
+                prefetch(at)
+                prefetch(at + _LINE)
+            count = min(side, inner - left)
+            for i in range(top, bottom):
+                source = given + i * outer_step + left * inner_step
+                target = copied + (i * inner + left) * row
+                _copy_run(source, inner_step, step, target, count, is_double)

@@ -19,11 +19,24 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import address_of
-from raystream.kernels.hit_filter import FILTERED_BYTES, U_AT, V_AT, HitFilter, kept_hits
+from raystream.kernels.hit_filter import (
+    FILTERED_BYTES,
+    U_AT,
+    V_AT,
+    HitFilter,
+    RayFilter,
+    kept_hits,
+)
 from raystream.kernels.ray import world_t
-from raystream.structures.bvh.packet_rays import GroupLanes, PacketOrder, group_rows, world_lanes
+from raystream.structures.bvh.packet_rays import (
+    GroupLanes,
+    PacketOrder,
+    group_rows,
+    t_transform,
+    world_lanes,
+)
 
-__all__ = ["PacketFilter", "kept_lanes", "packet_filter"]
+__all__ = ["PacketFilter", "kept_lanes", "packet_filter", "ray_filter"]
 
 _U0, _U1 = np.uint64(0), np.uint64(1)
 _LANE = np.uint64(4)
@@ -56,6 +69,17 @@ def packet_filter(filter_, order, number, slow_groups):
     if filter_ is None:
         return None
     return PacketFilter(filter_, order, number, slow_groups)
+
+
+@device
+def ray_filter(filter_, lanes, g, k):
+    """The `RayFilter` of ray k of group g, whose lanes are given; None without a filter."""
+    if filter_ is None:
+        return None
+    first, _ = group_rows(filter_.order, filter_.number, g)
+    is_slow = (filter_.slow_groups >> g) & _U1 != _U0
+    t_scale, t_offset = t_transform(lanes, k, is_slow)
+    return RayFilter(filter_.filter, first + k, t_scale, t_offset)
 
 
 @device

@@ -19,6 +19,7 @@ from raystream.jit.simd import (
     select,
 )
 from raystream.jit.views import address_of, view
+from raystream.kernels.hit_filter import keeps
 from raystream.kernels.leaf_block import (
     AXIS,
     BLOCK,
@@ -37,7 +38,7 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
-from raystream.structures.bvh.packet_filter import kept_lanes
+from raystream.structures.bvh.packet_filter import kept_lanes, ray_filter
 from raystream.structures.bvh.packet_hits import collect
 from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
 
@@ -236,29 +237,31 @@ def _block_ray(lanes, k, rays):
 
 
 @device
-def _test_rays(lanes, bits, block, rays, is_any, found):
+def _test_rays(packet, g, bits, block, rays, is_any, found, filter_):
     """Test a block against some rays of a group; returns whether one of them has a nearer hit."""
-    has_hit = False
+    lanes, has_hit = GroupLanes(packet, g), False
     prim_ids = BlockLanes(block).prim_ids
     while bits != _U0:
         k = count_trailing_zeros(bits)
         bits &= bits - _U1
         nearest, best = lanes.t_active[k], lanes.prim_id[k]
         ray = _block_ray(lanes, k, rays)
+        own = ray_filter(filter_, lanes, g, k)
         hit = test_block(block, ray, lanes.t_min[k], nearest, False, found)
         while hit != _U0:
             lane = count_trailing_zeros(hit)
             hit &= hit - _U1
             at, prim_id = HitLanes(found), prim_ids[lane]
-            t = at.t[lane]
-            if t < nearest or (t == nearest and prim_id < best):
+            t, u, v = at.t[lane], at.u[lane], at.v[lane]
+            is_nearer = t < nearest or (t == nearest and prim_id < best)
+            if is_nearer and keeps(own, t, u, v, prim_id):
                 has_hit = True
                 lanes.prim_id[k] = best = prim_id
                 if is_any:
                     nearest, hit = -_INF, _U0
                 else:
                     nearest = t
-                    lanes.u[k], lanes.v[k] = at.u[lane], at.v[lane]
+                    lanes.u[k], lanes.v[k] = u, v
                 lanes.t_active[k] = nearest
     return has_hit
 
@@ -300,8 +303,8 @@ def visit_leaf(packet, child, leaves, box, rays, groups, own, goal, hits, filter
             bits = mask_bits(maximum(t_in, rays.t_min) <= minimum(t_out, group.t_active))
             if bits == _U0:
                 continue
-            if filter_ is None and goal <= ANY and popcount(bits) <= _FEW:
-                if _test_rays(GroupLanes(packet, g), bits, at, rays, goal == ANY, found):
+            if goal <= ANY and popcount(bits) <= _FEW:
+                if _test_rays(packet, g, bits, at, rays, goal == ANY, found, filter_):
                     has_hit = True
             else:
                 for lane in range(count):

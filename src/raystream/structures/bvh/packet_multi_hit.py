@@ -37,6 +37,7 @@ from raystream.structures.bvh.packet_rays import (
     GroupLanes,
     PacketSource,
     group_rows,
+    t_transform,
 )
 
 __all__ = ["count_all", "visit_all"]
@@ -222,14 +223,6 @@ def _store_counts(packet, number, order, counts):
 
 
 @device
-def _t_transform_of(lanes, lane, is_slow):
-    """Factor and t_offset of a ray's distances."""
-    if is_slow:
-        return lanes.slow_t_scale[lane], lanes.slow_t_offset[lane]
-    return np.float64(lanes.t_scale[lane]), np.float64(0.0)
-
-
-@device
 def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_count):
     """Convert a sorted packet's distances; write its rays and the ends of their rows."""
     t, ids, splits = buffers.rows.t, buffers.ray_ids, buffers.splits
@@ -237,7 +230,7 @@ def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_cou
         first, count = group_rows(order, number, g)
         lanes, is_slow = GroupLanes(packet, g), (slow_groups >> g) & _U1 == _U1
         for lane in range(count):
-            t_scale, t_offset = _t_transform_of(lanes, lane, is_slow)
+            t_scale, t_offset = t_transform(lanes, lane, is_slow)
             row_end = ends.ends[g * _LANES + lane]
             while row != row_end:
                 at = t + row * _LANE
@@ -268,7 +261,7 @@ def _finish_found(packet, number, order, slow_groups, begin, end, buffers):
         ray = np.uint64(load(np.int32, rays + row * _LANE))
         g, lane = ray // _LANES, ray % _LANES
         is_slow = (slow_groups >> g) & _U1 == _U1
-        t_scale, t_offset = _t_transform_of(GroupLanes(packet, g), lane, is_slow)
+        t_scale, t_offset = t_transform(GroupLanes(packet, g), lane, is_slow)
         at = t + row * _LANE
         store(at, world_t(load(np.float32, at), t_scale, t_offset))
         first, _ = group_rows(order, number, g)

@@ -42,6 +42,7 @@ __all__ = [
     "group_rows",
     "store_group",
     "store_packet",
+    "t_transform",
     "three",
     "world_lanes",
 ]
@@ -174,6 +175,14 @@ def world_lanes(t, t_scale):
     """Distances in world direction lengths, for a group without slow-path rays."""
     # A distance beyond float32 is still a hit: only a miss is infinite.
     return minimum(maximum(t * t_scale, f32x16(-_LARGEST)), f32x16(_LARGEST))
+
+
+@device
+def t_transform(lanes, lane, is_slow):
+    """Factor and offset of a ray's distances in world direction lengths."""
+    if is_slow:
+        return lanes.slow_t_scale[lane], lanes.slow_t_offset[lane]
+    return np.float64(lanes.t_scale[lane]), np.float64(0.0)
 
 
 @device
