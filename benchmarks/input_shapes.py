@@ -5,7 +5,7 @@
 First hits of a camera's rays in twelve arrangements, and of random rays; contenders take turns, and
 the median of some rounds counts. The ratio is to the fastest of the contenders with the same rays:
 the camera's in the order of rows or tiles; ten million, whose pixels are flatter; in random order,
-to the fastest kernel for them. A thousand rays, and one, are told in microseconds: they are latency.
+to the fastest kernel for them. A thousand rays, and one, are told in microseconds, as latency.
 """
 
 import argparse
