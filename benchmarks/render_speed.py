@@ -21,16 +21,20 @@ would differ by at this number of samples, for which E|x| = sqrt(2 / pi) sigma. 
 compare the variance of a sample, averaged over the pixels: equal times at unequal noise would be
 no tie.
 
-Mitsuba's compiled variants need an LLVM that selects ``minimum`` of floats (15 stops there, 22 does
-not): ``DRJIT_LIBLLVM_PATH`` names it; ``--variant scalar_rgb`` needs none.
+Mitsuba's compiled variants need an LLVM that selects ``minimum`` of floats: 15 and 16 abort there,
+19 and 22 do not. On Debian 12, ``apt install libllvm19``; the newest one installed is used, unless
+``DRJIT_LIBLLVM_PATH`` names another. ``--variant scalar_rgb`` needs none. If a renderer's process
+ends, so does the benchmark.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import multiprocessing
 import statistics
+import sys
 import time
 import warnings
 
@@ -38,6 +42,7 @@ import numpy as np
 from render_stages import view_of
 
 import raystream as rs
+from raystream.bench.contender_process import how_it_ended
 from raystream.rendering.color import decode_srgb
 
 
@@ -190,38 +195,58 @@ def expected_error(parts, side):
 
 
 def serve(pipe, kind, name, *options):
-    """Render parts of a scene on request, in a process of its own: sends pixels and seconds."""
+    """Render parts of a scene on request: sends pixels and seconds."""
     warnings.simplefilter("ignore")  # triangles without area
     renderer = kind(matte(name), *options)
-    while request := pipe.recv():
-        started = time.perf_counter()
-        pixels = renderer.render(*request)
-        taken = time.perf_counter() - started
-        pipe.send((pixels.astype(np.float64), taken))
+    with contextlib.suppress(EOFError):  # the benchmark needs no more
+        while True:
+            samples, seed = pipe.recv()
+            started = time.perf_counter()
+            pixels = renderer.render(samples, seed)
+            taken = time.perf_counter() - started
+            pipe.send((pixels.astype(np.float64), taken))
+
+
+class Server:
+    """A renderer of a scene, in a process of its own; see `serve`."""
+
+    def __init__(self, kind, *options):
+        spawning = multiprocessing.get_context("spawn")
+        self.kind = kind
+        self.pipe, far = spawning.Pipe()
+        self.process = spawning.Process(target=serve, args=(far, kind, *options), daemon=True)
+        self.process.start()
+        far.close()  # only the process has it now, so that the pipe ends with the process
+
+    def render(self, samples, seed):
+        """Pixels and seconds; if the process has ended, the benchmark ends too."""
+        try:
+            self.pipe.send((samples, seed))
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            sys.exit(f"{self.kind.__name__}: {how_it_ended(self.process.exitcode)}")
+
+    def close(self):
+        """End the process."""
+        self.pipe.close()
+        self.process.join()
 
 
 def measure(name, arguments):
     """Parts by both renderers in turns: two lists of pixels, two of seconds."""
-    spawning = multiprocessing.get_context("spawn")
     options = name, arguments.size, arguments.bounces, arguments.threads, arguments.variant
-    servers = []
-    for kind in (Ours, Mitsuba):
-        pipe, far = spawning.Pipe()
-        process = spawning.Process(target=serve, args=(far, kind, *options), daemon=True)
-        process.start()
-        servers.append((pipe, process))
+    servers = [Server(kind, *options) for kind in (Ours, Mitsuba)]
     samples = arguments.samples // arguments.parts
     parts, seconds = ([], []), ([], [])
     for seed in range(arguments.parts + 1):
-        for (pipe, _), pictures, times in zip(servers, parts, seconds, strict=True):
-            pipe.send((samples, seed))
-            pixels, taken = pipe.recv()
+        for server, pictures, times in zip(servers, parts, seconds, strict=True):
+            pixels, taken = server.render(samples, seed)
             if seed:  # the first part warms up
                 pictures.append(pixels)
                 times.append(taken)
-    for pipe, process in servers:
-        pipe.send(None)
-        process.join()
+    for server in servers:
+        server.close()
     return parts, seconds
 
 

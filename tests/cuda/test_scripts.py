@@ -51,13 +51,13 @@ def _sort(_gpu, keys, values, _bits, **_options):
     return keys, values
 
 
-@pytest.mark.parametrize("asked", ["counts", "rates"])
-def test_coherence(gpu, monkeypatch, tmp_path, capsys, asked):
+@pytest.mark.parametrize(("asked", "side"), [("counts", 32), ("rates", 8)], ids=["counts", "rates"])
+def test_coherence(gpu, monkeypatch, tmp_path, capsys, asked, side):
     kept = tmp_path / "coherence.json"
     if is_simulated():  # whose own sort takes seconds
         monkeypatch.setattr(ray_order, "sort_pairs", _sort)
     more = f"--{asked} --way grid --way grid:order=sorted --repeats 1 --json {kept}"
-    given = f"cornell --size 8x8 --per-hit 1 {more}"
+    given = f"cornell --size {side}x{side} --per-hit 1 {more}"
     monkeypatch.setattr(sys, "argv", ["cuda_coherence.py", *given.split()])
     assert script("cuda_coherence").main() == 0
     found = json.loads(kept.read_text())
@@ -76,10 +76,11 @@ def test_coherence(gpu, monkeypatch, tmp_path, capsys, asked):
         return
     assert [row["order"] for row in rows] == 3 * ["given", "shuffled", "sorted"]
     for row in rows:
-        assert row["rays"] <= 64
+        assert row["rays"] <= side**2
         assert 1.0 / 32.0 <= row["lanes"] <= 1.0
         assert row["lanes"] <= row["refilled"] <= 1.0
         assert 1.0 <= row["longest"] <= row["all"]
     given, shuffled, ordered = rows[:3]
     assert (given["nodes"], given["tests"]) == (shuffled["nodes"], shuffled["tests"])
     assert min(given["lanes"], ordered["lanes"]) > shuffled["lanes"]
+    assert max(given["all"], ordered["all"]) < shuffled["all"]

@@ -214,12 +214,12 @@ class Viewer:
         box = self.page.locator("#picture").bounding_box()
         return box["x"] + x * box["width"], box["y"] + y * box["height"]
 
-    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 5) -> None:
         """Drag from one place of the image to another."""
         mouse = self.page.mouse
         mouse.move(*self.place(*start))
         mouse.down()
-        mouse.move(*self.place(*end), steps=5)
+        mouse.move(*self.place(*end), steps=steps)
         mouse.up()
 
     def toast(self, text: str) -> None:

@@ -248,16 +248,22 @@ def test_sizes(viewer):
 def test_a_lost_connection_comes_back_as_it_was(chromium):  # noqa: F811
     with serving("cornell") as address:
         viewer = Viewer(chromium, address, "#samples=1&mode=vis")
-        viewer.drag((0.5, 0.5), (0.6, 0.5))
+        before = viewer.camera
+        viewer.drag((0.5, 0.5), (0.6, 0.5), steps=1)  # one change of the view, which then rests
+        viewer.wait(lambda: viewer.camera["eye"] != before["eye"], "a turn")
         viewer.wait(lambda: not viewer.camera["moving"], "the camera at rest")
         there = viewer.camera
     viewer.page.locator("#banner", has_text="No connection").wait_for()
     port = address.rstrip("/").rsplit(":", 1)[1]
     viewer.messages.clear()
+    viewer.sent.clear()
     with serving("cornell", "--port", port):
         viewer.page.locator("#banner").wait_for(state="hidden")
-        viewer.wait(lambda: viewer.messages and viewer.last("settings")["mode"] == "vis", "vis")
-        viewer.wait(lambda: not viewer.camera["moving"], "the camera at rest")
+        viewer.wait(
+            lambda: [m for m in viewer.messages if m["type"] == "settings" and m["mode"] == "vis"],
+            "vis",
+        )
+        viewer.wait(lambda: [m for m in viewer.sent if m["type"] == "camera"], "a camera")
         np.testing.assert_allclose(viewer.camera["eye"], there["eye"])
         # The browser reported errors while the server was down.
         viewer.problems.clear()

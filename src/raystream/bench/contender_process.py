@@ -13,7 +13,7 @@ from typing import IO, Any
 
 from raystream.bench.contenders import Entry, peer_of
 
-__all__ = ["ContenderError", "ContenderProcess"]
+__all__ = ["ContenderError", "ContenderProcess", "how_it_ended"]
 
 #: Seconds after which a process that does not answer is ended.
 MAX_SECONDS = 900.0
@@ -110,7 +110,7 @@ class ContenderProcess:
             watch.cancel()
         if not line.endswith("\n"):  # nothing, or the beginning of an answer
             code = process.wait()
-            reason = f"no answer for {MAX_SECONDS:.0f} s" if late.is_set() else _end(code)
+            reason = f"no answer for {MAX_SECONDS:.0f} s" if late.is_set() else how_it_ended(code)
             raise ContenderError(reason + self._last_words())
         self._signal("SIGSTOP")
         answer: dict[str, Any] = json.loads(line)
@@ -143,8 +143,8 @@ class ContenderProcess:
         return f": {words[-1][:_LAST_WORDS]}" if words else ""
 
 
-def _end(code: int) -> str:
-    """How a process ended, from its exit status."""
+def how_it_ended(code: int) -> str:
+    """How a process ended, from its exit status: that of `subprocess` and `multiprocessing`."""
     if code >= 0:
         return f"its process ended with status {code}"
     try:
