@@ -129,9 +129,8 @@ def rays_of(rows):
 
 @pytest.fixture(scope="module")
 def structure():
-    """With triangles in several leaves."""
     triangles = case_of("random_soup").scene.triangles
-    return build_structure("bvh", triangles, quality="high", max_leaf_size=2)
+    return build_structure("bvh", triangles, max_leaf_size=2)
 
 
 def address(array):

@@ -57,7 +57,7 @@ def in_all(views, ray, search, stack):
 
 QUERIES = ray_queries(in_all, STACK_BYTES, has_duplicates=True)
 
-OPTIONS = {"bvh": {"quality": "high", "max_leaf_size": 1}}
+OPTIONS = {"bvh": {"max_leaf_size": 1}}
 
 
 def parts_of(triangles):

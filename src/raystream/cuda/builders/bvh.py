@@ -137,12 +137,10 @@ def build_bvh(
     Raises
     ------
     ValueError
-        If quality is "high", or the tree would be too large.
+        If the tree would be too large.
     CudaError
         If device memory runs out: building takes about 300 bytes per triangle.
     """
-    if options.quality == "high":
-        raise ValueError("quality: 'high' is not supported with build='device'; choose a method")
     options = dataclasses.replace(options, quality="fast")
     if len(triangles.prim_ids) == 0:
         return BvhStructure(triangles, options)
