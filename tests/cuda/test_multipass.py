@@ -194,7 +194,7 @@ def test_the_device_chooses_as_schedulers_do(name, rng):
         assert (ran.kernel, ran.run_count) == (latest, waiting[latest])
         assert read_active(words) == waiting.sum()
     words[8:24] = 0
-    words[8 + int(RayState.OVERFLOWED)] = 5
+    words[8 + int(RayState.DONE)] = 5
     decide(_AT, at, rules)
     assert not read_passes(words, known + 1)
 

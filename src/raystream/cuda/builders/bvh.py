@@ -60,7 +60,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
         self.triangles, self.gpu, self.wide, self.method = triangles, gpu, wide, method
         self.options = options
         self.resident = Resident(TreeAddresses(wide.nodes.address, wide.leaves.address), wide[:2])
-        self._held_ids, self._has_duplicates = triangles.prim_ids, False
+        self._held_ids = triangles.prim_ids
         byte_count = sum(4 * one.shape[0] * one.shape[1] for one in wide[:2])
         self.report = finish(gpu, byte_count, started)
 
