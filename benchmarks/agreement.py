@@ -78,13 +78,13 @@ OPTIONS = {
 #: On a GPU, the ways to trace and build there.
 CUDA_OPTIONS = {
     "bvh": [
-        {"quality": "high", "max_leaf_size": 2},
-        {"kernel": "wide", "quality": "high"},
+        {"max_leaf_size": 2},
+        {"kernel": "wide"},
         {"kernel": "binary", "launch": "persistent"},
-        {"kernel": "packet", "quality": "high"},
+        {"kernel": "packet"},
         {"kernel": "packet", "order": "sorted", "launch": "persistent"},
         {"order": "sorted"},
-        {"order": "sorted", "kernel": "wide", "quality": "high", "launch": "persistent"},
+        {"order": "sorted", "kernel": "wide", "launch": "persistent"},
         {"build": "device"},
         {"build": "device", "method": "linear", "kernel": "compressed", "order": "sorted"},
         {"build": "device", "kernel": "binary"},

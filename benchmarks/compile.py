@@ -41,7 +41,7 @@ def steps():
     # As many rays as one look is worth, and as no ray is alone.
     origins, directions = scene.camera.rays(64, 64)
     rays = np.float32(origins), np.float32(directions)
-    for quality in ("balanced", "fast", "high"):
+    for quality in ("balanced", "fast"):
         run(f"build, {quality}", lambda quality=quality: rs.Tracer(scene, quality=quality))
     for kernel in KERNELS:
         tracer = rs.Tracer(scene, kernel=kernel)

@@ -34,7 +34,7 @@ TRACERS = {
     "bvh, groups": {"kernel": "groups"},
     "bvh, stream": {"kernel": "stream"},
     "bvh, single": {"kernel": "single"},
-    "bvh, high": {"quality": "high"},
+    "bvh, fast": {"quality": "fast"},
     "kdtree, stack": {"traversal": "stack"},
     "kdtree, restart": {"traversal": "restart"},
     "kdtree, backtrack": {"traversal": "backtrack"},

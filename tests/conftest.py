@@ -45,8 +45,6 @@ TRACERS = {
     "bvh, streams": {"structure": "bvh", "kernel": "stream"},
     "bvh, single rays": {"structure": "bvh", "kernel": "single"},
     "bvh, fast": {"structure": "bvh", "quality": "fast"},
-    "bvh, high": {"structure": "bvh", "quality": "high"},
-    "bvh, high, packets": {"structure": "bvh", "quality": "high", "kernel": "packet"},
     "bvh, leaves of 1": {"structure": "bvh", "max_leaf_size": 1},
     "bvh, leaves of 32": {"structure": "bvh", "max_leaf_size": 32, "kernel": "wavefront"},
     "grid": {"structure": "grid"},
@@ -97,9 +95,8 @@ TRACERS = {
     },
     "brute, multipass": {"structure": "brute", **MULTIPASS, "intersections": 50},
     "bvh, multipass": {"structure": "bvh", **MULTIPASS},
-    "bvh, high, multipass": {
+    "bvh, multipass, compacting": {
         "structure": "bvh",
-        "quality": "high",
         **MULTIPASS,
         "scheduler": "most-work",
         "traversal_steps": 3,
@@ -160,7 +157,6 @@ CODE_PATHS = (
     "bvh, groups",
     "bvh, streams",
     "bvh, single rays",
-    "bvh, high",  # lists triangles twice
     "grid",
     "grid, two levels",
     "kdtree, stack",
@@ -168,7 +164,7 @@ CODE_PATHS = (
     "kdtree, backtrack",
     "kdtree, short stack",
     "graph",
-    "bvh, high, multipass",
+    "bvh, multipass, compacting",
     "kdtree, backtrack, multipass",
 )
 
@@ -217,7 +213,6 @@ GRAPHICS_TRACERS = {
         **GRAPHICS,
     },
     "bvh, graphics": {"structure": "bvh", **GRAPHICS},
-    "bvh, high, graphics": {"structure": "bvh", "quality": "high", **GRAPHICS},
     "kdtree, stack, graphics": {"structure": "kdtree", **GRAPHICS},
     "kdtree, restart, graphics": {
         "structure": "kdtree",
@@ -281,8 +276,7 @@ CUDA = {"device": "cuda"}
 CUDA_TRACERS = {
     "brute": {"structure": "brute", **CUDA},
     "bvh": {"structure": "bvh", "kernel": "wide", **CUDA},
-    "bvh, high": {"structure": "bvh", "kernel": "wide", "quality": "high", **CUDA},
-    "bvh, compressed": {"structure": "bvh", "kernel": "compressed", "quality": "high", **CUDA},
+    "bvh, compressed": {"structure": "bvh", "kernel": "compressed", **CUDA},
     "bvh, binary": {"structure": "bvh", "kernel": "binary", "launch": "persistent", **CUDA},
     "grid": {"structure": "grid", **CUDA},
     "grid, two levels": {"structure": "grid", "resolution": (2, 3, 2), "levels": 2, **CUDA},
@@ -308,9 +302,8 @@ CUDA_TRACERS = {
         **CUDA,
     },
     "graph": {"structure": "graph", **CUDA},
-    "bvh, high, multipass": {
+    "bvh, multipass": {
         "structure": "bvh",
-        "quality": "high",
         **CUDA,
         **MULTIPASS,
         "traversal_steps": 8,
@@ -332,11 +325,10 @@ GPU_TRACERS = {
     "grid, built there": {"structure": "grid", **BUILT},
     "kdtree, built there": {"structure": "kdtree", **BUILT},
     "graph, built there": {"structure": "graph", **BUILT},
-    "bvh, packets": {"structure": "bvh", "kernel": "packet", "quality": "high", **CUDA},
+    "bvh, packets": {"structure": "bvh", "kernel": "packet", **CUDA},
     "bvh, packets, sorted": {"structure": "bvh", "kernel": "packet", **SORTED},
     "brute, sorted": {"structure": "brute", **SORTED},
-    "bvh, sorted": {"structure": "bvh", **SORTED},
-    "bvh, high, sorted": {"structure": "bvh", "quality": "high", **SORTED, "launch": "persistent"},
+    "bvh, sorted": {"structure": "bvh", **SORTED, "launch": "persistent"},
     "grid, sorted": {"structure": "grid", **SORTED, "launch": "persistent"},
     "kdtree, sorted": {"structure": "kdtree", **SORTED},
     "graph, sorted": {"structure": "graph", **SORTED},

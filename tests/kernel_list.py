@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
-QUALITIES = ("balanced", "fast", "high")
+QUALITIES = ("balanced", "fast")
 QUERIES = ("first", "any", "multi", "count", "filter")
 TASKS = (
     *(f"build-{how}" for how in (*QUALITIES, "update")),

@@ -86,7 +86,7 @@ def cube():
 
 
 def sticks(count, width):
-    """Long thin triangles: high quality cuts some."""
+    """Long thin triangles, whose boxes overlap."""
     rng = np.random.default_rng(3)
     start = rng.random((count, 3))
     stop = start + rng.normal(size=(count, 3)) * 0.3

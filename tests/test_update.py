@@ -50,7 +50,7 @@ def deformed(vertices, rng):
     return flat
 
 
-@pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
+@pytest.mark.parametrize("quality", ["fast", "balanced"])
 @pytest.mark.parametrize("max_cost_growth", [0.0, 1.5, np.inf])
 @pytest.mark.parametrize("count", [12, pytest.param(100, marks=pytest.mark.exhaustive)])
 def test_many_deformations(quality, max_cost_growth, count, rng):

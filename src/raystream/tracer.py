@@ -57,7 +57,7 @@ class Tracer(RayCaster):
         Called with (triangles done, triangles) during a long build.
     **options
         Options of the structure, device and machine that are given by name:
-        ``Tracer(scene, "bvh", quality="high")`` is ``Tracer(scene, Bvh(quality="high"))``.
+        ``Tracer(scene, "bvh", quality="fast")`` is ``Tracer(scene, Bvh(quality="fast"))``.
 
     Raises
     ------

@@ -310,8 +310,6 @@ def test_options_are_checked(device, structure, options, message):
 
 
 def test_options_that_the_device_lacks_are_refused(device):
-    with pytest.raises(ValueError, match="quality: 'high' is not supported with build='device'"):
-        built(rs.load("cornell"), "bvh", quality="high")
     with pytest.raises(TypeError, match="grid: build='device' has no option 'method'"):
         built(rs.load("cornell"), "grid", method="linear")
 

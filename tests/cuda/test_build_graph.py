@@ -217,4 +217,4 @@ def test_options_are_checked(device, options, message):
 
 def test_unknown_options_are_named(device):
     with pytest.raises(TypeError, match="graph: has no option 'quality'"):
-        built(rs.load("cornell"), quality="high")
+        built(rs.load("cornell"), quality="fast")

@@ -26,7 +26,7 @@ from raystream.cuda.bvh.compressed import LEAF_SIZE, compress
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.bvh.pairs import depth_of
 from raystream.cuda.bvh.slots import assign_slots
-from raystream.cuda.query_kernels import RowAddresses, SeenTables
+from raystream.cuda.query_kernels import RowAddresses
 from raystream.cuda.structures import kernels_of
 from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
@@ -137,7 +137,7 @@ def check_layout(structure, layout):
 @settings(max_examples=15, deadline=None)
 @given(
     meshes(max_triangles=40),
-    st.sampled_from(["balanced", "high"]),
+    st.sampled_from(["balanced", "fast"]),
     st.integers(1, 32),
     st.sampled_from(LAYOUTS),
 )
@@ -223,20 +223,13 @@ def traced(structure, layout, case, splits):
     status = np.zeros(len(batch), np.uint8)
     first, many = HitArrays.empty(len(batch)), HitArrays.empty(int(splits[-1]))
     found = np.empty(len(batch), np.int64)
-    table = np.empty(4097, np.int32)
-    tables = SeenTables(address(table), np.uint64(4096 if structure.has_duplicates else 0))
     to = ResultAddresses(*map(address, first), NOWHERE, address(status))
     rows = HitAddresses(*map(address, many))
     to_rows = RowAddresses(address(splits), rows, address(found))
     shared = source, structure.frame, tree, None
     for i in map(np.uint64, range(len(batch))):
         kernels.first_hit.function(i, *shared, to)
-        # The thread's own table is the only one.
-        own = tables._replace(
-            memory=tables.memory - (tables.room + np.uint64(1)) * np.uint64(4) * i
-        )
-        more = own if structure.has_duplicates else tables
-        kernels.multi_hit.function(i, *shared, more, False, to_rows)
+        kernels.multi_hit.function(i, *shared, False, to_rows)
     np.testing.assert_array_equal(found, np.diff(splits))
     return first, many
 
@@ -246,22 +239,16 @@ def address(array):
 
 
 @pytest.mark.parametrize(
-    ("layout", "quality"),
+    "layout",
     [
-        ("compressed", "balanced"),
-        *(
-            pytest.param(*one, marks=pytest.mark.exhaustive)
-            for one in (
-                *(("compressed", "high"), ("binary", "balanced"), ("binary", "high")),
-                ("packet", "high"),
-            )
-        ),
+        "compressed",
+        *(pytest.param(one, marks=pytest.mark.exhaustive) for one in ("binary", "packet")),
     ],
 )
 @pytest.mark.parametrize("name", CASES)
-def test_traversals_have_brute_force_bits(layout, name, quality):
+def test_traversals_have_brute_force_bits(layout, name):
     case, expected = case_of(name), expected_of(name)
-    structure = build_structure("bvh", case.scene.triangles, quality=quality, max_leaf_size=6)
+    structure = build_structure("bvh", case.scene.triangles, max_leaf_size=6)
     splits = expected["multi_hit, triangles, None: ray_splits"]
     first, many = traced(structure, layout, case, splits)
     for column in ("t", "u", "v", "prim_id"):
@@ -275,7 +262,7 @@ def test_rays_on_lattices_have_brute_force_bits(drawn, layout):
     case = Case(*drawn)
     oracle = rs.Tracer(case.scene, "brute")
     expected = oracle.multi_hit(case.origins, case.directions)
-    structure = build_structure("bvh", case.scene.triangles, quality="high", max_leaf_size=2)
+    structure = build_structure("bvh", case.scene.triangles, max_leaf_size=2)
     first, many = traced(structure, layout, case, expected.ray_splits)
     nearest = oracle.first_hit(case.origins, case.directions)
     for column in ("t", "u", "v", "prim_id"):

@@ -11,16 +11,12 @@ need("numba_cuda")
 
 import raystream as rs
 from conftest import assert_same_bits
-from raystream.cuda import launch
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import RangeKernel
 from test_agreement import case_of
 
 #: A simulated thread takes a tenth of a millisecond.
 RAYS = 24
-
-#: A structure that may list a triangle several times, so that rays need tables.
-TWICE = {"structure": "bvh", "quality": "high"}
 
 COLUMNS = ("t", "u", "v", "prim_id", "status")
 
@@ -54,10 +50,8 @@ def test_invalid_rays_have_a_status_where_no_hit_is_wanted(gpu, case, oracle, ra
     assert_same(many, oracle.multi_hit(origins, directions, max_hits=0), "ray_splits", *COLUMNS)
 
 
-def test_parts_whose_tables_are_too_small_are_traced_again(gpu, case, oracle, rays, monkeypatch):
-    monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(2))
-    monkeypatch.setattr(launch, "TABLE_BYTES", 300)
-    tracer = rs.Tracer(case.scene, device="cuda", rays_at_once=14, **TWICE)
+def test_parts_are_half_of_the_rays_at_once(gpu, case, oracle, rays, monkeypatch):
+    tracer = rs.Tracer(case.scene, "brute", "cuda", rays_at_once=14)
     steps: list[tuple[int, int]] = []
     sizes, launch_kernel = [], RangeKernel.launch
 
@@ -71,20 +65,8 @@ def test_parts_whose_tables_are_too_small_are_traced_again(gpu, case, oracle, ra
     assert steps == sorted(steps)
     assert steps[-1] == (2 * RAYS, 2 * RAYS)
     assert len(steps) == 2 * -(-RAYS // 7)
-    # There are tables for 7 rays of a part, then for 4 together, then for one.
     for query in ("count_hits", "multi_hit"):
-        assert {(query, 7), (query, 4), (query, 1)} <= set(sizes)
-
-
-def test_counters_are_those_of_the_last_try(gpu, case, rays, monkeypatch):
-    counted = []
-    for room in (64, 2):
-        monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(room))
-        tracer = rs.Tracer(case.scene, device="cuda", kernel="wide", counters=True, **TWICE)
-        tracer.count_hits(*rays)
-        counted.append((tracer.counters.steps.tolist(), tracer.counters.tests.tolist()))
-    assert counted[0] == counted[1]
-    assert max(counted[0][1]) > 2
+        assert [count for name, count in sizes if name == query] == [7, 7, 7, 3]
 
 
 def is_even(hit):

@@ -14,7 +14,6 @@ need("numba_cuda")
 import raystream as rs
 from conftest import CUDA_TRACERS, assert_same_bits
 from programs.layers import layers_rays, layers_scene
-from raystream.cuda import launch
 from raystream.cuda.programs import rounds
 from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.jit.cuda import is_simulated
@@ -88,12 +87,11 @@ def fail(hit):
 
 @pytest.fixture(params=["all hits at once", "a few hits at a time"])
 def is_tight(request, monkeypatch):
-    """Whether rays have room for one hit at first, and there are few rows and small tables."""
+    """Whether rays have room for one hit at first, and there are few rows."""
     is_tight = request.param == "a few hits at a time"
     monkeypatch.setattr(rounds, "FIRST_ROOM", 1 if is_tight else 1000)
     if is_tight:
         monkeypatch.setattr(rounds, "HITS_AT_ONCE", 60)
-        monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(2))
     return is_tight
 
 
@@ -113,8 +111,8 @@ def tracers_of(name, **more):
 
 @pytest.fixture
 def tracers(is_tight, gpu):
-    """One on the device, and one on the CPU; rays may need tables of the triangles seen."""
-    return tracers_of("bvh, high", rays_at_once=13) if is_tight else tracers_of("brute")
+    """One on the device, and one on the CPU; rays may be traced in parts."""
+    return tracers_of("bvh", rays_at_once=13) if is_tight else tracers_of("brute")
 
 
 @pytest.fixture
@@ -237,7 +235,7 @@ def test_kernels_get_arguments_of_the_types_that_were_checked(tracers, both, ray
 
 
 #: The rest is for .ci/nightly: their traversals take long to compile.
-USUAL = ("brute", "bvh, high", "kdtree, stack")
+USUAL = ("brute", "bvh", "kdtree, stack")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ import raystream as rs
 from cases import CASES
 from conftest import assert_same_bits
 from raystream.core.rays import RayBatch
-from raystream.cuda import launch, ray_order
+from raystream.cuda import ray_order
+from raystream.cuda.programs import rounds
 from raystream.cuda.rays import place_rays
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import PersistentKernel, RangeKernel, is_simulated
@@ -176,11 +177,11 @@ def test_threads_take_the_numbers_of_the_order(gpu, launcher):
 
 # ---- Answers.
 
-#: Every structure, both launches, and a BVH whose rays need tables.
+#: Every structure, and both launches.
 WAYS = {
     "brute": {"structure": "brute"},
     "bvh": {"structure": "bvh", "kernel": "compressed", "launch": "persistent"},
-    "bvh, high": {"structure": "bvh", "kernel": "wide", "quality": "high"},
+    "bvh, wide": {"structure": "bvh", "kernel": "wide"},
     "bvh, binary": {"structure": "bvh", "kernel": "binary"},
     "grid": {"structure": "grid", "launch": "persistent"},
     "kdtree": {"structure": "kdtree"},
@@ -220,9 +221,9 @@ def test_sorted_rays_of_every_case(gpu, simple_sort, name):
 
 
 def test_rays_in_arrays_on_the_device(gpu, simple_sort, rays):
-    """All together, and in parts that have tables; in either case ordered once."""
+    """All together, and ordered once for each query."""
     scene, sorts = case_of("random_soup").scene, []
-    options = {"kernel": "wide", "quality": "high", "order": "sorted"}
+    options = {"kernel": "wide", "order": "sorted"}
     tracer, oracle = rs.Tracer(scene, "bvh", "cuda", **options), rs.Tracer(scene, "brute")
     placed = [CudaArray(gpu, one.astype(np.float32)) for one in rays]
     on_host = [one.astype(np.float32) for one in rays]
@@ -240,12 +241,10 @@ def test_rays_in_arrays_on_the_device(gpu, simple_sort, rays):
         assert sorts == [RAYS]
         assert_same_bits(tracer.any_hit(*placed).host(), oracle.any_hit(*on_host))
         sorts.clear()
-        patch.setattr("raystream.cuda.launch.TABLE_BYTES", 10 * (4 * 32 + 4))
-        patch.setattr("raystream.cuda.launch.LEAST_ROOM", np.uint64(32))
         many, expected = tracer.multi_hit(*placed).host(), oracle.multi_hit(*on_host)
         for column in ("ray_splits", "t", "u", "v", "prim_id", "status"):
             assert_same_bits(getattr(many, column), getattr(expected, column))
-        assert sorts[:3] == [10, 10, 4]  # to count hits; kernels that write them find them sorted
+        assert sorts == [RAYS]  # to count hits; the kernel that writes them finds them sorted
 
 
 def test_counters_are_the_rays_own(gpu, simple_sort, rays):
@@ -259,14 +258,6 @@ def test_counters_are_the_rays_own(gpu, simple_sort, rays):
         assert ours.steps.tolist() == given.steps.tolist()
         assert ours.tests.tolist() == given.tests.tolist()
         assert len(set(ours.steps.tolist())) > 1
-
-
-def test_parts_that_are_traced_again_are_sorted_again(gpu, simple_sort, rays, monkeypatch):
-    monkeypatch.setattr(launch, "LEAST_ROOM", np.uint64(2))
-    scene = case_of("random_soup").scene
-    tracer = rs.Tracer(scene, "bvh", "cuda", quality="high", order="sorted")
-    found, expected = tracer.count_hits(*rays), rs.Tracer(scene, "brute").count_hits(*rays)
-    assert_same_bits(found, expected)
 
 
 def test_no_rays(gpu, simple_sort):
@@ -302,7 +293,9 @@ def is_odd(hit):
     return rs.Decision.CONTINUE if hit.prim_id % 2 else rs.Decision.IGNORE
 
 
-def test_programs_at_the_hits_of_sorted_rays(gpu, simple_sort, rays):
+def test_programs_at_the_hits_of_sorted_rays(gpu, simple_sort, rays, monkeypatch):
+    """In parts, each of which is sorted."""
+    monkeypatch.setattr(rounds, "HITS_AT_ONCE", 60)
     scene = case_of("random_soup").scene
     tracer, oracle = rs.Tracer(scene, "brute", "cuda", order="sorted"), rs.Tracer(scene, "brute")
     for query in ("first_hit", "multi_hit"):

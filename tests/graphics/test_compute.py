@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from meshes import dented_sphere, sticks
+from meshes import dented_sphere
 from raystream.graphics import dispatches
 from raystream.graphics.dispatch_size import DispatchSize
 from raystream.graphics.errors import GraphicsError
@@ -92,19 +92,6 @@ def test_trees_of_any_kind(dent, options):
     rays = rays_at(dent)
     tracer = rs.Tracer(dent, "bvh", "graphics", **options)
     assert_same_answers(tracer, rs.Tracer(dent, "brute"), rays)
-
-
-def test_triangles_in_several_leaves_are_found_once():
-    scene = rs.Scene.from_arrays(*sticks(1500, 0.01))
-    tracer = rs.Tracer(scene, "bvh", "graphics", quality="high")
-    assert tracer.structure.has_duplicates
-    rays = rays_at(scene, 1000)
-    brute = rs.Tracer(scene, "brute")
-    assert_same_answers(tracer, brute, rays)
-    counts = tracer.count_hits(*rays)
-    assert counts.max() > 1
-    found, expected = tracer.multi_hit(*rays, max_hits=1), brute.multi_hit(*rays, max_hits=1)
-    assert_same_hits(found, expected)
 
 
 def is_even(hit):

@@ -1,21 +1,11 @@
-"""The heap of nearest hits, and the set of triangles seen, by themselves."""
+"""The heap of nearest hits, by itself."""
 
 import numpy as np
 import pytest
 
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import address
 from raystream.kernels.hits import HitArrays, hit_addresses
-from raystream.kernels.search import (
-    ADDED,
-    FULL,
-    SEEN,
-    SeenSet,
-    clear_seen,
-    keep_hit,
-    mark_seen,
-    sort_hits,
-)
+from raystream.kernels.search import keep_hit, sort_hits
 
 
 @kernel
@@ -59,36 +49,3 @@ def test_the_columns_are_one_piece_of_memory():
     assert out.prim_id.dtype == np.int32
     assert all(column.base is out.t.base for column in out)
     assert out.part(slice(2, 5)).u.shape == (3,)
-
-
-@kernel
-def mark(table, prim_ids, answers):
-    seen = SeenSet(address(table), np.uint64(len(table) - 1))
-    clear_seen(seen)
-    for i in range(len(prim_ids)):
-        answers[i] = mark_seen(seen, prim_ids[i])
-
-
-def test_triangles_seen_before(rng):
-    prim_ids = rng.integers(0, 2**31 - 1, 5000).astype(np.int32)
-    prim_ids[::3] = prim_ids[rng.integers(0, 5000, len(prim_ids[::3]))]
-    prim_ids[:4] = 0, 2**31 - 2, 0, 2**31 - 2
-    answers = np.empty(5000, np.uint64)
-    mark(np.empty((1 << 14) + 1, np.int32), prim_ids, answers)
-    first = np.zeros(5000, bool)
-    first[np.unique(prim_ids, return_index=True)[1]] = True
-    np.testing.assert_array_equal(answers, np.where(first, ADDED, SEEN))
-
-
-def test_a_set_without_places_remembers_nothing():
-    answers = np.empty(40, np.uint64)
-    mark(np.empty(1, np.int32), np.zeros(40, np.int32), answers)
-    assert (answers == ADDED).all()
-
-
-def test_a_set_that_is_full_says_so():
-    prim_ids = np.arange(40, dtype=np.int32) * 64
-    answers = np.empty(40, np.uint64)
-    mark(np.empty(65, np.int32), prim_ids, answers)
-    assert (answers[:32] == ADDED).all()
-    assert (answers[32:] == FULL).all()

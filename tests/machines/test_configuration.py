@@ -21,8 +21,8 @@ RAY = [0.25, 0.25, 1.0], [0.0, 0.0, -1.0]
     [
         ({"structure": "bvh"}, {"structure": rs.Bvh()}),
         (
-            {"structure": "bvh", "quality": "high", "kernel": "packet"},
-            {"structure": rs.Bvh(quality="high", kernel="packet")},
+            {"structure": "bvh", "quality": "fast", "kernel": "packet"},
+            {"structure": rs.Bvh(quality="fast", kernel="packet")},
         ),
         ({"structure": "grid", "resolution": 3}, {"structure": rs.Grid(resolution=(3, 3, 3))}),
         (
@@ -63,7 +63,7 @@ def test_both_may_be_mixed():
 @pytest.mark.parametrize(
     ("given", "error", "words"),
     [
-        ({"structure": rs.Bvh(), "quality": "high"}, TypeError, "'quality' as an argument of Bvh"),
+        ({"structure": rs.Bvh(), "quality": "fast"}, TypeError, "'quality' as an argument of Bvh"),
         (
             {"machine": rs.Multipass(), "scheduler": "naive"},
             TypeError,

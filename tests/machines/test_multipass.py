@@ -10,7 +10,6 @@ import pytest
 import raystream as rs
 from cases import CASES
 from conftest import TRACERS, assert_same_bits
-from meshes import sticks
 from raystream.kernels.tally import COLUMNS
 from raystream.machines import MultipassBackend, Queues, own_options
 from raystream.machines.schedulers import SCHEDULERS
@@ -206,26 +205,6 @@ def test_rays_are_traced_in_parts_where_memory_is_short(monkeypatch):
         assert_same_bits(getattr(tracer.counters, column), getattr(whole.counters, column))
     assert done == sorted(done)
     assert done[-1] == (found.t.size, found.t.size)
-
-
-@pytest.mark.parametrize("max_bytes", [1 << 29, 200_000])
-def test_rays_that_meet_too_many_triangles_are_traced_again(monkeypatch, rng, max_bytes):
-    """In parts, too: they need more memory. Tallies are those of the search that succeeds."""
-    scene = rs.Scene.from_arrays(*sticks(6000, 0.05))
-    options = {"structure": "bvh", "quality": "high"}
-    branching = rs.Tracer(scene, **options, counters=True)
-    assert branching.structure.has_duplicates
-    monkeypatch.setattr("raystream.machines.multipass.MAX_BYTES", max_bytes)
-    tracer = multipass(scene, options, ("most-work", 8, 4, True), counters=True)
-    rays = {"origins": rng.random((200, 3)), "directions": rng.normal(size=(200, 3)), "t_min": -9.0}
-    for name in ("counts", "all hits", "three hits"):
-        assert_same_results(QUERIES[name](branching, rays), QUERIES[name](tracer, rays))
-        for column in COLUMNS:
-            assert_same_bits(getattr(branching.counters, column), getattr(tracer.counters, column))
-    counts = tracer.count_hits(**rays)
-    assert 20 < (counts > 32).sum() < 180  # those that a set of 64 places has no room for
-    begun = tracer.counters.passes.counters.of("set up").run_count
-    assert begun > counts.size  # some began twice
 
 
 def test_a_scheduler_of_ones_own():

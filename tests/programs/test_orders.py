@@ -16,7 +16,6 @@ VERTICES, FACES = dented_sphere(3)
 
 WAYS = {
     "packets": {"kernel": "packet"},
-    "packets, lists twice": {"kernel": "packet", "quality": "high"},
     "chosen": {},
     "single rays": {"kernel": "single"},
     "kdtree": {"structure": "kdtree"},

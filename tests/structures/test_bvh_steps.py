@@ -16,15 +16,7 @@ from raystream.kernels.hits import HitArrays, Sink, hit_addresses
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame, prepare_ray
-from raystream.kernels.search import (
-    Search,
-    SeenSet,
-    begin_search,
-    clear_seen,
-    is_full,
-    sort_hits,
-    wants_any,
-)
+from raystream.kernels.search import Search, begin_search, is_full, sort_hits, wants_any
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching
 from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH
@@ -43,11 +35,8 @@ _ONE = np.uint64(1)
 _NONE = np.uint64(0)
 _INF = np.float32(np.inf)
 
-#: A count that says that the set of triangles seen was too small.
-_OVERFLOWED = np.uint64(2**64 - 1)
-
 # Next steps of a ray.
-_POP, _VISIT, _INTERSECT, _DONE, _FULL = range(5)
+_POP, _VISIT, _INTERSECT, _DONE = range(4)
 
 #: Written on each half of a stack, and how many bytes of it follow those that are needed.
 _CANARY = 0xA5
@@ -97,20 +86,18 @@ def rows_of(out):
 
 @kernel
 def run_pass(
-    tree, max_coordinate, rays, states, stacks, stride, half, surfaces, slots, out, seen, tallies
+    tree, max_coordinate, rays, states, stacks, stride, half, surfaces, slots, out, tallies
 ):
     """One step of each ray. Returns how many were not done."""
     o, d = rays.origins, rays.directions
-    room = np.uint64(seen.shape[1]) - _ONE
     half_bytes = np.uint64(half)
     active = 0
     for i in range(len(states.stage)):
         stage = states.stage[i]
-        if stage >= _DONE:
+        if stage == _DONE:
             continue
         active += 1
         stack = address(stacks) + np.uint64(i) * np.uint64(stride)
-        met = SeenSet(address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4), room)
         top, t_min, t_far = states.top[i], rays.t_min[i], states.t_far[i]
         first, capacity = slots.first[i], slots.capacity[i]
         tally = tally_of(tallies, i)
@@ -132,7 +119,7 @@ def run_pass(
             add_to(tally, STEPS, _ONE)
             child = states.child[i]
             to = rows_of(out)
-            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, met, tally, None)
+            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, tally, None)
             is_any = wants_any(goal)
             states.top[i] = visit(tree, child, line, t_min, t_far, is_any, stack, half_bytes, top)
             stage = _POP
@@ -140,16 +127,11 @@ def run_pass(
             block = states.block[i]
             add_to(tally, TESTS, triangle_count(block))
             count, to = states.count[i], rows_of(out)
-            search = Search(
-                t_min, t_far, count, capacity, to, first, surfaces, met, False, tally, None
-            )
+            search = Search(t_min, t_far, count, capacity, to, first, surfaces, tally, None)
             search = intersect_block(block, line, search, t_min, _INF)
             states.count[i], states.t_far[i] = search.hit_count, search.t_far
             states.block[i] = block + BLOCK
-            if search.has_overflowed:
-                states.count[i] = _OVERFLOWED
-                stage = _FULL
-            elif is_full(search):
+            if is_full(search):
                 stage = _DONE
             elif block + BLOCK == states.end[i]:
                 stage = _POP
@@ -158,21 +140,17 @@ def run_pass(
 
 
 @kernel
-def fused(tree, max_coordinate, rays, surfaces, slots, out, seen, counts, tallies):
-    """`traverse` for each ray; the number of its hits, or _OVERFLOWED."""
+def fused(tree, max_coordinate, rays, surfaces, slots, out, counts, tallies):
+    """`traverse` for each ray; the number of its hits."""
     o, d = rays.origins, rays.directions
     stack = scratch(STACK_BYTES)
-    room = np.uint64(seen.shape[1]) - _ONE
     for i in range(len(counts)):
         ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
-        met = SeenSet(address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4), room)
         first, capacity = slots.first[i], slots.capacity[i]
         t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(tallies, i)
-        search = begin_search(
-            t_min, t_max, capacity, rows_of(out), first, surfaces, met, tally, None
-        )
+        search = begin_search(t_min, t_max, capacity, rows_of(out), first, surfaces, tally, None)
         search = traverse(tree, ray, search, stack)
-        counts[i] = _OVERFLOWED if search.has_overflowed else search.hit_count
+        counts[i] = search.hit_count
 
 
 @kernel
@@ -180,20 +158,6 @@ def sort_all(slots, counts, out):
     to = hit_addresses(out)
     for i in range(len(counts)):
         sort_hits(to, slots.first[i], counts[i])
-
-
-def new_seen(ray_count, room):
-    """Sets of triangles seen, one for each ray, with `room` places each."""
-    seen = np.empty((ray_count, room + 1), np.int32)
-    clear_all(seen)
-    return seen
-
-
-@kernel
-def clear_all(seen):
-    room = np.uint64(seen.shape[1]) - _ONE
-    for i in range(np.uint64(len(seen))):
-        clear_seen(SeenSet(address(seen) + i * (room + _ONE) * np.uint64(4), room))
 
 
 def new_hits(slots, keep):
@@ -206,17 +170,17 @@ def new_hits(slots, keep):
     return out
 
 
-def run_fused(structure, rays, surfaces, keep, slots, room):
+def run_fused(structure, rays, surfaces, keep, slots):
     """Counts, hits and tallies of `traverse`."""
     count, out = len(rays.t_max), new_hits(slots, keep)
     counts, tallies = np.zeros(count, np.uint64), new_tallies(count)
     max_coordinate = structure.triangles.max_coordinate
-    arguments = surfaces, slots, out, new_seen(count, room), counts, tallies
+    arguments = surfaces, slots, out, counts, tallies
     fused(structure.arrays, max_coordinate, rays, *arguments)
     return counts, out, tallies
 
 
-def run_steps(structure, rays, surfaces, keep, slots, room):
+def run_steps(structure, rays, surfaces, keep, slots):
     """The same of passes over all rays; checks that no stack is overrun."""
     count, out = len(rays.t_max), new_hits(slots, keep)
     states, tallies = new_states(rays), new_tallies(count)
@@ -225,7 +189,7 @@ def run_steps(structure, rays, surfaces, keep, slots, room):
     stacks = np.full((count, 2, half), _CANARY, np.uint8)
     where = stacks, 2 * half, half
     set_off(structure.arrays, rays, states, *where)
-    constants = surfaces, slots, out, new_seen(count, room), tallies
+    constants = surfaces, slots, out, tallies
     max_coordinate = structure.triangles.max_coordinate
     while run_pass(structure.arrays, max_coordinate, rays, states, *where, *constants):
         pass
@@ -233,17 +197,16 @@ def run_steps(structure, rays, surfaces, keep, slots, room):
     return states.count, out, tallies
 
 
-def both(structure, rays, surfaces, keep, slots, room):
+def both(structure, rays, surfaces, keep, slots):
     """Counts, sorted hits and tallies, the same ones from both."""
-    arguments = structure, rays, surfaces, keep, slots, room
+    arguments = structure, rays, surfaces, keep, slots
     counts, out, tallies = run_fused(*arguments)
     again, again_out, again_tallies = run_steps(*arguments)
     assert_same_bits(again, counts)
     assert_same_bits(again_tallies, tallies)
     if keep:
-        kept = np.where(counts == _OVERFLOWED, 0, counts)
         for hits in (out, again_out):
-            sort_all(slots, kept, hits)
+            sort_all(slots, counts, hits)
         for column, other in zip(again_out, out, strict=True):
             assert_same_bits(column, other)
     return counts, out, tallies
@@ -295,7 +258,7 @@ MESHES = {
     "nested": (nested(), {"max_leaf_size": 1}),
     "nested, fast": (nested(), {"quality": "fast"}),
     "coincident": (coincident(), {"max_leaf_size": 1}),
-    "cut sticks": (sticks(1500, 0.01), {"quality": "high"}),
+    "sticks": (sticks(1500, 0.01), {}),
     "one triangle": (soup(1), {}),
     "none": ((np.zeros((0, 3)), np.zeros((0, 3), int)), {}),
 }
@@ -331,17 +294,15 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
     unlimited.capacity[:] = UNLIMITED
 
     expected = answered(brute, Kind.FIRST_HIT, rays).hits
-    _, first, _ = both(structure, rays, False, True, one, 0)
+    _, first, _ = both(structure, rays, False, True, one)
     for column, wanted in zip(first, expected, strict=True):
         assert_same_bits(column, wanted)
-    seen, _, _ = both(structure, rays, False, False, one, 0)
+    seen, _, _ = both(structure, rays, False, False, one)
     assert_same_bits(seen != 0, answered(brute, Kind.ANY_HIT, rays).seen)
 
-    assert structure.has_duplicates == (structure.options.quality == "high")
-    room = 4096 if structure.has_duplicates else 0
     for surfaces in (False, True):
         wanted = answered(brute, Kind.COUNT_HITS, rays, surfaces).counts
-        counts, _, tallies = both(structure, rays, surfaces, False, unlimited, room)
+        counts, _, tallies = both(structure, rays, surfaces, False, unlimited)
         assert_same_bits(counts.astype(np.int64), wanted)
         assert (tallies[:, COLUMNS.index("tests")] >= counts).all()
         for most in (3, max(1, wanted.max(initial=0))):
@@ -353,28 +314,9 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
             filled.splits, filled.hits = splits, new_hits(some, True)
             query, frame = Query(Kind.MULTI_HIT, surfaces), SceneFrame.identity(brute.triangles)
             Branching(brute).trace_singly(query, RayBatch(*rays), filled, frame=frame)
-            _, many, _ = both(structure, rays, surfaces, True, some, room)
+            _, many, _ = both(structure, rays, surfaces, True, some)
             for column, right in zip(many, filled.hits, strict=True):
                 assert_same_bits(column, right)
-
-
-@pytest.mark.parametrize("keep", [False, True])
-def test_a_full_set_of_triangles_seen_is_told(keep, rng):
-    scene = rs.Scene.from_arrays(*sticks(6000, 0.05))
-    structure = rs.Tracer(scene, quality="high").structure
-    rays = local_rays(structure.triangles, 200, rng)
-    count = len(rays.t_max)
-    brute = rs.Tracer(scene, "brute").structure
-    wanted = answered(brute, Kind.COUNT_HITS, rays).counts
-    slots = slots_for(count, 400)
-    if not keep:
-        counts, _, _ = both(structure, rays, False, keep, slots, 0)
-        assert (counts > wanted).any()  # some are met twice
-    counts, _, _ = both(structure, rays, False, keep, slots, 64)
-    assert_same_bits(counts == _OVERFLOWED, wanted > 32)
-    assert 20 < (wanted > 32).sum() < 180
-    counts, _, _ = both(structure, rays, False, keep, slots, 1024)
-    assert_same_bits(counts.astype(np.int64), wanted)
 
 
 def test_the_tally_counts_real_triangles_of_leaves_entered():
@@ -389,7 +331,7 @@ def test_the_tally_counts_real_triangles_of_leaves_entered():
         limits = np.array([0, 0, 0, 1], np.float32), np.array([np.inf, 1, -1, 0], np.float32)
         rays = LocalRays(np.tile(origin, (4, 1)), np.tile(direction, (4, 1)), *limits)
         slots = Slots(np.zeros(4, np.uint64), np.full(4, UNLIMITED, np.uint64))
-        counts, _, tallies = both(structure, rays, False, False, slots, 0)
+        counts, _, tallies = both(structure, rays, False, False, slots)
         assert counts.tolist() == [triangle_count_, 0, 0, 0]
         met = [1, 1, triangle_count_, 0, 0, 0, 0, 0]
         assert tallies.tolist() == [met, [1] + [0] * 7, [0] * 8, [0] * 8]

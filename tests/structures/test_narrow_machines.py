@@ -43,7 +43,7 @@ def batches(rng):
 
 
 def scenes():
-    yield "soup", rs.Scene.from_arrays(*soup(300, 1)), {"quality": "high"}
+    yield "soup", rs.Scene.from_arrays(*soup(300, 1)), {}
     yield "sphere", rs.Scene.from_arrays(*dented_sphere(3)), {}
 
 

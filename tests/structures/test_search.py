@@ -55,9 +55,9 @@ def in_all(views, ray, search, stack):
     return search
 
 
-QUERIES = ray_queries(in_all, STACK_BYTES, has_duplicates=True)
+QUERIES = ray_queries(in_all, STACK_BYTES)
 
-OPTIONS = {"bvh": {"quality": "high", "max_leaf_size": 1}}
+OPTIONS = {"bvh": {"max_leaf_size": 1}}
 
 
 def parts_of(triangles):
@@ -99,7 +99,6 @@ def case(request, rng):
         queries=QUERIES,
         arrays_for=lambda *_: arrays,
         frame=SceneFrame.of(triangles),
-        has_duplicates=True,
         rays_per_call=lambda: 100,
         parts=parts,  # whose arrays are read by address
     )

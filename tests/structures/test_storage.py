@@ -169,6 +169,7 @@ def test_other_versions_are_refused_with_advice(scene, tmp_path):
 @pytest.mark.parametrize(
     ("structure", "old", "new", "words"),
     [
+        ("bvh", b'"balanced"', b'"high"', "quality: expected .*'high'; rebuild the structure"),
         ("kdtree", b'"empty_bonus": 0.2', b'"empty_bonus": NaN', "empty_bonus: expected 0 to 1"),
         ("kdtree", b'"max_depth": null', b'"max_depth": 65', "max_depth: expected 0 to 64"),
         ("kdtree", b'"traversal_cost": 8.0', b'"traversal_cost": 1' + b"0" * 400, "too large"),

@@ -298,16 +298,3 @@ def test_a_bvh_that_is_met_as_a_whole(kernel, rng):
     assert counts_of(tallied(structure, "count_hits", batch), *COUNTS) == [whole] * 6
     both = [2 * number for number in whole]
     assert counts_of(tallied(structure, "multi_hit", batch), *COUNTS) == [both] * 6
-
-
-def test_a_search_that_was_given_up_does_not_count(rng):
-    """A search is repeated when the set of triangles seen is too small."""
-    count = 2000
-    structure = build(*stack_of_triangles(count, rng.permutation(count)), "bvh")
-    batch = rays([[0, 0, -1], [0, 0, count]], [[0, 0, 1], [0, 0, -1]])
-    expected = {query: tallied(structure, query, batch) for query in QUERIES}
-    structure._has_duplicates = True
-    for query, columns in expected.items():
-        found = tallied(structure, query, batch)
-        for column in COLUMNS:
-            np.testing.assert_array_equal(found[column], columns[column])

@@ -101,7 +101,7 @@ class TracerOptions:
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUE",
-            help="An option of the structure or the machine, such as resolution=50, quality=high "
+            help="An option of the structure or the machine, such as resolution=50, quality=fast "
             "or threshold=0.3. Repeatable.",
         ),
     ] = None

@@ -86,7 +86,6 @@ class CudaBackend(Backend):
             place(structure, gpu, kernel),
             structure.frame,
             structure.triangles,
-            structure.has_duplicates,
             order == "sorted",
             DeviceTriangles(gpu, structure.triangles),
         )

@@ -1,4 +1,4 @@
-"""RayLauncher: launches query kernels over rays on the device, sorted and with tables as needed."""
+"""RayLauncher: launches query kernels over rays on the device, sorted if wanted."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.cuda.query_kernels import RETRY, QueryKernels, SeenTables
+from raystream.cuda.query_kernels import QueryKernels
 from raystream.cuda.ray_order import sort_rays
 from raystream.cuda.rays import DeviceRays
-from raystream.cuda.scan import note_value
 from raystream.cuda.structures import Resident
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.search import LEAST_ROOM
 from raystream.kernels.tally import ROW
 
 __all__ = ["DeviceScene", "RayLauncher", "Steps", "resume"]
@@ -27,14 +25,6 @@ _Result = TypeVar("_Result")
 #: Launches that depend on numbers from the device: yields arrays there, and is sent copies of them
 #: on the host. The caller decides how to wait.
 Steps = Generator[tuple[DeviceArray, ...], list[NDArray[Any]], _Result]
-
-#: Most bytes of the tables of triangles seen.
-TABLE_BYTES = 1 << 28
-
-#: Growth of the tables after one was too small.
-GROWTH = 8
-
-_NO_TABLES = SeenTables(np.uint64(0), np.uint64(0))
 
 
 def resume(steps: Steps[None], copies: list[NDArray[Any]] | None) -> tuple[DeviceArray, ...] | None:
@@ -55,8 +45,6 @@ class DeviceScene(NamedTuple):
     resident : Resident
     frame : SceneFrame
     triangles : Triangles
-    has_duplicates : bool
-        Whether the structure lists triangles several times, so that rays need tables.
     is_sorted : bool
         Whether the kernels take rays in the order of their keys, see `ray_order`.
     program_triangles : DeviceTriangles
@@ -67,7 +55,6 @@ class DeviceScene(NamedTuple):
     resident: Resident
     frame: SceneFrame
     triangles: Triangles
-    has_duplicates: bool
     is_sorted: bool
     program_triangles: DeviceTriangles
 
@@ -106,67 +93,21 @@ class RayLauncher:
     def __len__(self) -> int:
         return len(self.rays)
 
-    def launch(self, kernel: RangeKernel, *arguments: Any) -> None:
-        """Launch a kernel of `QueryKernels` for each ray; does not wait."""
-        self._launch(self.scope, kernel, 0, len(self), arguments)
+    def launch(self, kernel: RangeKernel, *arguments: Any, rows: slice | None = None) -> None:
+        """Launch a kernel of `QueryKernels` for each ray, or for some rows of them.
 
-    def launch_with_tables(
-        self,
-        kernel: RangeKernel,
-        counts: DeviceArray,
-        arguments_at: Callable[[int], tuple[Any, ...]],
-        start: int = 0,
-    ) -> Steps[None]:
-        """Launch a kernel that needs tables of triangles seen, until all of them are large enough.
-
-        Parameters
-        ----------
-        kernel : RangeKernel
-        counts : DeviceArray of shape (N,), int64
-            Output of the kernel: `RETRY` for rays whose table was too small.
-        arguments_at : callable
-            Maps the offset of a ray to the arguments that follow the tables.
-        start : int
-            The first of the N rays.
+        Does not wait. The addresses in `arguments` are those of the first of these rays.
         """
-        if not self.scene.has_duplicates:
-            arguments = _NO_TABLES, *arguments_at(0)
-            self._launch(self.scope, kernel, start, len(counts), arguments)
-            return
-        room = int(LEAST_ROOM)
-        while True:
-            most = min(max(TABLE_BYTES // (4 * room + 4), 1), len(counts))
-            with self.scope.nested() as inner:
-                memory = inner.empty("tables of triangles seen", (most, room + 1), np.int32)
-                tables = SeenTables(memory.address, np.uint64(room))
-                for offset in range(0, len(counts), max(most, 1)):
-                    count = min(most, len(counts) - offset)
-                    self._launch(
-                        inner, kernel, start + offset, count, (tables, *arguments_at(offset))
-                    )
-                (has_overflowed,) = yield (note_value(inner, counts, RETRY),)
-            if not has_overflowed[0]:
-                return
-            if self._tallies is not None:
-                self.scope.gpu.clear(self._tallies, self.scope.stream)
-            room *= GROWTH
-
-    def _launch(
-        self,
-        inner: StreamScope,
-        kernel: RangeKernel,
-        start: int,
-        count: int,
-        arguments: tuple[Any, ...],
-    ) -> None:
-        scene, source, tallies = self.scene, self.rays.source_from(start), None
+        scene, tallies = self.scene, None
+        start, end, _ = (rows or slice(None)).indices(len(self))
         if self._tallies is not None:
             tallies = self._tallies.address + np.uint64(start) * ROW
+        source = self.rays.source_from(start)
         shared: tuple[Any, ...] = source, scene.frame, scene.resident.tree, tallies
         if scene.is_sorted:
-            shared = self._order(start, count).address, *shared
+            shared = self._order(start, end - start).address, *shared
         self.scope.follow()
-        inner.launch(kernel, count, (*shared, *arguments))
+        self.scope.launch(kernel, end - start, (*shared, *arguments))
 
     def _order(self, start: int, count: int) -> DeviceArray:
         """Indices of some rays in the order of their keys, sorted once."""

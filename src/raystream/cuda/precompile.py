@@ -13,10 +13,9 @@ from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.programs.precompile import program_kernels
-from raystream.cuda.query_kernels import CountAddresses, RowAddresses, SeenTables
+from raystream.cuda.query_kernels import CountAddresses, RowAddresses
 from raystream.cuda.ray_order import MAKE_KEY
 from raystream.cuda.rendering.precompile import rendering_kernels
-from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
@@ -39,7 +38,6 @@ _FRAME = SceneFrame((0.0, 0.0, 0.0), 1.0, 1.0, _CORNER, _CORNER, np.float32(0.0)
 #: Kernels for rays in device arrays by name; they do not depend on the structure.
 ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
     "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
-    "note": (NOTE, (_AT, np.int64(0), _AT)),
     "ray keys": (MAKE_KEY, (_SOURCE, _FRAME, _AT, _AT)),
 }
 
@@ -79,13 +77,12 @@ def structure_kernels(
     tree = lay_out(structure, kernel).tree
     first = (_AT,) if order == "sorted" else ()
     shared = *first, _SOURCE, structure.frame, tree, _AT if counters else None
-    tables = SeenTables(_AT, _AT)
     hits = HitAddresses(_AT, _AT, _AT, _AT)
     more: dict[str, tuple[Any, ...]] = {
         "first_hit": (ResultAddresses(*[_AT] * 6),),
         "any_hit": (ResultAddresses(*[_AT] * 6),),
-        "count_hits": (tables, True, _AT, CountAddresses(_AT, _AT)),
-        "multi_hit": (tables, True, RowAddresses(_AT, hits, _AT)),
+        "count_hits": (True, _AT, CountAddresses(_AT, _AT)),
+        "multi_hit": (True, RowAddresses(_AT, hits, _AT)),
     }
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
 

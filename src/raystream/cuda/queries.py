@@ -23,7 +23,7 @@ from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.rounds import ProgramRounds
 from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
 from raystream.cuda.query_kernels import CountAddresses, RowAddresses
-from raystream.cuda.rays import moved, place_device_rays
+from raystream.cuda.rays import place_device_rays
 from raystream.cuda.scan import prefix_sum
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
@@ -155,17 +155,12 @@ class DeviceQuery(ABC):
             return None
         return ProgramRounds.of(self.rays, self.query, self.goal)
 
-    def _count(self, limit: int) -> Steps[DeviceArray]:
+    def _count(self, limit: int) -> DeviceArray:
         """Count the hits of each ray, at most `limit`, and write the status."""
         counts = self.scope.empty("counts", len(self.rays), np.int64)
-
-        def arguments(first: int) -> tuple[Any, ...]:
-            status = moved(self.status.address, first, 1)
-            to = CountAddresses(status, moved(counts.address, first, 8))
-            return bool(self.query.surfaces), np.uint64(limit), to
-
-        kernel = self.scene.kernels.count_hits
-        yield from self.rays.launch_with_tables(kernel, counts, arguments)
+        wanted = bool(self.query.surfaces), np.uint64(limit)
+        to = CountAddresses(self.status.address, counts.address)
+        self.rays.launch(self.scene.kernels.count_hits, *wanted, to)
         return counts
 
 
@@ -236,7 +231,7 @@ class CountHits(DeviceQuery):
         program = self._program()
         self.status = self._cleared("status", np.uint8)
         if program is None:
-            self.counts = yield from self._count(self.query.limit)
+            self.counts = self._count(self.query.limit)
         else:
             self.counts = self._cleared("counts", np.int64)
             yield from program.count_into(self.counts)
@@ -260,13 +255,13 @@ class MultiHit(DeviceQuery):
 
     def launch(self) -> Steps[None]:
         if self._splits is not None:
-            yield from self._launch_counted(self._splits)
+            self._launch_counted(self._splits)
             return
         program, limit = self._program(), self.query.limit
         self.status = self._cleared("status", np.uint8)
         if program is None:
             # Also of rays that want no hits: it finds the invalid ones.
-            counts = yield from self._count(max(limit, 1))
+            counts = self._count(max(limit, 1))
             if limit == 0:
                 self.scope.gpu.clear(counts, self.scope.stream)
         else:
@@ -280,29 +275,21 @@ class MultiHit(DeviceQuery):
         if not total[0]:
             return
         if program is None:
-            yield from self._write()
+            self._write()
         else:
             yield from program.keep_rows(limit, self.splits, self.hits.addresses)
 
-    def _launch_counted(self, splits: NDArray[np.int64]) -> Steps[None]:
+    def _launch_counted(self, splits: NDArray[np.int64]) -> None:
         """Find hits that have been counted."""
         self.splits = self.scope.placed("splits", splits - splits[0])
         self.hits = HitBlock.empty(self.scope, int(splits[-1] - splits[0]))
-        yield from self._write()
+        self._write()
 
-    def _write(self) -> Steps[None]:
+    def _write(self) -> None:
         """Write the hits of each ray to its rows."""
         self.found = self.scope.empty("counts", len(self.rays), np.int64)
-
-        def arguments(first: int) -> tuple[Any, ...]:
-            splits, found = (
-                moved(self.splits.address, first, 8),
-                moved(self.found.address, first, 8),
-            )
-            return bool(self.query.surfaces), RowAddresses(splits, self.hits.addresses, found)
-
-        kernel = self.scene.kernels.multi_hit
-        yield from self.rays.launch_with_tables(kernel, self.found, arguments)
+        to = RowAddresses(self.splits.address, self.hits.addresses, self.found.address)
+        self.rays.launch(self.scene.kernels.multi_hit, bool(self.query.surfaces), to)
 
     @property
     def outputs(self) -> tuple[DeviceArray, ...]:
@@ -401,9 +388,8 @@ def trace_on_device(
 
     Notes
     -----
-    First and any hit return before the device is done. So does counting, unless the structure has
-    duplicates: then 8 bytes are read to learn whether the tables were large enough. Multi-hit
-    reads the number of hits. Filters and programs wait after each round.
+    First and any hit and counting return before the device is done. Multi-hit reads the number of
+    hits. Filters and programs wait after each round.
     """
 
     def report(done: int, passes: int) -> None:

@@ -16,15 +16,12 @@ from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.queries import Goal, RayScene, finish_first, finish_rows, ray_search
-from raystream.kernels.search import SeenSet, clear_seen
 from raystream.kernels.tally import ROW, SHADINGS, add_to
 
 __all__ = [
-    "RETRY",
     "CountAddresses",
     "QueryKernels",
     "RowAddresses",
-    "SeenTables",
     "make_kernels",
 ]
 
@@ -32,25 +29,6 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _LONG = np.uint64(3)  # one of eight
-
-#: The count of a ray whose table of triangles seen was too small.
-RETRY = -1
-
-
-class SeenTables(NamedTuple):
-    """Hash tables of the triangles that each ray has tested, for structures with duplicates.
-
-    Attributes
-    ----------
-    memory : uint64
-        Address of the first thread's table.
-    room : uint64
-        Entries of a table, a power of two; 0 for structures without duplicates. A table has one
-        number more.
-    """
-
-    memory: np.uint64
-    room: np.uint64
 
 
 class CountAddresses(NamedTuple):
@@ -77,7 +55,7 @@ class RowAddresses(NamedTuple):
         Address of int64: ray i owns the rows splits[i] to splits[i + 1].
     hits : HitAddresses
     found : uint64
-        Address of an int64 per ray: the hits that were found, or `RETRY`.
+        Address of an int64 per ray: the hits that were found.
     """
 
     splits: np.uint64
@@ -102,26 +80,10 @@ def _tally_at(tallies, i):
     return tallies + i * ROW
 
 
-@device
-def _seen_of(tables, i):
-    """The empty table of thread i."""
-    size = (tables.room + _ONE) << _WORD
-    seen = SeenSet(tables.memory + size * i, tables.room)
-    clear_seen(seen)
-    return seen
-
-
-@device
-def _no_set(_tables, _i):
-    return None
-
-
 def make_kernels(
     traverse: Callable[..., Any],
     stack_bytes: int,
     launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
-    *,
-    has_duplicates: bool = False,
 ) -> QueryKernels:
     """Make the kernels of a structure.
 
@@ -133,8 +95,6 @@ def make_kernels(
         Of its stack.
     launcher : callable
         `RangeKernel` or `PersistentKernel`.
-    has_duplicates : bool
-        See `kernels.queries.ray_queries`.
 
     Returns
     -------
@@ -143,7 +103,6 @@ def make_kernels(
         structure's arrays, and the address of tallies or None.
     """
     search_ray = ray_search(traverse)
-    seen_of = _seen_of if has_duplicates else _no_set
 
     @kernel
     def first_hit(i, source, frame, tree, tallies, out):
@@ -152,7 +111,7 @@ def make_kernels(
         tally = _tally_at(tallies, i)
         hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
         scene = RayScene(source, frame, tree, stack, out.status, None)
-        search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, None, tally))
+        search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, tally))
         add_to(tally, SHADINGS, search.hit_count)
         finish_first(out, i, search.hit_count, ray)
 
@@ -162,22 +121,21 @@ def make_kernels(
         store(stack, _NONE)
         tally = _tally_at(tallies, i)
         scene = RayScene(source, frame, tree, stack, out.status, None)
-        search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, None, tally))
+        search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, tally))
         add_to(tally, SHADINGS, search.hit_count)
         store(out.seen + i, np.uint8(search.hit_count != _NONE))
 
     @kernel
-    def count_hits(i, source, frame, tree, tallies, tables, surfaces, limit, out):
+    def count_hits(i, source, frame, tree, tallies, surfaces, limit, out):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
         scene = RayScene(source, frame, tree, stack, out.status, None)
-        goal = Goal(limit, None, _NONE, surfaces, seen_of(tables, i), _tally_at(tallies, i))
+        goal = Goal(limit, None, _NONE, surfaces, _tally_at(tallies, i))
         search, _ = search_ray(i, scene, goal)
-        count = np.int64(RETRY) if search.has_overflowed else np.int64(search.hit_count)
-        store(out.counts + (i << _LONG), count)
+        store(out.counts + (i << _LONG), np.int64(search.hit_count))
 
     @kernel
-    def multi_hit(i, source, frame, tree, tallies, tables, surfaces, out):
+    def multi_hit(i, source, frame, tree, tallies, surfaces, out):
         first = np.uint64(load(np.int64, out.splits + (i << _LONG)))
         capacity = np.uint64(load(np.int64, out.splits + ((i + _ONE) << _LONG))) - first
         store(out.found + (i << _LONG), np.int64(0))
@@ -187,11 +145,8 @@ def make_kernels(
         store(stack, _NONE)
         tally = _tally_at(tallies, i)
         scene = RayScene(source, frame, tree, stack, None, None)
-        goal = Goal(capacity, out.hits, first, surfaces, seen_of(tables, i), tally)
+        goal = Goal(capacity, out.hits, first, surfaces, tally)
         search, ray = search_ray(i, scene, goal)
-        if search.has_overflowed:
-            store(out.found + (i << _LONG), np.int64(RETRY))
-            return
         store(out.found + (i << _LONG), np.int64(search.hit_count))
         add_to(tally, SHADINGS, search.hit_count)
         finish_rows(out.hits, first, search.hit_count, ray, True)

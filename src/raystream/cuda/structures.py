@@ -67,7 +67,7 @@ def _made(name: str, kernel: str | None, launch: str, order: str) -> QueryKernel
     launcher: _Launcher = plain
     if order == "sorted":
         launcher = lambda function: plain(reordered(function))  # noqa: E731
-    return make_kernels(traverse, stack_bytes, launcher, has_duplicates=made.can_have_duplicates)
+    return make_kernels(traverse, stack_bytes, launcher)
 
 
 class Resident(NamedTuple):

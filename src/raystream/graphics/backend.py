@@ -15,7 +15,7 @@ from raystream.core.query import Kind, Query
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.dispatch_size import DispatchSize
 from raystream.graphics.error_scope import guarded
-from raystream.graphics.packing import MOST_HITS, unpack_rows, without_repeats
+from raystream.graphics.packing import MOST_HITS, unpack_rows
 from raystream.graphics.structures import ShaderStructure, shader_structure_of
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
@@ -134,27 +134,12 @@ class GraphicsBackend(LocalFrameBackend):
     def _count_hits(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
     ) -> None:
-        counts, limit = sink.counts, query.limit
-        if not self._shaders.has_duplicates or limit <= 1:
-            counts[:] = self._count(query, rays, sink.tallies, progress)
-            return
-        for rows, splits, _ in self._distinct(rays, query.surfaces, sink.tallies):
-            counts[rows] = np.minimum(np.diff(splits), limit)
-            if progress:
-                progress(rows.stop, len(counts))
+        sink.counts[:] = self._count(query, rays, sink.tallies, progress)
 
     def _multi_hit(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
     ) -> None:
         count, splits, hits = len(rays.t_min), sink.splits, sink.hits
-        if self._shaders.has_duplicates:
-            for rows, own, found in self._distinct(rays, query.surfaces, sink.tallies):
-                wanted = splits[rows.start : rows.stop + 1]
-                part = hits.part(slice(wanted[0], wanted[-1]))
-                unpack_rows(_nearest(found, own, wanted), part)
-                if progress:
-                    progress(rows.stop, count)
-            return
         for rows in self._chunks(Kind.MULTI_HIT, len(splits) - 1, splits):
             own = splits[rows.start : rows.stop + 1]
             found = self._keep(rays, rows, query.surfaces, own - own[0], sink.tallies)
@@ -179,17 +164,6 @@ class GraphicsBackend(LocalFrameBackend):
             if progress:
                 progress(rows.stop, count)
         return counts
-
-    def _distinct(
-        self, rays: LocalRays, surfaces: bool, tallies: NDArray[np.uint32] | None
-    ) -> Iterator[tuple[slice, NDArray[np.int64], NDArray[Any]]]:
-        """All hits in a structure that may list a triangle twice: rays, their splits, and rows."""
-        counts = self._count(Query(Kind.COUNT_HITS, surfaces), rays, tallies, None)
-        splits = np.concatenate([[0], np.cumsum(counts)])
-        for rows in self._chunks(Kind.MULTI_HIT, len(splits) - 1, splits):
-            own = splits[rows.start : rows.stop + 1] - splits[rows.start]
-            found = self._keep(rays, rows, surfaces, own, None)
-            yield (rows, *without_repeats(found, own))
 
     def _keep(
         self,
@@ -228,13 +202,3 @@ class GraphicsBackend(LocalFrameBackend):
                 end = min(end, max(fits, begin + 1))
             yield slice(begin, end)
             begin = end
-
-
-def _nearest(
-    rows: NDArray[Any], splits: NDArray[np.int64], wanted: NDArray[np.int64]
-) -> NDArray[Any]:
-    """The first rows of each ray: as many as its range of `wanted` has."""
-    counts = np.diff(wanted)
-    ends = np.cumsum(counts)
-    within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
-    return rows[np.repeat(splits[:-1], counts) + within]

@@ -17,7 +17,6 @@ __all__ = [
     "ROW",
     "packed_rays",
     "unpack_rows",
-    "without_repeats",
 ]
 
 #: In place of infinity, which WGSL does not guarantee; see ray.wgsl.
@@ -52,17 +51,3 @@ def unpack_rows(rows: NDArray[Any], out: HitArrays) -> None:
     """Copy hits to columns; a miss gets t = inf."""
     out.t[:], out.u[:], out.v[:], out.prim_id[:] = (rows[name] for name in ROW.names or ())
     out.t[rows["prim_id"] < 0] = np.inf
-
-
-def without_repeats(
-    rows: NDArray[Any], splits: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """Sorted rows without repeated triangles, and their splits.
-
-    A triangle that a search meets twice has the same t both times, so its rows are neighbours.
-    """
-    is_new = np.ones(len(rows), np.bool_)
-    is_new[1:] = rows["prim_id"][1:] != rows["prim_id"][:-1]
-    is_new[splits[:-1][np.diff(splits) > 0]] = True
-    before = np.concatenate([[0], np.cumsum(is_new)])
-    return before[splits], rows[is_new]

@@ -14,20 +14,13 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, load, scratch, store
+from raystream.jit.simd import load, scratch, store
 from raystream.kernels.hit_filter import HitFilter, RayFilter
 from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray, local_ray
-from raystream.kernels.search import (
-    LEAST_ROOM,
-    SeenSet,
-    begin_search,
-    clear_seen,
-    get_hit,
-    sort_hits,
-)
-from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
+from raystream.kernels.search import begin_search, get_hit, sort_hits
+from raystream.kernels.tally import SHADINGS, add_to, tally_of
 
 __all__ = [
     "Goal",
@@ -48,9 +41,6 @@ _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
-
-#: Growth of a set of triangles seen that was too small.
-_GROWTH = np.uint64(8)
 
 
 class RayScene(NamedTuple):
@@ -85,7 +75,6 @@ class Goal(NamedTuple):
     hits: HitAddresses | None
     first_row: np.uint64
     surfaces: bool
-    seen: SeenSet | None
     counters: np.uint64 | None
 
 
@@ -142,7 +131,6 @@ def _local_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
             goal.hits,
             goal.first_row,
             goal.surfaces,
-            goal.seen,
             goal.counters,
             filter_,
         )
@@ -188,8 +176,6 @@ class Wanted(NamedTuple):
 
     Attributes
     ----------
-    repeats : bool
-        The structure has duplicates.
     surfaces : bool
         See `kernels.triangle.intersect`.
     limit : uint64
@@ -198,15 +184,14 @@ class Wanted(NamedTuple):
         Hits are sorted by t, then prim_id.
     """
 
-    repeats: bool
     surfaces: bool
     limit: np.uint64
     sorts: bool
 
     @classmethod
-    def of(cls, query: Query, repeats: bool) -> Wanted:
-        """What a query wants of rays in a structure."""
-        return cls(repeats, query.surfaces, np.uint64(query.limit), query.is_ordered)
+    def of(cls, query: Query) -> Wanted:
+        """What a query wants of each ray."""
+        return cls(query.surfaces, np.uint64(query.limit), query.is_ordered)
 
 
 class RayQueries(NamedTuple):
@@ -246,7 +231,7 @@ class RayQueries(NamedTuple):
     cast: Callable[..., Any]
 
 
-def output_of(query: Query, sink: Sink, repeats: bool) -> tuple[Any, ...]:
+def output_of(query: Query, sink: Sink) -> tuple[Any, ...]:
     """The last arguments of a query's loop: what is wanted, and where it goes.
 
     `Query.on_hit` is a `HitFilter` or None, for the nearest and any hit.
@@ -255,63 +240,32 @@ def output_of(query: Query, sink: Sink, repeats: bool) -> tuple[Any, ...]:
         return query.on_hit, ResultAddresses.of_first(sink.memory, sink.status)
     if query.kind is Kind.ANY_HIT:
         return query.on_hit, ResultAddresses.of_any(sink.seen, sink.status)
-    wanted = Wanted.of(query, repeats)
+    wanted = Wanted.of(query)
     if query.kind is Kind.COUNT_HITS:
         return np.uint64(sink.status.ctypes.data), wanted, sink.counts
     return wanted, sink.splits, sink.hits
 
 
-@device
-def _seen_at(table):
-    return SeenSet(address(table), np.uint64(len(table)) - _ONE)
-
-
-@device
-def _no_set(table):
-    return None
-
-
-@device
-def _new_table(repeats):
-    """Memory of a set of triangles seen; without slots unless the structure repeats some."""
-    table = np.empty((LEAST_ROOM if repeats else _NONE) + _ONE, np.int32)
-    clear_seen(_seen_at(table))
-    return table
-
-
-@device
-def _larger_table(table):
-    larger = np.empty((np.uint64(len(table)) - _ONE) * _GROWTH + _ONE, np.int32)
-    clear_seen(_seen_at(larger))
-    return larger
-
-
-def ray_queries(
-    traverse: Callable[..., Any], stack_bytes: int, *, has_duplicates: bool = False
-) -> RayQueries:
+def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     """Make the queries of a structure.
 
     Parameters
     ----------
     traverse : device function
         ``traverse(view, ray, search, stack)`` offers the hits of `ray` with the triangles of
-        `view`, the structure's `arrays`, to the search (`kernels.search`), and returns it. It may
-        leave out hits that cannot change the result. The search may have hits from elsewhere, but
-        is not full; traversal returns as soon as it `is_full`. Steps and tests are added to
-        ``search.counters`` (`kernels.tally`).
+        `view`, the structure's `arrays`, to the search (`kernels.search`), and returns it. It
+        offers no hit twice, and may leave out those that cannot change the result. The search may
+        have hits from elsewhere, but is not full; traversal returns as soon as it `is_full`. Steps
+        and tests are added to ``search.counters`` (`kernels.tally`).
     stack_bytes : int
         Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8. It
         keeps its contents from ray to ray; before the first ray, the first 8 bytes are 0.
-    has_duplicates : bool
-        Whether the traversal may offer a triangle more than once: searches for several hits then
-        keep a set of the triangles seen, where `repeats` is true.
 
     Returns
     -------
     RayQueries
     """
     search_ray, search_local = ray_search(traverse), _local_search(traverse)
-    seen_at = _seen_at if has_duplicates else _no_set
 
     @kernel
     def first_hit(begin, end, source, frame, arrays, tallies, filter_, out):
@@ -321,7 +275,7 @@ def ray_queries(
         hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
-            search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, None, tally))
+            search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, tally))
             add_to(tally, SHADINGS, search.hit_count)
             finish_first(out, i, search.hit_count, ray)
 
@@ -332,80 +286,52 @@ def ray_queries(
         scene = RayScene(source, frame, arrays, stack, out.status, filter_)
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
-            search, _ = search_ray(i, scene, Goal(_ONE, None, i, False, None, tally))
+            search, _ = search_ray(i, scene, Goal(_ONE, None, i, False, tally))
             add_to(tally, SHADINGS, search.hit_count)
             store(out.seen + i, np.uint8(search.hit_count != _NONE))
 
     @kernel
     def count_hits(begin, end, source, frame, arrays, tallies, status, wanted, counts):
-        stack, saved = scratch(stack_bytes), scratch(32)
+        stack = scratch(stack_bytes)
         store(stack, _NONE)
         scene = RayScene(source, frame, arrays, stack, status, None)
-        repeats, surfaces, most = wanted.repeats, wanted.surfaces, wanted.limit
-        table = _new_table(repeats)
+        surfaces, most = wanted.surfaces, wanted.limit
         for i in range(np.uint64(begin), np.uint64(end)):
-            tally = tally_of(tallies, i)
-            save_counts(tally, saved)
-            while True:
-                goal = Goal(most, None, _NONE, surfaces, seen_at(table), tally)
-                search, _ = search_ray(i, scene, goal)
-                if not search.has_overflowed:
-                    break
-                table = _larger_table(table)
-                restore_counts(tally, saved)
+            goal = Goal(most, None, _NONE, surfaces, tally_of(tallies, i))
+            search, _ = search_ray(i, scene, goal)
             counts[i] = search.hit_count
-            if repeats:
-                table = _new_table(True)
 
     @kernel
     def multi_hit(begin, end, source, frame, arrays, tallies, wanted, splits, hits):
-        stack, saved = scratch(stack_bytes), scratch(32)
+        stack = scratch(stack_bytes)
         store(stack, _NONE)
         scene = RayScene(source, frame, arrays, stack, None, None)
-        repeats, surfaces = wanted.repeats, wanted.surfaces
-        table, to = _new_table(repeats), hit_addresses(hits)
+        surfaces, to = wanted.surfaces, hit_addresses(hits)
         for i in range(np.uint64(begin), np.uint64(end)):
             first = np.uint64(splits[i])
             capacity = np.uint64(splits[i + _ONE]) - first
             if capacity == _NONE:
                 continue
             tally = tally_of(tallies, i)
-            save_counts(tally, saved)
-            while True:
-                goal = Goal(capacity, to, first, surfaces, seen_at(table), tally)
-                search, ray = search_ray(i, scene, goal)
-                if not search.has_overflowed:
-                    break
-                table = _larger_table(table)
-                restore_counts(tally, saved)
+            search, ray = search_ray(i, scene, Goal(capacity, to, first, surfaces, tally))
             add_to(tally, SHADINGS, search.hit_count)
             finish_rows(to, first, search.hit_count, ray, True)
-            if repeats:
-                table = _new_table(True)
 
     @kernel
     def collect_hits(begin, end, source, frame, arrays, status, wanted, splits, hits):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
         scene = RayScene(source, frame, arrays, stack, status, None)
-        repeats, surfaces = wanted.repeats, wanted.surfaces
-        table, to = _new_table(repeats), hit_addresses(hits)
+        surfaces, to = wanted.surfaces, hit_addresses(hits)
         most, room, row = wanted.limit, np.uint64(len(hits.t)), _NONE
         splits[0] = 0
         for i in range(np.uint64(begin), np.uint64(end)):
             capacity = min(most, room - row)
             if capacity == _NONE:
                 return np.int64(i)
-            while True:
-                goal = Goal(capacity, to, row, surfaces, seen_at(table), None)
-                search, ray = search_ray(i, scene, goal)
-                if not search.has_overflowed:
-                    break
-                table = _larger_table(table)
+            search, ray = search_ray(i, scene, Goal(capacity, to, row, surfaces, None))
             if search.hit_count == capacity and capacity != most:
                 return np.int64(i)
-            if repeats:
-                table = _new_table(True)
             finish_rows(to, row, search.hit_count, ray, wanted.sorts)
             row += search.hit_count
             splits[i + _ONE - np.uint64(begin)] = row
@@ -417,7 +343,7 @@ def ray_queries(
         store(stack, _NONE)
         ray = local_ray(ox, oy, oz, dx, dy, dz, np.float32(t_min), np.float32(t_max), frame)
         hits = HitAddresses(row, row + np.uint64(4), row + np.uint64(8), row + np.uint64(12))
-        goal = Goal(_ONE, hits, _NONE, False, None, None)
+        goal = Goal(_ONE, hits, _NONE, False, None)
         search = search_local(ray, frame, arrays, stack, goal, None)
         finish_first(hits, _NONE, search.hit_count, ray)
         t, u, v, prim_id = get_hit(hits, _NONE)

@@ -22,39 +22,20 @@ from raystream.kernels.hit_filter import RayFilter, keeps
 from raystream.kernels.hits import HitAddresses
 
 __all__ = [
-    "ADDED",
-    "FULL",
-    "LEAST_ROOM",
-    "SEEN",
     "Search",
-    "SeenSet",
     "begin_search",
-    "clear_seen",
     "get_hit",
     "is_before",
     "is_full",
     "is_over",
     "keep_hit",
-    "mark_seen",
     "offer",
     "put_hit",
     "sort_hits",
     "wants_any",
 ]
 
-#: Results of `mark_seen`.
-SEEN, ADDED, FULL = np.uint64(0), np.uint64(1), np.uint64(2)
-
-#: Slots of the smallest set: a power of two.
-LEAST_ROOM = np.uint64(64)
-
-_FREE = np.int32(-1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
-
-#: Multiplier of the hash: 2**64 / golden ratio mixes a number's bits into the product's upper half.
-_SPREAD = np.uint64(0x9E3779B97F4A7C15)
-_UPPER = np.uint64(32)
-
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 
@@ -178,70 +159,6 @@ def sort_hits(out, first, count):
         _sift_down(out, first, last, np.uint64(0), t, u, v, prim_id)
 
 
-# Triangles seen
-
-
-class SeenSet(NamedTuple):
-    """A hash set of triangles, for structures that list one more than once; the caller owns it.
-
-    Attributes
-    ----------
-    table : uint64
-        Address of `room` + 1 int32: the slots, and the number in use.
-    room : uint64
-        Slots, a power of two; half as many triangles fit. A set with 0 slots stays empty and
-        needs no memory.
-    """
-
-    table: np.uint64
-    room: np.uint64
-
-
-@device
-def clear_seen(seen):
-    """Empty a set."""
-    if seen.room != _NONE:
-        for place in range(seen.room):
-            store(seen.table + (place << _WORD), _FREE)
-        store(seen.table + (seen.room << _WORD), np.int32(0))
-
-
-@device
-def mark_seen(seen, prim_id):
-    """Add a triangle to a set.
-
-    Parameters
-    ----------
-    seen : SeenSet
-    prim_id : int32
-
-    Returns
-    -------
-    uint64
-        `ADDED`, `SEEN` if it was in the set, or `FULL` if there is no room: then the ray must be
-        traced again with a larger set.
-    """
-    table, room = seen.table, seen.room
-    if room == _NONE:
-        return ADDED
-    place = (np.uint64(prim_id) * _SPREAD) >> _UPPER
-    while True:
-        at = table + ((place & (room - _ONE)) << _WORD)
-        found = load(np.int32, at)
-        if found == prim_id:
-            return SEEN
-        if found == _FREE:
-            break
-        place += _ONE
-    count_at = table + (room << _WORD)
-    count = np.uint64(load(np.int32, count_at)) + _ONE
-    if count + count > room:
-        return FULL
-    store(count_at, np.int32(count))
-    store(at, prim_id)
-    return ADDED
-
-
 # The search
 
 
@@ -264,10 +181,6 @@ class Search(NamedTuple):
         The first of this ray's `capacity` rows of `hits`.
     surfaces : bool
         The rule at edges and vertices, see `kernels.triangle.intersect`.
-    seen : SeenSet or None
-        The triangles hit so far, for structures with duplicates.
-    has_overflowed : bool
-        `seen` is too small for this ray: repeat the search with a larger one.
     counters : uint64 or None
         Address of the ray's counts, see `kernels.tally`.
     filter : RayFilter or None
@@ -281,14 +194,12 @@ class Search(NamedTuple):
     hits: HitAddresses | None
     first_row: np.uint64
     surfaces: bool
-    seen: SeenSet | None
-    has_overflowed: bool
     counters: np.uint64 | None
     filter: RayFilter | None
 
 
 @device
-def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, seen, counters, filter_):
+def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, counters, filter_):
     """A search without hits; see `Search` for the arguments."""
     return Search(
         t_min,
@@ -298,15 +209,13 @@ def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, seen, counte
         hits,
         first_row,
         surfaces,
-        seen,
-        False,
         counters,
         filter_,
     )
 
 
 @device
-def _changed(search, count, t_far, has_overflowed):
+def _changed(search, count, t_far):
     """The same search with other results."""
     return Search(
         search.t_min,
@@ -316,32 +225,23 @@ def _changed(search, count, t_far, has_overflowed):
         search.hits,
         search.first_row,
         search.surfaces,
-        search.seen,
-        has_overflowed,
         search.counters,
         search.filter,
     )
 
 
 @device
-def _mark(seen, prim_id):
-    if seen is None:
-        return ADDED
-    return mark_seen(seen, prim_id)
-
-
-@device
 def _offer_to(hits, search, t, u, v, prim_id):
     if hits is None:
-        return _changed(search, search.hit_count + _ONE, search.t_far, False)
+        return _changed(search, search.hit_count + _ONE, search.t_far)
     row = search.first_row
     if search.capacity == _ONE:  # without a call: known when a query of the nearest hit is compiled
         if search.hit_count == _NONE or is_before(
             t, prim_id, _t_of(hits, row), _prim_id_of(hits, row)
         ):
             put_hit(hits, row, t, u, v, prim_id)
-            return _changed(search, _ONE, t, False)
-        return _changed(search, _ONE, search.t_far, False)
+            return _changed(search, _ONE, t)
+        return _changed(search, _ONE, search.t_far)
     count, t_far = keep_hit(
         hits,
         row,
@@ -353,12 +253,12 @@ def _offer_to(hits, search, t, u, v, prim_id):
         prim_id,
         search.t_far,
     )
-    return _changed(search, count, t_far, False)
+    return _changed(search, count, t_far)
 
 
 @device
 def offer(search, t, u, v, prim_id):
-    """Keep or count a hit, unless a filter ignores it or its triangle was hit before.
+    """Keep or count a hit, unless a filter ignores it.
 
     Parameters
     ----------
@@ -375,10 +275,7 @@ def offer(search, t, u, v, prim_id):
     """
     if not keeps(search.filter, t, u, v, prim_id):
         return search
-    answer = _mark(search.seen, prim_id)
-    if answer == ADDED:
-        return _offer_to(search.hits, search, t, u, v, prim_id)
-    return _changed(search, search.hit_count, search.t_far, answer == FULL)
+    return _offer_to(search.hits, search, t, u, v, prim_id)
 
 
 @device
@@ -389,8 +286,7 @@ def _is_counted(hits):
 @device
 def is_full(search):
     """Whether no further hit can change the result: the traversal returns."""
-    is_enough = search.hit_count == search.capacity and _is_counted(search.hits)
-    return is_enough or search.has_overflowed
+    return search.hit_count == search.capacity and _is_counted(search.hits)
 
 
 @device

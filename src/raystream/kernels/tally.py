@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
 from raystream.jit.intrinsics import row_address
-from raystream.jit.simd import i32x8, load, store
+from raystream.jit.simd import load, store
 
 __all__ = [
     "BACKTRACKS",
@@ -26,8 +26,6 @@ __all__ = [
     "TESTS",
     "add_to",
     "new_tallies",
-    "restore_counts",
-    "save_counts",
     "tally_of",
 ]
 
@@ -70,17 +68,3 @@ def add_to(tally, column, more):
         at = tally + column
         # A sum of two uint32 is a uint64.
         store(at, np.uint32(load(np.uint32, at) + np.uint32(more)))
-
-
-@device
-def save_counts(tally, to):
-    """Copy a tally to an address with room for 32 bytes, unless it is None."""
-    if tally is not None:
-        store(to, load(i32x8, tally))
-
-
-@device
-def restore_counts(tally, saved):
-    """Restore a tally from its copy by `save_counts`, unless it is None."""
-    if tally is not None:
-        store(tally, load(i32x8, saved))

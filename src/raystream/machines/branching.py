@@ -133,7 +133,7 @@ class Branching(Backend):
         structure = self.structure
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         kernel = structure.queries[query.kind]
-        output = output_of(query, sink, structure.has_duplicates)
+        output = output_of(query, sink)
         arrays = structure.arrays_for(query, rays, sink)
         shared = source, structure.frame if frame is None else frame, arrays, sink.tallies
 
@@ -151,7 +151,7 @@ class Branching(Backend):
         assert visitor is not None
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         shared = source, structure.frame, structure.arrays, np.uint64(sink.status.ctypes.data)
-        wanted = Wanted.of(query, structure.has_duplicates)
+        wanted = Wanted.of(query)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)

@@ -105,9 +105,9 @@ class MultipassBackend(LocalFrameBackend):
         Parameters
         ----------
         observer : callable
-            Receives a `PassSnapshot`. Where rays are traced in parts, to bound memory or because
-            their stacks overflowed, each part has its own first pass. That of a renderer's loop
-            comes after its eye rays; where pixels need more room, they have other numbers then.
+            Receives a `PassSnapshot`. Where rays are traced in parts, to bound memory, each part
+            has its own first pass. That of a renderer's loop comes after its eye rays; where pixels
+            need more room, they have other numbers then.
         """
         machine = copy.copy(self)
         machine.observer = observer
@@ -159,7 +159,6 @@ class MultipassBackend(LocalFrameBackend):
         self, steps: Steps, job: RayJob, goal: HitGoal, progress: Progress | None
     ) -> NDArray[np.uint32]:
         """Trace rays that fit in memory."""
-        before = job.tallies if steps.grow is None else copy.copy(job.tallies)
         runs = None if job.tallies is None else new_tallies(len(job))
         stacks = np.empty((len(job), steps.stack_bytes), np.uint8)
         arguments = StepArguments(
@@ -182,15 +181,7 @@ class MultipassBackend(LocalFrameBackend):
         if self.passes is not None and runs is not None:
             at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
             self.passes.add_bound(steps.kernels, runs, at_once)
-        overflown = streams.finish()
-        if overflown.any() and steps.grow is not None:
-            # Only the search that succeeds is counted.
-            if job.tallies is not None and before is not None:
-                job.tallies[overflown] = before[overflown]
-            again = job.part(overflown)
-            streams.counts[overflown] = self._trace(steps.grow(), again, goal, None)
-            if job.tallies is not None and again.tallies is not None:
-                job.tallies[overflown] = again.tallies
+        streams.finish()
         return streams.counts
 
     def run_loop(

@@ -226,14 +226,9 @@ class RayStreams:
         self._note_counts(~is_kept)
         self._set({name: stream.array[is_kept] for name, stream in self._streams.items()})
 
-    def finish(self) -> NDArray[np.bool_]:
-        """Record the hit counts of the rays that are left; returns which rays overflowed."""
-        states = self._streams["state"].array
-        self._note_counts(states == RayState.DONE)
-        has_overflown = np.zeros(len(self.counts), np.bool_)
-        overflown = states == RayState.OVERFLOWED
-        has_overflown[self._streams["wanted"].array["number"][overflown]] = True
-        return has_overflown
+    def finish(self) -> None:
+        """Record the hit counts of the rays that are left."""
+        self._note_counts(self._streams["state"].array == RayState.DONE)
 
     def _note_counts(self, of: NDArray[np.bool_]) -> None:
         numbers = self._streams["wanted"].array["number"][of]

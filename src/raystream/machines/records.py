@@ -21,7 +21,6 @@ __all__ = [
     "FOUND",
     "INTERSECTING",
     "NO_ROOM",
-    "OVERFLOWED",
     "RAY",
     "SHADE_ALL",
     "SHADE_HITS",
@@ -57,8 +56,6 @@ class RayState(IntEnum):
         Shading: its search is over. In a query only rays with hits are shaded.
     AT_LEAF, CONTINUING, BACKTRACKING
         Foley's Leaf, Continue and Up.
-    OVERFLOWED
-        None: its set of seen triangles is full, and it is traced again with a larger one.
     NO_ROOM
         None: the rays that its shading spawns need more room, and it is shaded again with more.
     """
@@ -71,8 +68,7 @@ class RayState(IntEnum):
     AT_LEAF = 5
     CONTINUING = 6
     BACKTRACKING = 7
-    OVERFLOWED = 8
-    NO_ROOM = 9
+    NO_ROOM = 8
 
 
 #: A ray, in the scene's local frame: 8 words.
@@ -94,7 +90,6 @@ SHADING = np.uint8(RayState.SHADING)
 AT_LEAF = np.uint8(RayState.AT_LEAF)
 CONTINUING = np.uint8(RayState.CONTINUING)
 BACKTRACKING = np.uint8(RayState.BACKTRACKING)
-OVERFLOWED = np.uint8(RayState.OVERFLOWED)
 NO_ROOM = np.uint8(RayState.NO_ROOM)
 
 #: Least number of hits of rays that are shaded.

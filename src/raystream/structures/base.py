@@ -76,8 +76,6 @@ class Structure(ABC):
 
     Attributes
     ----------
-    can_have_duplicates : bool
-        Class attribute: whether `has_duplicates` may be true.
     triangles : Triangles
     report : BuildReport
     options : StructureOptions
@@ -86,7 +84,6 @@ class Structure(ABC):
 
     traverse: ClassVar[Callable[..., Any]]
     stack_bytes: ClassVar[int] = 8
-    can_have_duplicates: ClassVar[bool] = False
     queries: ClassVar[RayQueries]
     triangles: Triangles
     report: BuildReport
@@ -95,9 +92,7 @@ class Structure(ABC):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "traverse" in cls.__dict__:
-            cls.queries = ray_queries(
-                cls.traverse, cls.stack_bytes, has_duplicates=cls.can_have_duplicates
-            )
+            cls.queries = ray_queries(cls.traverse, cls.stack_bytes)
 
     @abstractmethod
     def __init__(
@@ -171,11 +166,6 @@ class Structure(ABC):
     def frame(self) -> SceneFrame:
         """The triangles' local frame, as passed to kernels."""
         return SceneFrame.of(self.triangles)
-
-    @property
-    def has_duplicates(self) -> bool:
-        """Whether its traversal may test a triangle more than once."""
-        return False
 
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None

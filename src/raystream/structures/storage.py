@@ -90,8 +90,7 @@ def load_structure(path: str | PathLike[str], triangles: Triangles | None = None
             for name, array in arrays.items()
             if name.startswith("structure.")
         }
-        chosen = made.from_json(options)
-        return structure_class(made.name).from_arrays(stored, own, chosen)
+        return structure_class(made.name).from_arrays(stored, own, _options(made, options))
     except ValueError as error:
         raise FileFormatError(path, str(error)) from None
 
@@ -117,6 +116,13 @@ def _header(
     if not isinstance(name, str) or name not in STRUCTURES:
         raise FileFormatError(path, f"holds an unknown structure {name!r:.40}")
     return STRUCTURES[name], header.get("options")
+
+
+def _options(made: type[StructureOptions], saved: Any) -> StructureOptions:
+    try:
+        return made.from_json(saved)
+    except ValueError as error:  # of a version with other options, or damaged
+        raise ValueError(f"{error}; rebuild the structure") from None
 
 
 def _triangles(arrays: dict[str, NDArray[Any]]) -> Triangles:

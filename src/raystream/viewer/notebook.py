@@ -49,7 +49,7 @@ def view(
         Initial settings: ``mode``, ``structure``, ``traversal``, ``machine``, ``scheduler``,
         ``device``, ``max_bounces``, ``exposure``, ``tone``, ``heatmap``, ``maximum`` or
         ``samples``, as on the page. Structure, device and machine may also be options as
-        `Tracer` takes them, such as ``structure=rs.Bvh(quality="high")``.
+        `Tracer` takes them, such as ``structure=rs.Bvh(quality="fast")``.
 
     Returns
     -------

@@ -60,7 +60,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
         self.triangles, self.gpu, self.wide, self.method = triangles, gpu, wide, method
         self.options = options
         self.resident = Resident(TreeAddresses(wide.nodes.address, wide.leaves.address), wide[:2])
-        self._held_ids, self._has_duplicates = triangles.prim_ids, False
+        self._held_ids = triangles.prim_ids
         byte_count = sum(4 * one.shape[0] * one.shape[1] for one in wide[:2])
         self.report = finish(gpu, byte_count, started)
 
@@ -137,12 +137,10 @@ def build_bvh(
     Raises
     ------
     ValueError
-        If quality is "high", or the tree would be too large.
+        If the tree would be too large.
     CudaError
         If device memory runs out: building takes about 300 bytes per triangle.
     """
-    if options.quality == "high":
-        raise ValueError("quality: 'high' is not supported with build='device'; choose a method")
     options = dataclasses.replace(options, quality="fast")
     if len(triangles.prim_ids) == 0:
         return BvhStructure(triangles, options)

@@ -31,7 +31,6 @@ __all__ = [
     "begin_control",
     "pass_count",
     "read_active",
-    "read_ended",
     "read_passes",
     "rules_of",
     "write_limits",
@@ -144,8 +143,3 @@ def read_active(words: NDArray[np.uint32]) -> int:
     states = words[int(STATES) // 4 :][:_MOST_KERNELS]
     counts = words[int(COUNTS) // 4 :][:_MOST_STATES]
     return int(counts[states[states != RayState.DONE]].sum(dtype=np.int64))
-
-
-def read_ended(words: NDArray[np.uint32], state: RayState = RayState.DONE) -> int:
-    """Number of rays in the reported streams that have ended, or are in another final state."""
-    return int(words[int(COUNTS) // 4 + int(state)])

@@ -18,7 +18,6 @@ from raystream.cuda.backend import CudaBackend
 from raystream.cuda.multipass.control import (
     LoggedPass,
     read_active,
-    read_ended,
     read_passes,
     rules_of,
 )
@@ -27,15 +26,15 @@ from raystream.cuda.multipass.loops import LOOPS
 from raystream.cuda.multipass.passes import columns_of
 from raystream.cuda.multipass.query_parts import HostQuery, QueryPart
 from raystream.cuda.multipass.ray_streams import HitGoal, RayStreams, ray_bytes
-from raystream.cuda.multipass.resident_steps import ResidentSteps
 from raystream.cuda.rays import split_rows
+from raystream.cuda.structures import Resident
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays, Sink
 from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes
-from raystream.machines.records import SHADE_HITS, SHADE_NONE, RayState
+from raystream.machines.records import SHADE_HITS, SHADE_NONE
 from raystream.machines.schedulers import SCHEDULERS
 from raystream.machines.steps import steps_of
 from raystream.machines.steps.base import StepKernel, Steps
@@ -116,7 +115,7 @@ class Multipass(CudaBackend):
         # The steps traverse the CPU's layout.
         own = {"kernel": "wide"} if structure.name == "bvh" else {}
         super().__init__(structure, gpu, rays_at_once=rays_at_once, **own)
-        self._steps = ResidentSteps(structure, self._scene.resident)
+        self._steps = _on_device(steps, structure, self._scene.resident)
 
     def recording(self, passes: Passes) -> Multipass:
         """A copy of the machine that adds its passes to a record."""
@@ -147,40 +146,31 @@ class Multipass(CudaBackend):
 
     def _first_hit(self, job: HostQuery) -> None:
         out = job.sink.hits
-        for part in self._parts(job, self._steps.initial):
+        for part in self._parts(job):
             memory, hits = _hits_of(self.gpu, part.count)
             goal = HitGoal(False, SHADE_HITS, _ONE_EACH, hits=hits)
-            streams = self._run_all(self._steps.initial, part, goal, job)
+            streams = self._run_all(part, goal, job)
             FINISH.launch(self.gpu, part.count, (streams.addresses, hits))
             _copy(memory, out.part(part.rows))
             _finish(part, job)
 
     def _any_hit(self, job: HostQuery) -> None:
         seen = job.sink.seen
-        for part in self._parts(job, self._steps.initial):
+        for part in self._parts(job):
             goal = HitGoal(False, SHADE_HITS, _ONE_EACH)
-            seen[part.rows] = self._run_all(self._steps.initial, part, goal, job).counts() != 0
+            seen[part.rows] = self._run_all(part, goal, job).counts() != 0
             _finish(part, job)
 
-    def _count_hits(self, job: HostQuery, steps: Steps | None = None) -> None:
-        steps, counts, query = steps or self._steps.initial, job.sink.counts, job.query
-        for part in self._parts(job, steps):
+    def _count_hits(self, job: HostQuery) -> None:
+        counts, query = job.sink.counts, job.query
+        for part in self._parts(job):
             goal = HitGoal(query.surfaces, SHADE_NONE, Wanted(NULL, np.uint64(query.limit)))
-            streams = self._run_all(steps, part, goal, job)
-            counts[part.rows] = streams.counts()
-            overflown = streams.overflown()
-            _finish(part, job, overflown)
-            if len(overflown):
-                rows = part.rows.start + overflown
-                again = _some_of(job, rows)
-                again.sink.counts = np.empty(len(rows), np.int64)
-                self._count_hits(again, self._steps.grown(steps))
-                counts[rows] = again.sink.counts
-                _add_tallies(job, rows, again)
+            counts[part.rows] = self._run_all(part, goal, job).counts()
+            _finish(part, job)
 
-    def _multi_hit(self, job: HostQuery, steps: Steps | None = None) -> None:
-        steps, splits, out = steps or self._steps.initial, job.sink.splits, job.sink.hits
-        for part in self._parts(job, steps, splits):
+    def _multi_hit(self, job: HostQuery) -> None:
+        splits, out = job.sink.splits, job.sink.hits
+        for part in self._parts(job, splits):
             wanted = splits[part.rows.start : part.rows.stop + 1]
             capacity = np.diff(wanted)
             rows = slice(int(wanted[0]), int(wanted[-1]))
@@ -189,68 +179,52 @@ class Multipass(CudaBackend):
             want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
             each = Wanted(own.address, NULL)
             goal = HitGoal(job.query.surfaces, SHADE_HITS, each, want_any, hits)
-            streams = self._run_all(steps, part, goal, job)
+            streams = self._run_all(part, goal, job)
             FINISH_MANY.launch(self.gpu, part.count, (streams.addresses, goal.wanted, hits))
-            counts, overflown = streams.counts(), streams.overflown()
+            counts = streams.counts()
             counts[capacity == 0] = 0
-            counts[overflown] = capacity[overflown]
             if not np.array_equal(counts, capacity):
                 raise CudaError(
                     f"device 'cuda': {self.gpu.name} found fewer hits than it had counted"
                 )
             _copy(memory, out.part(rows))
-            _finish(part, job, overflown)
-            if len(overflown):
-                self._multi_hit_again(job, part.rows.start + overflown, steps)
-
-    def _multi_hit_again(self, job: HostQuery, rows: NDArray[Any], steps: Steps) -> None:
-        """Trace some rays again with more memory, and write their hits to their rows."""
-        splits, out = job.sink.splits, job.sink.hits
-        again, capacity = _some_of(job, rows), np.diff(splits)[rows]
-        own = np.concatenate([[0], np.cumsum(capacity)])
-        hits = HitArrays.empty(int(own[-1]))
-        again.sink.splits, again.sink.hits = own, hits
-        self._multi_hit(again, self._steps.grown(steps))
-        to = np.repeat(splits[rows] - own[:-1], capacity) + np.arange(own[-1])
-        for column, values in zip(out, hits, strict=True):
-            column[to] = values
-        _add_tallies(job, rows, again)
+            _finish(part, job)
 
     def _parts(
-        self, job: HostQuery, steps: Steps, splits: NDArray[np.int64] | None = None
+        self, job: HostQuery, splits: NDArray[np.int64] | None = None
     ) -> Iterator[QueryPart]:
         """Parts of the rays that fit in device memory."""
         byte_count = min(_MOST_BYTES, self.gpu.byte_count // 4)
-        most = max(1, min(self.rays_at_once, byte_count // ray_bytes(steps)))
+        most = max(1, min(self.rays_at_once, byte_count // ray_bytes(self._steps)))
         for rows in split_rows(slice(0, len(job.batch)), most, splits):
             yield QueryPart(job, rows, self.gpu)
 
-    def _run_all(self, steps: Steps, part: QueryPart, goal: HitGoal, job: HostQuery) -> RayStreams:
+    def _run_all(self, part: QueryPart, goal: HitGoal, job: HostQuery) -> RayStreams:
         """Trace the rays of a part until all have ended."""
         streams = RayStreams(
             self.gpu,
-            steps,
+            self._steps,
             part,
             goal,
             (self.traversal_steps, self.intersections),
             np.float32(self.structure.triangles.max_coordinate),
         )
         if streams.length:
-            self._run(steps, streams, part, job)
+            self._run(streams, part, job)
             runs = streams.runs()
             if self.passes is not None and runs is not None:
                 at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
-                self.passes.add_bound(steps.kernels, runs, at_once)
+                self.passes.add_bound(self._steps.kernels, runs, at_once)
         return streams
 
-    def _run(self, steps: Steps, streams: RayStreams, part: QueryPart, job: HostQuery) -> None:
+    def _run(self, streams: RayStreams, part: QueryPart, job: HostQuery) -> None:
         """Run passes until all rays have ended; the host checks progress between them."""
         loop, known = LOOPS[self.loop](streams, self._rules), 0
         while True:
             words = loop.run(self.max_passes - known)
             ran = read_passes(words, known)
             known += len(ran)
-            self._note(steps, ran)
+            self._note(ran)
             active = read_active(words)
             if job.progress:
                 job.progress(part.rows.stop - active, len(job.batch))
@@ -261,17 +235,24 @@ class Multipass(CudaBackend):
                     f"device 'cuda', machine 'multipass': {active:,} rays are still active after "
                     f"{known:,} passes; max_passes is {self.max_passes:,}"
                 )
-            kept = active + read_ended(words, RayState.OVERFLOWED)
-            if self.compaction and 2 * kept <= streams.length:
-                streams.drop_ended(kept)
+            if self.compaction and 2 * active <= streams.length:
+                streams.drop_ended(active)
                 loop.renew()
 
-    def _note(self, steps: Steps, ran: Sequence[LoggedPass]) -> None:
+    def _note(self, ran: Sequence[LoggedPass]) -> None:
         if self.passes is not None:
-            words = _words_of(steps)
+            words = _words_of(self._steps)
             for one in ran:
-                kernel = steps.kernels[one.kernel]
+                kernel = self._steps.kernels[one.kernel]
                 self.passes.counters.passes.append(_pass(kernel, one, words))
+
+
+def _on_device(steps: Steps, structure: Structure, resident: Resident) -> Steps:
+    """The steps with addresses in GPU memory."""
+    names = structure.memory.keys() & set(steps.tree._fields)
+    return steps._replace(
+        tree=steps.tree._replace(**{name: getattr(resident.tree, name) for name in names})
+    )
 
 
 def _words_of(steps: Steps) -> dict[str, int]:
@@ -295,26 +276,11 @@ def _pass(kernel: StepKernel, ran: LoggedPass, words: dict[str, int]) -> Pass:
     )
 
 
-def _finish(part: QueryPart, job: HostQuery, but: NDArray[Any] | None = None) -> None:
-    """Copy back status and tallies, except tallies of rays that are traced again."""
-    part.finish(but)
+def _finish(part: QueryPart, job: HostQuery) -> None:
+    """Copy back status and tallies."""
+    part.finish()
     if job.progress:
         job.progress(part.rows.stop, len(job.batch))
-
-
-def _some_of(job: HostQuery, rows: NDArray[Any]) -> HostQuery:
-    """Some of the rays, to be traced again."""
-    batch = job.batch
-    limits = [one if len(one) == 1 else one[rows] for one in batch.limits]
-    some = RayBatch(batch.origins[rows], batch.directions[rows], *limits)
-    tallies = None if job.sink.tallies is None else np.zeros_like(job.sink.tallies[rows])
-    sink = Sink(np.zeros(len(rows), np.uint8), tallies=tallies)
-    return HostQuery(job.query, some, job.frame, sink, None)
-
-
-def _add_tallies(job: HostQuery, rows: NDArray[Any], again: HostQuery) -> None:
-    if job.sink.tallies is not None and again.sink.tallies is not None:
-        job.sink.tallies[rows] += again.sink.tallies
 
 
 def _hits_of(gpu: Gpu, count: int) -> tuple[DeviceArray, HitAddresses]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
@@ -79,18 +78,9 @@ class QueryPart:
             self._tallies = gpu.upload("tallies", zeros)
             self.tallies = self._tallies.address
 
-    def finish(self, but: NDArray[Any] | None = None) -> None:
-        """Wait for the device, then copy status and tallies to the host.
-
-        Parameters
-        ----------
-        but : ndarray of int, optional
-            Indices of rays of this part whose tallies are discarded.
-        """
+    def finish(self) -> None:
+        """Wait for the device, then copy status and tallies to the host."""
         self._gpu.wait()
         self._job.sink.status[self.rows] = self._status.host()
         if self._job.sink.tallies is not None:
-            tallies = self._tallies.host()
-            if but is not None:
-                tallies[but] = 0
-            self._job.sink.tallies[self.rows] += tallies
+            self._job.sink.tallies[self.rows] += self._tallies.host()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.multipass.control import Rules, begin_control, read_ended
+from raystream.cuda.multipass.control import Rules, begin_control
 from raystream.cuda.multipass.kernels.choose import DECIDE, DECIDE_IN_LOOP
 from raystream.cuda.multipass.kernels.rays import (
     BEGIN,
@@ -198,12 +198,6 @@ class RayStreams:
     def runs(self) -> NDArray[np.uint32] | None:
         """Number of runs of each kernel on each ray, if counted, of shape (N, 8)."""
         return None if self._runs is None else self._runs.host()
-
-    def overflown(self) -> NDArray[Any]:
-        """Indices of the rays that need more memory."""
-        if not read_ended(self.read_control(), RayState.OVERFLOWED):
-            return np.zeros(0, np.int64)
-        return np.flatnonzero(self._state.host() == RayState.OVERFLOWED)
 
     def _begin(self, part: QueryPart) -> None:
         own = self.addresses, self._goal.wanted, part.status

@@ -136,25 +136,21 @@ class ProgramRounds(NamedTuple):
                 if not total[0]:
                     return
                 for part in (yield from _parts(splits, counts, int(total[0]))):
-                    yield from self._round(part, open_rays, goal, delivered)
+                    self._round(part, open_rays, goal, delivered)
             found, latest, delivered = counts.address, room, room
             room *= GROWTH
 
     def _round(
         self, part: _Part, open_rays: DeviceArray, goal: tuple[Any, ...], delivered: int
-    ) -> Steps[None]:
+    ) -> None:
         """Find the hits that rays have room for, and visit them."""
         launcher, (rays, splits, counts, first_row, row_count) = self.launcher, part
         with launcher.scope.nested() as inner:
             memory = inner.ready("hits", (4, row_count), np.float32)
             hits = _moved_hits(HitAddresses.of_rows(memory.address, row_count), -first_row)
-
-            def arguments(first: int) -> tuple[Any, ...]:
-                at, found = moved(splits.address, first, 8), moved(counts.address, first, 8)
-                return bool(self.surfaces), RowAddresses(at, hits, found)
-
+            to = RowAddresses(splits.address, hits, counts.address)
             kernel = launcher.scene.kernels.multi_hit
-            yield from launcher.launch_with_tables(kernel, counts, arguments, rays.start)
+            launcher.launch(kernel, bool(self.surfaces), to, rows=rays)
             rows = RowsAt(*hits, splits.address, counts.address, np.uint64(delivered))
             self._visit(rows, rays, open_rays, goal)
 

@@ -42,8 +42,6 @@ class ShaderStructure:
         Constants that are declared before the file, for the sizes of its arrays.
     instead : dict of str to str
         Replacements of the file's includes; see `shader_source`.
-    has_duplicates : bool
-        Whether a search may test a triangle more than once.
     """
 
     name: str
@@ -54,7 +52,6 @@ class ShaderStructure:
     constants: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, int] = field(default_factory=dict)
     instead: dict[str, str] = field(default_factory=dict)
-    has_duplicates: bool = False
 
     def params(
         self,

@@ -33,7 +33,6 @@ def shader_structure(bvh: BvhStructure) -> ShaderStructure:
         arrays=(tree.nodes.view(np.uint32), _blocks(tree)),
         budget=budget_for(most),
         sizes={"STACK_SIZE": _stack_size(bvh)},
-        has_duplicates=bvh.has_duplicates,
     )
 
 

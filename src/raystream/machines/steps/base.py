@@ -56,19 +56,16 @@ class Steps(NamedTuple):
         The structure as the functions read it: numbers and addresses.
     stack_bytes : int
         Bytes of each ray's stack.
-    grow : callable, optional
-        Gives the same steps with larger stacks, for rays that have `OVERFLOWED`.
     """
 
     kernels: tuple[StepKernel, ...]
     place: np.dtype[Any]
     tree: Any
     stack_bytes: int = 0
-    grow: Callable[[], Steps] | None = None
 
 
 @device
-def resume_search(hits, ray, wanted, found, query, seen):
+def resume_search(hits, ray, wanted, found, query):
     """The search of a ray as its records hold it.
 
     Its own counters are None: steps are counted by `count_step`. It has no filter.
@@ -79,7 +76,6 @@ def resume_search(hits, ray, wanted, found, query, seen):
         The query's. An argument of its own, so that code for None is left out.
     ray, wanted, found, query
         See `StepKernel.function`.
-    seen : SeenSet or None
 
     Returns
     -------
@@ -93,8 +89,6 @@ def resume_search(hits, ray, wanted, found, query, seen):
         hits,
         wanted.first,
         query.surfaces,
-        seen,
-        False,
         None,
         None,
     )

@@ -40,7 +40,7 @@ def set_up(ray, wanted, tree, query, kernel):
 def intersect(ray, wanted, found, place, tree, query, kernel):
     """Test a triangle."""
     line = prepared_ray(ray, query)
-    search = resume_search(query.hits, ray, wanted, found, query, None)
+    search = resume_search(query.hits, ray, wanted, found, query)
     row, state = np.uint64(place.row), INTERSECTING
     for _ in range(query.tests):
         count_step(query, wanted, kernel, TESTS, _ONE)

@@ -6,13 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
-from raystream.kernels.search import LEAST_ROOM, SeenSet, clear_seen, is_full, wants_any
+from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import (
     INTERSECTING,
-    OVERFLOWED,
     TRAVERSING,
     count_step,
     end_state,
@@ -33,30 +31,20 @@ PLACE = np.dtype([("top", np.uint32), ("block", np.uint64), ("end", np.uint64)])
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _INF = np.float32(np.inf)
-_MORE_ROOM = np.uint64(8)
 
 
 class _Tree(NamedTuple):
-    """A tree by address; bytes of half a stack; capacity of a ray's set of seen triangles."""
+    """A tree by address; bytes of half a stack."""
 
     nodes: np.uint64
     leaves: np.uint64
     half: np.uint64
-    room: np.uint64
-
-
-@device
-def _seen_of(tree, wanted, query):
-    """A ray's set of seen triangles: empty for one hit, which cannot be found twice."""
-    room = _NONE if wanted.capacity == _ONE else tree.room
-    return SeenSet(stack_of(wanted, query) + tree.half + tree.half, room)
 
 
 def set_up(ray, wanted, tree, query, kernel):
     """Put the root on the stack."""
     count_step(query, wanted, kernel, STEPS, _NONE)
     stack = stack_of(wanted, query)
-    clear_seen(_seen_of(tree, wanted, query))
     top = tree_steps.begin(tree, ray.t_min, ray.t_max, stack, tree.half)
     state = end_state(_NONE, query) if top == _NONE else TRAVERSING
     return (np.uint32(0), ray.t_max), (np.uint32(top), _NONE, _NONE), state
@@ -65,7 +53,7 @@ def set_up(ray, wanted, tree, query, kernel):
 def traverse(ray, wanted, found, place, tree, query, kernel):
     """Pop a child from the stack: test the boxes of a node, or find the blocks of a leaf."""
     line, stack = block_ray(prepared_ray(ray, query)), stack_of(wanted, query)
-    search = resume_search(query.hits, ray, wanted, found, query, _seen_of(tree, wanted, query))
+    search = resume_search(query.hits, ray, wanted, found, query)
     is_any = wants_any(search)
     top, block, end = np.uint64(place.top), place.block, place.end
     state = TRAVERSING
@@ -87,18 +75,15 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
     return (np.uint32(top), block, end), state
 
 
-def intersect(ray, wanted, found, place, tree, query, kernel):
+def intersect(ray, wanted, found, place, query, kernel):
     """Test a block of up to four triangles."""
     line = block_ray(prepared_ray(ray, query))
-    search = resume_search(query.hits, ray, wanted, found, query, _seen_of(tree, wanted, query))
+    search = resume_search(query.hits, ray, wanted, found, query)
     block, state = place.block, INTERSECTING
     for _ in range(query.tests):
         count_step(query, wanted, kernel, TESTS, triangle_count(block))
         search = intersect_block(block, line, search, search.t_min, _INF)
         block += BLOCK
-        if search.has_overflowed:
-            state = OVERFLOWED
-            break
         if is_full(search):
             state = end_state(search.hit_count, query)
             break
@@ -113,14 +98,5 @@ _KERNELS = traversal_kernels(set_up, traverse, intersect)
 
 def steps(bvh: BvhStructure) -> Steps:
     """The steps of a BVH's traversal, one ray at a time."""
-    return _with_room(bvh, LEAST_ROOM if bvh.has_duplicates else _NONE)
-
-
-def _with_room(bvh: BvhStructure, room: np.uint64) -> Steps:
-    """The steps, with a set of seen triangles of a given capacity."""
     half = bvh.stack_half
-    table_bytes = (int(room) + 1) * 4 if room else 0
-    stack_bytes = -(-(2 * half + table_bytes) // 64) * 64
-    tree = _Tree(*bvh.arrays, np.uint64(half), room)
-    grow = (lambda: _with_room(bvh, room * _MORE_ROOM)) if room else None
-    return Steps(_KERNELS, PLACE, tree, stack_bytes, grow)
+    return Steps(_KERNELS, PLACE, _Tree(*bvh.arrays, np.uint64(half)), 2 * half)

@@ -76,7 +76,7 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
     """Find the triangles of a ray's sector, or the next sector if it is empty."""
     line = sector_ray(prepared_ray(ray, query))
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
-    search, state = resume_search(None, ray, wanted, found, query, None), TRAVERSING
+    search, state = resume_search(None, ray, wanted, found, query), TRAVERSING
     for _ in range(query.steps):
         count_step(query, wanted, kernel, STEPS, _ONE)
         block, end, left = sector_blocks(tree, sector)
@@ -94,7 +94,7 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
     """Test a block of up to four triangles; after the last one, leave the sector."""
     prepared = prepared_ray(ray, query)
     line, triangle_ray = sector_ray(prepared), block_ray(prepared)
-    search = resume_search(query.hits, ray, wanted, found, query, None)
+    search = resume_search(query.hits, ray, wanted, found, query)
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
     t_out = min(exit_face(line, sector).t, place.t_end)
     state = INTERSECTING

@@ -182,7 +182,7 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
     """Test a triangle of a ray's cell; after the last one, step to the next cell."""
     at = _load(place)
     line = prepared_ray(ray, query)
-    search = resume_search(query.hits, ray, wanted, found, query, None)
+    search = resume_search(query.hits, ray, wanted, found, query)
     references = _lattice(tree, at.outer).references
     t_out = _INF if wants_any(search) else min(cell_end(at.walk), at.t_end)
     row, state = at.row, INTERSECTING

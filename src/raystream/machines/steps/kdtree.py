@@ -125,7 +125,7 @@ def look_at_leaf(wanted, place, tree, query, kernel):
 def intersect(ray, wanted, found, place, query, kernel):
     """Test a block of triangles."""
     line = block_ray(prepared_ray(ray, query))
-    search = resume_search(query.hits, ray, wanted, found, query, None)
+    search = resume_search(query.hits, ray, wanted, found, query)
     state = _load(place)
     block, left = place.block, np.uint64(place.left)
     status = INTERSECTING

@@ -57,9 +57,6 @@ __all__ = [
     "BuildSettings",
     "Link",
     "Pending",
-    "Span",
-    "choose_bin_count",
-    "halve",
     "is_left",
     "push_pending",
     "put_node",
@@ -85,8 +82,7 @@ _PENDING = np.dtype(
         ("begin", "i4"),
         ("end", "i4"),
         ("depth", "i4"),
-        ("limit", "i4"),  # see `Span`
-        ("unused", "V12"),
+        ("unused", "V16"),
     ]
 )
 Pending = view(_PENDING)
@@ -110,21 +106,6 @@ class BinaryTree(NamedTuple):
     links: NDArray[np.int32]
 
 
-class Span(NamedTuple):
-    """A range of references.
-
-    Attributes
-    ----------
-    begin, end : int
-    limit : int
-        End of its rows, with spare ones for spatial splits.
-    """
-
-    begin: int
-    end: int
-    limit: int
-
-
 class BuildSettings(NamedTuple):
     """How to build a binary tree.
 
@@ -138,8 +119,6 @@ class BuildSettings(NamedTuple):
         Most references in a leaf.
     sah_depth : int
         From this depth on ranges are halved by count.
-    spare_share : float
-        Most references that spatial splits add, per triangle; 0 for none.
     costs : tuple of three float32
         Relative times of a node step and of the test of a block of 4 triangles, to be multiplied by
         the area of the box; and the price of a block's memory, as such a product.
@@ -149,7 +128,6 @@ class BuildSettings(NamedTuple):
     plain_size: int
     max_leaf_size: int
     sah_depth: int
-    spare_share: float
     costs: tuple[np.float32, np.float32, np.float32]
 
 
@@ -297,10 +275,10 @@ def split(refs, begin, end, centroids, use_sides, plain_size, bins, sums):
 
 
 @device
-def push_pending(stack, top, centroids, node, begin, end, depth, limit):
+def push_pending(stack, top, centroids, node, begin, end, depth):
     """Push a range on the stack; returns its height."""
     pending = Pending(stack, top)
     pending.centroids, pending.node = centroids, np.int32(node)
     pending.begin, pending.end = np.int32(begin), np.int32(end)
-    pending.depth, pending.limit = np.int32(depth), np.int32(limit)
+    pending.depth = np.int32(depth)
     return top + np.uint64(1)

@@ -16,8 +16,8 @@ from raystream.structures.bvh.write_wide import Deferred, WideTrees, write_trees
 
 __all__ = ["QUALITIES", "build_arrays"]
 
-#: `min_split_size`, `plain_size` and `spare_share` of `BuildSettings`.
-QUALITIES = {"fast": (4, 1024, 0.0), "balanced": (2, 0, 0.0), "high": (2, 0, 0.3)}
+#: `min_split_size` and `plain_size` of `BuildSettings`.
+QUALITIES = {"fast": (4, 1024), "balanced": (2, 0)}
 
 #: Relative times of a node step and of a block test, and the price of a block: it must save this
 #: many tests per ray that meets the scene. (Without it, a forest has a third more blocks.)
@@ -38,8 +38,7 @@ def build_arrays(
     Parameters
     ----------
     triangles : Triangles
-    quality : {"fast", "balanced", "high"}
-        "high" adds spatial splits: a triangle may then be in several leaves.
+    quality : {"fast", "balanced"}
     max_leaf_size : int
         Most triangles in a leaf, 1 to 32.
     progress : callable, optional
@@ -62,7 +61,7 @@ def build_arrays(
     """
     if len(triangles.prim_ids) == 0:
         return _make_arrays(0, 0)
-    small, plain_size, spare_share = QUALITIES[quality]
+    small, plain_size = QUALITIES[quality]
     # Paths have far fewer wide nodes than binary ones, but that is not guaranteed: if the wide
     # tree is too deep, build a binary tree within the limit.
     for tree_depth in (MAX_TREE_DEPTH, MAX_DEPTH):
@@ -71,11 +70,10 @@ def build_arrays(
             plain_size=plain_size,
             max_leaf_size=max_leaf_size,
             sah_depth=tree_depth - HALVING_LEVELS,
-            spare_share=spare_share,
             costs=_COSTS,
         )
         tree = grow_tree(triangles, settings, progress)
-        writer = _Writer(tree, triangles.corners, spare_share > 0.0)
+        writer = _Writer(tree, triangles.corners)
         if writer.depth <= MAX_DEPTH:
             break
     return writer.write()
@@ -93,10 +91,9 @@ class _Writer:
     First the top of the tree, then the subtrees below it in parallel.
     """
 
-    def __init__(self, tree: Tree, corners: NDArray[np.float32], has_duplicates: bool) -> None:
+    def __init__(self, tree: Tree, corners: NDArray[np.float32]) -> None:
         self.tree = tree
         self.corners = corners
-        self.has_duplicates = has_duplicates
         self.top = WideTrees.of(np.array([tree.root], np.int32), np.zeros(1, np.int32))
         self.deferred = Deferred.of(WIDTH * tree.top_count)
         self._emit(self.top, self.deferred, None)
@@ -128,7 +125,6 @@ class _Writer:
                 end,
                 trees,
                 deferred,
-                self.has_duplicates,
                 arrays is not None,
                 self.tree.arrays,
                 self.corners,

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.aligned import aligned_array
-from raystream.structures.bvh.binary_tree import LINK_INTS, BinaryTree, BuildSettings, Span
+from raystream.structures.bvh.binary_tree import LINK_INTS, BinaryTree, BuildSettings
 from raystream.structures.bvh.collapse import COST_FLOATS, collapse_top
 from raystream.structures.bvh.parallel_split import split_large
 from raystream.structures.bvh.prim_refs import REF_FLOATS, make_refs
-from raystream.structures.bvh.spatial_splits import PAD, Space, grow_spatially, split_spatially
 from raystream.structures.bvh.subtree import grow_subtree, split_once
 from raystream.structures.bvh.write_wide import READ_AHEAD
 
@@ -52,11 +51,10 @@ class Tree(NamedTuple):
 
 @dataclass
 class _Range:
-    """A range of references, to be split or to become a subtree; see `Span`."""
+    """A range of references, to be split or to become a subtree."""
 
     begin: int
     end: int
-    limit: int
     depth: int
     bounds: NDArray[np.float32]
     refs: NDArray[np.float32]
@@ -68,26 +66,18 @@ class _Range:
         return self.end - self.begin
 
     @property
-    def span(self) -> Span:
-        return Span(self.begin, self.end, self.limit)
-
-    @property
     def node(self) -> int:
         """Row of its root: between the rows of its parts, or its first row."""
         return 2 * self.parts[1].begin - 1 if self.parts else 2 * self.begin
 
     def split(
-        self,
-        ends: tuple[int, int, int],
-        bounds: NDArray[np.float32],
-        refs: NDArray[np.float32],
+        self, middle: int, bounds: NDArray[np.float32], refs: NDArray[np.float32]
     ) -> tuple[_Range, _Range]:
-        """Make the parts from the end of the left one, and begin and end of the right one."""
-        left_end, right_begin, right_end = ends
+        """Make the parts from the end of the left one."""
         depth = self.depth + 1
         self.parts = (
-            _Range(self.begin, left_end, right_begin, depth, bounds[0], refs),
-            _Range(right_begin, right_end, self.limit, depth, bounds[1], refs),
+            _Range(self.begin, middle, depth, bounds[0], refs),
+            _Range(middle, self.end, depth, bounds[1], refs),
         )
         return self.parts
 
@@ -113,14 +103,13 @@ class _Grower:
     def __init__(self, triangles: Triangles, settings: BuildSettings) -> None:
         self.triangles = triangles
         self.settings = settings
-        self.count = len(triangles.prim_ids)
-        room = self.count + int(settings.spare_share * self.count)
+        self.count = count = len(triangles.prim_ids)
         # `write_trees` reads a few references past the last.
-        self.refs = aligned_array(room + READ_AHEAD, REF_FLOATS)[:room]
+        self.refs = aligned_array(count + READ_AHEAD, REF_FLOATS)[:count]
         self.tree = BinaryTree(
             self.refs,
-            np.empty((2 * room, REF_FLOATS), np.float32),
-            np.empty((2 * room, LINK_INTS), np.int32),
+            np.empty((2 * count, REF_FLOATS), np.float32),
+            np.empty((2 * count, LINK_INTS), np.int32),
         )
         # About 64 subtrees or more, of 1 to 10 ms each.
         self.subtree_size = min(max(1 << 12, self.count >> 6), 1 << 16)
@@ -131,8 +120,6 @@ class _Grower:
         area = np.float32(size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
         node_cost, block_cost, price = self.settings.costs
         self.settings = self.settings._replace(costs=(node_cost, block_cost, price * area))
-        pad = np.float32(self.triangles.max_coordinate * PAD)
-        self.space = Space(self.triangles.corners, pad, area)
         ranges = [root]  # parts come after the whole
         self._split_middle(self._split_large(ranges), ranges)
         for row, part in enumerate(ranges):
@@ -163,27 +150,27 @@ class _Grower:
             make_refs(begin, end, corners, prim_ids, self.refs, bounds[begin // _CHUNK])
 
         parallel_for(body, self.count, _CHUNK)
-        return _Range(0, self.count, len(self.refs), 0, bounds.max(axis=0), self.refs)
+        return _Range(0, self.count, 0, bounds.max(axis=0), self.refs)
 
     def _split_large(self, ranges: list[_Range]) -> list[_Range]:
         """Split the large ranges; append their parts to `ranges`, return the others."""
         (root,) = ranges
-        if root.size <= _LARGE or root.limit > root.end:
+        if root.size <= _LARGE:
             return [root]
         # References move between two arrays at each split.
-        spare = aligned_array(len(self.refs), REF_FLOATS)
+        other = aligned_array(len(self.refs), REF_FLOATS)
         pending, others = [root], []
         while pending:
             part = pending.pop()
             result = None
-            target = spare if part.refs is self.refs else self.refs
+            target = other if part.refs is self.refs else self.refs
             if part.size > _LARGE and part.depth < self.settings.sah_depth:
                 result = split_large(part.refs, target, part.begin, part.end, part.bounds[1])
             if result is None:
                 others.append(part)
                 continue
             middle, bounds = result
-            parts = part.split((middle, middle, part.end), bounds, target)
+            parts = part.split(middle, bounds, target)
             ranges += parts
             pending += parts
         return others
@@ -192,55 +179,48 @@ class _Grower:
         """Split ranges until all are small, one thread each; append the parts to `ranges`."""
         while level := [part for part in level if part.size > self.subtree_size]:
             bounds = np.empty((len(level), 2, 2, REF_FLOATS), np.float32)
-            ends = np.zeros((len(level), 3), np.int64)
-            self._split_each(level, bounds, ends)
+            middles = np.zeros(len(level), np.int64)
+            self._split_each(level, bounds, middles)
             level = [
                 part
                 for i, whole in enumerate(level)
-                for part in whole.split(tuple(ends[i].tolist()), bounds[i], whole.refs)
+                for part in whole.split(int(middles[i]), bounds[i], whole.refs)
             ]
             ranges += level
 
     def _split_each(
-        self, level: list[_Range], bounds: NDArray[np.float32], ends: NDArray[np.int64]
+        self, level: list[_Range], bounds: NDArray[np.float32], middles: NDArray[np.int64]
     ) -> None:
-        def split(part: _Range, bounds: NDArray[np.float32], ends: NDArray[np.int64]) -> None:
+        def split(part: _Range, bounds: NDArray[np.float32]) -> int:
             use_sides = part.depth < self.settings.sah_depth
-            if self.settings.spare_share == 0.0:
-                span = part.begin, part.end
-                ends[:2] = split_once(part.refs, *span, use_sides, part.bounds, bounds)
-                ends[2] = part.end
-                return
-            split_spatially(part.refs, part.span, use_sides, part.bounds, self.space, bounds, ends)
+            span = part.begin, part.end
+            return int(split_once(part.refs, *span, use_sides, part.bounds, bounds))
 
         def body(begin: int, end: int) -> None:
             if begin == end:
-                split(self._nothing(), bounds[0], ends[0])
+                split(self._nothing(), bounds[0])
             for i in range(begin, end):
-                split(level[i], bounds[i], ends[i])
+                middles[i] = split(level[i], bounds[i])
 
         parallel_for(body, len(level), 1)
 
     def _nothing(self) -> _Range:
         """An empty range, for calls that only compile."""
-        return _Range(0, 0, 0, 0, np.zeros((2, 8), np.float32), self.refs)
+        return _Range(0, 0, 0, np.zeros((2, 8), np.float32), self.refs)
 
     def _grow_subtrees(
         self, subtrees: list[_Range], costs: NDArray[np.float32], progress: Progress | None
     ) -> None:
         # Largest first, so that the threads finish together.
         subtrees.sort(key=lambda part: -part.size)
-        most_nodes = 2 * max(part.limit - part.begin for part in subtrees)
+        most_nodes = 2 * max(part.size for part in subtrees)
         free: list[NDArray[np.float32]] = []  # scratch, one for each thread
 
         def grow(part: _Range, scratch: NDArray[np.float32]) -> None:
             if part.refs is not self.refs:
                 self.refs[part.begin : part.end] = part.refs[part.begin : part.end]
-            where, result = (self.tree, part.span, part.depth, part.bounds), costs[part.row]
-            if self.settings.spare_share == 0.0:
-                grow_subtree(*where, self.settings, scratch, result)
-            else:
-                grow_spatially(*where, self.space, self.settings, scratch, result)
+            where = self.tree, part.begin, part.end, part.depth, part.bounds
+            grow_subtree(*where, self.settings, scratch, costs[part.row])
 
         def body(begin: int, end: int) -> None:
             try:

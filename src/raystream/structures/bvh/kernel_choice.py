@@ -192,7 +192,6 @@ def visit_batch(
     tree: Tree,
     query: Query,
     rays: RayBatch,
-    has_duplicates: bool,
     sink: Sink,
     progress: Progress | None,
     only_if_narrow: bool,
@@ -205,8 +204,6 @@ def visit_batch(
         Not empty.
     query : Query
     rays : RayBatch
-    has_duplicates : bool
-        Whether a triangle may be in several leaves.
     sink : Sink
     progress : callable, optional
         Called with (rays done, rays).
@@ -218,7 +215,7 @@ def visit_batch(
         return False
     source, order = _tiled(source)
     report = _of_rays(progress, len(rays), source.order.packet_count)
-    visit_all(tree.addresses, source, query, sink, has_duplicates, report)
+    visit_all(tree.addresses, source, query, sink, report)
     del kept, order
     return True
 

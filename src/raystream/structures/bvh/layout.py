@@ -69,7 +69,7 @@ class BvhArrays(NamedTuple):
 
     Notes
     -----
-    The first rows begin at a multiple of 64 bytes. A triangle may be in more than one leaf.
+    The first rows begin at a multiple of 64 bytes. A triangle is in one leaf at most.
     """
 
     nodes: NDArray[np.float32]
@@ -100,14 +100,15 @@ class TreeAddresses(NamedTuple):
 
 
 # Codes that `_check_tree` returns.
-_BAD_CHILD, _BAD_LEAF, _BAD_ID, _BAD_LANE, _MISSING = -1, -2, -3, -4, -5
+_BAD_CHILD, _BAD_LEAF, _BAD_ID, _BAD_LANE, _MISSING, _REPEATED = range(-1, -7, -1)
 
 
 @kernel
-def _check_tree(nodes, children, prim_ids, depths, wanted):
+def _check_tree(nodes, children, prim_ids, depths, wanted, held):
     """Depth of the tree, or a negative error code.
 
-    `wanted` is true for each triangle that must be in a leaf, and becomes false when it is found.
+    `wanted` is true for each triangle that must be in a leaf; `held`, false at first, becomes true
+    for each that is.
     """
     node_count, block_count = len(children), len(prim_ids)
     deepest = 0
@@ -145,9 +146,11 @@ def _check_tree(nodes, children, prim_ids, depths, wanted):
                         if prim_id >= 0 and k > 0 and prim_ids[block, k - 1] < 0:
                             return _BAD_ID  # likewise
                         if prim_id >= 0:
-                            wanted[prim_id] = False
+                            if held[prim_id]:
+                                return _REPEATED
+                            held[prim_id] = True
     for row in range(len(wanted)):
-        if wanted[row]:
+        if wanted[row] and not held[row]:
             return _MISSING
     return deepest
 
@@ -185,8 +188,8 @@ def check_arrays(
     wanted[solid_ids] = True
     if not _are_the_same(tree, wanted, corners):
         raise ValueError("the triangles differ from the scene's")
-    depths = np.zeros(len(nodes), np.int32)
-    depth = _check_tree(nodes, tree.children, tree.prim_ids, depths, wanted)
+    depths, held = np.zeros(len(nodes), np.int32), np.zeros_like(wanted)
+    depth = _check_tree(nodes, tree.children, tree.prim_ids, depths, wanted, held)
     if depth == _BAD_CHILD:
         raise ValueError("a node's child is out of range or has two parents")
     if depth == _BAD_LEAF:
@@ -195,6 +198,8 @@ def check_arrays(
         raise ValueError("a leaf has a prim_id that is out of range")
     if depth == _BAD_LANE:
         raise ValueError("an absent child has a box")
+    if depth == _REPEATED:
+        raise ValueError("a triangle is in more than one leaf; rebuild the structure")
     if depth == _MISSING:
         raise ValueError("a triangle of the scene is in no leaf")
     if depth > MAX_DEPTH:

@@ -21,7 +21,7 @@ class Bvh(StructureOptions):
 
     Parameters
     ----------
-    quality : {"fast", "balanced", "high"}
+    quality : {"fast", "balanced"}
         Time spent on the build, for faster traversal.
     max_leaf_size : int
         Most triangles in a leaf, 1 to 32.
@@ -47,6 +47,6 @@ class Bvh(StructureOptions):
         "graphics": "raystream.graphics.structures.bvh:shader_structure",
     }
 
-    quality: Literal["fast", "balanced", "high"] = "balanced"
+    quality: Literal["fast", "balanced"] = "balanced"
     max_leaf_size: Annotated[int, Range(1, MAX_LEAF_SIZE)] = 4
     kernel: Literal["auto", "wavefront", "packet", "groups", "stream", "single"] = "auto"

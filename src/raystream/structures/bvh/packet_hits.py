@@ -49,8 +49,8 @@ _COLLECTOR = np.dtype(
 Collector = view(_COLLECTOR)
 COLLECTOR_BYTES = _COLLECTOR.itemsize
 
-#: Scratch of `sort_packet`: the end of each ray's rows, and the number of its hits.
-_ENDS = np.dtype([("ends", "u8", (PACKET_RAYS, 1)), ("lengths", "u8", (PACKET_RAYS, 1))])
+#: The end of each ray's sorted rows.
+_ENDS = np.dtype([("ends", "u8", (PACKET_RAYS, 1))])
 Ends = view(_ENDS)
 ENDS_BYTES = _ENDS.itemsize
 
@@ -108,25 +108,7 @@ def _insert(rows, first, row, t, u, v, prim_id):
 
 
 @device_call
-def _remove_duplicates(rows, first, count, to):
-    """Move a ray's sorted hits to row `to`, each triangle once; returns their number.
-
-    A triangle in several leaves was hit several times, with the same bits.
-    """
-    no_inline()
-    kept = _U0
-    for k in range(count):
-        t, u, v, prim_id = get_hit(rows, first + k)
-        last = to + kept - _U1
-        if kept != _U0 and load(np.int32, rows.prim_id + last * _LANE) == prim_id:
-            continue
-        put_hit(rows, to + kept, t, u, v, prim_id)
-        kept += _U1
-    return kept
-
-
-@device_call
-def sort_packet(hits, ends, used, has_duplicates):
+def sort_packet(hits, ends, used):
     """Sort a packet's hits by ray, t and prim_id.
 
     Parameters
@@ -137,8 +119,6 @@ def sort_packet(hits, ends, used, has_duplicates):
         Written: the end of each ray's rows.
     used : uint64
         Rows in use before.
-    has_duplicates : bool
-        Whether a triangle may have been hit more than once.
 
     Returns
     -------
@@ -148,8 +128,7 @@ def sort_packet(hits, ends, used, has_duplicates):
     no_inline()
     buffers = Buffers(hits.buffers)
     found, rows = buffers.found, buffers.rows
-    row_ends, lengths = ends.ends, ends.lengths
-    count, rays = hits.count, found.ray
+    row_ends, count, rays = ends.ends, hits.count, found.ray
     for ray in range(_RAYS):
         row_ends[ray] = _U0
     for k in range(count):
@@ -158,7 +137,7 @@ def sort_packet(hits, ends, used, has_duplicates):
     row = used
     for ray in range(_RAYS):
         ray_count = row_ends[ray]
-        lengths[ray], row_ends[ray] = ray_count, row
+        row_ends[ray] = row
         row += ray_count
     for k in range(count):
         ray = np.uint64(load(np.int32, rays + k * _LANE))
@@ -166,20 +145,14 @@ def sort_packet(hits, ends, used, has_duplicates):
         row = row_ends[ray]
         put_hit(rows, row, t, u, v, prim_id)
         row_ends[ray] = row + _U1
-    to = used
     first = used
     for ray in range(_RAYS):
-        ray_count = lengths[ray]
+        ray_count = row_ends[ray] - first
         if ray_count > _LONG:
             sort_hits(rows, first, ray_count)
         else:
             for k in range(_U1, ray_count):
                 t, u, v, prim_id = get_hit(rows, first + k)
                 _insert(rows, first, first + k, t, u, v, prim_id)
-        if has_duplicates:
-            to += _remove_duplicates(rows, first, ray_count, to)
-        else:
-            to += ray_count
         first += ray_count
-        row_ends[ray] = to
-    return to
+    return first

@@ -108,28 +108,25 @@ def visit_all(
     source: PacketSource,
     query: Query,
     sink: Sink,
-    has_duplicates: bool,
     progress: Progress | None,
 ) -> None:
     """Deliver all hits of the rays of a batch to the sink's visitor, in parts.
 
     Parameters
     ----------
-    has_duplicates : bool
-        Whether a triangle may be in several leaves: hits are then always sorted.
     progress : callable, optional
         Called with (packets done, packets).
     """
     goal = ALL + SURFACES if query.surfaces else ALL
     # Unsorted hits have 32-bit ray indices.
-    sorts = query.is_ordered or has_duplicates or int(source.order.ray_count) >= 2**31
+    sorts = query.is_ordered or int(source.order.ray_count) >= 2**31
     nowhere = _U0
     visitor = sink.visitor
     assert visitor is not None
 
     def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
         reached, used, ray_count = _collect_packets(
-            begin, end, tree, source, goal, sorts, has_duplicates, buffers.addresses, nowhere
+            begin, end, tree, source, goal, sorts, buffers.addresses, nowhere
         )
         if used:
             visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
@@ -148,14 +145,14 @@ def _share(packet_count: int, most: int) -> int:
 def count_all(
     tree: TreeAddresses, source: PacketSource, query: Query, progress: Progress | None
 ) -> NDArray[np.int64]:
-    """Count the hits of the rays of a batch, of a tree without duplicates."""
+    """Count the hits of the rays of a batch."""
     counts = np.zeros(int(source.order.ray_count), np.int64)
     at = np.uint64(counts.ctypes.data)
     goal = COUNT + SURFACES if query.surfaces else COUNT
     nowhere = np.zeros(BUFFERS.itemsize // 8, np.uint64)
 
     def body(begin: int, end: int) -> None:
-        _collect_packets(begin, end, tree, source, goal, False, False, nowhere, at)
+        _collect_packets(begin, end, tree, source, goal, False, nowhere, at)
 
     packet_count = source.order.packet_count
     parallel_for(body, packet_count, _share(packet_count, COUNTED_PER_CALL), progress)
@@ -163,7 +160,7 @@ def count_all(
 
 
 @kernel
-def _collect_packets(begin, end, tree, source, goal, sorts, has_duplicates, buffers, counts):
+def _collect_packets(begin, end, tree, source, goal, sorts, buffers, counts):
     """Collect or count the hits of packets begin to end, until a packet's hits do not fit.
 
     Returns
@@ -196,7 +193,7 @@ def _collect_packets(begin, end, tree, source, goal, sorts, has_duplicates, buff
             return np.int64(number), np.int64(used), np.int64(ray_count)
         if sorts:
             row = used
-            used = sort_packet(hits, ends, used, has_duplicates)
+            used = sort_packet(hits, ends, used)
             ray_count = _finish_rows(
                 packet, number, order, slow_groups, ends, row, written, ray_count
             )

@@ -46,9 +46,9 @@ def refit(arrays: BvhArrays, corners: NDArray[np.float32]) -> None:
 
     Notes
     -----
-    Boxes are the tightest around the triangles below them; a triangle in several leaves is whole
-    in each of their boxes. Results stay correct however far triangles move, but rays take longer
-    when neighbours drift apart: compare `statistics` before and after.
+    Boxes are the tightest around the triangles below them. Results stay correct however far
+    triangles move, but rays take longer when neighbours drift apart: compare `statistics` before
+    and after.
     """
     nodes, leaves = arrays
     corners = np.ascontiguousarray(corners, np.float32)

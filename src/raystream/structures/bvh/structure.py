@@ -49,7 +49,6 @@ class BvhStructure(Structure):
 
     traverse = staticmethod(traverse)
     stack_bytes = STACK_BYTES
-    can_have_duplicates = True
     options: Bvh
 
     def __init__(
@@ -66,13 +65,11 @@ class BvhStructure(Structure):
         self.options = options
         self._numbers = Tree.of(tree, self.frame)
         self._races = Races()
-        self._has_duplicates = False
         held_ids = triangles.prim_ids
-        entry_count = int(np.count_nonzero(tree.prim_ids >= 0))
-        if entry_count != len(held_ids):
-            # Some are in several leaves, or cannot be hit any more after a refit.
-            held_ids = np.unique(tree.prim_ids[tree.prim_ids >= 0])
-            self._has_duplicates = entry_count != len(held_ids)
+        is_held = tree.prim_ids >= 0
+        if np.count_nonzero(is_held) != len(held_ids):
+            # Some cannot be hit any more after a refit.
+            held_ids = np.sort(tree.prim_ids[is_held])
         # None for all: hardly ever needed, and 4 bytes per triangle.
         self._held_ids = None if len(held_ids) == len(triangles) else held_ids
         self.report = BuildReport(
@@ -99,11 +96,6 @@ class BvhStructure(Structure):
     def memory(self) -> dict[str, NDArray[Any]]:
         """Nodes and leaf blocks."""
         return {"nodes": self.tree.nodes, "leaves": self.tree.leaves}
-
-    @property
-    def has_duplicates(self) -> bool:
-        """Whether a triangle may be in several leaves."""
-        return self._has_duplicates
 
     @cached_property
     def stack_half(self) -> int:
@@ -197,12 +189,8 @@ class BvhStructure(Structure):
             return False
         only_if_narrow = self.kernel == "auto"
         if kind is Kind.MULTI_HIT:
-            return visit_batch(
-                tree, query, rays, self.has_duplicates, sink, progress, only_if_narrow
-            )
-        return not self.has_duplicates and count_batch(
-            tree, query, rays, sink, progress, only_if_narrow
-        )
+            return visit_batch(tree, query, rays, sink, progress, only_if_narrow)
+        return count_batch(tree, query, rays, sink, progress, only_if_narrow)
 
     def _may_collect(self, batch: RayBatch, limit: int) -> bool:
         """Whether packets may trace a batch: they find all hits."""

@@ -65,7 +65,7 @@ def split_once(refs, begin, end, use_sides, bounds, part_bounds):
 
 
 @kernel
-def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
+def grow_subtree(tree, begin, end, depth, bounds, settings, costs, root_costs):
     """Build the binary tree over a range, and decide how it will be collapsed.
 
     Parameters
@@ -73,7 +73,8 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     tree : BinaryTree
         References of the range are reordered. Its tree gets the rows from 2 begin on, parents
         before children.
-    span : Span
+    begin, end : int
+        The range.
     depth : int
         Nodes above the range.
     bounds : ndarray of shape (2, 8), float32
@@ -84,9 +85,9 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     root_costs : ndarray of shape (8,), float32
         Written: the costs of the range's root.
     """
-    begin, end, small = span.begin, span.end, settings.min_split_size
     if begin == end:
         return
+    small = settings.min_split_size
     ref_at, box_at, link_at = address(tree.refs), address(tree.boxes), address(tree.links)
     sah_depth, plain_size = settings.sah_depth, settings.plain_size
     bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
@@ -95,7 +96,7 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
     centroids = load(f32x8, bound_at + np.uint64(REF_BYTES))
-    top = push_pending(stack, np.uint64(0), centroids, root, begin, end, depth, end)
+    top = push_pending(stack, np.uint64(0), centroids, root, begin, end, depth)
     node_end = np.int32(root + 1)
     while top != np.uint64(0):
         top -= np.uint64(1)
@@ -111,8 +112,8 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
         link.left, link.right = node_end, np.int32(node_end + 1)
         put_node(box_at, link_at, node_end, left, first, middle)
         put_node(box_at, link_at, node_end + 1, right, middle, last)
-        top = push_pending(stack, top, right_centroids, node_end + 1, middle, last, level + 1, last)
-        top = push_pending(stack, top, left_centroids, node_end, first, middle, level + 1, middle)
+        top = push_pending(stack, top, right_centroids, node_end + 1, middle, last, level + 1)
+        top = push_pending(stack, top, left_centroids, node_end, first, middle, level + 1)
         node_end = np.int32(node_end + 2)
     merged = collapse_subtree(box_at, link_at, root, node_end, settings, address(costs))
     store(address(root_costs), merged)

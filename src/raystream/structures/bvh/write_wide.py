@@ -111,26 +111,6 @@ def set_lane(node, lane, box, child):
 
 
 @device_call
-def _unique(ref, count):
-    """Move one reference of each triangle to the front; returns their number."""
-    kept = np.int32(0)
-    for i in range(count):
-        moved = load(f32x8, ref + np.uint64(i) * np.uint64(REF_BYTES))
-        prim_id = load(np.int32, ref + np.uint64(i) * np.uint64(REF_BYTES) + np.uint64(FIRST_AT))
-        found = False
-        for k in range(kept):
-            at = ref + np.uint64(k) * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
-            found = found or load(np.int32, at) == prim_id
-        if not found:
-            # Swap, not overwrite: each leaf is visited twice, to count and to write.
-            place = ref + np.uint64(kept) * np.uint64(REF_BYTES)
-            store(ref + np.uint64(i) * np.uint64(REF_BYTES), load(f32x8, place))
-            store(place, moved)
-            kept = np.int32(kept + np.int32(1))
-    return kept
-
-
-@device_call
 def _write_leaf(ref, count, corners, to):
     """Write the blocks of a leaf to address `to`."""
     for i in range(np.uint64(count)):
@@ -149,7 +129,7 @@ def _write_leaf(ref, count, corners, to):
 
 
 @kernel
-def write_trees(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide):
+def write_trees(begin, end, trees, deferred, write, tree, corners, wide):
     """Count or write the wide trees below some binary nodes.
 
     Parameters
@@ -160,8 +140,6 @@ def write_trees(begin, end, trees, deferred, has_duplicates, write, tree, corner
         Counts are written, or the trees from `first_nodes` and `first_blocks` on.
     deferred : Deferred
         Written when counting, read when writing.
-    has_duplicates : bool
-        Whether a triangle may have several references: a leaf has each triangle once.
     write : bool
         Else only count.
     tree : BinaryTree
@@ -220,8 +198,6 @@ def write_trees(begin, end, trees, deferred, has_duplicates, write, tree, corner
                         REF_BYTES
                     )
                     count = load(np.int32, box + np.uint64(COUNT_AT))
-                    if has_duplicates:
-                        count = _unique(ref, count)
                     blocks = np.int32((count + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
                     if write:
                         set_lane(to, k, box, ~((block_end << np.int32(3)) | (blocks - np.int32(1))))

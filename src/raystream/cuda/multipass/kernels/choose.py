@@ -33,7 +33,6 @@ __all__ = ["DECIDE", "DECIDE_IN_LOOP", "decide"]
 
 _MOST = np.uint64(MOST_PASSES)
 _DONE_COUNT = COUNTS + np.uint64(4 * RayState.DONE)
-_OVERFLOWED_COUNT = COUNTS + np.uint64(4 * RayState.OVERFLOWED)
 
 _NAIVE, _THRESHOLD, _MOST_WORK = (
     np.uint64(SCHEDULERS.index(name)) for name in ("naive", "threshold", "most-work")
@@ -150,10 +149,10 @@ def _returns_to_host(control, rules):
     """Whether the host must continue: at its limit of passes, or to compact the streams."""
     if load(np.uint32, control + PASS_COUNT) >= load(np.uint32, control + UNTIL):
         return True
-    kept = np.uint64(load(np.uint32, control + _OVERFLOWED_COUNT))
+    active = np.uint64(0)
     for k in range(rules.kernel_count):
-        kept += _waiting(control, k)
-    return rules.compacts and kept + kept <= np.uint64(load(np.uint32, control + LAUNCHED))
+        active += _waiting(control, k)
+    return rules.compacts and active + active <= np.uint64(load(np.uint32, control + LAUNCHED))
 
 
 @kernel

@@ -30,7 +30,6 @@ __all__ = [
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
 _STARTING = np.uint8(RayState.STARTING)
-_OVERFLOWED = np.uint8(RayState.OVERFLOWED)
 _DONE = np.uint8(RayState.DONE)
 
 #: Rays per thread of a compaction.
@@ -140,8 +139,6 @@ def _finish(i, streams, hits):
 @kernel
 def _finish_many(i, streams, wish, hits):
     """Convert the t of a ray's hits to the caller's."""
-    if load(np.uint8, streams.state + i) == _OVERFLOWED:
-        return  # it is traced again
     first, most = _rows_of(wish, i)
     count = min(np.uint64(load(np.uint32, streams.found + (i << SHIFT_32))), most)
     for k in range(first, first + count):

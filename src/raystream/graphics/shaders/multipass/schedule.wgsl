@@ -51,7 +51,7 @@ const MOST_WORK: u32 = 2u;
 const DOUBLE: u32 = 3u;
 
 // The state of rays that wait for more room; see states.wgsl.
-const NO_ROOM: u32 = 9u;
+const NO_ROOM: u32 = 8u;
 
 override SCHEDULER: u32 = THRESHOLD;
 // Whether shading spawns rays: then it is chosen like the kernels that do not intersect.

@@ -7,4 +7,4 @@ const SHADING: u32 = 4u;
 const AT_LEAF: u32 = 5u;
 const CONTINUING: u32 = 6u;
 const BACKTRACKING: u32 = 7u;
-const NO_ROOM: u32 = 9u;
+const NO_ROOM: u32 = 8u;
