@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, narrow, store
@@ -34,3 +36,21 @@ def test_the_first_rays_of_a_batch():
     assert _load_the_first(source, PacketOrder.of((16,)), out) == 16
     assert out.tolist() == origins[:, 0].tolist()
     del kept
+
+
+@pytest.mark.parametrize("kernel", ["packet", "groups", "stream"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_columns_of_records(dtype, kernel):
+    """Vectors that are not adjacent are read where they are, in either order."""
+    scene = rs.load("spheres")
+    tracer = rs.Tracer(scene, kernel=kernel)
+    origins, directions = scene.camera.rays(70, 50)
+    records = np.full((50, 70, 9), np.nan, dtype)
+    records[..., 1:4], records[..., 5:8] = origins, directions
+    for rows in (records, records.reshape(-1, 9), records.reshape(-1, 9)[::-1]):
+        columns = rows[..., 1:4], rows[..., 5:8]
+        hits = tracer.first_hit(*columns)
+        expected = tracer.first_hit(*map(np.ascontiguousarray, columns))
+        assert hits.is_hit.any()
+        for name in ("t", "u", "v", "prim_id", "status"):
+            assert getattr(hits, name).tobytes() == getattr(expected, name).tobytes(), name

@@ -91,9 +91,9 @@ class RaySource(NamedTuple):
         origins, directions, limits
             As in a `RayBatch`.
         packed : bool
-            Rays must be adjacent, or share one value.
+            Limits must be adjacent, or share one value.
         """
-        origins, directions = _readable(origins, packed), _readable(directions, packed)
+        origins, directions = _readable(origins), _readable(directions)
         t_min, t_max = (_readable(limit, packed) for limit in limits)
         o, o_step = _place(origins)
         d, d_step = _place(directions)
@@ -106,8 +106,8 @@ class RaySource(NamedTuple):
         return source, (origins, directions, t_min, t_max)
 
 
-def _readable(array: NDArray[Any], packed: bool) -> NDArray[Any]:
-    """The array, or a copy whose rows are adjacent, aligned numbers."""
+def _readable(array: NDArray[Any], packed: bool = False) -> NDArray[Any]:
+    """The array, or a copy whose rows are aligned, adjacent numbers, and adjacent if `packed`."""
     flags = array.flags
     if flags.c_contiguous and flags.aligned:
         return array

@@ -21,7 +21,7 @@ from raystream.jit.simd import (
 from raystream.jit.views import view
 from raystream.structures.bvh.layout import MAX_DEPTH
 from raystream.structures.bvh.node_layout import LANE
-from raystream.structures.bvh.packet_load import load_group, prefetch_packet
+from raystream.structures.bvh.packet_load import load_group, prefetch_group
 from raystream.structures.bvh.packet_rays import (
     GROUP,
     GROUPS,
@@ -156,8 +156,8 @@ def load_block(memory, source, first, last, groups):
     """
     g, count, ray_count = _U0, _U0, _U0
     for packet in range(first, last):
-        prefetch_packet(packet + _U1, source)
         for row in range(GROUPS):
+            prefetch_group(packet + _U1, row, source)
             ray, length = group_rows(source.order, packet, row)
             if length == _U0:
                 continue

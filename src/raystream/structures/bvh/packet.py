@@ -52,7 +52,7 @@ from raystream.structures.bvh.packet_leaf import (
     group_range,
     visit_leaf,
 )
-from raystream.structures.bvh.packet_load import load_packet, prefetch_packet
+from raystream.structures.bvh.packet_load import load_packet
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
     NO_CLASS,
@@ -375,7 +375,6 @@ def trace_packets(begin, end, tree, source, wants_any, filter_, out):
     nowhere = Collector(_U0)
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, source)
-        prefetch_packet(number + _U1, source)
         mine = packet_filter(filter_, source.order, number, slow_groups)
         trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, nowhere, mine)
         store_packet(packet, number, source.order, slow_groups, wants_any, out)

@@ -24,6 +24,7 @@ from raystream.jit.simd import (
     maximum,
     narrow,
     prefetch,
+    scratch,
     select,
     store,
     widen,
@@ -54,7 +55,7 @@ __all__ = [
     "load_origins",
     "load_packet",
     "load_rays",
-    "prefetch_packet",
+    "prefetch_group",
 ]
 
 _ZERO = np.float32(0.0)
@@ -68,21 +69,44 @@ _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
 _LANE = np.uint64(4)
 _WIDE = np.uint64(8)
+_ROW, _WIDE_ROW = np.uint64(12), np.uint64(24)
+_ROWS_BYTES = 16 * 24
 _LINE = np.uint64(64)
+
+
+@device
+def _copy_rows(at, step, are_double, rows):
+    """Copy 16 vectors that are `step` bytes apart to adjacent rows."""
+    for _ in range(_LANES):
+        if are_double:
+            store(rows, load(np.float64, at))
+            store(rows + _WIDE, load(np.float64, at + _WIDE))
+            store(rows + (_WIDE + _WIDE), load(np.float64, at + (_WIDE + _WIDE)))
+            rows += _WIDE_ROW
+        else:
+            store(rows, load(np.float32, at))
+            store(rows + _LANE, load(np.float32, at + _LANE))
+            store(rows + (_LANE + _LANE), load(np.float32, at + (_LANE + _LANE)))
+            rows += _ROW
+        at += step
 
 
 @device
 def _triples(base, step, are_double, first):
     """Three components of 16 rays, as float64 vectors."""
     at = base + first * step
+    if step != _U0 and step != (_WIDE_ROW if are_double else _ROW):
+        rows = scratch(_ROWS_BYTES)
+        _copy_rows(at, step, are_double, rows)
+        at = rows
     if are_double:
-        if step == np.uint64(0):
+        if step == _U0:
             x = f64x16(load(np.float64, at))
             y = f64x16(load(np.float64, at + _WIDE))
             z = f64x16(load(np.float64, at + (_WIDE + _WIDE)))
         else:
             x, y, z = load_triples(f64x16, at)
-    elif step == np.uint64(0):
+    elif step == _U0:
         x = f64x16(np.float64(load(np.float32, at)))
         y = f64x16(np.float64(load(np.float32, at + _LANE)))
         z = f64x16(np.float64(load(np.float32, at + (_LANE + _LANE))))
@@ -305,8 +329,8 @@ def _prefetch_rows(base, step, first, count):
 
 
 @device
-def prefetch_packet(number, source):
-    """Prefetch the rays of a packet that is loaded later, if it is a tile.
+def prefetch_group(number, g, source):
+    """Prefetch the rays of a group of a packet that is loaded later, if it is a tile.
 
     The processor foresees consecutive rays, but not a tile's rows: waiting for them took up to a
     quarter of the time of camera rays.
@@ -314,17 +338,16 @@ def prefetch_packet(number, source):
     rays, order = source.rays, source.order
     is_tile = order.width | order.table != _U0
     if is_tile and number < np.uint64(order.packet_count):
-        for g in range(GROUPS):
-            first, count = group_rows(order, number, g)
-            _prefetch_rows(rays.origins, rays.origin_step, first, count)
-            _prefetch_rows(rays.directions, rays.direction_step, first, count)
-            _prefetch_rows(rays.t_min, rays.t_min_step, first, count)
-            _prefetch_rows(rays.t_max, rays.t_max_step, first, count)
+        first, count = group_rows(order, number, g)
+        _prefetch_rows(rays.origins, rays.origin_step, first, count)
+        _prefetch_rows(rays.directions, rays.direction_step, first, count)
+        _prefetch_rows(rays.t_min, rays.t_min_step, first, count)
+        _prefetch_rows(rays.t_max, rays.t_max_step, first, count)
 
 
 @device
 def load_packet(packet, number, source):
-    """Load and prepare a packet.
+    """Load and prepare a packet, and prefetch the next one's rays.
 
     Parameters
     ----------
@@ -341,6 +364,7 @@ def load_packet(packet, number, source):
     """
     slow_groups = _U0
     for g in range(GROUPS):
+        prefetch_group(number + _U1, g, source)
         first, count = group_rows(source.order, number, g)
         if count != _LANES and count != _U0 and first + _LANES <= source.order.ray_count:
             _load_part(packet, g, first, count, source)

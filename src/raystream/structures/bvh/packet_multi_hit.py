@@ -28,7 +28,7 @@ from raystream.structures.bvh.packet_hits import (
     sort_packet,
 )
 from raystream.structures.bvh.packet_leaf import ALL, COUNT, SURFACES
-from raystream.structures.bvh.packet_load import load_packet, prefetch_packet
+from raystream.structures.bvh.packet_load import load_packet
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
     PACKET_BYTES,
@@ -178,7 +178,6 @@ def _collect_packets(begin, end, tree, source, goal, sorts, buffers, counts):
     keeps = goal & _U1 == _U1
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, source)
-        prefetch_packet(number + _U1, source)
         hits.count = _U0 if sorts else used
         is_final = not sorts and slow_groups == _U0
         _number_rays(hits, number, order, is_final)
