@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numba
@@ -38,18 +38,19 @@ class Loop:
         self._dispatcher = dispatcher
         self._name = name
         self.is_cached = is_cached
+        self._addresses: dict[tuple[str, ...], int] = {}
 
     @property
     def compiled_count(self) -> int:
         """Number of compilations in this process: calls that did not find it on disk."""
         return sum(self._dispatcher.stats.cache_misses.values())
 
-    def address_of(self, names: Sequence[str]) -> int:
+    def address_of(self, names: tuple[str, ...]) -> int:
         """The address of its code for some argument types; see `intrinsics.call_filter`.
 
         Parameters
         ----------
-        names : sequence of str
+        names : tuple of str
             Of Numba's types.
 
         Raises
@@ -57,6 +58,9 @@ class Loop:
         TypeError
             See `__call__`.
         """
+        known = self._addresses.get(names)  # Numba takes 70 us to find it
+        if known is not None:
+            return known
         types = tuple(getattr(numba.types, name) for name in names)
         try:
             self._dispatcher.compile(types)
@@ -66,7 +70,9 @@ class Loop:
             reason = f"{type(error).__name__}: {error}"
             raise TypeError(f"{self._name}: Numba cannot compile it: {reason}") from error
         compiled = self._dispatcher.overloads[types]
-        return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+        address = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+        self._addresses[names] = address
+        return address
 
     def __call__(self, *arguments: Any) -> Any:
         """Run it.

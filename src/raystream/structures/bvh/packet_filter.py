@@ -30,8 +30,9 @@ from raystream.kernels.hit_filter import (
 from raystream.kernels.ray import world_t
 from raystream.structures.bvh.packet_rays import (
     GroupLanes,
-    PacketOrder,
-    group_rows,
+    GroupPlaces,
+    first_ray,
+    group_places,
     t_transform,
     world_lanes,
 )
@@ -50,16 +51,13 @@ class PacketFilter(NamedTuple):
     Attributes
     ----------
     filter : HitFilter
-    order : PacketOrder
-    number : uint64
-        The packet's.
+    places : GroupPlaces
     slow_groups : uint64
         See `packet_load.load_packet`.
     """
 
     filter: HitFilter
-    order: PacketOrder
-    number: np.uint64
+    places: GroupPlaces
     slow_groups: np.uint64
 
 
@@ -68,7 +66,7 @@ def packet_filter(filter_, order, number, slow_groups):
     """The `PacketFilter` of a packet; None without a filter."""
     if filter_ is None:
         return None
-    return PacketFilter(filter_, order, number, slow_groups)
+    return PacketFilter(filter_, group_places(order, number), slow_groups)
 
 
 @device
@@ -76,7 +74,7 @@ def ray_filter(filter_, lanes, g, k):
     """The `RayFilter` of ray k of group g, whose lanes are given; None without a filter."""
     if filter_ is None:
         return None
-    first, _ = group_rows(filter_.order, filter_.number, g)
+    first = first_ray(filter_.places, g)
     is_slow = (filter_.slow_groups >> g) & _U1 != _U0
     t_scale, t_offset = t_transform(lanes, k, is_slow)
     return RayFilter(filter_.filter, first + k, t_scale, t_offset)
@@ -109,7 +107,7 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
         The group's index.
     """
     own = filter_.filter
-    first, _ = group_rows(filter_.order, filter_.number, g)
+    first = first_ray(filter_.places, g)
     if own.skip_count != _U0:
         taken = _unskipped(own, taken, prim_id, first)
     bits = mask_bits(taken)

@@ -37,8 +37,11 @@ __all__ = [
     "PACKET_RAYS",
     "Group",
     "GroupLanes",
+    "GroupPlaces",
     "PacketOrder",
     "PacketSource",
+    "first_ray",
+    "group_places",
     "group_rows",
     "store_group",
     "store_packet",
@@ -134,6 +137,22 @@ class PacketOrder(NamedTuple):
         return cls(np.uint64(width), np.uint64(ray_count), packet_count, _U0)
 
 
+class GroupPlaces(NamedTuple):
+    """Where the groups of a packet begin in its batch, for `first_ray`.
+
+    Attributes
+    ----------
+    table : uint64
+        Address of the packet's entries in `PacketOrder.table`; 0 without one.
+    first, step : uint64
+        The first group's first ray, and from each group to the next, without a table.
+    """
+
+    table: np.uint64
+    first: np.uint64
+    step: np.uint64
+
+
 class PacketSource(NamedTuple):
     """The rays of a batch, to be loaded as packets.
 
@@ -168,6 +187,24 @@ def group_rows(order, packet, group):
         first = (packet // across * _SIDE + group) * order.width + x
         limit = min(order.width - x, _LANES)
     return first, min(order.ray_count - min(first, order.ray_count), limit)
+
+
+@device
+def group_places(order, packet):
+    """The `GroupPlaces` of a packet."""
+    table = _U0
+    if order.table != _U0:
+        table = order.table + packet * GROUPS * _ENTRY_BYTES
+    first, _ = group_rows(order, packet, _U0)
+    return GroupPlaces(table, first, _LANES if order.width == _U0 else order.width)
+
+
+@device
+def first_ray(places, group):
+    """The first ray of a group, as of `group_rows`, which divides by the width of the image."""
+    if places.table != _U0:
+        return load(np.uint64, places.table + group * _ENTRY_BYTES) >> _COUNT_BITS
+    return places.first + group * places.step
 
 
 @device
