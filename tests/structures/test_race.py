@@ -50,6 +50,20 @@ def test_the_fastest_wins(monkeypatch, rates, winner):
     assert kernels.rays[winner] > 0.5 * COUNT
 
 
+@pytest.mark.parametrize("disturbed", [0, 1])
+def test_a_disturbance_does_not_decide(monkeypatch, disturbed):
+    """One of the favourite's two pieces takes ten times as long."""
+    kernels, races = FakeKernels(monkeypatch, a=1.0, b=1.5), Races()
+    numbers = iter(range(100))
+
+    def run_disturbed(name, begin, end, progress):
+        kernels.rates["a"] = 10.0 if name == "a" and next(numbers) == disturbed else 1.0
+        kernels.run(name, begin, end, progress)
+
+    run_race(("a", "b"), COUNT, lambda ray: min(ray, COUNT), run_disturbed, races, "kind", None)
+    assert races.fastest("kind", ("a", "b")) == "a"
+
+
 def test_a_slow_rival_costs_little(monkeypatch):
     kernels = FakeKernels(monkeypatch, a=1.0, b=2.5)
     run(kernels, Races(), ("a", "b"))

@@ -19,6 +19,7 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import address_of, view
+from raystream.kernels.hit_filter import any_kept, keeps
 from raystream.kernels.leaf_block import HITS, Block, HitLanes
 from raystream.kernels.triangle_lanes import (
     barycentrics,
@@ -39,6 +40,7 @@ from raystream.structures.bvh.group_rays import (
     interval,
 )
 from raystream.structures.bvh.node_layout import LANE
+from raystream.structures.bvh.packet_filter import kept_lanes, ray_filter
 from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
 
 __all__ = ["SMALL_BYTES", "Small", "SmallLanes", "leaf_with_groups", "leaf_with_rays"]
@@ -116,7 +118,7 @@ def _write_normals(block, small):
 
 
 @device
-def _test_with_group(g, memory, block, lane, lanes, wants_any):
+def _test_with_group(g, memory, block, lane, lanes, wants_any, filter_):
     """Test a triangle against a group; returns whether a ray has a nearer hit."""
     group = Group(memory, g)
     is_y, is_z = axis_kinds(group)
@@ -166,6 +168,11 @@ def _test_with_group(g, memory, block, lane, lanes, wants_any):
     bits = mask_bits(taken)
     if bits == _U0:
         return False
+    if filter_ is not None:
+        taken = kept_lanes(filter_, taken, t, u, v, block.prim_ids[lane], group, g)
+        bits = mask_bits(taken)
+        if bits == _U0:
+            return False
     group.prim_id = select(taken, prim_id, best)
     if wants_any:
         t = f32x16(-_INF)
@@ -180,7 +187,7 @@ def _test_with_group(g, memory, block, lane, lanes, wants_any):
 
 
 @device
-def leaf_with_groups(block, groups, count, memory, small, lanes, wants_any):
+def leaf_with_groups(block, groups, count, memory, small, lanes, wants_any, filter_):
     """Test a block's triangles against the groups of a list; returns the number of hits."""
     _write_normals(Block(address_of(block)), small)
     hit_count = _U0
@@ -189,7 +196,9 @@ def leaf_with_groups(block, groups, count, memory, small, lanes, wants_any):
             break
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            hit_count += np.uint64(_test_with_group(g, memory, block, lane, lanes, wants_any))
+            hit_count += np.uint64(
+                _test_with_group(g, memory, block, lane, lanes, wants_any, filter_)
+            )
     return hit_count
 
 
@@ -223,7 +232,7 @@ def _distances(hot, cold, block, small):
 
 
 @device
-def leaf_with_rays(block, rays, count, memory, small, hits, wants_any):
+def leaf_with_rays(block, rays, count, memory, small, hits, wants_any, filter_):
     """Test a block's triangles against the rays of a list; returns the number of hits."""
     # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one per
     # ray, mispredictions would take half the time of a leaf.)
@@ -262,24 +271,28 @@ def leaf_with_rays(block, rays, count, memory, small, hits, wants_any):
         bits = mask_bits(candidates & hit)
         if bits != _U0:
             hit_count += _U1
-            group, k = GroupLanes(memory, number >> LANE_SHIFT), number & _LAST_LANE
-            if wants_any:
+            g, k = number >> LANE_SHIFT, number & _LAST_LANE
+            group = GroupLanes(memory, g)
+            own = ray_filter(filter_, group, g, k)
+            found.t, found.u, found.v = t, u, v
+            if not wants_any:
+                _keep_nearest(hot, group, k, block, bits, HitLanes(address_of(found)), own)
+            elif any_kept(own, block, bits, HitLanes(address_of(found))):
                 group.prim_id[k], group.t[k], hot.t = np.int32(0), -_INF, -_INF
-            else:
-                found.t, found.u, found.v = t, u, v
-                _keep_nearest(hot, group, k, block, bits, HitLanes(address_of(found)))
     return hit_count
 
 
 @device
-def _keep_nearest(hot, group, k, block, bits, found):
+def _keep_nearest(hot, group, k, block, bits, found, filter_):
     """Keep the nearest of the ray's hit and the hits of some lanes, by t, then prim_id."""
     nearest, best = hot.t, group.prim_id[k]
     while bits != _U0:
         lane = count_trailing_zeros(bits)
         bits &= bits - _U1
         t, prim_id = found.t[lane], block.prim_ids[lane]
-        if t < nearest or (t == nearest and prim_id < best):
+        u, v = found.u[lane], found.v[lane]
+        is_nearer = t < nearest or (t == nearest and prim_id < best)
+        if is_nearer and keeps(filter_, t, u, v, prim_id):
             nearest, best = t, prim_id
-            group.u[k], group.v[k] = found.u[lane], found.v[lane]
+            group.u[k], group.v[k] = u, v
     hot.t, group.t[k], group.prim_id[k] = nearest, nearest, best

@@ -21,12 +21,13 @@ from raystream.jit.simd import (
 from raystream.jit.views import view
 from raystream.structures.bvh.layout import MAX_DEPTH
 from raystream.structures.bvh.node_layout import LANE
-from raystream.structures.bvh.packet_load import load_group, prefetch_group
+from raystream.structures.bvh.packet_load import load_group, prefetch_group, set_slow
 from raystream.structures.bvh.packet_rays import (
     GROUP,
     GROUPS,
     PACKET_RAYS,
     Group,
+    group_entry,
     group_rows,
     store_group,
     three,
@@ -41,6 +42,7 @@ __all__ = [
     "LANE_SHIFT",
     "LISTS_AT",
     "MEMORY_BYTES",
+    "PLACES_AT",
     "RAY_BITS",
     "Cold",
     "Hot",
@@ -60,6 +62,7 @@ _GROUPS = BLOCK_RAYS // 16
 GROUP_SHIFT = np.uint64(16)
 RAY_BITS = np.uint64(0xFFFF)
 LANE_SHIFT = np.uint64(4)
+_PLACE_SHIFT = np.uint64(3)
 _U0, _U1, _U3 = np.uint64(0), np.uint64(1), np.uint64(3)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _ZERO = np.float32(0.0)
@@ -88,7 +91,9 @@ _GROUP_BYTES = np.uint64(GROUP.itemsize)
 HOT_AT = np.uint64(_GROUPS * GROUP.itemsize)
 COLD_AT = HOT_AT + np.uint64(BLOCK_RAYS * _HOT.itemsize)
 _FLAGS_AT = COLD_AT + np.uint64(BLOCK_RAYS * _COLD.itemsize)
-HITS_AT = _FLAGS_AT + np.uint64(_GROUPS + 64)
+#: With a filter: where each group begins in the batch, see `packet_rays.GroupPlaces`.
+PLACES_AT = _FLAGS_AT + np.uint64(_GROUPS + 64)
+HITS_AT = PLACES_AT + np.uint64(8 * _GROUPS)
 LISTS_AT = HITS_AT + np.uint64(4 * BLOCK_RAYS + 64)
 MEMORY_BYTES = int(LISTS_AT) + 4 * (MAX_DEPTH + 1) * 9 * (BLOCK_RAYS + 16) + 64
 
@@ -146,8 +151,11 @@ def _arrange(group, memory, number):
 
 
 @device
-def load_block(memory, source, first, last, groups):
+def load_block(memory, source, first, last, groups, has_filter):
     """Load packets first to last; list the groups with a ray that can hit anything.
+
+    With a filter, the groups' places are written, and their distances are those of rays that took
+    the slow path: see `packet_filter.block_filter`.
 
     Returns
     -------
@@ -163,6 +171,10 @@ def load_block(memory, source, first, last, groups):
                 continue
             group = Group(memory, g)
             is_slow = load_group(group, ray, length, source.rays, source.frame, source.status)
+            if has_filter:
+                store(memory + PLACES_AT + (g << _PLACE_SHIFT), group_entry(ray, length))
+                if not is_slow:
+                    set_slow(group)
             _arrange(group, memory, g << LANE_SHIFT)
             store(memory + _FLAGS_AT + g, np.uint8(is_slow))
             bits = mask_bits(group.t_min <= group.t)

@@ -57,6 +57,7 @@ from raystream.structures.bvh.group_rays import (
     LANE_SHIFT,
     LISTS_AT,
     MEMORY_BYTES,
+    PLACES_AT,
     RAY_BITS,
     Hot,
     interval,
@@ -74,6 +75,7 @@ from raystream.structures.bvh.node_layout import (
     prefetch_child,
     sort_keys,
 )
+from raystream.structures.bvh.packet_filter import block_filter
 from raystream.structures.bvh.packet_rays import Group, three
 
 __all__ = ["BLOCK_PACKETS", "trace_groups"]
@@ -234,7 +236,7 @@ def _still_wanted(rays, count, memory, t_in):
 
 
 @device
-def _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any):
+def _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_):
     """Trace the groups of a list."""
     lanes = SmallLanes(address_of(small))
     hits = memory + HITS_AT
@@ -264,11 +266,11 @@ def _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any
             while block != end:
                 if is_grouped:
                     hit_count += leaf_with_groups(
-                        BlockLanes(block), at, length, memory, small, lanes, wants_any
+                        BlockLanes(block), at, length, memory, small, lanes, wants_any, filter_
                     )
                 else:
                     hit_count += leaf_with_rays(
-                        Block(block), at, length, memory, small, hits, wants_any
+                        Block(block), at, length, memory, small, hits, wants_any, filter_
                     )
                 block += BLOCK
             continue
@@ -285,7 +287,7 @@ def _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any
 
 
 @kernel
-def trace_groups(begin, end, tree, source, wants_any, out):
+def trace_groups(begin, end, tree, source, wants_any, filter_, out):
     """Trace packets begin to end.
 
     Parameters
@@ -296,6 +298,7 @@ def trace_groups(begin, end, tree, source, wants_any, out):
     source : PacketSource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    filter_ : HitFilter or None
     out : ResultAddresses
     """
     array = np.empty(MEMORY_BYTES + 64, np.uint8)
@@ -303,10 +306,11 @@ def trace_groups(begin, end, tree, source, wants_any, out):
     stack = scratch(_STACK_BYTES)
     small = Small(scratch(SMALL_BYTES))
     groups = memory + LISTS_AT
+    mine = block_filter(filter_, memory + PLACES_AT)
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
         last = min(first + _PACKETS, np.uint64(end))
-        count, ray_count = load_block(memory, source, first, last, groups)
-        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any)
+        count, ray_count = load_block(memory, source, first, last, groups, filter_ is not None)
+        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, mine)
         store_block(memory, source.order, first, last, wants_any, out)
     # The memory must outlive its addresses.
     array[0] = np.uint8(0)

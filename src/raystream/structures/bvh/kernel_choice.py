@@ -131,8 +131,6 @@ def trace_batch(
     if kernel == "wavefront" or count == 0:  # without further preparation, for small batches
         _trace_wavefront(work, 0, count, progress)
         return
-    if filter_ is not None:
-        kernel = _FILTERING.get(kernel, kernel)
     if kernel == "packet":
         work = work._replace(order=_order_of(work.order, source, tree.frame))
     if kernel != "auto":
@@ -143,8 +141,6 @@ def trace_batch(
     names: tuple[str, ...] = (guess,)
     if races is not None and count >= LEAST_RACE:
         names += rivals(found, guess)
-    if filter_ is not None:
-        names = tuple(dict.fromkeys(_FILTERING.get(name, name) for name in names))
     if "packet" in names:
         work = work._replace(order=_order_of(work.order, source, tree.frame))
     if len(names) > 1 and races is not None:
@@ -309,7 +305,7 @@ def _trace_packets(work: _Batch, first: int, end: int, progress: Progress | None
 
 
 def _trace_groups(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
-    """Trace rays between two cuts of the batch's order, without a filter."""
+    """Trace rays between two cuts of the batch's order."""
     addresses, wants_any, results = work.tree.addresses, work.wants_any, work.results
     order = work.order
     source = PacketSource(work.source, order.packets, work.tree.frame, results.status)
@@ -317,7 +313,7 @@ def _trace_groups(work: _Batch, first: int, end: int, progress: Progress | None)
     packet_count = order.cut(end).packet - start
 
     def body(low: int, high: int) -> None:
-        trace_groups(start + low, start + high, addresses, source, wants_any, results)
+        trace_groups(start + low, start + high, addresses, source, wants_any, work.filter_, results)
 
     share = -(-packet_count // (8 * thread_count()))
     if share > BLOCK_PACKETS:  # whole blocks
@@ -347,9 +343,6 @@ _TRACERS: dict[str, _Tracer] = {
     "stream": _trace_streams,
     "wavefront": _trace_wavefront,
 }
-
-#: Kernels that call no filters, and those that take their place.
-_FILTERING = {"groups": "stream"}
 
 #: Kernels that have traced a batch in this process, without or with a filter: those are loaded.
 _loaded: set[tuple[str, bool]] = set()

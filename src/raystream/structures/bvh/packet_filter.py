@@ -37,10 +37,11 @@ from raystream.structures.bvh.packet_rays import (
     world_lanes,
 )
 
-__all__ = ["PacketFilter", "kept_lanes", "packet_filter", "ray_filter"]
+__all__ = ["PacketFilter", "block_filter", "kept_lanes", "packet_filter", "ray_filter"]
 
 _U0, _U1 = np.uint64(0), np.uint64(1)
 _LANE = np.uint64(4)
+_SHIFT_BITS = np.uint64(63)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _ZERO, _ONE = np.int32(0), np.int32(1)
 
@@ -53,7 +54,8 @@ class PacketFilter(NamedTuple):
     filter : HitFilter
     places : GroupPlaces
     slow_groups : uint64
-        See `packet_load.load_packet`.
+        Bits of the groups with a ray that took the slow path, see `packet_load.load_packet`; those
+        of more than 64 groups are all alike.
     """
 
     filter: HitFilter
@@ -70,13 +72,32 @@ def packet_filter(filter_, order, number, slow_groups):
 
 
 @device
+def block_filter(filter_, table):
+    """The `PacketFilter` of a block of groups that are all as of rays that took the slow path.
+
+    Parameters
+    ----------
+    filter_ : HitFilter or None
+    table : uint64
+        Address of the groups' entries, as in `PacketOrder.table`.
+    """
+    if filter_ is None:
+        return None
+    return PacketFilter(filter_, GroupPlaces(table, _U0, _U0), ~_U0)
+
+
+@device
+def _is_slow(filter_, g):
+    return (filter_.slow_groups >> (g & _SHIFT_BITS)) & _U1 != _U0
+
+
+@device
 def ray_filter(filter_, lanes, g, k):
     """The `RayFilter` of ray k of group g, whose lanes are given; None without a filter."""
     if filter_ is None:
         return None
     first = first_ray(filter_.places, g)
-    is_slow = (filter_.slow_groups >> g) & _U1 != _U0
-    t_scale, t_offset = t_transform(lanes, k, is_slow)
+    t_scale, t_offset = t_transform(lanes, k, _is_slow(filter_, g))
     return RayFilter(filter_.filter, first + k, t_scale, t_offset)
 
 
@@ -117,7 +138,7 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     store(hits, world_lanes(t, group.t_scale))
     store(hits + U_AT, u)
     store(hits + V_AT, v)
-    if (filter_.slow_groups >> g) & _U1 != _U0:
+    if _is_slow(filter_, g):
         _put_slow(hits, bits, t, group)
     bits = kept_hits(own, bits, hits, prim_id, first)
     return ((i32x16(np.int32(bits)) >> lane_numbers(i32x16)) & i32x16(_ONE)) != i32x16(_ZERO)

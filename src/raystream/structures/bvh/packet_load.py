@@ -56,6 +56,7 @@ __all__ = [
     "load_packet",
     "load_rays",
     "prefetch_group",
+    "set_slow",
 ]
 
 _ZERO = np.float32(0.0)
@@ -306,6 +307,13 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
 
 
 @device
+def set_slow(group):
+    """Write what a group without rays that took the slow path leaves out."""
+    group.slow_t_scale = widen(group.t_scale)
+    group.slow_t_offset = f64x16(np.float64(0.0))
+
+
+@device
 def _load_part(packet, g, first, count, source):
     """Load fewer than 16 rays with those behind them, which become inactive.
 
@@ -313,8 +321,7 @@ def _load_part(packet, g, first, count, source):
     """
     group = Group(packet, g)
     if not load_group(group, first, _LANES, source.rays, source.frame, source.status):
-        group.slow_t_scale = widen(group.t_scale)
-        group.slow_t_offset = f64x16(np.float64(0.0))
+        set_slow(group)
     lanes = GroupLanes(packet, g)
     for lane in range(count, _LANES):
         lanes.t[lane], lanes.t_min[lane] = -_INF, _INF

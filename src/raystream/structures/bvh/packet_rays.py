@@ -41,6 +41,7 @@ __all__ = [
     "PacketOrder",
     "PacketSource",
     "first_ray",
+    "group_entry",
     "group_places",
     "group_rows",
     "store_group",
@@ -197,6 +198,12 @@ def group_places(order, packet):
         table = order.table + packet * GROUPS * _ENTRY_BYTES
     first, _ = group_rows(order, packet, _U0)
     return GroupPlaces(table, first, _LANES if order.width == _U0 else order.width)
+
+
+@device
+def group_entry(first, count):
+    """An entry of `PacketOrder.table`."""
+    return (first << _COUNT_BITS) | count
 
 
 @device
