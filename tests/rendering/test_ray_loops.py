@@ -146,7 +146,7 @@ def test_glass_takes_more_room_in_parts(scene, monkeypatch):
     begin, grown = MultipassBackend.run_loop, ray_loops._Columns.grown
 
     def run_loop(self, *arguments):
-        monkeypatch.setattr(ray_loops, "MAX_BYTES", 1 << 15)  # after the size of bands was chosen
+        monkeypatch.setattr(ray_loops, "MAX_BYTES", 1 << 12)  # after the size of bands was chosen
         begin(self, *arguments)
 
     def note(self, numbers, room, shadows):
