@@ -7,7 +7,7 @@ import time
 import pytest
 
 from conftest import child_environment
-from raystream.jit import threads
+from raystream.jit import processors, threads
 from raystream.jit.threads import parallel_for, set_thread_count, thread_count
 
 
@@ -51,6 +51,42 @@ def test_what_the_body_calls_is_compiled_on_the_calling_thread_first():
     first = []
     parallel_for(lambda begin, end: first.append((end, threading.current_thread())), 9, 1)
     assert first[0] == (0, threading.current_thread())
+
+
+def helper_processors():
+    """The processors that each helping thread of a loop may use."""
+    found = {}
+    together = threading.Barrier(thread_count(), timeout=20)
+
+    def body(begin, end):
+        if end:
+            together.wait()
+            found[threading.get_native_id()] = os.sched_getaffinity(0)
+
+    parallel_for(body, thread_count(), 1)
+    del found[threading.get_native_id()]
+    return list(found.values())
+
+
+@pytest.mark.skipif(processors.current_processor is None, reason="threads cannot be bound here")
+def test_helping_threads_keep_off_the_processor_of_their_caller(monkeypatch):
+    allowed = os.sched_getaffinity(0)
+    if len(allowed) < 2:
+        pytest.skip("needs two processors")
+    set_thread_count(3)
+    helper_processors()  # starts them
+    for here in sorted(allowed)[:2]:
+        monkeypatch.setattr(processors, "current_processor", lambda here=here: here)
+        assert helper_processors() == [allowed - {here}] * 2
+    assert os.sched_getaffinity(0) == allowed
+    # A caller that may use one processor only: the others stay where they are.
+    try:
+        os.sched_setaffinity(0, {here})
+        assert helper_processors() == [allowed - {here}] * 2
+    finally:
+        os.sched_setaffinity(0, allowed)
+    monkeypatch.setattr(processors, "current_processor", None)
+    assert len(helper_processors()) == 2
 
 
 @pytest.mark.parametrize("count", [1, 4])

@@ -10,14 +10,16 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
+from raystream.jit.processors import Helpers
+
 __all__ = [
     "Progress",
+    "chunk_size",
     "parallel_for",
     "part_of",
     "rising",
     "set_thread_count",
     "thread_count",
-    "thread_pool",
 ]
 
 #: Called with the steps done and their total, from the calling thread.
@@ -28,6 +30,14 @@ PROGRESS_INTERVAL = 0.05
 
 #: Chunks per call of the body of a nested loop that runs on one thread, if the body allows it.
 _CHUNKS_ALONE = 16
+
+
+def chunk_size(count: int, most: int) -> int:
+    """Length of a loop's chunks: an eighth of the loop, but from 4,096 to `most`.
+
+    A small loop has a part for each thread then; a large one does not wait for many calls.
+    """
+    return min(max(count >> 3, 1 << 12), most)
 
 
 def part_of(progress: Progress | None, first: int, total: int) -> Progress | None:
@@ -56,6 +66,7 @@ def rising(progress: Progress | None) -> Progress | None:
 _chosen_count: int | None = None
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
+_helpers = Helpers()
 _lock = threading.Lock()
 
 
@@ -99,16 +110,17 @@ def set_thread_count(count: int | None) -> None:
     _chosen_count = count
 
 
-def thread_pool() -> ThreadPoolExecutor:
+def _thread_pool() -> tuple[ThreadPoolExecutor, Helpers]:
     """The shared pool, with `thread_count` threads."""
-    global _pool, _pool_size
+    global _pool, _pool_size, _helpers
     count = thread_count()
     with _lock:
         if _pool is None or _pool_size != count:
             # An older pool shuts down when the loops that use it are done.
-            _pool = ThreadPoolExecutor(count, thread_name_prefix="raystream")
+            _helpers = Helpers()
+            _pool = ThreadPoolExecutor(count, "raystream", _helpers.add_current_thread)
             _pool_size = count
-        return _pool
+        return _pool, _helpers
 
 
 def _forget_pool() -> None:
@@ -206,7 +218,8 @@ def parallel_for(
     try:
         if thread_total > 1:
             body(0, 0)
-            pool = thread_pool()
+            pool, helpers = _thread_pool()
+            helpers.keep_off_this_processor()
             others = [pool.submit(work_in_pool) for _ in range(thread_total - 1)]
         work(progress)
         # Tasks that have not started have nothing left to do: do not wait for other loops'.

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import MAX_COORDINATE, MAX_TRIANGLES, Triangles, local_frame
 from raystream.jit.cpu import device, kernel
-from raystream.jit.threads import parallel_for
+from raystream.jit.threads import chunk_size, parallel_for
 
 __all__ = ["MAX_LOCAL", "make_triangles", "move_triangles"]
 
 #: Local coordinates beyond this need a new frame: their float32 products would overflow.
 MAX_LOCAL = 2.0**40
 
-#: Faces that one call of the kernel moves.
-_CHUNK = 1 << 15
+#: Most faces that one call of the kernel moves.
+_MOST = 1 << 15
 
 # State of a triangle.
 _SOLID, _DEGENERATE, _NONFINITE, _TOO_FAR = (np.uint8(kind) for kind in range(4))
@@ -116,14 +116,15 @@ def _place(
     frame = center[0].item(), center[1].item(), center[2].item()
     for (vertices, faces), first in zip(meshes, splits, strict=False):
         rows = slice(first, first + len(faces))
-        chunk_count = -(-len(faces) // _CHUNK)
+        chunk = chunk_size(len(faces), _MOST)
+        chunk_count = -(-len(faces) // chunk)
         bounds, reaches = _nothing(chunk_count, np.float32), _nothing(chunk_count, np.float64)
         arrays = vertices, faces, corners[rows], kinds[rows], bounds, reaches
 
-        def body(begin: int, end: int, arrays: Any = arrays) -> None:
-            _move(begin, end, frame, scale, *arrays)
+        def body(begin: int, end: int, chunk: int = chunk, arrays: Any = arrays) -> None:
+            _move(begin, end, chunk, frame, scale, *arrays)
 
-        parallel_for(body, len(faces), _CHUNK)
+        parallel_for(body, len(faces), chunk)
         all_bounds.append(bounds)
         all_reaches.append(reaches)
     return _Placed(corners, kinds, _union(all_bounds), _union(all_reaches))
@@ -154,9 +155,9 @@ def _is_usable(x):
 
 
 @kernel
-def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds, reaches):
+def _move(begin, end, chunk, center, scale, vertices, faces, corners, kinds, bounds, reaches):
     """Move faces begin to end, a chunk, and compute their bounds."""
-    chunk = begin // _CHUNK
+    row = begin // chunk
     low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
     high_x, high_y, high_z = -low_x, -low_y, -low_z
     west, south, down = np.inf, np.inf, np.inf
@@ -197,10 +198,10 @@ def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds, re
                 kind = _DEGENERATE
         kinds[i] = kind
     if begin < end:
-        bounds[chunk, 0, 0], bounds[chunk, 0, 1], bounds[chunk, 0, 2] = low_x, low_y, low_z
-        bounds[chunk, 1, 0], bounds[chunk, 1, 1], bounds[chunk, 1, 2] = high_x, high_y, high_z
-        reaches[chunk, 0, 0], reaches[chunk, 0, 1], reaches[chunk, 0, 2] = west, south, down
-        reaches[chunk, 1, 0], reaches[chunk, 1, 1], reaches[chunk, 1, 2] = east, north, up
+        bounds[row, 0, 0], bounds[row, 0, 1], bounds[row, 0, 2] = low_x, low_y, low_z
+        bounds[row, 1, 0], bounds[row, 1, 1], bounds[row, 1, 2] = high_x, high_y, high_z
+        reaches[row, 0, 0], reaches[row, 0, 1], reaches[row, 0, 2] = west, south, down
+        reaches[row, 1, 0], reaches[row, 1, 1], reaches[row, 1, 2] = east, north, up
 
 
 @device

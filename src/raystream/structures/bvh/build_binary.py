@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress, chunk_size, parallel_for
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.binary_tree import LINK_INTS, BinaryTree, BuildSettings
 from raystream.structures.bvh.collapse import COST_FLOATS, collapse_top
@@ -25,11 +25,12 @@ from raystream.structures.bvh.write_wide import READ_AHEAD
 
 __all__ = ["Tree", "grow_tree"]
 
-#: Ranges of more triangles are split by all threads together.
-_LARGE = 1 << 17
+#: Ranges of more triangles are split by all threads together; those of a quarter of all, or of
+#: the least number, if the scene is small.
+_LARGE, _LEAST_LARGE = 1 << 17, 1 << 15
 
-#: Triangles per call of a loop over all triangles.
-_CHUNK = 1 << 16
+#: Most triangles per call of a loop over all triangles.
+_MOST = 1 << 16
 
 
 class Tree(NamedTuple):
@@ -113,6 +114,7 @@ class _Grower:
         )
         # About 64 subtrees or more, of 1 to 10 ms each.
         self.subtree_size = min(max(1 << 12, self.count >> 6), 1 << 16)
+        self.large_size = min(max(_LEAST_LARGE, self.count >> 2), _LARGE)
 
     def grow(self, progress: Progress | None) -> Tree:
         root = self._make_refs()
@@ -144,18 +146,19 @@ class _Grower:
 
     def _make_refs(self) -> _Range:
         corners, prim_ids = self.triangles.corners, self.triangles.prim_ids
-        bounds = np.full((-(-self.count // _CHUNK), 2, 8), -np.inf, np.float32)
+        chunk = chunk_size(self.count, _MOST)
+        bounds = np.full((-(-self.count // chunk), 2, 8), -np.inf, np.float32)
 
         def body(begin: int, end: int) -> None:
-            make_refs(begin, end, corners, prim_ids, self.refs, bounds[begin // _CHUNK])
+            make_refs(begin, end, corners, prim_ids, self.refs, bounds[begin // chunk])
 
-        parallel_for(body, self.count, _CHUNK)
+        parallel_for(body, self.count, chunk)
         return _Range(0, self.count, 0, bounds.max(axis=0), self.refs)
 
     def _split_large(self, ranges: list[_Range]) -> list[_Range]:
         """Split the large ranges; append their parts to `ranges`, return the others."""
         (root,) = ranges
-        if root.size <= _LARGE:
+        if root.size <= self.large_size:
             return [root]
         # References move between two arrays at each split.
         other = aligned_array(len(self.refs), REF_FLOATS)
@@ -164,7 +167,7 @@ class _Grower:
             part = pending.pop()
             result = None
             target = other if part.refs is self.refs else self.refs
-            if part.size > _LARGE and part.depth < self.settings.sah_depth:
+            if part.size > self.large_size and part.depth < self.settings.sah_depth:
                 result = split_large(part.refs, target, part.begin, part.end, part.bounds[1])
             if result is None:
                 others.append(part)

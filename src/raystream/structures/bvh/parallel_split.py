@@ -17,7 +17,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.jit.threads import parallel_for
+from raystream.jit.threads import chunk_size, parallel_for
 from raystream.structures.bvh.binary_tree import is_left, side_test
 from raystream.structures.bvh.binning import (
     BIN_COUNT,
@@ -31,8 +31,8 @@ from raystream.structures.bvh.prim_refs import REF_BYTES, REF_FLOATS, centroid_b
 
 __all__ = ["split_large"]
 
-#: References per call of a kernel.
-_CHUNK = 1 << 15
+#: Most references per call of a kernel.
+_MOST = 1 << 15
 
 
 def split_large(
@@ -60,13 +60,15 @@ def split_large(
 
     None if all centroids are equal; nothing is moved then.
     """
-    chunk_count = -(-(end - begin) // _CHUNK)
-    bins = np.empty((chunk_count, 3, BIN_COUNT, REF_FLOATS), np.float32)
+    chunk = chunk_size(end - begin, _MOST)
+    chunk_count = -(-(end - begin) // chunk)
+    sets = np.empty((chunk_count, 2, 3, BIN_COUNT, REF_FLOATS), np.float32)
 
     def fill(first: int, last: int) -> None:
-        _fill_bins(begin + first, begin + last, refs, centroids, bins[first // _CHUNK])
+        _fill_bins(begin + first, begin + last, refs, centroids, sets[first // chunk])
 
-    parallel_for(fill, end - begin, _CHUNK)
+    parallel_for(fill, end - begin, chunk)
+    bins = sets[:, 0]
     whole = bins.max(axis=0)
     whole[..., 7] = bins[..., 7].sum(axis=0, dtype=np.float64)
     axis, position = _find_split(whole)
@@ -74,14 +76,14 @@ def split_large(
         return None
     left_counts = bins[:, axis, :position, 7].sum(axis=1, dtype=np.float64).astype(np.int64)
     middle = begin + int(left_counts.sum())
-    sizes = np.full(chunk_count, _CHUNK)
-    sizes[-1] = end - begin - _CHUNK * (chunk_count - 1)
+    sizes = np.full(chunk_count, chunk)
+    sizes[-1] = end - begin - chunk * (chunk_count - 1)
     left_ends = begin + np.cumsum(left_counts)
     right_ends = middle + np.cumsum(sizes - left_counts)
     chunk_bounds = np.full((chunk_count, 2, 2, REF_FLOATS), -np.inf, np.float32)
 
     def move(first: int, last: int) -> None:
-        chunk = first // _CHUNK
+        row = first // chunk
         _move(
             begin + first,
             begin + last,
@@ -89,12 +91,12 @@ def split_large(
             target,
             centroids,
             (axis, position),
-            left_ends[chunk] - left_counts[chunk],
-            right_ends[chunk] - (sizes[chunk] - left_counts[chunk]),
-            chunk_bounds[chunk],
+            left_ends[row] - left_counts[row],
+            right_ends[row] - (sizes[row] - left_counts[row]),
+            chunk_bounds[row],
         )
 
-    parallel_for(move, end - begin, _CHUNK)
+    parallel_for(move, end - begin, chunk)
     return middle, chunk_bounds.max(axis=0)
 
 
