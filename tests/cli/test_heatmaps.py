@@ -11,8 +11,8 @@ from PIL import Image
 
 import raystream as rs
 
-VIEW = "eye=0.5,0.5,2 look_at=0.5,0.5,0 fov=53.13"
-PICTURE = ("-o", "heat.png", "--size", "40x40", "--camera", VIEW)
+VIEW = ("--eye", 0.5, 0.5, 2, "--look-at", 0.5, 0.5, 0, "--fov", 53.13)
+PICTURE = ("-o", "heat.png", "--size", "40x40", *VIEW)
 
 
 def pixels(path):

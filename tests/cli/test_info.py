@@ -53,7 +53,9 @@ def test_projections_are_shown_as_the_option_takes_them(run, tmp_path):
     (tmp_path / "flat.gltf").write_text(json.dumps(document))
     camera = run("info", "flat.gltf", "--json").figures["camera"]
     assert (camera["projection"], camera["height"]) == ("orthographic", 3.0)
-    assert "projection=orthographic height=3" in " ".join(run("info", "flat.gltf").out.split())
+    assert "--projection orthographic --view-height 3" in " ".join(
+        run("info", "flat.gltf").out.split()
+    )
     assert "projection" not in run("info", "cornell").out
 
 
@@ -99,8 +101,8 @@ def test_camera_is_shown_as_render_takes_it(run):
     out = run("info", "cornell").out
     line = next(line for line in out.splitlines() if line.startswith("camera"))
     shown = line.removeprefix("camera").strip()
-    assert shown == "eye=278,273,-800 look_at=278,273,0 up=0,1,0 fov=39.3"
-    assert run("render", "cornell", "--size", "8x6", "--camera", shown).code == 0
+    assert shown == "--eye 278 273 -800 --look-at 278 273 0 --up 0 1 0 --fov 39.3"
+    assert run("render", "cornell", "--size", "8x6", *shown.split()).code == 0
 
 
 def test_many_meshes_are_cut_short_for_people_only(run, tmp_path):

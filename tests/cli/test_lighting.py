@@ -11,7 +11,7 @@ from raystream.cli.lighting import SUFFIXES
 from raystream.rendering.environment import MAP_SUFFIXES
 
 SIZE = ("--size", "16x12")
-WHITTED = (*SIZE, "--mode", "whitted")
+WHITTED = (*SIZE, "--mode", "whitted", "--samples", 1)
 
 WEAK = """\
 mtllib weak.mtl
@@ -28,8 +28,8 @@ f 4 5 6
 """
 MATERIALS = "newmtl wall\nKd 0.8 0.1 0.1\nnewmtl lamp\nKe 0.02 0.02 0.02\n"
 NOTE = (
-    "the scene's own lights are too weak to see by: added {} (--lights file uses the scene's "
-    "own only)\n"
+    "warning: the scene's own lights are too weak to see by: added {} (lights='file' or --lights "
+    "file uses the scene's own only)\n"
 )
 
 
@@ -94,16 +94,19 @@ def pixels():
     ("mode", "added"), [("raycast", "a light at the eye"), ("path", "a white sky")]
 )
 def test_a_note_says_what_is_added_to_weak_lights(run, weak, mode, added):
-    result = run("render", weak, *SIZE, "--mode", mode)
+    result = run("render", weak, *SIZE, "--mode", mode, "--samples", 1)
     assert (result.code, result.err) == (0, NOTE.format(added))
     assert pixels().max() > 100
-    np.testing.assert_array_equal(pixels(), rs.render(rs.load(weak), mode, (16, 12)).to_bytes())
+    with pytest.warns(rs.RaystreamWarning, match=f"too weak to see by: added {added}"):
+        image = rs.render(rs.load(weak), mode, (16, 12), 1)
+    np.testing.assert_array_equal(pixels(), image.to_bytes())
 
 
 def test_the_files_own_lights_are_taken_if_asked(run, weak):
-    result = run("render", weak, *SIZE, "--lights", "file")
-    assert (result.code, result.err) == (0, "")
-    own = rs.render(rs.load(weak), size=(16, 12), lights="file")
+    result = run("render", weak, *SIZE, "--mode", "raycast", "--samples", 1, "--lights", "file")
+    assert result.code == 0
+    assert result.err.startswith("the image is black: the scene's own lights do not reach")
+    own = rs.render(rs.load(weak), "raycast", size=(16, 12), lights="file")
     np.testing.assert_array_equal(pixels(), own.to_bytes())
     assert pixels().max() < 50
 
@@ -122,7 +125,7 @@ def test_animations_say_it_once(run, tmp_path):
         "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40\nl 0 3 5 0.0005 0.0005 0.0005\n"
         "a 0 2 10\nx a { p 3 0 0 0 1 0 0 0 1 0 }\nk a { transl 2 0 -1 0 0 0 0 0 2 1 0 0 0 0 0 }\n"
     )
-    animation = ("render", "a.aff", "-o", "f%d.png", "--frames", "0:3", *SIZE)
+    animation = ("render", "a.aff", "-o", "f%d.png", "--frames", "0:3", *SIZE, "--mode", "raycast")
     assert run(*animation).err == NOTE.format("a light at the eye")
     with Image.open("f2.png") as image:
         assert np.asarray(image).max() > 100
@@ -134,7 +137,7 @@ def test_animations_say_it_once(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["--lights", "all"], "'--lights': expected auto or file, got 'all'"),
+        (["--lights", "all"], "'--lights': expected auto or file or added, got 'all'"),
         (["--lights", "file", "--heatmap", "steps"], "--lights: cannot be combined with --heatmap"),
     ],
 )

@@ -67,7 +67,7 @@ def test_address_is_printed_and_ctrl_c_ends_it(run, square, served, opened):
 def test_options_are_what_the_page_begins_with(run, square, served):
     shown = run(
         *("view", square, "--port", 0, "--structure", "kdtree", "--traversal", "restart"),
-        *("--mode", "vis", "--camera", "eye=0.5,0.5,3 look_at=0.5,0.5,0 fov=40"),
+        *("--mode", "vis", "--eye", 0.5, 0.5, 3, "--look-at", 0.5, 0.5, 0, "--fov", 40),
     )
     assert shown.code == 130
     made = served[0][2]
@@ -106,8 +106,7 @@ def test_port_that_is_taken_is_said(run, square):
         (["square.obj", "--mode", "raytrace"], "expected raycast or"),
         (["square.obj", "--structure", "octree"], "expected bvh or"),
         (["square.obj", "--traversal", "restart"], "traversal"),
-        (["square.obj", "--camera", "eye=1,2"], "--camera: expected eye=X,Y,Z"),
-        (["square.obj", "--camera", "fov=400"], "--camera: fov"),
+        (["square.obj", "--fov", "400"], "--fov: expected degrees"),
         (["square.obj", "--camera", "7"], "--camera: "),
         (["square.obj", "--adapter", "x"], "--adapter: only with --device graphics"),
     ],

@@ -92,7 +92,7 @@ def test_a_camera_around_sees_the_image(up, rotation):
     scene = rs.Scene([speck], lights=[light], camera=camera, background=(0.5, 0.0, 0.25))
     tracer = rs.Tracer(scene)
     for mode in ("raycast", "vis", "shadow", "whitted", "xray", "path"):
-        image = rs.render(tracer, mode, size=(16, 8))
+        image = rs.render(tracer, mode, (16, 8), 1)
         expected = texels * [1, 2, 3] + np.array([0.5, 0, 0.25])
         np.testing.assert_allclose(image.pixels, expected, rtol=1e-5, atol=1e-6, err_msg=mode)
 
@@ -112,7 +112,7 @@ def test_a_mirror_shows_the_sky(mode):
     mirror = rs.Material(diffuse=(0, 0, 0), reflection=(1, 1, 1))
     camera = rs.Camera((0, 1e-3, 0), (0, 1e-3, -1), projection="equirectangular")
     scene = floor([rs.EnvironmentLight(image=texels)], mirror, camera=camera)
-    pixels = rs.render(scene, mode, size=(16, 8)).pixels
+    pixels = rs.render(scene, mode, (16, 8), 1).pixels
     np.testing.assert_allclose(pixels[:4], texels[:4], rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(pixels[4:], texels[3::-1], rtol=1e-5, atol=1e-6)
 

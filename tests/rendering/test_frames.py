@@ -41,7 +41,7 @@ def test_meshes_may_come_and_go() -> None:
         return rs.Scene([TRIANGLE][: int(time)])
 
     scene = rs.Scene(camera=CAMERA, animation=rs.Animation(at, (0, 2), fps=1))
-    bright = [image.pixels.any() for _, image in rs.render_frames(scene, size=SIZE)]
+    bright = [image.pixels.any() for _, image in rs.render_frames(scene, "vis", size=SIZE)]
     assert bright == [False, True]
 
 
@@ -49,7 +49,7 @@ def test_cameras_of_ones_own_move() -> None:
     scene = rs.Scene([TRIANGLE])
     reports = []
     options = {"camera": TRACK, "fps": 1, "size": SIZE}
-    frames = rs.render_frames(scene, progress=lambda *r: reports.append(r), **options)
+    frames = rs.render_frames(scene, "vis", progress=lambda *r: reports.append(r), **options)
     near, far = [np.count_nonzero(image.pixels) for _, image in frames]
     assert near > 4 * far
     assert reports[-1] == (2 * 16 * 12,) * 2

@@ -16,6 +16,8 @@ from raystream.rendering.progressive import trace_sample
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 
+pytestmark = pytest.mark.filterwarnings("ignore:the scene's own lights")
+
 BLACK = (0.0, 0.0, 0.0)
 SIZE = (32, 24)
 
@@ -142,7 +144,7 @@ def test_weak_emitters_leave_no_scene_dark(mode, lights):
 
 @pytest.mark.parametrize("mode", ADDED)
 def test_strong_lights_are_left_alone(mode):
-    scene = terrain((40.0, 40.0, 20.0))
+    scene = terrain((4000.0, 4000.0, 2000.0))
     image = rs.render(scene, mode, SIZE)
     assert added_light(scene, mode) == ""
     np.testing.assert_array_equal(image.pixels, rs.render(scene, mode, SIZE, lights="file").pixels)
@@ -189,12 +191,12 @@ def test_frames_take_the_choice():
     track = rs.CameraTrack(scene.camera, [[0, 20, 25, -15], [1, 20, 30, -15]])
     for lights in LIGHTS:
         ((_, image),) = rs.render_frames(
-            scene, frames=0, size=SIZE, camera=track, fps=2, lights=lights
+            scene, "raycast", frames=0, size=SIZE, camera=track, fps=2, lights=lights
         )
-        expected = rs.render(scene, size=SIZE, lights=lights)
+        expected = rs.render(scene, "raycast", size=SIZE, lights=lights)
         np.testing.assert_array_equal(image.pixels, expected.pixels)
 
 
 def test_unknown_choices_are_refused():
-    with pytest.raises(ValueError, match="lights: expected 'auto' or 'file', got 'all'"):
+    with pytest.raises(ValueError, match="lights: expected 'auto' or 'file' or 'added', got 'all'"):
         rs.render(terrain(BLACK), lights="all")

@@ -67,7 +67,7 @@ def test_rays_that_meet_a_furnace_from_outside_see_it_dark():
     mesh = rs.Mesh(vertices, faces[:, ::-1])
     camera = rs.Camera((0, 0, 3), (0, 0, 0), fov=10)
     scene = rs.Scene([mesh], materials=[WALLS["matte"]], camera=camera)
-    assert not path(scene, 8).pixels.any()
+    assert not path(scene, 8, lights="file").pixels.any()
 
 
 LOSSLESS = {
@@ -284,7 +284,7 @@ def test_lights_that_take_light_away_are_sampled_too():
 def test_light_from_below_does_not_reach_the_floor():
     lights = [rs.PointLight((0, -1, 0), (9, 9, 9)), rs.DirectionalLight((0, 1, 0), (9, 9, 9))]
     lamp = RECTANGLE - [0, 4, 0], [[2, 1, 0], [3, 2, 0]]
-    assert not path(on_the_floor(lights, [lamp]), 4).pixels.any()
+    assert not path(on_the_floor(lights, [lamp]), 4, lights="file").pixels.any()
 
 
 def test_a_clamp_bounds_what_comes_over_further_surfaces():

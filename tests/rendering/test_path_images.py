@@ -76,11 +76,12 @@ def test_a_light_in_glass_is_found():
     floor = part((floor, [[0, 2, 1], [0, 3, 2]]), WALL)
     camera = rs.Camera((0, 2, 6), (2.5, -1.2, 2), fov=20)  # sees the floor only
     scene = rs.Scene([*lamp_in_ball, floor], materials=MATERIALS, camera=camera)
-    sampled = path(scene, 64, max_bounces=50)
-    chance = path(scene, 64, max_bounces=50, light_samples=False, seed=2)
+    chosen = {"max_bounces": 50, "lights": "file"}
+    sampled = path(scene, 64, **chosen)
+    chance = path(scene, 64, light_samples=False, seed=2, **chosen)
     assert_equal_means(sampled, chance, blocks=4)
     assert mean_of(sampled, 4)[0].min() > 0.0
-    assert not path(scene, 8, max_bounces=1).pixels.any()
+    assert not path(scene, 8, max_bounces=1, lights="file").pixels.any()
 
 
 def test_light_in_glass_leaves_it_thinner():
@@ -104,7 +105,7 @@ def test_lights_that_no_ray_can_hit_are_reported():
     lamp = rs.PointLight((0, 0, 5), (50.0, 50.0, 50.0))
     scene = rs.Scene([floor], lights=[lamp], camera=camera)
     with pytest.warns(rs.RaystreamWarning, match="no ray can hit this scene's lights"):
-        image = rs.render(scene, "path", preset="arnold", size=(8, 8))
+        image = rs.render(scene, "path", preset="arnold", size=(8, 8), lights="file")
     assert not image.pixels.any()
     assert rs.render(scene, "path", size=(8, 8)).pixels.any()
     for more in ({"background": (0.1, 0.1, 0.1)}, {"materials": [rs.Material(emission=(1, 1, 1))]}):

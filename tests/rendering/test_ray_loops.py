@@ -119,7 +119,7 @@ def test_rays_of_several_bounces_are_in_one_loop(scene, monkeypatch):
         return count
 
     monkeypatch.setattr(RayStreams, "run", run)
-    render(looped(scene, "bvh", "most-work"), "path", max_bounces=4)
+    render(looped(scene, "bvh", "most-work"), "path", max_bounces=4, lights="file")
     assert max(map(len, bounces)) > 1
 
 
@@ -214,7 +214,7 @@ def test_a_scheduler_of_ones_own(scene):
             assert queues.spawns
             return max(k for k, count in enumerate(queues.waiting) if count)
 
-    image = render(looped(scene, "kdtree", Last()), "shadow")
+    image = render(looped(scene, "kdtree", Last()), "shadow", lights="file")
     assert_same_bits(image.pixels, render(scene, "shadow").pixels)
 
 

@@ -64,7 +64,9 @@ def test_a_directional_light_and_an_environment():
 
 
 def test_light_from_below_does_not_reach_the_top():
-    image = rs.render(floor(lights=[rs.PointLight((0, -1, 0), (9, 9, 9))]), "raycast", (8, 6))
+    image = rs.render(
+        floor(lights=[rs.PointLight((0, -1, 0), (9, 9, 9))]), "raycast", (8, 6), lights="file"
+    )
     assert not image.pixels.any()
 
 
@@ -285,7 +287,11 @@ def test_pictures_do_not_depend_on_where_the_scene_is_nor_on_its_scale(offset, s
 def test_a_light_on_the_surface_is_no_nan():
     scene = floor(lights=[rs.PointLight((0, 0, 0), (1, 1, 1))])
     image = rs.render(
-        scene, "raycast", (5, 5), camera=rs.Camera((0, 2, 0), (0, 0, 0), (0, 0, -1), 60)
+        scene,
+        "raycast",
+        (5, 5),
+        camera=rs.Camera((0, 2, 0), (0, 0, 0), (0, 0, -1), 60),
+        lights="file",
     )
     assert np.isfinite(image.pixels).all()
 

@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from raystream.cli.bars import Bars
+from raystream.cli.brightness import Exposure
 from raystream.cli.console import (
     BadInputError,
     InterruptedRunError,
@@ -20,7 +21,6 @@ from raystream.cli.console import (
     write_note,
 )
 from raystream.cli.frame_files import FrameFiles
-from raystream.cli.lighting import report_added_light
 from raystream.cli.load import Stopwatch
 from raystream.cli.render_job import RenderJob
 
@@ -42,7 +42,6 @@ def render_animation(job: RenderJob, json: bool) -> None:
     with Bars() as bars:
         with watch.measure("load"), bars.step("loading"):
             scene, camera, timeline = _open_scene(job)
-        report_added_light(scene, job.mode, job.arguments["lights"])
         try:
             numbers = timeline.chosen(wanted)
         except ValueError as error:  # argument names equal option names
@@ -101,7 +100,7 @@ def _open_scene(job: RenderJob) -> tuple[Scene, Camera | CameraMotion | None, Ti
         scene = load(name, triangles=job.loading.triangles)
     scene, still = job.view(job.image.lighting.apply(scene))
     camera: Camera | CameraMotion | None = None
-    changes = {part: value for part, value in job.camera.items() if part != "which"}
+    changes = job.image.view.changes
     if changes:
         camera = still if scene.camera_track is None else _PartlyFixedCamera(scene, still, changes)
     if scene.animation is None and scene.camera_track is None:
@@ -162,11 +161,12 @@ def _render(
             **job.arguments,
             **job.chosen.keywords(),
         )
+        exposure = Exposure(job.image.exposure, scene, job.mode, is_fixed=True)
         for number, image in images:
             if job.layers.is_denoised:
                 image = job.layers.denoise(image)
             path = files.path(number)
-            job.image.save(image, path)
+            job.image.save(image, path, exposure)
             files.made.append(path)
 
 

@@ -23,6 +23,7 @@ __all__ = [
     "refuse",
     "show_warnings",
     "silence_stdout",
+    "write_bytes",
     "write_json",
     "write_line",
     "write_note",
@@ -68,14 +69,18 @@ def one_line(text: str) -> str:
 
 @contextlib.contextmanager
 def show_warnings() -> Iterator[None]:
-    """Print each `RaystreamWarning` as one line on stderr; leave other warnings alone."""
+    """Print each `RaystreamWarning` as one line on stderr, once; leave other warnings alone."""
+    shown: set[str] = set()
     with warnings.catch_warnings():
         warnings.simplefilter("always", RaystreamWarning)
         show_others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
             if issubclass(category, RaystreamWarning):
-                print(f"warning: {one_line(str(message))}", file=sys.stderr)  # noqa: T201
+                text = one_line(str(message))
+                if text not in shown:
+                    print(f"warning: {text}", file=sys.stderr)  # noqa: T201
+                    shown.add(text)
             else:
                 show_others(message, category, *place)
 
@@ -99,6 +104,18 @@ def write_line(text: str = "") -> None:
         raise
     except UnicodeEncodeError:
         print(text.encode("ascii", "backslashreplace").decode(), flush=True)  # noqa: T201
+    except OSError as error:
+        silence_stdout()
+        raise BadInputError(f"stdout: {error.strerror}") from error
+
+
+def write_bytes(content: bytes) -> None:
+    """Write to stdout and flush; raises as `write_line`."""
+    try:
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+    except BrokenPipeError:
+        raise
     except OSError as error:
         silence_stdout()
         raise BadInputError(f"stdout: {error.strerror}") from error

@@ -20,7 +20,7 @@ __all__ = ["HeatmapOptions", "heatmap_figures"]
 #: Other options of ``raystream render`` that do not apply to heat maps.
 IMAGE_ONLY = (
     *("mode", "exposure", "tone", "environment", "lights", "layers", "denoise", "cluster"),
-    *("max_bounces", "noise", "time_limit", "sampler", "resume"),
+    *("max_bounces", "quality", "noise", "time_limit", "sampler", "resume"),
 )
 
 

@@ -22,6 +22,8 @@ __all__ = ["info"]
 #: Maximum rows of meshes and materials on the console; ``--json`` lists all.
 MAX_ROWS = 12
 
+_VECTORS = ("eye", "look_at", "up")
+
 
 @expand_groups
 def info(
@@ -81,13 +83,13 @@ def _show(figures: dict[str, Any]) -> None:
 
 
 def _camera_parts(camera: dict[str, Any]) -> list[str]:
-    """Format the camera as ``--camera`` takes it; projection and lens only if not default."""
-    parts = [f"{part}={_vector(camera[part], ',')}" for part in ("eye", "look_at", "up")]
-    parts.append(f"fov={camera['fov']:g}")
+    """Format the camera as options of ``render``; projection and lens only if not default."""
+    parts = [f"--{part.replace('_', '-')} {_vector(camera[part])}" for part in _VECTORS]
+    parts.append(f"--fov {camera['fov']:g}")
     if camera["projection"] != "perspective":
-        parts.append(f"projection={camera['projection']}")
-    lengths = ("height", "aperture", "focus")
-    return parts + [f"{part}={camera[part]:g}" for part in lengths if camera[part]]
+        parts.append(f"--projection {camera['projection']}")
+    lengths = {"height": "view-height", "aperture": "aperture", "focus": "focus"}
+    return parts + [f"--{name} {camera[part]:g}" for part, name in lengths.items() if camera[part]]
 
 
 def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:

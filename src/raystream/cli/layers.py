@@ -54,15 +54,15 @@ class LayerOptions:
         ),
     ] = None
     denoise: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--denoise",
-            help="Denoise the finished image, preserving edges of surfaces and textures.",
+            "--denoise/--no-denoise",
+            help="Denoise the finished image, preserving edges [default: as --quality says]",
         ),
-    ] = False
+    ] = None
 
-    def select(self, output: Path) -> LayerSelection:
-        """Choose the layers for an output file.
+    def select(self, output: Path, is_denoised: bool) -> LayerSelection:
+        """Choose the layers for an output file; `is_denoised` unless an option decides.
 
         Raises
         ------
@@ -81,6 +81,7 @@ class LayerOptions:
                     known = " or ".join((*NAMES, "none"))
                     raise BadInputError(f"--layers: expected {known}, got {name!r}")
             saved = tuple(name for name in NAMES if name in given)
-        guides = GUIDES if self.denoise else ()
+        denoises = is_denoised if self.denoise is None else self.denoise
+        guides = GUIDES if denoises else ()
         rendered = tuple(name for name in NAMES if name in saved or name in guides)
-        return LayerSelection(rendered, saved, self.denoise)
+        return LayerSelection(rendered, saved, denoises)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from raystream.cli import options
-from raystream.cli.console import BadInputError, write_note
+from raystream.cli.console import BadInputError
 
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
 
-__all__ = ["LightingOptions", "report_added_light"]
+__all__ = ["LightingOptions"]
 
 #: The library's extensions, for help; a test compares them.
 SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
@@ -44,8 +44,8 @@ class LightingOptions:
         str | None,
         options.choice(
             options.LIGHTS,
-            "auto adds a light when the scene's own are too weak to see by: at the eye, or for "
-            "kajiya and path a white sky; file uses the scene's own lights only [default: auto]",
+            "The scene's own lights only: file; others beside them: added, a white sky or a light "
+            "at the eye; auto adds them where the scene's own show nothing [default: auto]",
         ),
     ] = None
 
@@ -89,15 +89,3 @@ class LightingOptions:
             return lit
         pose = scene.animation.at
         return lit.replace(animation=replace(scene.animation, at=lambda time: light_up(pose(time))))
-
-
-def report_added_light(scene: Scene, mode: str, lights: str) -> None:
-    """Report a light added to the scene's own on stderr; see `lighting.needs_light`."""
-    from raystream.rendering.lighting import added_light
-
-    added = added_light(scene, mode, lights)
-    if added:
-        write_note(
-            f"the scene's own lights are too weak to see by: added {added} (--lights file uses "
-            "the scene's own only)"
-        )

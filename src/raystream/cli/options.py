@@ -6,7 +6,6 @@ Nothing here imports the library's heavy modules, which keeps ``--help`` and com
 from __future__ import annotations
 
 import importlib.util
-import itertools
 import math
 import os
 import re
@@ -21,6 +20,7 @@ from raystream.cli.console import BadInputError
 
 __all__ = [
     "DEFAULT_MACHINES",
+    "DEFAULT_MODE",
     "DEVICES",
     "HEATMAPS",
     "LIGHTS",
@@ -39,7 +39,6 @@ __all__ = [
     "complete",
     "complete_scenes",
     "finite",
-    "parse_camera",
     "parse_size",
     "positive",
 ]
@@ -61,23 +60,13 @@ MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 SAMPLERS = ("sobol", "stratified", "random")
 TONES = ("linear", "reinhard", "aces")
 HEATMAPS = ("cells", "tests", "steps")
-LIGHTS = ("auto", "file")
+LIGHTS = ("auto", "file", "added")
+DEFAULT_MODE = "path"
 DEVICES = ("cpu", "graphics", "cuda")
 #: Default machine of each device.
 DEFAULT_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
 RAY_SETS = ("primary", "image", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PEERS = ("open3d", "embreex", "mitsuba", "mitsuba-robust", "warp")
-
-CAMERA_PARTS = {
-    "eye": "eye=X,Y,Z",
-    "look_at": "look_at=X,Y,Z",
-    "up": "up=X,Y,Z",
-    "fov": "fov=DEGREES",
-    "projection": "projection=NAME",
-    "height": "height=LENGTH",
-    "aperture": "aperture=LENGTH",
-    "focus": "focus=LENGTH",
-}
 
 
 def complete(names: Collection[str]) -> Callable[[str], list[str]]:
@@ -174,55 +163,6 @@ def parse_size(text: str) -> tuple[int, int]:
     if match is None:
         raise BadInputError(f"--size: expected WIDTHxHEIGHT, such as 1024x768, got {text!r}")
     return int(match[1]), int(match[2])
-
-
-def parse_camera(text: str) -> dict[str, Any]:
-    """Parse camera parameters such as ``eye=3,2,1 look_at=0,0,0 up=0,1,0 fov=40``.
-
-    Returns
-    -------
-    dict of str to tuple of float, float, int or str
-        The parameters given; `Camera` checks their range. Words before them are the name
-        or the number of one of the scene's cameras, under ``"which"``.
-
-    Raises
-    ------
-    BadInputError
-        If a parameter is unknown, given twice, or has the wrong number of finite numbers.
-    """
-    parts: dict[str, Any] = {}
-    words = text.split()
-    name_words = list(itertools.takewhile(lambda word: "=" not in word, words))
-    if name_words and name_words[0] not in CAMERA_PARTS:
-        which = " ".join(name_words)
-        parts["which"] = int(which) if which.isascii() and which.isdigit() else which
-        words = words[len(name_words) :]
-    for word in words:
-        name, _, value = word.partition("=")
-        name = name.replace("-", "_")
-        if name not in CAMERA_PARTS:
-            raise BadInputError(
-                f"--camera: expected {', '.join(CAMERA_PARTS.values())}; got {word!r}"
-            )
-        if name in parts:
-            raise BadInputError(f"--camera: {name} is given twice")
-        if name == "projection":
-            parts[name] = value
-            continue
-        numbers = _numbers(value)
-        wanted = CAMERA_PARTS[name].count(",") + 1
-        if len(numbers) != wanted:
-            raise BadInputError(f"--camera: expected {CAMERA_PARTS[name]}, got {word!r}")
-        parts[name] = numbers[0] if wanted == 1 else numbers
-    return parts
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(number) for number in text.split(","))
-    except ValueError:
-        return ()
-    return numbers if all(map(math.isfinite, numbers)) else ()
 
 
 def check_output(path: Path, suffixes: Sequence[str], inputs: Sequence[str] = ()) -> None:

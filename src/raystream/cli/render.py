@@ -8,15 +8,22 @@ from typing import TYPE_CHECKING
 from raystream.cli import options
 from raystream.cli.animations import render_animation
 from raystream.cli.bars import Bars
+from raystream.cli.brightness import Exposure, report_blank
 from raystream.cli.checkpoint import PathProgress, checkpoint_path, sample_checkpoint
 from raystream.cli.clusters import ClusterOptions, ImageRenderer
 from raystream.cli.compiling import compiling
-from raystream.cli.console import BadInputError, one_line, refuse, write_json, write_line
+from raystream.cli.console import (
+    BadInputError,
+    one_line,
+    refuse,
+    write_json,
+    write_line,
+    write_note,
+)
 from raystream.cli.heatmaps import heatmap_figures
-from raystream.cli.lighting import report_added_light
 from raystream.cli.load import Stopwatch, open_tracer, rays_per_second
 from raystream.cli.option_groups import expand_groups
-from raystream.cli.render_job import ImageOptions, RenderJob
+from raystream.cli.render_job import STDOUT, ImageOptions, RenderJob
 from raystream.cli.tracer_options import TracerArguments, TracerOptions
 
 if TYPE_CHECKING:
@@ -38,6 +45,8 @@ def render(
     json: options.Json = False,
 ) -> None:
     """Render an image of a scene. Without SCENE, renders robots in a city."""
+    if json and image.output == STDOUT:
+        raise BadInputError("--json: cannot be combined with --output -")
     job = RenderJob.of(scene, image, tracing, workers, loading)
     if image.is_animation:
         render_animation(job, json)
@@ -51,7 +60,8 @@ def _render_image(job: RenderJob, json: bool) -> None:
     """Render one image or heat map, and print its figures."""
     asked, output, (width, height) = job.image, job.image.output, job.size
     what = asked.heat.heatmap
-    checkpoint = checkpoint_path(output, asked.resume) if what is None else None
+    has_file = what is None and output != STDOUT
+    checkpoint = checkpoint_path(output, asked.resume) if has_file else None
     watch = Stopwatch()
     heat: Heatmap | None = None
     with (
@@ -69,13 +79,14 @@ def _render_image(job: RenderJob, json: bool) -> None:
             with watch.measure("environment"), bars.step("reading environment"):
                 tracer.update(asked.lighting.apply(tracer.scene))
         arguments = {**job.arguments, "size": job.size, "camera": job.view(tracer.scene)[1]}
+        exposure = Exposure(asked.exposure, tracer.scene, job.mode if what is None else what)
+        save = partial(asked.save, exposure=exposure)
         unit = "paths" if what is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if what is None:
-                report_added_light(tracer.scene, job.mode, arguments["lights"])
                 paths = PathProgress(output, width * height, progress)
                 arguments |= {"checkpoint": samples_file, "progress": paths}
-                save_pass = partial(asked.save, path=output)
+                save_pass = None if output == STDOUT else partial(save, path=output)
                 with refuse(OSError, where=str(checkpoint)):
                     image = render_with(tracer, job.mode, on_pass=save_pass, **arguments)
             else:
@@ -88,7 +99,10 @@ def _render_image(job: RenderJob, json: bool) -> None:
             with watch.measure("denoise"), bars.step("denoising"):
                 image = job.layers.denoise(image)
         with watch.measure("save"), bars.step("saving"):
-            asked.save(image, output)
+            save(image, path=output)
+        if what is None:
+            look = exposure.of(image), asked.tone or options.TONES[0]
+            report_blank(image.to_bytes(*look), tracer, arguments["camera"], arguments, job.mode)
     triangle_count = len(tracer.structure.triangles)
     if heat is None:
         ray_count, counts, figures = paths.count(image), paths.text(image), paths.figures(image)
@@ -96,6 +110,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
         ray_count = width * height * arguments["samples"]
         counts, figures = heat.title, heatmap_figures(heat)
     speed = rays_per_second(ray_count, watch.seconds["trace"])
+    write = write_note if output == STDOUT else write_line
     if json:
         write_json(
             {
@@ -115,7 +130,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
             }
         )
     else:
-        write_line(
+        write(
             f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles; {counts}; "
             f"{watch.text()}; {speed:g} M{unit}/s"
         )

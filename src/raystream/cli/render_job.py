@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,15 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from raystream.cli import options
+from raystream.cli.brightness import Exposure, parse_exposure
+from raystream.cli.camera_options import CameraOptions
 from raystream.cli.clusters import ClusterOptions
-from raystream.cli.console import BadInputError, refuse
+from raystream.cli.console import BadInputError, refuse, write_bytes
 from raystream.cli.frame_files import AnimationOptions
 from raystream.cli.heatmaps import HeatmapOptions
 from raystream.cli.layers import LayerOptions, LayerSelection
 from raystream.cli.lighting import LightingOptions
 from raystream.cli.load import choose_threads
 from raystream.cli.option_groups import options_given
-from raystream.cli.sampling import SamplingOptions, mode_arguments
+from raystream.cli.sampling import SamplingOptions, is_denoised, mode_arguments
 from raystream.cli.tracer_options import TracerArguments, TracerOptions
 
 if TYPE_CHECKING:
@@ -26,7 +27,10 @@ if TYPE_CHECKING:
     from raystream.scene.camera import Camera
     from raystream.scene.scene import Scene
 
-__all__ = ["ImageOptions", "RenderJob"]
+__all__ = ["STDOUT", "ImageOptions", "RenderJob"]
+
+#: As ``--output``: a PNG on stdout.
+STDOUT = Path("-")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +43,15 @@ class ImageOptions:
             "--output",
             "-o",
             metavar="FILE",
-            help="Output file: .png or .exr; frames and videos with --frames.",
+            help="Output file: .png or .exr, or - for a PNG on stdout; frames and videos with "
+            "--frames.",
         ),
     ] = Path("out.png")
     mode: Annotated[
         str | None,
         options.choice(
             options.MODES,
-            f"Renderer: {' or '.join(options.MODES)} [default: {options.MODES[0]}]",
+            f"Renderer: {' or '.join(options.MODES)} [default: {options.DEFAULT_MODE}]",
         ),
     ] = None
     heat: HeatmapOptions
@@ -59,22 +64,14 @@ class ImageOptions:
             "--resume", help="Resume from the checkpoint beside the image, if there is one."
         ),
     ] = False
-    camera: Annotated[
+    view: CameraOptions
+    exposure: Annotated[
         str | None,
         typer.Option(
-            metavar="PARTS",
-            help="One of the scene's cameras by name or number (from 0), followed by the "
-            "parameters to override, as in 'eye=3,2,1 look_at=0,0,0 up=0,1,0 fov=40' (vertical "
-            "field of view in degrees); also projection=orthographic height=3 (or "
-            "equirectangular), or a thin lens: aperture=0.1 focus=5.",
-        ),
-    ] = None
-    exposure: Annotated[
-        float | None,
-        typer.Option(
             metavar="FACTOR",
-            callback=options.positive,
-            help="Exposure factor for PNG output [default: 1]",
+            callback=parse_exposure,
+            help="Factor on the colours of a PNG, or auto [default: auto for scenes without "
+            "lights, else 1]",
         ),
     ] = None
     tone: Annotated[
@@ -93,10 +90,15 @@ class ImageOptions:
         """Whether an animation is requested."""
         return self.animation.is_animation(self.output)
 
-    def save(self, image: Image, path: Path) -> None:
-        """Write an image to a file."""
+    def save(self, image: Image, path: Path, exposure: Exposure) -> None:
+        """Write an image to a file, or to stdout for ``-``."""
+        tone = self.tone or options.TONES[0]
+        look: dict[str, Any] = {"exposure": exposure.of(image), "tone": tone}
+        if path == STDOUT:
+            write_bytes(image.to_png(**look))
+            return
         with refuse(OSError, where=str(path)):
-            image.save(path, exposure=self.exposure or 1.0, tone=self.tone or options.TONES[0])
+            image.save(path, **look)
 
 
 @dataclass(frozen=True)
@@ -112,8 +114,6 @@ class RenderJob:
     chosen : TracerArguments
     mode : str
     size : (int, int)
-    camera : dict
-        Camera parameters, and ``which`` of the scene's cameras.
     layers : LayerSelection
     arguments : dict
         Arguments of `raystream.render` or `raystream.heatmap` that do not depend on the scene.
@@ -126,7 +126,6 @@ class RenderJob:
     chosen: TracerArguments
     mode: str
     size: tuple[int, int]
-    camera: dict[str, Any]
     layers: LayerSelection
     arguments: dict[str, Any]
 
@@ -147,12 +146,13 @@ class RenderJob:
             If options are invalid or contradict each other.
         """
         size = width, height = options.parse_size(image.size)
-        camera = {} if image.camera is None else options.parse_camera(image.camera)
-        if not image.is_animation:
+        if not (image.is_animation or image.output == STDOUT):
             inputs = [scene, str(image.lighting.environment or scene)]
             options.check_output(image.output, (".png", ".exr"), inputs)
         chosen = tracing.arguments()
-        layers = image.layers.select(image.output)
+        mode = image.mode or options.DEFAULT_MODE
+        is_image = image.heat.heatmap is None
+        layers = image.layers.select(image.output, is_image and is_denoised(mode, image.sampling))
         image.lighting.check()
         if image.is_animation:
             _refuse_beside_frames(options_given(image.heat) | {"time": loading.time})
@@ -163,25 +163,19 @@ class RenderJob:
 
         if width * height > MAX_PIXELS:
             raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
-        mode = image.mode or options.MODES[0]
-        if image.heat.heatmap is not None:
+        if not is_image:
             sampling = image.sampling
             arguments: dict[str, Any] = {"samples": sampling.samples or 1, "seed": sampling.seed}
         else:
             arguments = mode_arguments(mode, image.sampling, chosen.options)
             arguments["lights"] = image.lighting.lights or options.LIGHTS[0]
             arguments["layers"] = layers.rendered
-        return cls(scene, image, loading, workers, chosen, mode, size, camera, layers, arguments)
+        return cls(scene, image, loading, workers, chosen, mode, size, layers, arguments)
 
     def view(self, scene: Scene) -> tuple[Scene, Camera]:
         """Return a scene with the chosen one of its cameras, and that camera as changed."""
-        parts = dict(self.camera)
-        which = parts.pop("which", None)
-        with refuse(ValueError, where="--camera"):
-            if which is not None:
-                scene = scene.replace(camera=which)
-            width, height = self.size
-            return scene, dataclasses.replace(scene.camera_for(width / height), **parts)
+        width, height = self.size
+        return self.image.view.of(scene, width / height)
 
 
 def _refuse_beside_frames(given: dict[str, Any]) -> None:

@@ -17,7 +17,8 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.console import one_line, refuse, write_line, write_note
+from raystream.cli.camera_options import CameraOptions
+from raystream.cli.console import one_line, write_line, write_note
 from raystream.cli.load import Stopwatch, choose_threads, open_tracer
 from raystream.cli.option_groups import expand_groups
 from raystream.cli.render import DEFAULT_SCENE
@@ -88,18 +89,15 @@ def view(
         str | None,
         options.choice(
             options.MODES,
-            f"Initial renderer: {' or '.join(options.MODES)} [default: {options.MODES[0]}]",
+            f"Initial renderer: {' or '.join(options.MODES)} [default: raycast]",
         ),
     ] = None,
-    camera: Annotated[
-        str | None, typer.Option(metavar="PARTS", help="Initial camera, as for render.")
-    ] = None,
+    camera: CameraOptions,
     tracing: TracerOptions,
     threads: options.Threads = None,
     loading: options.SceneOptions,
 ) -> None:
     """Explore a scene in the browser. Without SCENE, shows robots in a city."""
-    parts = {} if camera is None else options.parse_camera(camera)
     chosen = tracing.arguments()
     choose_threads(threads)
     from raystream.viewer.serve import ViewServer, bind, require_packages
@@ -108,7 +106,7 @@ def view(
     with exiting_on_signals(), bind(server.host, server.port) as listener:
         with Bars() as bars:
             tracer = open_tracer(scene, loading, chosen, bars, Stopwatch())
-        _set_camera(tracer, parts)
+        _set_camera(tracer, camera)
         from raystream.viewer.render_service import RenderService
 
         settings: dict[str, Any] = {} if mode is None else {"mode": mode}
@@ -123,15 +121,10 @@ def view(
             running.wait()
 
 
-def _set_camera(tracer: Tracer, parts: dict[str, Any]) -> None:
+def _set_camera(tracer: Tracer, camera: CameraOptions) -> None:
     """Set the initial camera."""
-    scene, which = tracer.scene, parts.pop("which", None)
-    with refuse(ValueError, where="--camera"):
-        if which is not None:
-            scene = scene.replace(camera=which)
-        if parts:
-            scene = scene.replace(camera=dataclasses.replace(scene.camera, **parts))
-    tracer.update(scene)
+    scene, view = camera.of(tracer.scene, 4.0 / 3.0)
+    tracer.update(scene.replace(camera=view) if camera.changes else scene)
 
 
 def _announce(server: ViewServer, browser: bool | None) -> None:

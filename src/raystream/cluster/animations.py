@@ -25,10 +25,10 @@ from raystream.cluster.tracer_bundles import (
 from raystream.cluster.uploader import Uploader, uploader_of
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
-from raystream.rendering.arguments import check_samples, check_size
+from raystream.rendering.arguments import check_size
 from raystream.rendering.frames import frame_seed, split_options, timeline_of
 from raystream.rendering.image import Image
-from raystream.rendering.render import render
+from raystream.rendering.render import RENDERERS, render
 from raystream.scene.animation import Timeline
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion
@@ -53,10 +53,10 @@ _moving = threading.local()
 
 def render_frames(
     scene: Scene,
-    mode: str = "raycast",
+    mode: str = "path",
     frames: slice | int | Iterable[int] | None = None,
     size: tuple[int, int] = (1024, 768),
-    samples: int = 1,
+    samples: int | None = None,
     structure: str | StructureOptions = "bvh",
     device: str | DeviceOptions = "cpu",
     *,
@@ -109,17 +109,18 @@ def render_frames(
         raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
     width, height = check_size(size)
     of_image, of_tracer = split_options(mode, options)
+    sample_count = RENDERERS[mode].samples(samples)
     timeline = timeline_of(scene, camera, fps)
     numbers = timeline.chosen(frames)
     if camera is None and not scene.has_own_camera:
         camera = scene.camera_for(width / height)
-    of_image |= {"mode": mode, "size": (width, height), "samples": check_samples(samples)}
+    of_image |= {"mode": mode, "size": (width, height), "samples": sample_count}
     animation = _Animation(
         scene, timeline, numbers, camera, seed, of_image, structure, device, of_tracer
     )
 
     def images() -> Iterator[tuple[int, Image]]:
-        rays = width * height * samples
+        rays = width * height * sample_count
         with open_client(client) as found:
             sender = _Sender(uploader_of(found), animation)
             window = FRAMES_PER_THREAD * thread_total(found)

@@ -14,7 +14,7 @@ from raystream.cluster.tracer_bundles import pack_tracer
 from raystream.cluster.uploader import uploader_of
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
-from raystream.rendering.arguments import check_camera, check_samples, check_size
+from raystream.rendering.arguments import check_camera, check_size
 from raystream.rendering.image import Image
 from raystream.rendering.integrator import make_context
 from raystream.rendering.layers import choose_layers
@@ -35,9 +35,9 @@ __all__ = ["render"]
 
 def render(
     scene: Scene | Tracer,
-    mode: str = "raycast",
+    mode: str = "path",
     size: tuple[int, int] = (1024, 768),
-    samples: int = 1,
+    samples: int | None = None,
     structure: str | StructureOptions = "bvh",
     device: str | DeviceOptions = "cpu",
     *,
@@ -106,11 +106,11 @@ def render(
         known = ", ".join(repr(known) for known in RENDERERS)
         raise ValueError(f"mode: expected one of {known}, got {mode!r}")
     width, height = check_size(size)
-    limits = Limits(check_samples(samples), noise, time_limit)
     check_camera(camera)
     check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
+    limits = Limits(renderer.samples(samples), noise, time_limit)
     given = [name for name in (*renderer.options, "preset") if name in options]
     own = renderer.complete({name: options.pop(name) for name in given})
     chosen = renderer.check(own)

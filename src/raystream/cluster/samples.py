@@ -24,6 +24,7 @@ from raystream.rendering.progressive import Sampled, trace_sample
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers
+from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def _context(digest: str, image_spec: str) -> RenderContext:
     width, height = asked["size"]
     with warnings.catch_warnings():  # the client has already warned
         warnings.simplefilter("ignore", RaystreamWarning)
-        return make_context(
+        context = make_context(
             tracer_of(digest),
             Camera(**asked["camera"]),
             (width, height),
@@ -121,6 +122,7 @@ def _context(digest: str, image_spec: str) -> RenderContext:
             asked["layers"],
             asked["lights"],
         )
+        return lit(renderer, context)  # the same on all workers
 
 
 class Samples:

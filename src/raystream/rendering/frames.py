@@ -10,8 +10,9 @@ import numpy as np
 
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
-from raystream.rendering.arguments import check_samples, check_size
+from raystream.rendering.arguments import check_size
 from raystream.rendering.image import Image
+from raystream.rendering.lighting import MEASURED
 from raystream.rendering.render import RENDERERS, render
 from raystream.scene.animation import FPS, Timeline
 from raystream.scene.camera import Camera
@@ -38,10 +39,10 @@ def frame_seed(seed: int, frame: int) -> int:
 
 def render_frames(
     scene: Scene,
-    mode: str = "raycast",
+    mode: str = "path",
     frames: slice | int | Iterable[int] | None = None,
     size: tuple[int, int] = (1024, 768),
-    samples: int = 1,
+    samples: int | None = None,
     structure: str | StructureOptions = "bvh",
     device: str | DeviceOptions = "cpu",
     *,
@@ -77,7 +78,8 @@ def render_frames(
     iterator of (int, Image)
         Number and image of each frame, rendered on demand. Frame i is ``render(scene.at(time),
         ..., seed=frame_seed(seed, i))`` at the time ``start + i / fps``, bit for bit if both trace
-        in the same local frame, as ordinary scenes do.
+        in the same local frame, as ordinary scenes do. ``lights="auto"`` depends on no frame's
+        view, else the light would flicker.
 
     Raises
     ------
@@ -106,15 +108,16 @@ def render_frames(
         raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
     width, height = check_size(size)
     image_options, tracer_options = split_options(mode, options)
+    sample_count = RENDERERS[mode].samples(samples)
     timeline = timeline_of(scene, camera, fps)
     numbers = timeline.chosen(frames)
     if camera is None and not scene.has_own_camera:
         camera = scene.camera_for(width / height)
-    image_options |= {"size": (width, height), "samples": check_samples(samples)}
+    image_options |= {"size": (width, height), "samples": sample_count}
     shown = (
         None
         if progress is None
-        else _FrameProgress(progress, len(numbers), width * height * samples)
+        else _FrameProgress(progress, len(numbers), width * height * sample_count)
     )
 
     def images() -> Iterator[tuple[int, Image]]:
@@ -149,6 +152,8 @@ def split_options(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any]
             raise TypeError(f"{name}: only for a single image; render each frame by itself")
     own = set(inspect.signature(render).parameters) | {*RENDERERS[mode].options, "preset"}
     image_options = {name: value for name, value in options.items() if name in own}
+    if image_options.get("lights", "auto") == "auto":
+        image_options["lights"] = MEASURED
     return image_options, {name: value for name, value in options.items() if name not in own}
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from raystream.rendering.color import encode_srgb
 from raystream.rendering.exr import read_exr, write_exr
 from raystream.rendering.layers import check_layers
 from raystream.rendering.png import read_png, write_png
-from raystream.rendering.tone import apply_tone, check_tone
+from raystream.rendering.tone import apply_tone, auto_exposure, check_tone
 
 if TYPE_CHECKING:
     from raystream.rendering.compare import Comparison
@@ -99,7 +99,11 @@ class Image:
         return self.pixels.shape[1], self.pixels.shape[0]
 
     def save(
-        self, path: str | PathLike[str], *, exposure: float = 1.0, tone: str = "linear"
+        self,
+        path: str | PathLike[str],
+        *,
+        exposure: float | Literal["auto"] = 1.0,
+        tone: str = "linear",
     ) -> None:
         """Write the image to a file, atomically.
 
@@ -108,8 +112,9 @@ class Image:
         path : str or path
             ``.png``: sRGB, 8 bits. ``.exr``: linear float32 (needs ``raystream[exr]``), with
             the layers as extra channels.
-        exposure : float
-            Factor on the colours of a PNG; not applied to EXR.
+        exposure : float or "auto"
+            Factor on the colours of a PNG; not applied to EXR. ``"auto"`` chooses one that shows
+            the image, see `tone.auto_exposure`.
         tone : {"linear", "reinhard", "aces"}
             Tone curve of a PNG, after `exposure`; see `raystream.rendering.tone`.
 
@@ -127,26 +132,43 @@ class Image:
         writer = _WRITERS.get(target.suffix.lower())
         if writer is None:
             raise ValueError(f"{target}: the name must end in {' or '.join(_WRITERS)}")
-        _check_exposure(exposure)
+        factor = self._factor(exposure)
         check_tone(tone)
         with atomic_write(target) as temporary:
-            writer(self, str(temporary), exposure, tone)
+            writer(self, str(temporary), factor, tone)
 
-    def to_bytes(self, exposure: float = 1.0, tone: str = "linear") -> NDArray[np.uint8]:
+    def to_bytes(
+        self, exposure: float | Literal["auto"] = 1.0, tone: str = "linear"
+    ) -> NDArray[np.uint8]:
         """Encode as sRGB.
 
         Parameters
         ----------
-        exposure : float
+        exposure : float or "auto"
+            See `save`.
         tone : {"linear", "reinhard", "aces"}
 
         Returns
         -------
         ndarray of shape (H, W, 3), uint8
         """
+        factor = self._factor(exposure)
         if tone == "linear":
-            return encode_srgb(self.pixels, exposure)
-        return encode_srgb(apply_tone(self.pixels.astype(np.float64) * exposure, tone))
+            return encode_srgb(self.pixels, factor)
+        return encode_srgb(apply_tone(self.pixels.astype(np.float64) * factor, tone))
+
+    def _factor(self, exposure: float | str) -> float:
+        if exposure == "auto":
+            return auto_exposure(self.pixels)
+        if isinstance(exposure, str) or not (math.isfinite(exposure) and exposure > 0.0):
+            raise ValueError(f"exposure: expected a number above 0 or 'auto', got {exposure!r:.40}")
+        return float(exposure)
+
+    def to_png(self, exposure: float | Literal["auto"] = 1.0, tone: str = "linear") -> bytes:
+        """The content of a PNG file; see `save`."""
+        buffer = io.BytesIO()
+        write_png(buffer, self.to_bytes(exposure, tone))
+        return buffer.getvalue()
 
     def denoise(self, *, passes: int = 5, strength: float = 4.0) -> Image:
         """Remove noise from a rendered image, preserving edges.
@@ -252,9 +274,7 @@ class Image:
     def _repr_png_(self) -> bytes:
         """Show the image in a notebook, reduced if it is larger than a screen."""
         step = -(-max(self.size) // _MOST_SHOWN)
-        buffer = io.BytesIO()
-        write_png(buffer, (Image(_reduced(self.pixels, step)) if step > 1 else self).to_bytes())
-        return buffer.getvalue()
+        return (Image(_reduced(self.pixels, step)) if step > 1 else self).to_png()
 
     def __repr__(self) -> str:
         return f"Image({self.size[0]}x{self.size[1]})"
@@ -276,8 +296,3 @@ def _reduced(pixels: NDArray[np.float32], step: int) -> NDArray[np.float32]:
         counts = np.diff(begins, append=length).astype(np.float32)
         pixels = np.divide(sums, counts.reshape(-1, *(1,) * (2 - axis)), dtype=np.float32)
     return pixels
-
-
-def _check_exposure(exposure: float) -> None:
-    if not (math.isfinite(exposure) and exposure > 0.0):
-        raise ValueError(f"exposure: expected a number above 0, got {exposure}")

@@ -22,6 +22,7 @@ from raystream.core.errors import RaystreamWarning
 from raystream.core.hits import Hits
 from raystream.jit.threads import Progress
 from raystream.programs.filters import Bound
+from raystream.rendering.arguments import check_samples
 from raystream.rendering.device_bands import DeviceBands
 from raystream.rendering.lighting import has_visible_light
 from raystream.rendering.opacity import Opacity, filter_of
@@ -78,8 +79,8 @@ class RenderContext:
         The arrays at the tables' addresses, to keep them alive.
     layers : sequence of str
         Names in `LAYERS` to render.
-    chosen_lights : {"auto", "file"}
-        See `lighting.needs_light`.
+    chosen_lights : {"auto", "file", "added"}
+        See `lighting.needs_light`, and `view_light.lit`.
     bands : DeviceBands, optional
         Renders samples on the tracer's device, or in loops of its machine, if it can.
     """
@@ -111,16 +112,24 @@ class RenderContext:
         """
         scene, chosen = self.tracer.scene, self.chosen_lights
         punctual, kept_punctual = punctual_lights_of(scene, camera, chosen)
+        lights, kept_lights = self.lights, self.kept[1]
+        if chosen == "added":  # one of them is at the eye
+            lights, kept_lights = lights_of(scene, camera, chosen)
         width, height = size or (self.width, self.height)
         made = replace(
             self,
             camera=camera,
             width=width,
             height=height,
+            lights=lights,
             punctual=punctual,
-            kept=(self.kept[0], self.kept[1], kept_punctual),
+            kept=(self.kept[0], kept_lights, kept_punctual),
         )
         return made.with_bands()
+
+    def with_lights(self, chosen: str) -> RenderContext:
+        """The same with another choice of lights; see `lighting.needs_light`."""
+        return replace(self, chosen_lights=chosen).seen_by(self.camera)
 
     def with_bands(self) -> RenderContext:
         """The same with `bands` of the tracer's device or machine."""
@@ -146,7 +155,7 @@ def make_context(
     tables, kept_tables = tables_of(tracer.scene)
     if options.get("diffuse_only"):
         tables = tables._replace(kinds=tables.kinds & (EMITS | IS_TEXTURED))
-    lights, kept_lights = lights_of(tracer.scene, chosen_lights)
+    lights, kept_lights = lights_of(tracer.scene, camera, chosen_lights)
     if not options.get("light_samples", True) and not has_visible_light(
         tracer.scene, chosen_lights
     ):
@@ -246,6 +255,8 @@ class Integrator:
         the smaller are bands.
     presets : mapping of str to mapping
         Named sets of options.
+    default_samples : int
+        Samples per pixel of an image for which none are given.
     """
 
     name: str
@@ -255,6 +266,7 @@ class Integrator:
     check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
     rays_per_pixel: Callable[[RenderContext], int] = lambda _: 1
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    default_samples: int = 1
 
     def complete(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """All options: those given, then those of the preset that is given, then defaults.
@@ -272,6 +284,10 @@ class Integrator:
             known = " or ".join(map(repr, self.presets)) or f"none, in mode {self.name!r}"
             raise ValueError(f"preset: expected {known}, got {preset!r:.40}")
         return {**self.options, **self.presets[preset], **chosen}
+
+    def samples(self, given: int | None) -> int:
+        """Samples per pixel: those given, checked, or the default; raises ValueError."""
+        return self.default_samples if given is None else check_samples(given)
 
     def bands_of(self, context: RenderContext) -> DeviceBands | None:
         """The renderer of its samples on a device; None if the host renders, as for layers."""

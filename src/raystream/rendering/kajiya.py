@@ -26,4 +26,5 @@ KAJIYA = Integrator(
     PATH_STAGES,
     {"max_bounces": 3, "clamp": math.inf},
     _check,
+    default_samples=16,
 )

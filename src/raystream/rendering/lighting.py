@@ -16,20 +16,27 @@ from raystream.scene.scene import Scene
 
 __all__ = [
     "ADDED",
+    "HEADLIGHT",
     "LEAST_LIGHT",
     "LIGHTS",
+    "MEASURED",
     "PatchLight",
     "added_light",
     "area_patches",
     "check_lights",
     "has_visible_light",
+    "is_dark_by_intent",
     "needs_light",
     "punctual_lights",
+    "surrounding_radiance",
 ]
 
-#: The scene's lights, with another one if they are too weak to see anything; or the scene's
-#: lights only.
-LIGHTS = ("auto", "file")
+#: The scene's lights, with others if they are too weak or do not reach what the camera sees; the
+#: scene's lights only; or the scene's lights and others in any case.
+LIGHTS = ("auto", "file", "added")
+
+#: As "auto", whatever the camera sees: for the frames of an animation, and views that move.
+MEASURED = "measured"
 
 #: Least mean radiance of white surfaces; below it, lights are too weak. A screen's white is about a
 #: thousand times as bright as its black.
@@ -40,6 +47,9 @@ ADDED = {
     **dict.fromkeys(("raycast", "shadow", "whitted"), "a light at the eye"),
     **dict.fromkeys(("kajiya", "path"), "a white sky"),
 }
+
+#: Radiance of a white surface that faces the light at the eye, which paths get beside the sky.
+HEADLIGHT = 0.5
 
 #: Emissive triangles count as one flat patch if their normals add up to this much of their
 #: area, and as a light bulb otherwise.
@@ -99,7 +109,7 @@ def area_patches(scene: Scene) -> list[PatchLight]:
 
 def check_lights(lights: str) -> None:
     """Raise ValueError if `lights` is not in `LIGHTS`."""
-    if lights not in LIGHTS:
+    if lights not in (*LIGHTS, MEASURED):
         known = " or ".join(map(repr, LIGHTS))
         raise ValueError(f"lights: expected {known}, got {lights!r:.40}")
 
@@ -116,8 +126,8 @@ def needs_light(
     Parameters
     ----------
     scene : Scene
-    lights : {"auto", "file"}
-        ``"file"`` never needs a light.
+    lights : {"auto", "file", "added"}
+        ``"file"`` never needs a light, ``"added"`` always does.
     background : Color
         Radiance of the background, for modes in which it lights the scene.
     patches : sequence of PatchLight, optional
@@ -133,17 +143,21 @@ def needs_light(
 
     A scene whose lights are all black is meant to be dark, and needs no light.
     """
-    if lights == "file":
+    if lights in ("file", "added"):
+        return lights == "added"
+    if is_dark_by_intent(scene):
         return False
-    radiance = _listed_radiance(scene)
-    if scene.lights and not radiance.any():
-        return False
-    radiance = radiance + background
+    radiance = _listed_radiance(scene) + background
     if radiance.max() < LEAST_LIGHT:
         radiance = radiance + _area_radiance(
             scene, area_patches(scene) if patches is None else patches
         )
     return bool(radiance.max() < LEAST_LIGHT)
+
+
+def is_dark_by_intent(scene: Scene) -> bool:
+    """Whether a scene has lights, which are all off."""
+    return bool(scene.lights) and not _listed_radiance(scene).any()
 
 
 def has_visible_light(scene: Scene, lights: str = "auto") -> bool:
@@ -154,7 +168,7 @@ def has_visible_light(scene: Scene, lights: str = "auto") -> bool:
     Parameters
     ----------
     scene : Scene
-    lights : {"auto", "file"}
+    lights : {"auto", "file", "added"}
         See `needs_light`.
     """
     sky = np.array(scene.background)
@@ -166,7 +180,7 @@ def has_visible_light(scene: Scene, lights: str = "auto") -> bool:
 
 
 def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
-    """Name the light that a mode adds to a scene's own lights, if these are too weak.
+    """Name the light that a mode adds to a scene's own lights, if these do not suffice.
 
     Returns
     -------
@@ -176,7 +190,10 @@ def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
     if mode not in ADDED or not (scene.lights or scene.area_lights):
         return ""
     seen = scene.background if ADDED[mode] == "a white sky" else (0.0, 0.0, 0.0)
-    return ADDED[mode] if needs_light(scene, lights, background=seen) else ""
+    if not needs_light(scene, lights, background=seen):
+        return ""
+    has_sky = lights == "added" and mode in ("kajiya", "path")
+    return f"{ADDED[mode]} and a light at the eye" if has_sky else ADDED[mode]
 
 
 def punctual_lights(
@@ -190,7 +207,7 @@ def punctual_lights(
     camera : Camera
     patches : sequence of PatchLight
         The scene's area lights.
-    lights : {"auto", "file"}
+    lights : {"auto", "file", "added"}
         See `needs_light`.
 
     Returns
@@ -212,6 +229,27 @@ def punctual_lights(
     if needs_light(scene, lights, patches=patches):
         found = (*found, PointLight(camera.eye, (1.0, 1.0, 1.0), falloff="none"))
     return found
+
+
+def surrounding_radiance(scene: Scene, lights: Sequence[Light]) -> NDArray[np.float64]:
+    """Radiance of what surrounds a surface, which rough metal reflects without rays, shape (3,).
+
+    Parameters
+    ----------
+    scene : Scene
+    lights : sequence of Light
+        From `punctual_lights`.
+
+    Returns
+    -------
+    ndarray of shape (3,), float64
+        Of ambient light, and of grey surfaces (reflectance 1/2) under the mean irradiance of the
+        others.
+    """
+    ambient = [light for light in lights if isinstance(light, EnvironmentLight)]
+    others = [light for light in lights if not isinstance(light, EnvironmentLight)]
+    sky: NDArray[np.float64] = sum((np.array(light.radiance) for light in ambient), np.zeros(3))
+    return sky + 0.5 * _radiance_of(scene, others)
 
 
 def _listed_lights(scene: Scene) -> tuple[Light, ...]:
@@ -243,10 +281,14 @@ def _listed_radiance(scene: Scene) -> NDArray[np.float64]:
 
     Negative light does not count.
     """
+    return _radiance_of(scene, _listed_lights(scene))
+
+
+def _radiance_of(scene: Scene, lights: Sequence[Light]) -> NDArray[np.float64]:
     # A sphere with the box's area: all points inside give the same mean irradiance.
-    near = max(_box_area(scene) / (4.0 * np.pi), 1e-30) if scene.lights else 1.0
+    near = max(_box_area(scene) / (4.0 * np.pi), 1e-30) if lights else 1.0
     radiance = np.zeros(3)
-    for light in _listed_lights(scene):
+    for light in lights:
         if isinstance(light, EnvironmentLight):
             shown = np.array(light.radiance)
         elif isinstance(light, DirectionalLight):

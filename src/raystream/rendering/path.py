@@ -79,4 +79,5 @@ PATH = Integrator(
     {"max_bounces": 8, "light_samples": True, "clamp": math.inf, "diffuse_only": False},
     check_path,
     presets=PRESETS,
+    default_samples=16,
 )

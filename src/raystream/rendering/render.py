@@ -9,7 +9,7 @@ from typing import Any
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.ao import AO
-from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
+from raystream.rendering.arguments import check_camera, check_size, make_tracer
 from raystream.rendering.image import Image
 from raystream.rendering.integrator import Integrator, make_context
 from raystream.rendering.kajiya import KAJIYA
@@ -20,6 +20,7 @@ from raystream.rendering.progressive import Limits, render_samples
 from raystream.rendering.raycast import RAYCAST
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shadow import SHADOW
+from raystream.rendering.view_light import kept_choice, lit
 from raystream.rendering.vis import VIS
 from raystream.rendering.whitted import WHITTED
 from raystream.rendering.xray import XRAY
@@ -40,9 +41,9 @@ MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDER
 
 def render(
     scene: Scene | Tracer,
-    mode: str = "raycast",
+    mode: str = "path",
     size: tuple[int, int] = (1024, 768),
-    samples: int = 1,
+    samples: int | None = None,
     structure: str | StructureOptions = "bvh",
     device: str | DeviceOptions = "cpu",
     *,
@@ -65,12 +66,13 @@ def render(
     scene : Scene or Tracer
         A tracer avoids rebuilding the structure for every image.
     mode : {"raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path"}
-        See `MODES`. The default, the fastest, shades surfaces without shadows; ``"whitted"``
-        adds shadows, mirrors and glass; ``"path"`` renders global illumination.
+        See `MODES`. ``"path"`` renders global illumination; ``"raycast"``, the fastest, shades
+        surfaces without shadows; ``"whitted"`` adds shadows, mirrors and glass.
     size : (int, int)
         Width and height in pixels.
-    samples : int
-        Rays per pixel. One goes through the centre; more reduce aliasing and noise.
+    samples : int, optional
+        Rays per pixel. One goes through the centre; more reduce aliasing and noise [default: 16
+        for ``"path"`` and ``"kajiya"``, which have noise, else 1].
     structure, device
         See `Tracer`; not allowed if `scene` is a tracer.
     **options
@@ -86,11 +88,12 @@ def render(
         passed to the tracer.
     camera : Camera, optional
         The view [default: the scene's camera, or one that frames it].
-    lights : {"auto", "file"}
+    lights : {"auto", "file", "added"}
         ``"auto"`` adds a light if the scene has none, or if its lights are too weak to see
         anything: a white sky (``"path"``, ``"kajiya"``), or a headlight (``"raycast"``,
-        ``"shadow"``, ``"whitted"``); see `lighting.needs_light` for the criterion. ``"file"``
-        uses the scene's lights only.
+        ``"shadow"``, ``"whitted"``); see `lighting.needs_light` for the criterion. If what the
+        camera sees is dark nevertheless, as in a closed room, paths get both; see
+        `view_light.lit`. ``"file"`` uses the scene's lights only; ``"added"`` adds in any case.
     seed : int
         Of the samples: the same seed gives the same image, on any number of threads.
     noise, time_limit : float, optional
@@ -138,11 +141,11 @@ def render(
         known = ", ".join(repr(known) for known in RENDERERS)
         raise ValueError(f"mode: expected one of {known}, got {mode!r}")
     width, height = check_size(size)
-    samples = check_samples(samples)
     check_camera(camera)
     check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
+    samples = renderer.samples(samples)
     limits = Limits(samples, noise, time_limit)
     own = [name for name in (*renderer.options, "preset") if name in options]
     chosen = renderer.check(renderer.complete({name: options.pop(name) for name in own}))
@@ -150,6 +153,9 @@ def render(
     tracer = make_tracer(scene, structure, device, options)
     view = camera or tracer.scene.camera_for(width / height)
     context = make_context(tracer, view, (width, height), numbers, chosen, wanted, lights)
-    return render_samples(
+    context = lit(renderer, context)
+    image = render_samples(
         renderer, context, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
     )
+    image.figures["lights"] = kept_choice(context)
+    return image

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from raystream.rendering.color import luminance
 
-__all__ = ["TONES", "apply_tone", "check_tone"]
+__all__ = ["TONES", "apply_tone", "auto_exposure", "check_tone"]
+
+#: Luminance that `auto_exposure` gives the mean of what is seen, and the bright parts.
+_MIDDLE_GREY, _BRIGHT = 0.18, 0.9
+
+#: Bright parts are the brightest fiftieth; pixels darker than these by this factor are not seen.
+_BRIGHT_SHARE, _LEAST_SEEN = 0.98, 1e-4
 
 
 def apply_tone(pixels: NDArray[Any], tone: str) -> NDArray[np.float32]:
@@ -42,6 +48,36 @@ def apply_tone(pixels: NDArray[Any], tone: str) -> NDArray[np.float32]:
     light = np.nan_to_num(np.asarray(pixels, np.float64), nan=0.0, posinf=most, neginf=0.0)
     np.clip(light, 0.0, most, out=light)
     return TONES[tone](light).astype(np.float32)
+
+
+def auto_exposure(pixels: NDArray[Any]) -> float:
+    """Choose an exposure factor that shows an image.
+
+    Parameters
+    ----------
+    pixels : ndarray of shape (H, W, 3), float
+        Linear RGB.
+
+    Returns
+    -------
+    float
+        The larger of two factors: the brightest fiftieth of the pixels nearly reaches white; or the
+        geometric mean of the pixels that are not black becomes middle grey (the key of [1]_), so
+        that a lamp or a window in view does not darken a room. 1 for a black image.
+
+    References
+    ----------
+    .. [1] Reinhard, Stark, Shirley and Ferwerda, "Photographic Tone Reproduction for Digital
+       Images", SIGGRAPH 2002, equations 1 and 2.
+    """
+    bright = luminance(np.asarray(pixels, np.float64)).ravel()
+    bright = bright[np.isfinite(bright) & (bright > 0.0)]
+    if not len(bright):
+        return 1.0
+    most = float(np.quantile(bright, _BRIGHT_SHARE))
+    seen = bright[bright > _LEAST_SEEN * most]
+    key = float(np.exp(np.log(seen).mean()))
+    return min(max(_BRIGHT / most, _MIDDLE_GREY / key), float(np.finfo(np.float32).max))
 
 
 def check_tone(tone: str) -> None:

@@ -330,6 +330,11 @@ class Scene:
         return self.camera_for(4.0 / 3.0)
 
     @property
+    def has_lights(self) -> bool:
+        """Whether the scene has lights, or surfaces that emit light."""
+        return bool(self.lights) or bool(self.area_lights)
+
+    @property
     def has_own_camera(self) -> bool:
         """Whether the scene has a camera, rather than a default one that frames the bounds."""
         return self._views.camera is not None

@@ -54,7 +54,7 @@ def surface_arrays(context: RenderContext) -> list[tuple[str, NDArray[Any]]]:
 
 def punctual_rows(context: RenderContext) -> NDArray[np.float32]:
     """Rows of ``punctual_lights.wgsl``, with what is left of positions: shape (L, 15), float32."""
-    rows, _ = light_rows(context.tracer.scene, context.camera, context.chosen_lights)
+    rows, _, _ = light_rows(context.tracer.scene, context.camera, context.chosen_lights)
     return np.column_stack([rows, _rest(rows[:, :3])]).astype(np.float32)
 
 

@@ -40,6 +40,7 @@ __all__ = [
     "eval_reflection",
     "fresnel",
     "lobes_at",
+    "reflected_surroundings",
     "refracted",
 ]
 
@@ -215,6 +216,24 @@ def lobes_at(tables, point):
         select(point.is_front, ior, _WHOLE / ior),
         alpha,
     )
+
+
+@device
+def reflected_surroundings(lobes, lights):
+    """What the rough lobe of a glTF material reflects of its surroundings, without rays.
+
+    Else metal would be black but for highlights.
+
+    Parameters
+    ----------
+    lobes : Lobes
+    lights : PunctualLights
+    """
+    red, green, blue = lights.surroundings
+    around = np.float32(red), np.float32(green), np.float32(blue)
+    nothing = lobes.alpha * _NULL
+    color = times(lobes.specular, around)
+    return chosen(lobes.alpha > _NULL, color, (nothing, nothing, nothing))
 
 
 @device

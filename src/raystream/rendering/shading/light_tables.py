@@ -7,6 +7,7 @@ proportional to their light at the scene's centre; an emissive triangle's to its
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +15,13 @@ from numpy.typing import NDArray
 
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import image_light
-from raystream.rendering.lighting import needs_light
+from raystream.rendering.lighting import HEADLIGHT, needs_light
 from raystream.rendering.shading.discrete_distribution import running_sums
 from raystream.rendering.shading.sky import Sky, sky_of
 from raystream.rendering.shading.textures import address_of
 from raystream.rendering.vertex_attributes import check_rows
-from raystream.scene.lights import DirectionalLight, EnvironmentLight
+from raystream.scene.camera import Camera
+from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
 from raystream.scene.scene import Scene
 
 __all__ = ["LightTables", "lights_of"]
@@ -73,21 +75,28 @@ class LightTables(NamedTuple):
     is_dark: bool
 
 
-def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
+def lights_of(
+    scene: Scene, camera: Camera | None = None, chosen: str = "auto"
+) -> tuple[LightTables, object]:
     """Make the tables of a scene's lights, with a white sky if it needs light.
 
     Parameters
     ----------
     scene : Scene
-    chosen : {"auto", "file"}
-        See `lighting.needs_light`.
+    camera : Camera, optional
+        Where the light at the eye is, for ``"added"``.
+    chosen : {"auto", "file", "added"}
+        See `lighting.needs_light`; ``"added"`` adds a light at the eye, too.
 
     Raises
     ------
     ValueError, FileFormatError, ImportError
         See `environment.image_light`, `environment.texels_of` and `check_rows`.
     """
-    points, suns, color = _far_lights(scene)
+    lights = scene.lights
+    if chosen == "added" and camera is not None:
+        lights = (*lights, PointLight(camera.eye, (HEADLIGHT,) * 3, falloff="none"))
+    points, suns, color = _far_lights(scene, lights)
     prims = np.concatenate(
         [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
     )
@@ -139,13 +148,13 @@ def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
 
 
 def _far_lights(
-    scene: Scene,
+    scene: Scene, lights: Sequence[Light]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Rows of point and of directional lights, and the sky's constant radiance."""
     frame = scene.triangles
     scale = float(frame.scale)
     points, suns, sky = np.empty((0, 7)), np.empty((0, 6)), np.array(scene.background, np.float64)
-    for light in scene.lights:
+    for light in lights:
         if isinstance(light, EnvironmentLight):
             sky = sky + light.radiance if light.image is None else sky
         elif isinstance(light, DirectionalLight):

@@ -13,12 +13,18 @@ from raystream.jit.simd import (
     maximum,
     square_root,
 )
-from raystream.rendering.shading.bsdf import emitted, eval_reflection, lobes_at
+from raystream.rendering.shading.bsdf import (
+    emitted,
+    eval_reflection,
+    lobes_at,
+    reflected_surroundings,
+)
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.sky_lanes import sky_radiance_lanes
 from raystream.rendering.shading.streams import add_lights, batch_addresses, block_rows
 from raystream.rendering.shading.surface_points import surface_points
+from raystream.rendering.shading.tables import IS_ROUGH
 from raystream.rendering.shading.vectors import added, chosen, dot, scaled, times
 
 __all__ = ["facing_ratio_block", "shade_facing_ratio", "shade_unshadowed", "unshadowed_block"]
@@ -89,6 +95,8 @@ def unshadowed_block(first, batch, tables, lights):
     lobes = lobes_at(tables, point)
     red, green, blue = lights.ambient
     color = times(lobes.diffuse, (np.float32(red), np.float32(green), np.float32(blue)))
+    if tables.kinds & IS_ROUGH:
+        color = added(color, reflected_surroundings(lobes, lights), _WHOLE)
     glow = added(color, emitted(tables, point), _WHOLE)
     color = chosen(point.is_front, glow, color)
     for number in range(lights.light_count):

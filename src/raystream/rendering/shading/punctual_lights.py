@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from raystream.core.spawn import UNIT
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, maximum, minimum, narrow_lanes, select, square_root
-from raystream.rendering.lighting import PatchLight, area_patches, punctual_lights
+from raystream.rendering.lighting import (
+    PatchLight,
+    area_patches,
+    punctual_lights,
+    surrounding_radiance,
+)
 from raystream.rendering.shading.lights import LightSample
 from raystream.rendering.shading.sky import Sky, background_of
 from raystream.rendering.shading.surface_points import offset_at
@@ -51,6 +56,8 @@ class PunctualLights(NamedTuple):
     light_count : uint64
     ambient : tuple of three float
         Radiance from all directions, never blocked.
+    surroundings : tuple of three float
+        Radiance that rough metal reflects, see `lighting.surrounding_radiance`.
     sky : Sky
         Seen by rays that miss: the background, and the image of an environment light.
     """
@@ -58,6 +65,7 @@ class PunctualLights(NamedTuple):
     rows: np.uint64
     light_count: np.uint64
     ambient: Vector
+    surroundings: Vector
     sky: Sky
 
 
@@ -65,22 +73,25 @@ def punctual_lights_of(
     scene: Scene, camera: Camera, chosen: str = "auto"
 ) -> tuple[PunctualLights, object]:
     """A scene's lights, and the arrays to keep alive; see `lighting.punctual_lights`."""
-    table, ambient = light_rows(scene, camera, chosen)
+    table, ambient, surroundings = light_rows(scene, camera, chosen)
     sky, kept_sky = background_of(scene)
-    lights = PunctualLights(address_of(table), np.uint64(len(table)), _vector(ambient), sky)
+    lights = PunctualLights(
+        address_of(table), np.uint64(len(table)), _vector(ambient), _vector(surroundings), sky
+    )
     return lights, (table, kept_sky)
 
 
 def light_rows(
     scene: Scene, camera: Camera, chosen: str = "auto"
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rows of `PunctualLights`, shape (L, 12), and the ambient radiance, shape (3,)."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of `PunctualLights`, shape (L, 12), its ambient radiance and its surroundings."""
     frame = scene.triangles
     scale = float(frame.scale)
     patches = area_patches(scene)
     ambient = np.zeros(3)
     rows: list[list[float]] = []
-    for light in punctual_lights(scene, camera, patches, chosen):
+    found = punctual_lights(scene, camera, patches, chosen)
+    for light in found:
         row = [0.0] * _COLUMNS
         if isinstance(light, EnvironmentLight):
             ambient += light.radiance
@@ -95,7 +106,8 @@ def light_rows(
             row[_KIND] = _POINT if falls else _STEADY
         rows.append(row)
     rows += _patch_rows(scene, patches)
-    return np.array(rows, np.float64).reshape(-1, _COLUMNS), ambient
+    surroundings = surrounding_radiance(scene, found)
+    return np.array(rows, np.float64).reshape(-1, _COLUMNS), ambient, surroundings
 
 
 def _vector(values: NDArray[np.float64] | Sequence[float]) -> Vector:

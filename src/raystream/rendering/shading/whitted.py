@@ -16,7 +16,14 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import gather
 from raystream.rendering.shading.absorption import transmittance
-from raystream.rendering.shading.bsdf import emitted, eval_reflection, fresnel, lobes_at, refracted
+from raystream.rendering.shading.bsdf import (
+    emitted,
+    eval_reflection,
+    fresnel,
+    lobes_at,
+    reflected_surroundings,
+    refracted,
+)
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.shadow_rays import put_shadow_ray
 from raystream.rendering.shading.sky import sky_radiance
@@ -30,7 +37,7 @@ from raystream.rendering.shading.streams import (
     weights_of,
 )
 from raystream.rendering.shading.surface_points import spawn_origin, surface_point
-from raystream.rendering.shading.tables import ABSORBS
+from raystream.rendering.shading.tables import ABSORBS, IS_ROUGH
 from raystream.rendering.shading.vectors import added, dot, mirrored, scaled, times
 
 __all__ = ["WhittedOptions", "shade_whitted", "shade_whitted_path"]
@@ -131,6 +138,8 @@ def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
         )
     lobes = lobes_at(tables, point)
     add_light(radiance, pixel, weights, times(lobes.diffuse, lights.ambient), 1.0)
+    if tables.kinds & IS_ROUGH:
+        add_light(radiance, pixel, weights, reflected_surroundings(lobes, lights), 1.0)
     rays = _sample_all_lights(
         rays,
         pixel_id,

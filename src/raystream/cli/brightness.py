@@ -1,0 +1,109 @@
+"""Brightness on the command line: the exposure of images, and notes on black and white ones."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from raystream.cli.console import write_note
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from raystream.rendering.image import Image
+    from raystream.scene.camera import Camera
+    from raystream.scene.scene import Scene
+    from raystream.tracer import Tracer
+
+__all__ = ["Exposure", "parse_exposure", "report_blank"]
+
+#: Share of the pixels that are black, or white, in an image that is reported; and the bytes that
+#: count as such.
+_MOST, _BLACK, _WHITE = 0.99, 2, 253
+
+#: Modes that show light.
+LIT = ("raycast", "shadow", "whitted", "kajiya", "path")
+
+#: Of the view that is searched for surfaces.
+_SIZE = (64, 48)
+
+
+def parse_exposure(text: str | None) -> str | None:
+    """Accept ``auto`` or a number above 0; a callback of Typer."""
+    if text is None or text == "auto":
+        return text
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = math.nan
+    if not (math.isfinite(factor) and factor > 0.0):
+        raise typer.BadParameter(f"expected 'auto' or a number above 0, got {text!r:.40}")
+    return text
+
+
+class Exposure:
+    """The exposure factor of images.
+
+    Parameters
+    ----------
+    asked : str or None
+        ``"auto"``, a number, or None: automatic for scenes without lights, else 1.
+    scene : Scene
+    mode : str
+        Modes that show no light are exposed by 1.
+    is_fixed : bool
+        Whether all images get the factor of the first one, as frames do.
+    """
+
+    def __init__(
+        self, asked: str | None, scene: Scene, mode: str, *, is_fixed: bool = False
+    ) -> None:
+        self._asked = asked or ("1" if scene.has_lights or mode not in LIT else "auto")
+        self._is_fixed = is_fixed
+
+    def of(self, image: Image) -> float:
+        """The factor for an image."""
+        if self._asked != "auto":
+            return float(self._asked)
+        from raystream.rendering.tone import auto_exposure
+
+        factor = auto_exposure(image.pixels)
+        if self._is_fixed:
+            self._asked = repr(factor)
+        return factor
+
+
+def report_blank(
+    encoded: NDArray[np.uint8], tracer: Tracer, camera: Camera, chosen: dict[str, Any], mode: str
+) -> None:
+    """Report an image that is black, white or of no surface on stderr, with what mends it.
+
+    Parameters
+    ----------
+    encoded : ndarray of shape (H, W, 3), uint8
+    tracer : Tracer
+    camera : Camera
+    chosen : dict
+        Arguments of `raystream.render`.
+    mode : str
+    """
+    hits = tracer.first_hit(*camera.rays(*_SIZE))
+    if tracer.scene.triangle_count and not (hits.prim_id >= 0).any():
+        write_note("the camera sees no surface: --eye and --look-at move it")
+        return
+    is_black = float((encoded.max(axis=2) <= _BLACK).mean()) > _MOST
+    is_white = float((encoded.min(axis=2) >= _WHITE).mean()) > _MOST
+    if not (is_black or is_white) or mode in ("vis", "xray"):
+        return
+    if mode == "ao":
+        why = "--option distance=LENGTH changes how far away surfaces occlude"
+    elif is_white:
+        why = "it is overexposed; --exposure auto shows more"
+    elif chosen.get("lights") == "file":
+        why = "the scene's own lights do not reach what the camera sees; --lights auto adds others"
+    else:
+        why = "there is too little light; --exposure auto shows more, --lights added adds some"
+    write_note(f"the image is {'black' if is_black else 'white'}: {why}")

@@ -1,0 +1,130 @@
+"""Options of the view: one of the scene's cameras, and changes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.console import BadInputError
+
+if TYPE_CHECKING:
+    from raystream.scene.camera import Camera
+    from raystream.scene.scene import Scene
+
+__all__ = ["CameraOptions"]
+
+Vector = tuple[float, float, float]
+
+#: The library's projections, for help; a test compares them.
+PROJECTIONS = ("perspective", "orthographic", "equirectangular")
+
+#: Parameters of `Camera` whose option has another name.
+_NAMES = {"height": "view_height"}
+
+
+def _finite_vector(value: Vector | None) -> Vector | None:
+    """Accept three finite numbers or an omitted option."""
+    if value is not None and not all(map(math.isfinite, value)):
+        raise typer.BadParameter(f"expected three finite numbers, got {value}")
+    return value
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Options of the view."""
+
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="One of the scene's cameras, by name or number from 0; the next options "
+            "change it.",
+        ),
+    ] = None
+    eye: Annotated[
+        Vector | None,
+        typer.Option(metavar="X Y Z", callback=_finite_vector, help="Position of the camera."),
+    ] = None
+    look_at: Annotated[
+        Vector | None,
+        typer.Option(
+            metavar="X Y Z", callback=_finite_vector, help="The point in the centre of the image."
+        ),
+    ] = None
+    up: Annotated[
+        Vector | None,
+        typer.Option(
+            metavar="X Y Z", callback=_finite_vector, help="The direction that is up in the image."
+        ),
+    ] = None
+    fov: Annotated[
+        float | None,
+        typer.Option(metavar="DEGREES", callback=options.finite, help="Vertical field of view."),
+    ] = None
+    projection: Annotated[
+        str | None, options.choice(PROJECTIONS, f"Projection: {' or '.join(PROJECTIONS)}.")
+    ] = None
+    view_height: Annotated[
+        float | None,
+        typer.Option(
+            metavar="LENGTH",
+            callback=options.finite,
+            help="Of an orthographic view, in the scene's units.",
+        ),
+    ] = None
+    aperture: Annotated[
+        float | None,
+        typer.Option(
+            metavar="LENGTH", callback=options.finite, help="Diameter of a thin lens, for blur."
+        ),
+    ] = None
+    focus: Annotated[
+        float | None,
+        typer.Option(
+            metavar="LENGTH",
+            callback=options.finite,
+            help="Distance of the plane in focus [default: to --look-at]",
+        ),
+    ] = None
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """The parameters of `Camera` that are given."""
+        parts = [field.name for field in dataclasses.fields(self) if field.name != "camera"]
+        given = {name: getattr(self, name) for name in parts if getattr(self, name) is not None}
+        if "view_height" in given:
+            given["height"] = given.pop("view_height")
+        return given
+
+    def of(self, scene: Scene, aspect: float) -> tuple[Scene, Camera]:
+        """A scene with the chosen one of its cameras, and that camera as changed.
+
+        Parameters
+        ----------
+        scene : Scene
+        aspect : float
+            Width of the image over its height.
+
+        Raises
+        ------
+        BadInputError
+            If there is no such camera, or a parameter is out of range.
+        """
+        if self.camera is not None:
+            text = self.camera
+            which = int(text) if text.isascii() and text.isdigit() else text
+            try:
+                scene = scene.replace(camera=which)
+            except ValueError as error:
+                raise BadInputError(f"--camera: {error}") from error
+        try:
+            return scene, dataclasses.replace(scene.camera_for(aspect), **self.changes)
+        except ValueError as error:
+            name, _, reason = str(error).partition(": ")
+            option = _NAMES.get(name, name).replace("_", "-")
+            raise BadInputError(f"--{option}: {reason}") from error

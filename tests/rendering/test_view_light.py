@@ -1,0 +1,142 @@
+"""Lights that are added where a scene's own do not reach what the camera sees."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from raystream.rendering.lighting import ADDED, needs_light
+from raystream.rendering.tone import auto_exposure
+
+SIZE = (32, 24)
+
+
+def box(side, center=(0.0, 0.0, 0.0)):
+    """A closed box of twelve triangles."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    return rs.Mesh(corners * (side / 2) + center, faces)
+
+
+def closed_room(**attributes):
+    """A room with a block, seen from inside; the sun shines outside."""
+    return rs.Scene(
+        [box(8.0), box(2.0, (1.0, -3.0, 0.0))],
+        lights=[rs.DirectionalLight((0.2, -1.0, 0.1), (3.0, 3.0, 3.0))],
+        camera=rs.Camera((-3.5, 0.0, 3.5), (1.0, -2.0, 0.0), fov=70),
+        **attributes,
+    )
+
+
+def far_lamp():
+    """A long wall, and a lamp that lights its other end only."""
+    wall = rs.Mesh([[0, 0, 0], [1000, 0, 0], [1000, 4, 0], [0, 4, 0]], [[0, 1, 2], [0, 2, 3]])
+    lamp = rs.PointLight((998.0, 2.0, 0.5), (4000.0, 4000.0, 4000.0))
+    return rs.Scene([wall], lights=[lamp], camera=rs.Camera((3, 2, 5), (3, 2, 0)))
+
+
+@pytest.mark.parametrize("make", [closed_room, far_lamp])
+@pytest.mark.parametrize("mode", ["shadow", "whitted", "kajiya", "path"])
+def test_a_view_in_the_dark_gets_light(make, mode):
+    scene = make()
+    assert not needs_light(scene)  # the lights suffice elsewhere
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dark = rs.render(scene, mode, SIZE, 16, lights="file")
+    assert np.median(dark.pixels) < 0.01
+    with pytest.warns(rs.RaystreamWarning, match="do not reach what the camera sees: added"):
+        image = rs.render(scene, mode, SIZE, 16)
+    assert np.quantile(image.pixels.max(axis=2), 0.05) > 0.03
+    insisted = rs.render(scene, mode, SIZE, 16, lights="added")
+    np.testing.assert_array_equal(image.pixels, insisted.pixels)
+    assert (image.figures["lights"], dark.figures["lights"]) == ("added", "file")
+
+
+def test_a_room_without_lights_gets_one_that_reaches_it():
+    """The white sky stays outside."""
+    scene = closed_room().replace(lights=())
+    assert needs_light(scene)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # there is no light that does not suffice
+        image = rs.render(scene, "path", SIZE, 16)
+    assert np.quantile(image.pixels.max(axis=2), 0.05) > 0.03
+    assert image.figures["lights"] == "added"
+
+
+@pytest.mark.parametrize("mode", ADDED)
+@pytest.mark.parametrize("name", ["cornell", "robots", "spheres", "building"])
+def test_views_that_are_lit_are_left_alone(name, mode):
+    scene = rs.load(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        image = rs.render(scene, mode, SIZE, 1)
+    assert image.figures["lights"] == "measured"
+    own = rs.render(scene, mode, SIZE, 1, lights="file")
+    np.testing.assert_array_equal(image.pixels, own.pixels)
+
+
+def test_the_choice_is_the_same_on_all_structures_and_threads():
+    scene = far_lamp()
+    expected = rs.render(scene, "path", SIZE, 4, lights="added").pixels
+    for structure in ("brute", "kdtree"):
+        with pytest.warns(rs.RaystreamWarning, match="do not reach"):
+            found = rs.render(scene, "path", SIZE, 4, structure).pixels
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_lights_that_are_off_and_empty_views_stay_dark():
+    scene = closed_room().replace(lights=[rs.PointLight((0, 0, 0), (0.0, 0.0, 0.0))])
+    assert not rs.render(scene, "path", SIZE, 4).pixels.any()
+    away = rs.Camera((0.0, 0.0, 50.0), (0.0, 0.0, 90.0))
+    assert rs.render(closed_room(), "whitted", SIZE, camera=away).figures["lights"] == "measured"
+
+
+@pytest.mark.parametrize("mode", ["raycast", "shadow", "whitted"])
+def test_rough_metal_reflects_its_surroundings(mode):
+    """Without highlights it shows the ambient light, and half of what others give."""
+    floor = rs.Mesh([[-9, 0, -9], [9, 0, -9], [9, 0, 9], [-9, 0, 9]], [[0, 2, 1], [0, 3, 2]])
+    metal = rs.Material(diffuse=(1.0, 0.8, 0.2), roughness=0.5, metallic=1.0)
+    view = rs.Camera((0, 5, 5), (0, 0, 0))
+    sky = rs.Scene(
+        [floor], materials=[metal], lights=[rs.EnvironmentLight((0.5, 0.5, 1.0))], camera=view
+    )
+    seen = rs.render(sky, mode, SIZE).pixels[20, 16]
+    np.testing.assert_allclose(seen, (0.5, 0.4, 0.2), rtol=1e-5)
+    # A sun that grazes it leaves no highlight in view; a white surface would show 1 / pi of it.
+    sun = rs.DirectionalLight((1.0, -1e-3, 0.0), (np.pi, np.pi, np.pi))
+    lit = rs.render(sky.replace(lights=[sun]), mode, SIZE).pixels[20, 16]
+    np.testing.assert_allclose(lit, (0.5, 0.4, 0.1), atol=0.02)
+
+
+# Exposure
+
+
+def test_automatic_exposure_shows_dim_and_bright_images():
+    rng = np.random.default_rng(1)
+    image = rs.Image(rng.uniform(0.2, 1.0, (24, 32, 3)))
+    usual = image.to_bytes("auto")
+    for factor in (1e-6, 1e-2, 300.0, 1e9):
+        scaled = rs.Image(image.pixels * np.float32(factor))
+        assert np.abs(scaled.to_bytes("auto").astype(int) - usual).max() <= 1
+    assert 100 < usual.mean() < 240
+
+
+def test_a_lamp_in_view_does_not_darken_the_room():
+    pixels = np.full((100, 100, 3), 0.02)
+    pixels[:20, :20] = 50.0  # a twenty-fifth of the image
+    factor = auto_exposure(pixels)
+    np.testing.assert_allclose(0.02 * factor, 0.18, rtol=0.5)
+    pixels[50:] = 0.0  # black does not count
+    np.testing.assert_allclose(auto_exposure(pixels) / factor, 1.0, rtol=0.5)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_images_that_show_nothing_have_a_usable_exposure(value):
+    factor = auto_exposure(np.full((4, 4, 3), value))
+    assert factor == 1.0
+    with pytest.raises(ValueError, match="exposure: expected a number above 0 or 'auto'"):
+        rs.Image(np.zeros((2, 2, 3))).to_bytes("bright")
