@@ -43,6 +43,7 @@ def render_animation(job: RenderJob, json: bool) -> None:
         with watch.measure("load"), bars.step("loading"):
             scene, camera, timeline = _open_scene(job)
         report_added_light(scene, job.mode, job.arguments["lights"])
+        job.layers.report_denoiser()
         try:
             numbers = timeline.chosen(wanted)
         except ValueError as error:  # argument names equal option names

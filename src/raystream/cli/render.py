@@ -73,6 +73,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if what is None:
                 report_added_light(tracer.scene, job.mode, arguments["lights"])
+                job.layers.report_denoiser()
                 paths = PathProgress(output, width * height, progress)
                 arguments |= {"checkpoint": samples_file, "progress": paths}
                 save_pass = partial(asked.save, path=output)

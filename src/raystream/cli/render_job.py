@@ -12,7 +12,7 @@ import typer
 from raystream.cli import options
 from raystream.cli.clusters import ClusterOptions
 from raystream.cli.console import BadInputError, refuse
-from raystream.cli.frame_files import AnimationOptions
+from raystream.cli.frame_files import IMAGES, AnimationOptions
 from raystream.cli.heatmaps import HeatmapOptions
 from raystream.cli.layers import LayerOptions, LayerSelection
 from raystream.cli.lighting import LightingOptions
@@ -39,7 +39,7 @@ class ImageOptions:
             "--output",
             "-o",
             metavar="FILE",
-            help="Output file: .png or .exr; frames and videos with --frames.",
+            help="Output file: .png, .exr or .hdr; frames and videos with --frames.",
         ),
     ] = Path("out.png")
     mode: Annotated[
@@ -150,7 +150,7 @@ class RenderJob:
         camera = {} if image.camera is None else options.parse_camera(image.camera)
         if not image.is_animation:
             inputs = [scene, str(image.lighting.environment or scene)]
-            options.check_output(image.output, (".png", ".exr"), inputs)
+            options.check_output(image.output, IMAGES, inputs)
         chosen = tracing.arguments()
         layers = image.layers.select(image.output)
         image.lighting.check()
