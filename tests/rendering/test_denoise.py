@@ -7,6 +7,7 @@ import pytest
 
 import raystream as rs
 from extras import need
+from raystream.jit.threads import set_thread_count
 from raystream.rendering.color import luminance
 from raystream.rendering.oidn import has_oidn
 from raystream.rendering.regional_gain import regional_gain
@@ -259,6 +260,19 @@ def test_gain_stays_in_its_region():
     gain = regional_gain(np.ones((60, 200)), lost)
     assert gain[30, 30] > 1.02
     assert abs(gain[:, 150:] - 1).max() < 1e-6
+
+
+def test_bits_do_not_depend_on_threads(method):
+    truth, layers = two_walls()
+    image = rs.Image(noisy(truth, 4)[0], layers)
+    try:
+        results = []
+        for count in (1, 2, 3):
+            set_thread_count(count)
+            results.append(image.denoise(method).pixels.tobytes())
+    finally:
+        set_thread_count(None)
+    assert results[0] == results[1] == results[2]
 
 
 def test_layers_and_figures_go_on(method):

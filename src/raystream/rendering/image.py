@@ -191,12 +191,12 @@ class Image:
         measures noise. Where variance is missing or not finite, ``"samples"`` is below 4, or
         there is emission, it is estimated from 7 x 7 neighbours.
 
-        The mean luminance of the image is preserved. Strong light that few samples find is
-        rejected by its neighbours as an outlier, so a gain that varies slowly over the image then
-        returns it to its region. A constant image is left unchanged, bit for bit, by the à-trous
-        filter.
+        The mean luminance of the image is preserved. Filters reject strong light that few samples
+        find as outliers, so a gain that varies slowly over the image then returns it to its
+        region. A constant image is left unchanged, bit for bit, by the à-trous filter.
 
-        The à-trous filter's bits do not depend on the number of threads. (OIDN)
+        The bits do not depend on the number of threads; those of Open Image Denoise may depend on
+        its version and on the processor.
 
         References
         ----------
