@@ -11,7 +11,10 @@ import pytest
 
 import raystream
 
-LATER = ("numba", "llvmlite", "trimesh", "PIL", "typer", "rich", "pooch", "OpenEXR", "scipy")
+LATER = (
+    *("numba", "llvmlite", "trimesh", "PIL", "typer", "rich", "pooch", "OpenEXR", "scipy"),
+    *("imageio_ffmpeg", "pyoidn"),
+)
 
 
 def modules_after(statement: str) -> set[str]:

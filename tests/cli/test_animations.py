@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,7 @@ def test_videos_go_on_after_an_interrupt(run, moving, monkeypatch) -> None:
         ("a.aff", ("-o", "x%d.png", "--frames", "1:b"), "--frames: expected 0:100"),
         ("a.aff", ("-o", "x.png", "--frames", ":"), "x.png: expected one frame number placeholder"),
         ("a.aff", ("-o", "x%d%d.png", "--frames", ":"), "expected one frame number placeholder"),
-        ("a.aff", ("-o", "x%d.bmp", "--frames", ":"), "extension must be .png or .exr"),
+        ("a.aff", ("-o", "x%d.bmp", "--frames", ":"), "extension must be .png or .exr or .hdr"),
         ("a.aff", ("-o", "no/x%d.png", "--frames", ":"), "folder no does not exist"),
         ("a.aff", ("-o", "no/there", "--frames", ":"), "folder no does not exist"),
         ("a.aff", ("-o", "x.png", "--fps", "5"), "--fps: only with --frames"),
@@ -114,7 +115,7 @@ def test_refusals(run, moving, scene, arguments, reason) -> None:
 
 
 def test_videos_that_need_ffmpeg_say_so_first(run, moving, monkeypatch, tmp_path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     assert "animation.mp4: needs ffmpeg" in run("render", moving, "-o", "animation.mp4").complaint
     assert not list(tmp_path.glob("animation*"))
 

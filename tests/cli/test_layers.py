@@ -66,6 +66,14 @@ def test_denoised_png_is_the_librarys(run):
         np.testing.assert_array_equal(np.asarray(picture), smooth.to_bytes())
 
 
+def test_missing_denoiser_is_named_once(run, monkeypatch):
+    for module in ("oidn", "denoise"):
+        monkeypatch.setattr(f"raystream.rendering.{module}.has_oidn", lambda: False)
+    result = run(*ASKED, "--denoise")
+    assert result.err.count("pip install 'raystream[denoise]'") == 1
+    assert "denoise" not in run(*ASKED).err
+
+
 def test_denoised_exr_has_no_layers_beyond_those_asked_for(run, exr):
     assert run(*ASKED, "-o", "a.exr", "--denoise", "--layers", "prim_id").code == 0
     assert set(Image.load("a.exr").layers) == {"prim_id", "samples"}

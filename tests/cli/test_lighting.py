@@ -113,7 +113,11 @@ def test_the_files_own_lights_are_taken_if_asked(run, weak):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("weak.obj", "--mode", "vis"), ("weak.obj", "--heatmap", "tests"), ("cornell",)],
+    [
+        ("weak.obj", "--mode", "vis"),
+        ("weak.obj", "--heatmap", "tests"),
+        ("cornell", "--samples", 4),
+    ],
 )
 def test_nothing_is_said_where_nothing_is_added(run, weak, arguments):
     result = run("render", *arguments, *SIZE)

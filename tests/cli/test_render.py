@@ -138,6 +138,15 @@ def test_exr_keeps_linear_colours(run):
     np.testing.assert_array_equal(found, expected)
 
 
+def test_hdr_keeps_linear_colours(run):
+    bright = ("--exposure", "4", "--tone", "aces")
+    assert run("render", "cornell", "--size", "16x12", "-o", "a.hdr", *bright).code == 0
+    wanted = rs.render(rs.load("cornell"), size=(16, 12)).pixels
+    found = rs.Image.load("a.hdr").pixels
+    assert (np.abs(found - wanted) <= wanted.max(axis=2, keepdims=True) / 255).all()
+    assert run("compare", "a.hdr", "a.hdr").code == 0
+
+
 def test_camera_replaces_only_the_parts_given(run):
     """A narrower view of the same point shows the middle of the image, larger."""
     run("render", "cornell", "-o", "wide.png", "--size", "90x90", "--mode", "vis")

@@ -187,7 +187,7 @@ def test_missing_file_and_folder_are_refused(tmp_path, suffix):
 
 
 def test_other_names_are_refused():
-    with pytest.raises(ValueError, match=r"must end in \.png or \.exr"):
+    with pytest.raises(ValueError, match=r"must end in \.png or \.exr or \.hdr"):
         rs.Image.load("x.jpg")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.rgbe import read_rgbe
+from raystream.rendering.rgbe import read_rgbe, write_rgbe
 
 HEADER = b"#?RADIANCE\nSOFTWARE=none\nFORMAT=32-bit_rle_rgbe\n\n"
 
@@ -155,3 +155,30 @@ def test_a_missing_file_is_named(tmp_path):
     for path in (tmp_path / "none.hdr", tmp_path):
         with pytest.raises(rs.FileFormatError, match="cannot be read"):
             read_rgbe(str(path))
+
+
+@pytest.mark.parametrize("width", [1, 7, 40])
+def test_written_images_are_read_to_eight_bits(tmp_path, width):
+    random = np.random.default_rng(3)
+    shape = (5, width, 3)
+    pixels = (random.random(shape) * 10.0 ** random.integers(-30, 30, shape)).astype(np.float32)
+    pixels[0, 0] = [0.99999, 5e-3, 0.0]  # rounds up to the next power of two
+    pixels[1, 0] = 0.0
+    path = tmp_path / "x.hdr"
+    rs.Image(pixels).save(path, exposure=3.0, tone="aces")
+    content = path.read_bytes()
+    found = rs.Image.load(path).pixels
+    stored = np.frombuffer(content[-5 * width * 4 :], np.uint8).reshape(5, width, 4)
+    np.testing.assert_array_equal(found, linear(stored))
+    assert (np.abs(found - pixels) <= pixels.max(axis=2, keepdims=True) / 255).all()
+    np.testing.assert_array_equal(found[0, 0], [1.0, 2.0**-7, 0.0])
+
+
+def test_written_numbers_are_those_that_the_format_has(tmp_path):
+    hard = np.array([[[np.inf, 1.0, -1.0], [np.nan, 3e38, 1.0], [-np.inf, 0.5, np.nan]]])
+    hard = np.concatenate([hard, np.full((1, 3, 3), 1e-44)]).astype(np.float32)
+    write_rgbe(str(tmp_path / "x.hdr"), hard)
+    most = 255 * 2.0**119
+    expected = np.zeros((2, 3, 3), np.float32)
+    expected[0] = [[most, 0, 0], [0, most, 0], [0, 0.5, 0]]
+    np.testing.assert_array_equal(read_rgbe(str(tmp_path / "x.hdr")), expected)

@@ -28,12 +28,16 @@ _ENGINE = (
 #: Of these, what only reads or writes files, or shows finished images.
 _ENGINE_OUT = (
     "rendering/atrous.py",
+    "rendering/atrous_filter.py",
     "rendering/compare.py",
     "rendering/denoise.py",
     "rendering/exr.py",
     "rendering/false_colors.py",
+    "rendering/guide_layers.py",
     "rendering/heatmap.py",
+    "rendering/oidn.py",
     "rendering/png.py",
+    "rendering/regional_gain.py",
     "rendering/rgbe.py",
     "rendering/rgbe_rows.py",
     "rendering/scale_bar.py",

@@ -42,6 +42,7 @@ def render_animation(job: RenderJob, json: bool) -> None:
     with Bars() as bars:
         with watch.measure("load"), bars.step("loading"):
             scene, camera, timeline = _open_scene(job)
+        job.layers.report_denoiser()
         try:
             numbers = timeline.chosen(wanted)
         except ValueError as error:  # argument names equal option names

@@ -12,6 +12,7 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.console import BadInputError, mute, refuse, write_json, write_line
+from raystream.cli.frame_files import IMAGES
 from raystream.cli.tables import format_table
 
 if TYPE_CHECKING:
@@ -19,13 +20,11 @@ if TYPE_CHECKING:
 
 __all__ = ["compare"]
 
-SUFFIXES = (".png", ".exr")
-
 
 def compare(
     image: Annotated[
         Path,
-        typer.Argument(metavar="IMAGE", help="An image: .png or .exr."),
+        typer.Argument(metavar="IMAGE", help="An image: .png, .exr or .hdr."),
     ],
     reference: Annotated[
         Path,
@@ -37,7 +36,7 @@ def compare(
             "--output",
             "-o",
             metavar="FILE",
-            help="Write the difference in false colours, with a scale below: .png or .exr.",
+            help="Write the difference in false colours, with a scale below: .png, .exr or .hdr.",
         ),
     ] = None,
     maximum: Annotated[
@@ -52,11 +51,11 @@ def compare(
 ) -> None:
     """Compare two images. Shows errors of linear colours, and where they are."""
     if output is not None:
-        options.check_output(output, SUFFIXES, inputs=[str(image), str(reference)])
+        options.check_output(output, IMAGES, inputs=[str(image), str(reference)])
     elif maximum is not None:
         raise BadInputError("--maximum: only with --output")
     for path in (image, reference):
-        options.check_suffix(path, SUFFIXES, "reading")
+        options.check_suffix(path, IMAGES, "reading")
     from raystream.rendering.image import Image
 
     with Bars() as bars, bars.step("comparing"):

@@ -13,11 +13,12 @@ import typer
 from raystream.cli import options
 from raystream.cli.console import BadInputError, refuse
 
-__all__ = ["VIDEOS", "AnimationOptions", "FrameFiles"]
+__all__ = ["IMAGES", "VIDEOS", "AnimationOptions", "FrameFiles"]
 
 #: Video extensions; a test compares them with the library's.
 VIDEOS = (".mp4", ".webm", ".mkv", ".mov", ".gif", ".webp", ".apng")
-IMAGES = (".png", ".exr")
+#: Image extensions.
+IMAGES = (".png", ".exr", ".hdr")
 
 #: The placeholder of the frame number in a file name.
 FRAME_NUMBER = re.compile(r"%0?(\d{0,2})d")
@@ -33,7 +34,7 @@ class AnimationOptions:
             metavar="RANGE",
             help="Frames of an animated scene, as a Python index or slice: 0:100, 0:100:5, 7, -1, "
             "or : for all. --output is then a pattern such as name%04d.png, a folder, or a video: "
-            f"{' '.join(VIDEOS)}; the first four need ffmpeg.",
+            f"{' '.join(VIDEOS)}; the first four need raystream[video].",
         ),
     ] = None
     fps: Annotated[

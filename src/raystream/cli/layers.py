@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from raystream.cli.console import BadInputError
+from raystream.cli.console import BadInputError, write_note
 
 if TYPE_CHECKING:
     from raystream.rendering.image import Image
@@ -27,6 +27,13 @@ class LayerSelection(NamedTuple):
     rendered: tuple[str, ...]
     saved: tuple[str, ...]
     is_denoised: bool
+
+    def report_denoiser(self) -> None:
+        """Say on stderr that the better denoiser is not there, if it is wanted."""
+        from raystream.rendering.oidn import OIDN_REMEDY, has_oidn
+
+        if self.is_denoised and not has_oidn():
+            write_note(f"Open Image Denoise would remove more noise: {OIDN_REMEDY}")
 
     def denoise(self, image: Image) -> Image:
         """Denoise an image, and drop the layers that only guided the filter."""
@@ -57,7 +64,8 @@ class LayerOptions:
         bool | None,
         typer.Option(
             "--denoise/--no-denoise",
-            help="Denoise the finished image, preserving edges [default: as --quality says]",
+            help="Denoise the finished image, preserving edges; with Open Image Denoise if it is "
+            "installed: raystream[denoise] [default: as --quality says]",
         ),
     ] = None
 

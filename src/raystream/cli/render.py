@@ -84,6 +84,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
         unit = "paths" if what is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if what is None:
+                job.layers.report_denoiser()
                 paths = PathProgress(output, width * height, progress)
                 arguments |= {"checkpoint": samples_file, "progress": paths}
                 save_pass = None if output == STDOUT else partial(save, path=output)

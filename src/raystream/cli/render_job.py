@@ -13,7 +13,7 @@ from raystream.cli.brightness import Exposure, parse_exposure
 from raystream.cli.camera_options import CameraOptions
 from raystream.cli.clusters import ClusterOptions
 from raystream.cli.console import BadInputError, refuse, write_bytes
-from raystream.cli.frame_files import AnimationOptions
+from raystream.cli.frame_files import IMAGES, AnimationOptions
 from raystream.cli.heatmaps import HeatmapOptions
 from raystream.cli.layers import LayerOptions, LayerSelection
 from raystream.cli.lighting import LightingOptions
@@ -43,8 +43,8 @@ class ImageOptions:
             "--output",
             "-o",
             metavar="FILE",
-            help="Output file: .png or .exr, or - for a PNG on stdout; frames and videos with "
-            "--frames.",
+            help="Output file: .png, .exr or .hdr, or - for a PNG on stdout; frames and videos "
+            "with --frames.",
         ),
     ] = Path("out.png")
     mode: Annotated[
@@ -148,7 +148,7 @@ class RenderJob:
         size = width, height = options.parse_size(image.size)
         if not (image.is_animation or image.output == STDOUT):
             inputs = [scene, str(image.lighting.environment or scene)]
-            options.check_output(image.output, (".png", ".exr"), inputs)
+            options.check_output(image.output, IMAGES, inputs)
         chosen = tracing.arguments()
         mode = image.mode or options.DEFAULT_MODE
         is_image = image.heat.heatmap is None

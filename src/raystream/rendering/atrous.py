@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import device, kernel
 from raystream.rendering.color import LUMINANCE
 
-__all__ = ["Guides", "estimate_rows", "filter_rows"]
+__all__ = ["STRENGTH", "Guides", "estimate_rows", "filter_rows"]
 
 #: Weights of the B3 spline at 0, 1 and 2 steps.
 _SPLINE = (np.float32(3 / 8), np.float32(1 / 4), np.float32(1 / 16))
@@ -31,6 +31,9 @@ _DEPTH_SLACK = np.float32(5e-3)
 #: Difference of albedo that divides the weight by e. It is large, so that texels of different
 #: colours are averaged: light is filtered without its albedo.
 _ALBEDO_SPREAD = np.float32(0.5)
+
+#: Standard deviations of luminance that count as noise (Schied et al. 2017).
+STRENGTH = np.float32(4)
 
 #: Least standard deviation of luminance: rounding errors.
 _LEAST_SPREAD = np.float32(1e-6)
@@ -69,7 +72,7 @@ class Guides(NamedTuple):
 
 
 @kernel
-def filter_rows(begin, end, step, strength, guides, light, variance, out_light, out_variance):
+def filter_rows(begin, end, step, guides, light, variance, out_light, out_variance):
     """Filter some rows of an image in one pass.
 
     Parameters
@@ -78,8 +81,6 @@ def filter_rows(begin, end, step, strength, guides, light, variance, out_light, 
         Rows.
     step : int
         Spacing of the taps in pixels.
-    strength : float32
-        Standard deviations of luminance that count as noise.
     guides : Guides
     light : ndarray of shape (H, W, 3), float32
         Finite.
@@ -91,7 +92,7 @@ def filter_rows(begin, end, step, strength, guides, light, variance, out_light, 
     height, width = variance.shape
     for y in range(begin, end):
         for x in range(width):
-            spread = math.sqrt(_blurred(variance, y, x)) * strength + _LEAST_SPREAD
+            spread = math.sqrt(_blurred(variance, y, x)) * STRENGTH + _LEAST_SPREAD
             bright = _luminance(light, y, x)
             # Sums of differences: among equal neighbours light keeps its bits.
             total = _ZERO

@@ -72,7 +72,8 @@ class Image:
         Parameters
         ----------
         path : str or path
-            ``.png``: decoded from sRGB; ``.exr``: with its layers (needs ``raystream[exr]``).
+            ``.png``: decoded from sRGB; ``.exr``: with its layers (needs ``raystream[exr]``);
+            ``.hdr``: Radiance.
 
         Raises
         ------
@@ -91,6 +92,10 @@ class Image:
             raise ValueError(f"{source}: the name must end in {' or '.join(_WRITERS)}")
         if suffix == ".exr":
             return cls(*read_exr(str(source)))
+        if suffix == ".hdr":
+            from raystream.rendering.rgbe import read_rgbe  # compiled
+
+            return cls(read_rgbe(str(source)))
         return cls(read_png(str(source)))
 
     @property
@@ -111,10 +116,11 @@ class Image:
         ----------
         path : str or path
             ``.png``: sRGB, 8 bits. ``.exr``: linear float32 (needs ``raystream[exr]``), with
-            the layers as extra channels.
+            the layers as extra channels. ``.hdr``: linear, 8 bits with a shared exponent
+            (Radiance).
         exposure : float or "auto"
-            Factor on the colours of a PNG; not applied to EXR. ``"auto"`` chooses one that shows
-            the image, see `tone.auto_exposure`.
+            Factor on the colours of a PNG; not applied to the others. ``"auto"`` chooses one that
+            shows the image, see `tone.auto_exposure`.
         tone : {"linear", "reinhard", "aces"}
             Tone curve of a PNG, after `exposure`; see `raystream.rendering.tone`.
 
@@ -170,18 +176,16 @@ class Image:
         write_png(buffer, self.to_bytes(exposure, tone))
         return buffer.getvalue()
 
-    def denoise(self, *, passes: int = 5, strength: float = 4.0) -> Image:
+    def denoise(self, method: str | None = None) -> Image:
         """Remove noise from a rendered image, preserving edges.
-
-        An edge-avoiding à-trous wavelet filter [1]_ with the weights of the spatial part of [2]_:
-        it averages pixels of the same surface whose light differs by no more than noise.
 
         Parameters
         ----------
-        passes : int
-            Filter passes, 1 to 10; each doubles the radius. 5 passes reach 62 pixels.
-        strength : float
-            Number of standard deviations of light that count as noise, 0 to 1e6.
+        method : {"oidn", "atrous"}, optional
+            Open Image Denoise [1]_, a neural network on the CPU (needs ``raystream[denoise]``);
+            or raystream's edge-avoiding à-trous wavelet filter [2]_, with the weights of the
+            spatial part of [3]_: it averages pixels of one surface whose light differs by no more
+            than noise. [default: Open Image Denoise if it is installed]
 
         Returns
         -------
@@ -192,32 +196,41 @@ class Image:
         Raises
         ------
         ValueError
-            If `passes` or `strength` is out of range, or a layer has the wrong shape.
+            If `method` is unknown, or a layer has the wrong shape.
+        ImportError
+            If `method` is ``"oidn"``, and Open Image Denoise is not installed.
         MemoryError
             If the buffers do not fit into memory.
+        RaystreamError
+            If Open Image Denoise fails.
 
         Notes
         -----
-        The filter uses the layers of the image: ``"normal"``, ``"depth"`` and ``"albedo"``
-        distinguish surfaces; light is demodulated by albedo, so that textures stay sharp;
-        ``"emission"`` has no noise and is not filtered; ``"variance"`` (of each pixel's mean, by
-        channel) measures noise. Where variance is missing or not finite, ``"samples"`` is below 4,
-        or there is emission, it is estimated from 7 x 7 neighbours.
+        Both methods use the layers of the image. ``"emission"`` has no noise and is not filtered.
+        Open Image Denoise uses ``"albedo"``, and with it ``"normal"``. The à-trous filter uses
+        ``"normal"``, ``"depth"`` and ``"albedo"`` to distinguish surfaces, and divides light by
+        albedo, so that textures stay sharp; ``"variance"`` (of each pixel's mean, by channel)
+        measures noise. Where variance is missing or not finite, ``"samples"`` is below 4, or
+        there is emission, it is estimated from 7 x 7 neighbours.
 
-        Surfaces seen in mirrors and through glass are distinguished by their light only. Strong
-        light that few samples find is rejected by neighbours as an outlier, so that images of few
-        samples lose some brightness. A constant image is left unchanged, bit for bit.
+        The mean luminance of the image is preserved. Filters reject strong light that few samples
+        find as outliers, so a gain that varies slowly over the image then returns it to its
+        region. A constant image is left unchanged, bit for bit, by the à-trous filter.
+
+        The bits do not depend on the number of threads; those of Open Image Denoise may depend on
+        its version and on the processor.
 
         References
         ----------
-        .. [1] Dammertz, Sewtz, Hanika and Lensch, "Edge-Avoiding À-Trous Wavelet Transform for
+        .. [1] Áfra, "Intel Open Image Denoise", https://www.openimagedenoise.org.
+        .. [2] Dammertz, Sewtz, Hanika and Lensch, "Edge-Avoiding À-Trous Wavelet Transform for
            fast Global Illumination Filtering", High Performance Graphics 2010.
-        .. [2] Schied et al., "Spatiotemporal Variance-Guided Filtering: Real-Time Reconstruction
+        .. [3] Schied et al., "Spatiotemporal Variance-Guided Filtering: Real-Time Reconstruction
            for Path-Traced Global Illumination", High Performance Graphics 2017.
         """
         from raystream.rendering.denoise import denoise
 
-        return denoise(self, passes=passes, strength=strength)
+        return denoise(self, method)
 
     def compare(self, reference: Image) -> Comparison:
         """Compute the errors against another image.
@@ -271,6 +284,11 @@ class Image:
     def _write_exr(self, target: str, _exposure: float, _tone: str) -> None:
         write_exr(target, self.pixels, self.layers)
 
+    def _write_hdr(self, target: str, _exposure: float, _tone: str) -> None:
+        from raystream.rendering.rgbe import write_rgbe
+
+        write_rgbe(target, self.pixels)
+
     def _repr_png_(self) -> bytes:
         """Show the image in a notebook, reduced if it is larger than a screen."""
         step = -(-max(self.size) // _MOST_SHOWN)
@@ -284,6 +302,7 @@ class Image:
 _WRITERS: dict[str, Callable[[Image, str, float, str], None]] = {
     ".png": Image._write_png,
     ".exr": Image._write_exr,
+    ".hdr": Image._write_hdr,
 }
 
 

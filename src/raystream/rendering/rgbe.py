@@ -1,4 +1,4 @@
-"""Reading Radiance images (``.hdr``): RGBE, three 8-bit mantissas with a shared exponent.
+"""Radiance images (``.hdr``): RGBE, three 8-bit mantissas with a shared exponent.
 
 References
 ----------
@@ -17,13 +17,16 @@ from raystream.core.errors import FileFormatError
 from raystream.core.memory import check_memory
 from raystream.rendering.rgbe_rows import BAD_RUN, BAD_WIDTH, TRUNCATED, WHOLE, unpack_rows
 
-__all__ = ["read_rgbe"]
+__all__ = ["read_rgbe", "write_rgbe"]
 
 _MAX_PIXELS = 1 << 28
 _BYTES_PER_PIXEL = 32  # as bytes, and as float32 with temporaries
 
 #: Longest header in bytes.
 _MAX_HEADER = 1 << 16
+
+#: Largest number of the format: an exponent of 127 and a mantissa of 255 of 256.
+_MOST = np.float32(2.0**127 * 255.0 / 256.0)
 
 _FAULTS = {
     TRUNCATED: "is truncated",
@@ -111,3 +114,32 @@ def _exposure_of(path: str, header: bytes) -> float:
             if not 0.0 < exposure < math.inf:
                 raise FileFormatError(path, "has an exposure that is not a number above 0")
     return exposure
+
+
+def write_rgbe(path: str, pixels: NDArray[np.float32]) -> None:
+    """Write a Radiance image, with flat rows.
+
+    Parameters
+    ----------
+    path : str
+    pixels : ndarray of shape (H, W, 3), float32
+        Linear RGB. Numbers are rounded to 8 bits relative to the largest of the pixel; negative
+        ones and NaN become 0, larger ones than the format has, its largest (1.7e38).
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    height, width, _ = pixels.shape
+    colors = np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, _MOST).astype(np.float64)
+    most = colors.max(axis=2, keepdims=True)
+    exponents = np.frexp(most)[1]
+    exponents += np.rint(np.ldexp(most, 8 - exponents)) > 255.0  # rounded up to the next power
+    encoded = np.empty((height, width, 4), np.uint8)
+    encoded[:, :, :3] = np.rint(np.ldexp(colors, 8 - exponents))
+    encoded[:, :, 3:] = np.maximum(exponents + 128, 0)
+    encoded[(most[:, :, 0] == 0.0) | (encoded[:, :, 3] == 0)] = 0
+    with open(path, "wb") as file:
+        file.write(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (height, width))
+        file.write(encoded.tobytes())

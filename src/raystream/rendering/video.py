@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -50,7 +49,7 @@ def check_video(path: str | PathLike[str], size: tuple[int, int], frame_count: i
     ValueError
         If the suffix is not in `VIDEO_SUFFIXES`.
     RaystreamError
-        If it needs ffmpeg, which is not installed.
+        If it needs ffmpeg, and imageio-ffmpeg is not installed.
     MemoryError
         If the frames must fit into memory, and do not.
     """
@@ -82,8 +81,9 @@ def write_video(
     ----------
     path : str or path
         ``.gif`` (256 colours per frame, at most 50 frames per second), ``.webp`` or ``.apng``;
-        ``.mp4``, ``.webm``, ``.mkv`` or ``.mov`` if ffmpeg is on ``PATH``; it chooses the codec.
-        Written atomically.
+        ``.mp4``, ``.webm``, ``.mkv`` or ``.mov`` with the ffmpeg of imageio-ffmpeg (needs
+        ``raystream[video]``; ``IMAGEIO_FFMPEG_EXE`` names another); it chooses the codec. Written
+        atomically.
     images : iterable of Image, or of ndarray of shape (H, W, 3), uint8
         All of the same size; arrays are sRGB.
     fps : float
@@ -147,11 +147,15 @@ def _write_with_pillow(target: Path, arrays: Iterator[Bytes], fps: float) -> Non
 
 
 def _ffmpeg(target: Path) -> str:
-    program = shutil.which("ffmpeg")
-    if program is None:
+    try:
+        import imageio_ffmpeg
+
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):  # the package, or any ffmpeg
         others = " or ".join(_BY_PILLOW)
-        raise RaystreamError(f"{target}: needs ffmpeg, which is not on PATH; {others} does not")
-    return program
+        raise RaystreamError(
+            f"{target}: needs ffmpeg: pip install 'raystream[video]'; {others} does not"
+        ) from None
 
 
 def _write_with_ffmpeg(name: Path, target: Path, arrays: Iterator[Bytes], fps: float) -> None:

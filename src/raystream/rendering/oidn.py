@@ -1,0 +1,98 @@
+"""Open Image Denoise: Intel's denoising neural network, through the package pyoidn.
+
+References
+----------
+Áfra, "Intel Open Image Denoise", https://www.openimagedenoise.org.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import RaystreamError
+from raystream.jit.threads import thread_count
+from raystream.rendering.guide_layers import finite, guide_layer
+from raystream.rendering.image import Image
+
+__all__ = ["OIDN_REMEDY", "filter_with_oidn", "has_oidn"]
+
+#: The command that installs it.
+OIDN_REMEDY = "pip install 'raystream[denoise]'"
+
+
+@cache
+def has_oidn() -> bool:
+    """Whether Open Image Denoise is installed, and runs on this processor."""
+    try:
+        import pyoidn
+
+        return bool(pyoidn.Device.is_cpu_available())
+    except (ImportError, OSError):  # the package, or a library that it loads
+        return False
+
+
+def filter_with_oidn(image: Image, light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Filter the light of an image with Open Image Denoise, on the CPU.
+
+    Parameters
+    ----------
+    image : Image
+        Its layers ``"albedo"`` and ``"normal"`` are guides: both, albedo alone, or none.
+    light : ndarray of shape (H, W, 3), float32
+        Linear RGB without emission, finite; negative values count as 0.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 3), float32
+        The change of light.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed.
+    ValueError
+        If a layer has the wrong shape.
+    RaystreamError
+        If it fails.
+    """
+    if not has_oidn():
+        raise ImportError(f"method 'oidn' needs Open Image Denoise: {OIDN_REMEDY}")
+    planes = {"color": np.maximum(light, 0.0), "output": np.empty_like(light)}
+    if "albedo" in image.layers:
+        planes["albedo"] = np.clip(finite(guide_layer(image, "albedo", 3, 0.0)), 0.0, 1.0)
+        if "normal" in image.layers:
+            planes["normal"] = np.clip(finite(guide_layer(image, "normal", 3, 0.0)), -1.0, 1.0)
+    _run(planes)
+    return planes["output"] - light
+
+
+def _run(planes: dict[str, NDArray[np.float32]]) -> None:
+    """Run its filter for rendered images; ``planes["output"]`` is written."""
+    import pyoidn
+
+    with pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU) as device:
+        _check(device)
+        device.set_int("numThreads", thread_count())
+        device.set_bool("setAffinity", False)  # other threads of this process use the cores, too
+        device.commit()
+        _check(device)
+        neural = pyoidn.Filter(device, pyoidn.OIDN_FILTER_TYPE_RT)
+        try:  # its context manager would hide errors
+            for name, plane in planes.items():
+                neural.set_image(name, plane, pyoidn.OIDN_FORMAT_FLOAT3)
+            neural.set_bool("hdr", True)
+            neural.commit()
+            neural.execute()
+            _check(device)
+        finally:
+            neural.release()
+
+
+def _check(device: Any) -> None:
+    message = device.get_error()
+    if message is not None:
+        raise RaystreamError(f"Open Image Denoise failed: {message}")
