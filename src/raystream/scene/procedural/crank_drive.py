@@ -29,6 +29,8 @@ __all__ = [
     "ALUMINIUM",
     "CERAMIC",
     "COVER",
+    "CRANK_ANGLE",
+    "CROWN",
     "CYLINDERS",
     "DECK",
     "EXHAUST",
@@ -46,8 +48,9 @@ __all__ = [
     "crankcase",
     "crankshaft",
     "oil_pan",
+    "pin_heights",
     "pistons",
-]  # fmt: skip
+]
 
 #: Materials, by index.
 IRON, ALUMINIUM, STEEL, TURNED, PAN, COVER = range(6)
