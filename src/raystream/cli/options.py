@@ -55,6 +55,7 @@ SCENES = (
     "building",
     "forest",
     "robots",
+    "engine",
 )
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 SAMPLERS = ("sobol", "stratified", "random")
