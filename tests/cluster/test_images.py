@@ -54,6 +54,7 @@ def test_options_of_modes_samplers_cameras_and_tracers(client, room):
     assert_same_image(found, rs.render(local, **asked))
 
 
+@pytest.mark.filterwarnings("ignore:the scene's own lights")
 def test_workers_take_the_choice_of_lights(client):
     corners = [[0, 0, 0], [9, 0, 0], [0, 9, 0], [1, 1, 1], [2, 1, 1], [1, 2, 1]]
     mesh = rs.Mesh(corners, [[0, 1, 2], [3, 4, 5]], material_ids=[0, 1])

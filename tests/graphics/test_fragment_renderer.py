@@ -162,7 +162,8 @@ def test_a_scheduler_of_ones_own_sees_that_shading_spawns():
             return super().choose(queues)
 
     scene = rs.load("three_boxes")
-    image = rs.render(tracer_of(scene, loop="queries", scheduler=Own()), "shadow", (16, 12))
+    tracer = tracer_of(scene, loop="queries", scheduler=Own())
+    image = rs.render(tracer, "shadow", (16, 12), lights="file")
     assert_one_loop(image)
     assert set(seen) == {True}
 
@@ -189,7 +190,7 @@ def test_nothing_but_counts_is_read_before_the_last_pass(opened, loop, monkeypat
     scene = rs.load("spheres")
     tracer = tracer_of(scene, loop=loop)
     calls.clear()
-    image = rs.render(tracer, "whitted", (32, 24), max_bounces=2)
+    image = rs.render(tracer, "whitted", (32, 24), max_bounces=2, lights="file")
     assert_one_loop(image)
     names = [name for name, _ in calls]
     first = names.index("read_texture")

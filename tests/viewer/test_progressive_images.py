@@ -77,7 +77,8 @@ def test_slices_of_a_row_give_the_same_bits(scene, context):
 def test_one_sample_goes_through_the_centres(scene, context):
     picture = SampledImage(RENDERERS["raycast"], centered(with_samples(context, 9)), Cost())
     finish(picture)
-    assert picture.draw(LOOK)().pixels.tobytes() == rs.render(scene, size=SIZE).pixels.tobytes()
+    expected = rs.render(scene, "raycast", SIZE)
+    assert picture.draw(LOOK)().pixels.tobytes() == expected.pixels.tobytes()
     assert picture.noise() is None
 
 

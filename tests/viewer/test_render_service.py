@@ -135,7 +135,7 @@ def test_the_last_picture_is_the_one_that_render_makes(page: Page) -> None:
     page.frame(done=True, target_samples=3)
     page.take("screenshot", number=2)
     shot = page.frame(type="screenshot", number=2)
-    image = rs.render(rs.load("cornell"), size=(32, 24), samples=3)
+    image = rs.render(rs.load("cornell"), "raycast", size=(32, 24), samples=3)
     assert shot.header["format"] == "image/png"
     assert np.array_equal(decode(shot), image.to_bytes(1.5, "aces"))
 

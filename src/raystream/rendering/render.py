@@ -20,7 +20,7 @@ from raystream.rendering.progressive import Limits, render_samples
 from raystream.rendering.raycast import RAYCAST
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shadow import SHADOW
-from raystream.rendering.view_light import kept_choice, lit
+from raystream.rendering.view_light import lit
 from raystream.rendering.vis import VIS
 from raystream.rendering.whitted import WHITTED
 from raystream.rendering.xray import XRAY
@@ -154,8 +154,6 @@ def render(
     view = camera or tracer.scene.camera_for(width / height)
     context = make_context(tracer, view, (width, height), numbers, chosen, wanted, lights)
     context = lit(renderer, context)
-    image = render_samples(
+    return render_samples(
         renderer, context, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
     )
-    image.figures["lights"] = kept_choice(context)
-    return image

@@ -1,4 +1,4 @@
-"""First pictures: what a user sees who names a model and a mode, and nothing else.
+"""First images: what a user sees who names a model and a mode, and nothing else.
 
 Renders every built-in scene, every sample that is there and the models given, in all modes, by the
 command line with a size, and reports how much of each image is dark or bright, and on the model. A
@@ -41,7 +41,7 @@ def known_scenes() -> list[str]:
 
 def render(name: str, mode: str, size: str, folder: Path) -> tuple[Image.Image, str]:
     """The image of a scene, and what the command line printed on stderr."""
-    path = folder / "picture.png"
+    path = folder / "image.png"
     notes = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(notes):
         try:
@@ -73,7 +73,7 @@ def main() -> int:
     parser.add_argument("--only", action="store_true", help="only the scenes given")
     parser.add_argument("--modes", default=",".join(rs.MODES))
     parser.add_argument("--size", default="320x240")
-    parser.add_argument("-o", "--output", type=Path, default=Path("first_pictures.png"))
+    parser.add_argument("-o", "--output", type=Path, default=Path("first_images.png"))
     asked = parser.parse_args()
     modes = asked.modes.split(",")
     width, height = map(int, asked.size.split("x"))
