@@ -8,7 +8,7 @@ import pytest
 
 import raystream as rs
 from meshes import soup
-from raystream.scene.scene import _FEW
+from raystream.scene.geometry import _FEW
 
 STRUCTURES = ["bvh", "brute", "grid", "kdtree", "graph"]
 

@@ -198,6 +198,11 @@ class Triangles:
         return corners
 
     @property
+    def has_corners(self) -> bool:
+        """Whether `corners` is kept now, rather than computed by the next access."""
+        return self._corners is not None
+
+    @property
     def prim_ids(self) -> NDArray[np.int32]:
         """The triangles that can be hit, shape (A,), int32, in increasing order."""
         if self._prim_ids is None:

@@ -66,8 +66,8 @@ def render_frames(
     fps : float, optional
         Frames per unit of time, usually a second [default: from the file, else 24].
     camera : Camera or CameraTrack, optional
-        The view [default: the scene's camera, which may move, or one that frames the scene as
-        given].
+        The view [default: the scene's camera, which may move, or one chosen for the scene as
+        given, see `Scene.camera_for`].
     seed : int
         Of the animation; each frame has its own, see `frame_seed`.
     progress : callable, optional

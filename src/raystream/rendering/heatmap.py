@@ -160,7 +160,7 @@ def heatmap(
     structure, device, **options
         See `Tracer`; not allowed if `scene` is a tracer.
     camera : Camera, optional
-        The view [default: the scene's camera, or one that frames it].
+        The view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     maximum : float, optional
         Top of the scale, to make images comparable [default: the largest count of a pixel].
         Larger counts are clamped, and the scale bar says so.

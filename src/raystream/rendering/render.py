@@ -87,7 +87,7 @@ def render(
         or ``absorption`` of solids per world unit (``"xray"``: 0.2, None). All others are
         passed to the tracer.
     camera : Camera, optional
-        The view [default: the scene's camera, or one that frames it].
+        The view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     lights : {"auto", "file", "added"}
         ``"auto"`` adds a light if the scene has none, or if its lights are too weak to see
         anything: a white sky (``"path"``, ``"kajiya"``), or a headlight (``"raycast"``,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.scene.lens import disk_points, lens_samples
 from raystream.scene.projections import PROJECTIONS, ahead, around, beside
 
-__all__ = ["Camera"]
+__all__ = ["Camera", "frame_box", "front_of", "three_quarter_view", "unit_vector"]
 
 Vector = tuple[float, float, float]
 
@@ -123,32 +123,8 @@ class Camera:
         aspect : float
             Width of the image divided by its height.
         """
-        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        center = low + (high - low) / 2
         up = unit_vector("up", up)
-        # A three-quarter view: the direction from the centre to the eye, for y up.
-        front = (
-            np.array([0.0, 0.0, 1.0]) if abs(up[1]) >= abs(up[2]) else np.array([0.0, -1.0, 0.0])
-        )
-        right = np.cross(up, front)
-        toward_eye = front + 0.55 * right + 0.45 * up
-        toward_eye /= np.linalg.norm(toward_eye)
-        axis_right = np.cross(up, toward_eye)
-        axis_right /= np.linalg.norm(axis_right)
-        axis_up = np.cross(toward_eye, axis_right)
-        tan_up = math.tan(math.radians(fov) / 2)
-        tan_right = tan_up * aspect
-        # Back off until every corner lies inside the frustum.
-        distance = 0.0
-        for corner in np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T - center:
-            depth = corner @ toward_eye
-            distance = max(
-                distance,
-                depth + abs(corner @ axis_right) / tan_right,
-                depth + abs(corner @ axis_up) / tan_up,
-            )
-        distance = distance * 1.05 if distance > 0.0 else max(1.0, float(np.abs(center).max()))
-        return cls(tuple(center + distance * toward_eye), tuple(center), tuple(up), fov)
+        return frame_box(low, high, three_quarter_view(up), up, fov=fov, aspect=aspect)
 
     @property
     def image_height(self) -> float:
@@ -247,6 +223,57 @@ class Camera:
             directions = self.focus_distance * directions - offsets
         directions /= np.sqrt(np.einsum("...k,...k->...", directions, directions))[..., None]
         return origins, directions.astype(np.float32)
+
+
+def front_of(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The direction from which models are seen from the front, for a unit vector up."""
+    return np.array([0.0, 0.0, 1.0]) if abs(up[1]) >= abs(up[2]) else np.array([0.0, -1.0, 0.0])
+
+
+def three_quarter_view(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vector from a model to the eye of the usual view: in front, to the right and above."""
+    front = front_of(up)
+    toward_eye = front + 0.55 * np.cross(up, front) + 0.45 * up
+    toward_eye /= np.linalg.norm(toward_eye)
+    return toward_eye
+
+
+def frame_box(
+    low: ArrayLike,
+    high: ArrayLike,
+    toward_eye: NDArray[np.float64],
+    up: NDArray[np.float64],
+    *,
+    fov: float = 40.0,
+    aspect: float = 4.0 / 3.0,
+) -> Camera:
+    """Place a camera so that a box fills the image.
+
+    Parameters
+    ----------
+    low, high, fov, aspect
+        See `Camera.framing`.
+    toward_eye, up : ndarray of shape (3,), float64
+        Unit vectors: from the box to the eye, and the world's up, not parallel to it.
+    """
+    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    center = low + (high - low) / 2
+    axis_right = np.cross(up, toward_eye)
+    axis_right /= np.linalg.norm(axis_right)
+    axis_up = np.cross(toward_eye, axis_right)
+    tan_up = math.tan(math.radians(fov) / 2)
+    tan_right = tan_up * aspect
+    # Back off until every corner lies inside the frustum.
+    distance = 0.0
+    for corner in np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T - center:
+        depth = corner @ toward_eye
+        distance = max(
+            distance,
+            depth + abs(corner @ axis_right) / tan_right,
+            depth + abs(corner @ axis_up) / tan_up,
+        )
+    distance = distance * 1.05 if distance > 0.0 else max(1.0, float(np.abs(center).max()))
+    return Camera(tuple(center + distance * toward_eye), tuple(center), tuple(up), fov)
 
 
 def _broadcast_to_lens(

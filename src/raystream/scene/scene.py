@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -19,6 +18,7 @@ from raystream.notebook import html_table
 from raystream.scene.animation import FPS, Animation, Timeline
 from raystream.scene.camera import Camera, unit_vector
 from raystream.scene.camera_track import CameraMotion
+from raystream.scene.geometry import Geometry
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
@@ -28,35 +28,6 @@ __all__ = ["Scene"]
 
 #: Parts of a scene that an animation sets.
 _ANIMATED = ("meshes", "materials", "lights")
-
-
-#: Triangles of small scenes are made by NumPy: that is faster than to load a kernel.
-_FEW = 1 << 14
-
-
-class _Geometry:
-    """Meshes and their triangles, built once for all scenes that share the meshes."""
-
-    def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
-        self.meshes = tuple(meshes)
-        self.attributes = Attributes(self.meshes)
-        if triangles is not None:
-            self.triangles = self._described(triangles)
-
-    @cached_property
-    def triangles(self) -> Triangles:
-        arrays = [(mesh.vertices, mesh.faces) for mesh in self.meshes]
-        if sum(mesh.triangle_count for mesh in self.meshes) <= _FEW:
-            return self._described(Triangles(arrays))
-        # Here, not above: it loads the compiler.
-        from raystream.kernels.move_triangles import make_triangles
-
-        return self._described(make_triangles(arrays))
-
-    def _described(self, triangles: Triangles) -> Triangles:
-        if triangles.attributes is None:  # replacing them would change existing hits
-            triangles.attributes = self.attributes
-        return triangles
 
 
 class _Parts(TypedDict, total=False):
@@ -89,8 +60,8 @@ class Scene:
         Area lights are not listed: they follow from emissive materials.
     camera : Camera, str or int, optional
         The default view, or the name or number of one of `cameras`
-        [default: `camera_track` at rest, else the first of `cameras`, else one that frames
-        the scene].
+        [default: `camera_track` at rest, else the first of `cameras`, else one chosen by
+        `camera_for`].
     camera_track : CameraTrack, optional
         Motion of the camera; see `camera_at`.
     cameras : mapping of str to Camera or CameraTrack, optional
@@ -125,7 +96,7 @@ class Scene:
         background: Color = (0.0, 0.0, 0.0),
         name: str = "",
     ) -> None:
-        self._geometry = _Geometry(meshes)
+        self._geometry = Geometry(meshes)
         self._materials = tuple(materials) or (Material(),)
         self._lights = tuple(lights)
         self._name = str(name)
@@ -255,7 +226,7 @@ class Scene:
         triangles : Triangles
             Their triangles.
         """
-        return self._with(_geometry=_Geometry(meshes, triangles))
+        return self._with(_geometry=Geometry(meshes, triangles))
 
     def _with(self, **fields: Any) -> Scene:
         scene = Scene.__new__(Scene)
@@ -326,7 +297,7 @@ class Scene:
 
     @property
     def camera(self) -> Camera:
-        """The scene's own camera, else one that frames its bounds at an aspect of 4:3."""
+        """The scene's own camera, else one chosen for images of 4:3, see `camera_for`."""
         return self.camera_for(4.0 / 3.0)
 
     @property
@@ -336,21 +307,34 @@ class Scene:
 
     @property
     def has_own_camera(self) -> bool:
-        """Whether the scene has a camera, rather than a default one that frames the bounds."""
+        """Whether the scene has a camera, rather than one chosen by `camera_for`."""
         return self._views.camera is not None
 
     def camera_for(self, aspect: float) -> Camera:
-        """The scene's own camera, else one that frames its bounds at an aspect ratio.
+        """The scene's own camera, else one chosen for an aspect ratio.
 
         Parameters
         ----------
         aspect : float
             Width of the image divided by its height.
+
+        Returns
+        -------
+        Camera
+            Without an own camera: one that frames the bulk of the triangles, without strays far
+            away and without the outer parts of a ground that is much larger than what stands on
+            it. It looks from in front, the right and above, unless the scene shows more of itself
+            from another direction. If it is a room that shows most from inside, the camera stands
+            in it, for any aspect.
+
+        Notes
+        -----
+        The choice depends on the triangles and `up` only, not on their order, a structure or a
+        device, and is made once.
         """
         if self._views.camera is not None:
             return self._views.camera
-        low, high = self.bounds
-        return Camera.framing(low, high, up=self.up, aspect=aspect)
+        return self._geometry.default_view(self.up).camera(aspect)
 
     @property
     def cameras(self) -> dict[str, Camera]:

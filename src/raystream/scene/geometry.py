@@ -1,0 +1,61 @@
+"""Geometry: meshes with what is derived from them, shared by scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.attributes import Attributes
+from raystream.core.triangles import Triangles
+from raystream.scene.mesh import Mesh
+
+if TYPE_CHECKING:
+    from raystream.scene.default_view.choice import DefaultView
+
+__all__ = ["Geometry"]
+
+#: Triangles of small scenes are made by NumPy: that is faster than to load a kernel.
+_FEW = 1 << 14
+
+
+class Geometry:
+    """Meshes and their triangles, built once for all scenes that share the meshes."""
+
+    def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
+        self.meshes = tuple(meshes)
+        self.attributes = Attributes(self.meshes)
+        self._view: tuple[bytes, DefaultView] | None = None
+        if triangles is not None:
+            self.triangles = self._described(triangles)
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """The triangles of all meshes, in the form that structures are built from."""
+        arrays = [(mesh.vertices, mesh.faces) for mesh in self.meshes]
+        if sum(mesh.triangle_count for mesh in self.meshes) <= _FEW:
+            return self._described(Triangles(arrays))
+        # Here, not above: it loads the compiler.
+        from raystream.kernels.move_triangles import make_triangles
+
+        return self._described(make_triangles(arrays))
+
+    def default_view(self, up: NDArray[np.float64]) -> DefaultView:
+        """The view of a scene without a camera; kept, for the last up."""
+        key, kept = up.tobytes(), self._view
+        if kept is not None and kept[0] == key:
+            return kept[1]
+        # Here, not above: most scenes have cameras.
+        from raystream.scene.default_view.choice import choose_view
+
+        view = choose_view(self.triangles, up)
+        self._view = key, view
+        return view
+
+    def _described(self, triangles: Triangles) -> Triangles:
+        if triangles.attributes is None:  # replacing them would change existing hits
+            triangles.attributes = self.attributes
+        return triangles
