@@ -16,7 +16,14 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import gather
 from raystream.rendering.shading.absorption import transmittance
-from raystream.rendering.shading.bsdf import emitted, eval_reflection, fresnel, lobes_at, refracted
+from raystream.rendering.shading.bsdf import (
+    emitted,
+    eval_reflection,
+    fresnel,
+    gloss_share,
+    lobes_at,
+    refracted,
+)
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.shadow_rays import put_shadow_ray
 from raystream.rendering.shading.sky import sky_radiance
@@ -148,7 +155,7 @@ def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
     min_weight = options.min_weight
 
     normal, clear = (point.nx, point.ny, point.nz), 0.0
-    through = lobes.transmission
+    through = scaled(lobes.transmission, 1.0 - gloss_share(lobes, back, normal))
     if through[0] + through[1] + through[2] > 0.0:
         if lobes.ior != 1.0:
             clear = fresnel(min(dot(back, normal), 1.0), lobes.ior)
