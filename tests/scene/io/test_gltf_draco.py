@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import copy
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,7 @@ import numpy as np
 import pytest
 
 from extras import need
-from raystream.core.errors import FileFormatError
+from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.scene.io import gltf_draco
 from scene.io import tiny
 from scene.io.test_gltf import read
@@ -82,8 +85,6 @@ def test_without_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def of_bytes(document: dict[str, Any], change: Any) -> dict[str, Any]:
     """The document with other compressed bytes."""
-    import base64
-
     _, _, payload = document["buffers"][0]["uri"].partition(",")
     content = bytearray(base64.b64decode(payload))
     change(content)
@@ -131,3 +132,23 @@ def test_damaged_data(tmp_path: Path, change: Any, reason: str) -> None:
     assert gltf_draco.MAX_TRIANGLES_PER_BYTE < 2**31 / 200
     with pytest.raises(FileFormatError, match=reason):
         read(tmp_path, document)
+
+
+def test_changed_bytes_of_the_data(tmp_path: Path) -> None:
+    """They end in one clear error, or in some mesh."""
+    document, messages = compressed(), []
+    random = np.random.default_rng(1)
+
+    def change(content: bytearray) -> None:
+        for place in random.integers(0, len(content), 3):
+            content[place] = random.integers(256)
+
+    for _ in range(100):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RaystreamWarning)  # indices of no vertices
+            try:
+                read(tmp_path, of_bytes(copy.deepcopy(document), change))
+            except FileFormatError as error:
+                messages.append(str(error))
+    assert len(messages) > 50
+    assert not any("\n" in message for message in messages)

@@ -93,7 +93,7 @@ def light_rows(
             row[:3] = (np.array(light.position) - frame.center) * scale
             if isinstance(light, SpotLight):
                 row[_KIND], row[_RADIUS:] = _SPOT, light.fading
-                row[_NORMAL:_RADIUS] = light.direction / np.linalg.norm(light.direction)
+                row[_NORMAL:_RADIUS] = np.array(light.direction) / np.linalg.norm(light.direction)
             else:
                 row[_KIND] = _POINT if light.falloff == "inverse_square" else _STEADY
             falls = row[_KIND] != _STEADY

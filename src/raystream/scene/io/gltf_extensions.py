@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 __all__ = ["COMPRESSED", "can_read", "lost_extensions"]
 
-#: Read, or nothing that a picture shows.
+#: Read, or without effect on images.
 _SUPPORTED = frozenset(
     {
         "EXT_mesh_gpu_instancing",  # with its own warning
@@ -41,5 +41,5 @@ def can_read(name: str) -> bool:
 
 
 def lost_extensions(used: Iterable[str]) -> list[str]:
-    """Those of a file's extensions that are ignored, although a picture may show them."""
+    """Those of a file's extensions that are ignored, although they may affect images."""
     return sorted({name for name in used if name not in _SUPPORTED | COMPRESSED})

@@ -82,7 +82,7 @@ class Texcoords:
         return result
 
     def seen_from(self, mesh: Texcoords) -> Affine | None:
-        """The transform from a mesh's coordinates to these, with v upward; None if it is none."""
+        """The transform from a mesh's coordinates to these, with v upward; None if they agree."""
         if np.array_equal(self.matrix, mesh.matrix):
             return None
         matrix = _FLIP @ self.matrix @ np.linalg.inv(mesh.matrix) @ _FLIP
