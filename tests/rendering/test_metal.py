@@ -79,6 +79,17 @@ def test_smooth_white_metal_loses_nothing():
     np.testing.assert_allclose(image.pixels, 1.0, atol=1e-3)
 
 
+@pytest.mark.parametrize(("through", "eye"), [(0.5, (0.1, 5, 0)), (1.0, (-2, 0.5, 0))])
+def test_a_smooth_white_pane_loses_nothing(through, eye):
+    """Reflected, transmitted and scattered light add up."""
+    material = rs.Material(
+        diffuse=(1, 1, 1), transmission=(through,) * 3, roughness=0.0, metallic=0.0, ior=1.0
+    )
+    scene = floor(material, [rs.EnvironmentLight((1, 1, 1))], eye=eye)
+    image = rs.render(scene, "path", (16, 16), 64, max_bounces=1, light_samples=False)
+    np.testing.assert_allclose(image.pixels.mean(), 1.0, atol=6e-3)
+
+
 def test_a_texture_has_roughness_in_green_and_metal_in_blue():
     texels = np.array([[[7, 153, 51]]], np.uint8)
     light = [rs.DirectionalLight((-0.3, -1, 0.2))]

@@ -204,9 +204,9 @@ def lobes_at(tables, point):
         transmission = chosen(is_rough, through, transmission)
     share = _WHOLE / maximum(
         largest(
-            _sum(diffuse[0], specular[0], is_rough) + reflection[0] + transmission[0],
-            _sum(diffuse[1], specular[1], is_rough) + reflection[1] + transmission[1],
-            _sum(diffuse[2], specular[2], is_rough) + reflection[2] + transmission[2],
+            _sum(diffuse[0], specular[0], reflection[0], transmission[0], is_rough),
+            _sum(diffuse[1], specular[1], reflection[1], transmission[1], is_rough),
+            _sum(diffuse[2], specular[2], reflection[2], transmission[2], is_rough),
         ),
         _WHOLE,
     )
@@ -228,9 +228,10 @@ def _less(a, b):
 
 
 @device
-def _sum(diffuse, specular, is_rough):
-    """Largest albedo of two lobes; microfacets take their share from the diffuse lobe."""
-    return select(is_rough, maximum(diffuse, specular), diffuse + specular)
+def _sum(diffuse, specular, reflection, transmission, is_rough):
+    """Largest albedo of all lobes; microfacets take their share from what is below them."""
+    layered = maximum(diffuse + transmission, specular) + reflection
+    return select(is_rough, layered, diffuse + specular + reflection + transmission)
 
 
 @device
