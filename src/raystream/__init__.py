@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from raystream.scene.animation import Animation
     from raystream.scene.camera import Camera
     from raystream.scene.camera_track import CameraTrack
-    from raystream.scene.lights import DirectionalLight, EnvironmentLight, PointLight
+    from raystream.scene.lights import DirectionalLight, EnvironmentLight, PointLight, SpotLight
     from raystream.scene.load import load
     from raystream.scene.material import Material
     from raystream.scene.mesh import Mesh
@@ -92,6 +92,7 @@ _HOMES = {
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
     "Scene": "scene.scene",
+    "SpotLight": "scene.lights",
     "StructureOptions": "structures.registry",
     "Texture": "scene.texture",
     "Tracer": "tracer",
@@ -141,6 +142,7 @@ __all__ = [
     "RaystreamError",
     "RaystreamWarning",
     "Scene",
+    "SpotLight",
     "StructureOptions",
     "Texture",
     "Tracer",

@@ -24,7 +24,12 @@ from raystream.cluster.errors import ClusterError
 def rich_scene() -> rs.Scene:
     """Everything that a scene can have beside a camera."""
     rng = np.random.default_rng(3)
-    picture = rs.Texture(rng.integers(0, 255, (4, 5, 3), np.uint8), name="p", wrap="clamp")
+    picture = rs.Texture(
+        rng.integers(0, 255, (4, 5, 3), np.uint8),
+        name="p",
+        wrap="clamp",
+        transform=(1, 0, 0.5, 0, 2, 1 / 3),
+    )
     materials = [
         rs.Material("a", textures={"diffuse": picture, "opacity": picture}, alpha_cutoff=0.5),
         rs.Material("b", emission=(1.0, 0.1, 1e-30), roughness=0.3, double_sided=False),
@@ -38,6 +43,7 @@ def rich_scene() -> rs.Scene:
         rs.DirectionalLight((0, -1, 0), (0.1, 0.2, 1 / 3)),
         rs.EnvironmentLight((1, 1, 2), rng.random((2, 4, 3)), up=(0, 0, 1), rotation=20.0),
         rs.EnvironmentLight(),
+        rs.SpotLight((1, 2, 3), (0, 0, -1), (0.1, 0.2, 1 / 3), 5, 50),
     ]
     return rs.Scene(
         [
@@ -74,10 +80,12 @@ def test_a_scene_comes_out_as_it_went_in():
     assert picture is found.materials[2].textures["diffuse"]
     assert_same_bits(picture.pixels(), scene.materials[0].textures["diffuse"].pixels())
     assert (picture.name, picture.wrap) == ("p", "clamp")
+    assert picture.transform == (1, 0, 0.5, 0, 2, 1 / 3)
     with pytest.raises(rs.FileFormatError):
         found.materials[2].textures["bump"].pixels()
     assert found.lights[:2] == scene.lights[:2]
     assert vars(found.lights[3]) == vars(scene.lights[3])
+    assert found.lights[4] == scene.lights[4]
     image, other = scene.lights[2], found.lights[2]
     assert (image.radiance, image.up, image.rotation) == (other.radiance, other.up, other.rotation)
     assert_same_bits(image.image, other.image)

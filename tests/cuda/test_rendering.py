@@ -30,12 +30,16 @@ ROUNDED = () if is_simulated() else ("image", "raycast", "shadow")
 RANDOM = np.random.default_rng(9)
 
 
-def bitmap(*shape: int) -> rs.Texture:
-    return rs.Texture(RANDOM.integers(0, 256, (*shape, 3), np.uint8))
+def bitmap(*shape: int, **options) -> rs.Texture:
+    return rs.Texture(RANDOM.integers(0, 256, (*shape, 3), np.uint8), **options)
 
 
 MATERIALS = [
-    rs.Material("floor", diffuse=(0.8, 0.7, 0.6), textures={"diffuse": bitmap(4, 8)}),
+    rs.Material(
+        "floor",
+        diffuse=(0.8, 0.7, 0.6),
+        textures={"diffuse": bitmap(4, 8, transform=(0.5, -0.7, 0.1, 0.8, 0.4, -0.3))},
+    ),
     rs.Material("lamp", diffuse=(0.2, 0.2, 0.2), emission=(4.0, 3.0, 2.0)),
     rs.Material("gloss", diffuse=(0.3, 0.3, 0.1), specular=(0.4, 0.4, 0.6), shininess=30.0),
     rs.Material(
@@ -46,6 +50,9 @@ MATERIALS = [
         diffuse=(0.9, 0.7, 0.4),
         roughness=0.4,
         metallic=0.7,
+        normal_reflectance=(0.1, 0.05, 0.02),
+        grazing_reflectance=0.75,
+        transmission=(0.3, 0.2, 0.1),
         textures={
             "normal": rs.Texture(np.uint8([[[150, 110, 240], [110, 140, 240]]])),
             "metallic_roughness": bitmap(2, 2),
@@ -81,6 +88,7 @@ def room(**options) -> rs.Scene:
     usual = {
         "lights": [
             rs.PointLight((0.5, 1.0, 2.0), (1.0, 0.8, 0.6)),
+            rs.SpotLight((0.3, 1.2, 0.9), (0.1, -1.0, 0.0), (0.9, 0.7, 0.4), 5.0, 35.0),
             rs.DirectionalLight((0.3, -1.0, -0.2), (0.5, 0.5, 0.9)),
             rs.EnvironmentLight((0.2, 0.4, 0.8)),
         ],

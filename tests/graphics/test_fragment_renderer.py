@@ -395,15 +395,25 @@ SHEET = {
     "opaque": rs.Material(opacity=0.5),
     "rough": rs.Material(roughness=0.5),
     "bump": rs.Material(textures={"bump": rs.Texture(np.zeros((1, 1, 3), np.uint8))}),
+    "transform": rs.Material(
+        textures={
+            "diffuse": rs.Texture(
+                np.eye(4, dtype=np.uint8)[:, :, None], transform=(2, 0, 0, 0, 3, 0)
+            )
+        }
+    ),
 }
 
 
-@pytest.mark.parametrize("what", [*SHEET, "camera", "sampler", "mode", "targets", "constants"])
+@pytest.mark.parametrize(
+    "what", [*SHEET, "spot", "camera", "sampler", "mode", "targets", "constants"]
+)
 def test_what_the_programs_do_not_support_is_rendered_by_queries(opened, what, monkeypatch):
     mesh = rs.Mesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]], texcoords=np.eye(3, 2))
     scene = rs.Scene(
         [mesh],
         materials=[SHEET.get(what, rs.Material())],
+        lights=[rs.SpotLight((0, 0, 3), (0, 0, -1), outer_angle=9)] if what == "spot" else [],
         camera=rs.Camera((0.0, 0.0, 3.0), (0.0, 0.0, 0.0)),
     )
     options, machine, mode = {}, {}, "shadow"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from z_test import assert_at_most, assert_equal_means
+from z_test import assert_at_most, assert_equal_means, assert_mean
 
 FLOOR = np.array([[-9, 0, -9], [9, 0, -9], [9, 0, 9], [-9, 0, 9.0]])
 UPWARD = [[0, 2, 1], [0, 3, 2]]
@@ -19,8 +19,12 @@ def floor(material, lights, texcoords=None, eye=EYE):
     return rs.Scene([mesh], materials=[material], lights=lights, camera=camera)
 
 
-def brdf(toward, view, roughness, metallic):
-    """Appendix B of the glTF 2.0 specification, by NumPy; the surface's normal is +y."""
+def brdf(toward, view, roughness, metallic, normal=0.04, grazing=1.0, base=BASE, through=0.0):
+    """Appendix B of the glTF 2.0 specification, by NumPy; the surface's normal is +y.
+
+    With F0 and F90 of ``KHR_materials_specular``, and less to scatter by
+    ``KHR_materials_transmission``.
+    """
     half = (toward + view) / np.linalg.norm(toward + view)
     alpha2 = roughness**4
     light, seen, height, angle = toward[1], view[1], half[1], half @ view
@@ -29,9 +33,11 @@ def brdf(toward, view, roughness, metallic):
         light * np.sqrt(seen**2 * (1 - alpha2) + alpha2)
         + seen * np.sqrt(light**2 * (1 - alpha2) + alpha2)
     )
-    mirror = 0.04 * (1 - metallic) + BASE * metallic
-    share = mirror + (1 - mirror) * (1 - angle) ** 5
-    return (1 - share) * BASE * (1 - metallic) / np.pi + share * density * visible
+    mirror = np.array(normal) * (1 - metallic) + base * metallic
+    highest = grazing * (1 - metallic) + metallic
+    share = mirror + (highest - mirror) * (1 - angle) ** 5
+    scattered = base * (1 - metallic) * (1 - through) / np.pi
+    return (1 - share) * scattered + share * density * visible
 
 
 @pytest.mark.parametrize("metallic", [0.0, 0.4, 1.0])
@@ -76,6 +82,17 @@ def test_smooth_white_metal_loses_nothing():
     np.testing.assert_allclose(image.pixels, 1.0, atol=1e-3)
 
 
+@pytest.mark.parametrize(("through", "eye"), [(0.5, (0.1, 5, 0)), (1.0, (-2, 0.5, 0))])
+def test_a_smooth_white_pane_loses_nothing(through, eye):
+    """Reflected, transmitted and scattered light add up."""
+    material = rs.Material(
+        diffuse=(1, 1, 1), transmission=(through,) * 3, roughness=0.0, metallic=0.0, ior=1.0
+    )
+    scene = floor(material, [rs.EnvironmentLight((1, 1, 1))], eye=eye)
+    image = rs.render(scene, "path", (16, 16), 64, max_bounces=1, light_samples=False)
+    np.testing.assert_allclose(image.pixels.mean(), 1.0, atol=6e-3)
+
+
 def test_a_texture_has_roughness_in_green_and_metal_in_blue():
     texels = np.array([[[7, 153, 51]]], np.uint8)
     light = [rs.DirectionalLight((-0.3, -1, 0.2))]
@@ -87,3 +104,82 @@ def test_a_texture_has_roughness_in_green_and_metal_in_blue():
         for material in (textured, rs.Material(**plain))
     ]
     np.testing.assert_allclose(*seen, rtol=1e-5)
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.4])
+@pytest.mark.parametrize(
+    ("normal", "grazing"), [((0.2, 0.1, 0.02), 1.0), ((0.02, 0.02, 0.02), 0.5), ((0, 0, 0), 0)]
+)
+def test_reflectances_of_what_is_not_metal(metallic, normal, grazing):
+    material = rs.Material(
+        diffuse=tuple(BASE),
+        roughness=0.5,
+        metallic=metallic,
+        normal_reflectance=normal,
+        grazing_reflectance=grazing,
+    )
+    view = EYE / np.linalg.norm(EYE)
+    for toward in ([0.1, 1.0, 0.2], [2.0, 0.3, -1.0]):
+        toward = np.array(toward) / np.linalg.norm(toward)
+        scene = floor(material, [rs.DirectionalLight(-toward, (2, 2, 2))])
+        for mode in ("path", "shadow"):
+            seen = rs.render(scene, mode, (1, 1)).pixels[0, 0]
+            expected = 2 * brdf(toward, view, 0.5, metallic, normal, grazing) * toward[1]
+            np.testing.assert_allclose(seen, expected, rtol=2e-4)
+
+
+def test_a_specular_texture_tints_the_reflectance_at_normal_incidence():
+    texels = np.array([[[255, 128, 0]]], np.uint8)
+    light = [rs.DirectionalLight((-0.3, -1, 0.2))]
+    looks = {"diffuse": tuple(BASE), "roughness": 0.5, "metallic": 0.25}
+    textured = rs.Material(**looks, textures={"specular": rs.Texture(texels)})
+    half = 0.04 * ((128 / 255 + 0.055) / 1.055) ** 2.4  # sRGB
+    plain = rs.Material(**looks, normal_reflectance=(0.04, half, 0))
+    seen = [
+        rs.render(floor(material, light, np.zeros((4, 2))), "path", (1, 1)).pixels
+        for material in (textured, plain)
+    ]
+    np.testing.assert_allclose(*seen, rtol=1e-5)
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.4, 1.0])
+def test_transmission_takes_from_what_is_scattered(metallic):
+    through = tuple(0.75 * BASE)
+    looks = {"roughness": 0.6, "metallic": metallic, "ior": 1.0}
+    material = rs.Material(diffuse=tuple(BASE), transmission=through, **looks)
+    view = EYE / np.linalg.norm(EYE)
+    toward = np.array([0.1, 1.0, 0.2]) / np.linalg.norm([0.1, 1.0, 0.2])
+    scene = floor(material, [rs.DirectionalLight(-toward, (2, 2, 2))])
+    seen = rs.render(scene, "path", (1, 1)).pixels[0, 0]
+    expected = 2 * brdf(toward, view, 0.6, metallic, through=0.75) * toward[1]
+    np.testing.assert_allclose(seen, expected, rtol=2e-4)
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.4])
+@pytest.mark.parametrize("mode", ["path", "whitted"])
+def test_a_pane_shows_what_is_behind(mode, metallic):
+    """Tinted by the base colour with its texture, and less by what the surface reflects."""
+    texels = np.array([[[255, 128, 0]]], np.uint8)
+    tint = np.array([1, ((128 / 255 + 0.055) / 1.055) ** 2.4, 0]) * BASE
+    looks = {"roughness": 0.0, "metallic": metallic, "ior": 1.0}
+    material = rs.Material(
+        diffuse=tuple(BASE),
+        transmission=tuple(BASE),
+        **looks,
+        textures={"diffuse": rs.Texture(texels)},
+    )
+    pane = rs.Mesh(FLOOR, UPWARD, texcoords=np.zeros((4, 2)))
+    below = rs.Mesh(FLOOR - [0, 1, 0], UPWARD, material_ids=1)
+    lamp = rs.Material(diffuse=(0, 0, 0), emission=(3, 3, 3))
+    camera = rs.Camera(EYE, (0, 0, 0), fov=1e-3)
+    scene = rs.Scene([pane, below], materials=[material, lamp], camera=camera)
+    options = {"sampler": "random", "light_samples": False} if mode == "path" else {}
+    image = rs.render(scene, mode, (32, 32), 64, **options)
+    cosine = EYE[1] / np.linalg.norm(EYE)
+    mirror = 0.04 * (1 - metallic) + tint * metallic
+    share = (mirror + (1 - mirror) * (1 - cosine) ** 5).mean()
+    expected = 3 * (1 - metallic) * (1 - share) * tint
+    if mode == "path":
+        assert_mean(image, expected)
+    else:
+        np.testing.assert_allclose(image.pixels[0, 0], expected, rtol=1e-3)

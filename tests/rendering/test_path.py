@@ -223,12 +223,23 @@ def received_from(light):
     toward = np.array(light.position) - PLACE
     distance = np.linalg.norm(toward)
     facing = np.array(light.intensity) * toward[1] / distance
+    if isinstance(light, rs.SpotLight):
+        return facing / distance**2 * faded(light, -toward / distance)
     return facing / distance**2 if light.falloff == "inverse_square" else facing * math.pi
+
+
+def faded(light, direction):
+    """The factor that the code of ``KHR_lights_punctual`` gives."""
+    inner, outer = (math.cos(math.radians(a)) for a in (light.inner_angle, light.outer_angle))
+    axis = np.array(light.direction) / np.linalg.norm(light.direction)
+    return min(max((axis @ direction - outer) / max(0.001, inner - outer), 0), 1) ** 2
 
 
 LIGHTS = {
     "point": [rs.PointLight((1, 2, 0.5), (3, 2, 1))],
     "point without falloff": [rs.PointLight((1, 2, 0.5), (3, 2, 1), falloff="none")],
+    "spot": [rs.SpotLight((1, 2, 0.5), (-1, -3, 0), (9, 6, 3), 5, 60)],
+    "inside a spot": [rs.SpotLight((1, 2, 0.5), (-3, -6, -1.5), (9, 6, 3), 40, 40.01)],
     "sun": [rs.DirectionalLight((1, -3, 0.5), (3, 2, 1))],
     "sky": [rs.EnvironmentLight((3, 2, 1))],
     "two suns": [
@@ -251,6 +262,13 @@ def test_a_rectangle_and_the_sky_that_it_hides_add_up(light_samples):
     received = math.pi + irradiance_below([RECTANGLE]) * np.array([2, 1, 0])
     image = path(scene, 64, max_bounces=1, light_samples=light_samples)
     assert_mean(image, ALBEDO / math.pi * received)
+
+
+def test_nothing_outside_a_spot():
+    toward = PLACE - np.array([1, 2, 0.5])
+    assert 0.1 < faded(LIGHTS["spot"][0], toward / np.linalg.norm(toward)) < 0.9
+    light = rs.SpotLight((1, 2, 0.5), (1, -0.1, 0), (9, 9, 9), 10, 20)
+    assert not path(on_the_floor([light]), 4).pixels.any()
 
 
 def test_all_lights_together_add_up():

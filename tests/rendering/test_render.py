@@ -49,6 +49,25 @@ def test_a_point_light_falls_with_the_square_and_the_cosine():
     np.testing.assert_allclose(image.pixels, expected, rtol=1e-4)
 
 
+@pytest.mark.parametrize("mode", ["raycast", "shadow", "whitted"])
+def test_a_spot_fades_at_its_edge(mode):
+    """Radiance = albedo / pi * I cos / r^2, times the formula of ``KHR_lights_punctual``."""
+    light = rs.SpotLight((0.5, 3, 0), (0.1, -2, 0), (20.0, 10.0, 5.0), 5, 20)
+    image = rs.render(floor(rs.Material(diffuse=(0.5, 0.25, 1.0)), [light]), mode, (64, 48))
+    origins, directions = DOWN.rays(64, 48)
+    points = origins + directions * (-origins[..., 1:2] / directions[..., 1:2])
+    offset = np.array([0.5, 3, 0]) - points
+    r2 = (offset**2).sum(axis=-1)
+    axis = np.array([0.1, -2, 0]) / np.linalg.norm([0.1, -2, 0])
+    outer, inner = np.cos(np.radians(20)), np.cos(np.radians(5))
+    fading = np.clip((-offset @ axis / np.sqrt(r2) - outer) / (inner - outer), 0, 1) ** 2
+    assert (fading == 0).any()
+    assert (fading == 1).any()
+    factor = (fading * 3 / np.sqrt(r2) / r2 / math.pi)[..., None]
+    expected = factor * np.array([20, 10, 5]) * [0.5, 0.25, 1.0]
+    np.testing.assert_allclose(image.pixels, expected, rtol=1e-3, atol=1e-5)
+
+
 def test_a_light_without_falloff_shows_its_colour_on_white():
     light = rs.PointLight((0, 4000, 0), (0.5, 0.25, 1.0), falloff="none")
     image = rs.render(floor(rs.Material(diffuse=(1, 1, 1)), [light]), "raycast", (8, 6))

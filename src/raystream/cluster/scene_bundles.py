@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.rendering.environment import texels_of
-from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
+from raystream.scene.lights import (
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SpotLight,
+)
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -23,6 +29,7 @@ _ATTRIBUTES = ("vertices", "faces", "normals", "colors", "texcoords", "material_
 
 _LIGHTS: dict[str, type[Light]] = {
     "point": PointLight,
+    "spot": SpotLight,
     "directional": DirectionalLight,
     "environment": EnvironmentLight,
 }
@@ -114,7 +121,7 @@ def _pack_texture(texture: Texture, index: int, arrays: Arrays) -> dict[str, Any
     # An unreadable texture is sent without texels, and is missing from the image as usual.
     with contextlib.suppress(FileFormatError):
         arrays[f"texture {index}"] = texture.pixels()
-    return {"name": texture.name, "wrap": texture.wrap}
+    return {"name": texture.name, "wrap": texture.wrap, "transform": texture.transform}
 
 
 def _unpack_texture(

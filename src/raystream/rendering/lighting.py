@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from raystream.rendering.environment import image_light, mean_radiance
 from raystream.scene.camera import Camera
-from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
+from raystream.scene.lights import (
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SpotLight,
+)
 from raystream.scene.material import Color
 from raystream.scene.scene import Scene
 
@@ -295,7 +301,7 @@ def _radiance_of(scene: Scene, lights: Sequence[Light]) -> NDArray[np.float64]:
             shown = np.array(light.irradiance) / np.pi
         else:
             shown = np.array(light.intensity)
-            if light.falloff == "inverse_square":
+            if isinstance(light, SpotLight) or light.falloff == "inverse_square":
                 away = np.array(light.position) - scene.bounds.mean(axis=0)
                 with np.errstate(over="ignore"):  # that far away, it adds nothing
                     shown = shown / np.pi / max(float(away @ away), near)

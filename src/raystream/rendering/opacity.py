@@ -112,7 +112,7 @@ def _pack(
             grey = _opacity_of(texture)
             if grey is not None and not (grey == 255).all():
                 texels = np.repeat(grey[:, :, None], 4, axis=2)
-                known[id(texture)] = atlas.add(texels, texture.wrap)
+                known[id(texture)] = atlas.add(texels, texture)
         of_material[index] = -1 if texture is None else known[id(texture)]
         least = 1.0 if material.alpha_cutoff is None else material.alpha_cutoff
         if material.opacity < least or (of_material[index] >= 0 and least > 0.0):

@@ -1,4 +1,4 @@
-"""Lights: point, directional and environment lights, and area lights of emissive triangles."""
+"""Lights: points, spots, directions, environments, and area lights of emissive triangles."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ __all__ = [
     "EnvironmentLight",
     "Light",
     "PointLight",
+    "SpotLight",
     "texel_fault",
 ]
 
@@ -57,6 +58,51 @@ class PointLight:
         object.__setattr__(self, "intensity", _vector("intensity", self.intensity))
         if self.falloff not in ("inverse_square", "none"):
             raise ValueError(f"falloff: expected 'inverse_square' or 'none', got {self.falloff!r}")
+
+
+@dataclass(frozen=True)
+class SpotLight:
+    """Light from a point into a cone, with inverse-square falloff.
+
+    Between the two angles it fades as ``KHR_lights_punctual`` of glTF suggests: with the square
+    of a linear function of the cosine, from 1 to 0.
+
+    Parameters
+    ----------
+    position : Vector
+        World space.
+    direction : Vector
+        The cone's axis, away from the light; need not be unit length.
+    intensity : Color
+        Radiant intensity inside `inner_angle`, linear RGB.
+    inner_angle, outer_angle : float
+        Between the axis and the directions where the light begins to fade, and where it ends, in
+        degrees; 0 <= inner < outer <= 90.
+    """
+
+    position: Vector
+    direction: Vector
+    intensity: Color = (1.0, 1.0, 1.0)
+    inner_angle: float = 0.0
+    outer_angle: float = 45.0
+
+    def __post_init__(self) -> None:
+        for name in ("position", "direction", "intensity"):
+            object.__setattr__(self, name, _vector(name, getattr(self, name)))
+        if not any(self.direction):
+            raise ValueError("direction: must not be zero")
+        if not 0.0 <= self.inner_angle < self.outer_angle <= 90.0:
+            raise ValueError(
+                "inner_angle, outer_angle: expected 0 <= inner < outer <= 90 degrees, got "
+                f"{self.inner_angle} and {self.outer_angle}"
+            )
+
+    @property
+    def fading(self) -> tuple[float, float]:
+        """Scale and offset of the cosine: the intensity's factor is their clamped sum, squared."""
+        inner, outer = (math.cos(math.radians(a)) for a in (self.inner_angle, self.outer_angle))
+        scale = 1.0 / max(0.001, inner - outer)
+        return scale, -outer * scale
 
 
 @dataclass(frozen=True)
@@ -164,4 +210,4 @@ class AreaLight:
     radiance: Color
 
 
-Light = PointLight | DirectionalLight | EnvironmentLight
+Light = PointLight | SpotLight | DirectionalLight | EnvironmentLight

@@ -13,6 +13,15 @@ __all__ = ["Color", "Material"]
 Color = tuple[float, float, float]
 
 _COLORS = ("diffuse", "specular", "reflection", "transmission", "emission")
+_NUMBERS = (
+    "shininess",
+    "ior",
+    "opacity",
+    "grazing_reflectance",
+    "normal_scale",
+    "bump_scale",
+    "alpha_cutoff",
+)
 
 
 @dataclass(frozen=True)
@@ -34,7 +43,8 @@ class Material:
     reflection : Color
         Mirror reflectance, for reflected rays.
     transmission : Color
-        Transmittance, for refracted rays (MTL ``Tf``, BART ``T``).
+        Transmittance, for refracted rays (MTL ``Tf``, BART ``T``). With `roughness` it is a part
+        of `diffuse`, as in glTF: only the rest is scattered, and metal transmits nothing.
     ior : float
         Index of refraction (MTL ``Ni``).
     emission : Color
@@ -44,6 +54,11 @@ class Material:
         is the fraction of rays that see the surface.
     roughness, metallic : float or None
         glTF's parameters; None if the file has none.
+    normal_reflectance : Color
+        With `roughness`, reflectance of what is not metal at normal incidence; times the texture
+        ``"specular"`` [default: of an index of refraction of 1.5].
+    grazing_reflectance : float
+        With `roughness`, the same at grazing incidence.
     double_sided : bool
         False if only the front is visible (glTF); tracing hits both sides.
     textures : mapping of str to Texture
@@ -76,6 +91,8 @@ class Material:
     opacity: float = 1.0
     roughness: float | None = None
     metallic: float | None = None
+    normal_reflectance: Color = (0.04, 0.04, 0.04)
+    grazing_reflectance: float = 1.0
     double_sided: bool = True
     textures: Mapping[str, Texture] = field(default_factory=dict)
     normal_scale: float = 1.0
@@ -84,12 +101,12 @@ class Material:
     absorption: Color = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name in (*_COLORS, "absorption"):
+        for name in (*_COLORS, "normal_reflectance", "absorption"):
             color = tuple(float(c) for c in getattr(self, name))
             if len(color) != 3 or not all(math.isfinite(c) and c >= 0.0 for c in color):
                 raise ValueError(f"{name}: expected three finite numbers >= 0, got {color}")
             object.__setattr__(self, name, color)
-        for name in ("shininess", "ior", "opacity", "normal_scale", "bump_scale", "alpha_cutoff"):
+        for name in _NUMBERS:
             value = getattr(self, name)
             if not (math.isfinite(value) if value is not None else name == "alpha_cutoff"):
                 raise ValueError(f"{name}: expected a finite number, got {value}")

@@ -56,7 +56,7 @@ class Scene:
         Their triangles are numbered one mesh after another: `prim_id` counts over all meshes.
     materials : sequence of Material, optional
         Indexed by each mesh's ``material_ids`` [default: one grey material].
-    lights : sequence of PointLight, DirectionalLight or EnvironmentLight, optional
+    lights : sequence of PointLight, SpotLight, DirectionalLight or EnvironmentLight, optional
         Area lights are not listed: they follow from emissive materials.
     camera : Camera, str or int, optional
         The default view, or the name or number of one of `cameras`

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from pathlib import Path
 from typing import Literal
@@ -12,7 +13,10 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 
-__all__ = ["MAX_TEXTURE_PIXELS", "Texture"]
+__all__ = ["MAX_TEXTURE_PIXELS", "Affine", "Texture"]
+
+#: a, b, c, d, e, f: u and v become a u + b v + c and d u + e v + f.
+Affine = tuple[float, float, float, float, float, float]
 
 #: Larger images are rejected before decoding: a few kilobytes can claim terabytes.
 MAX_TEXTURE_PIXELS = 1 << 28
@@ -46,6 +50,10 @@ class Texture:
         Defaults to the file's name.
     wrap : {"repeat", "clamp"}
         Behaviour outside [0, 1].
+    transform : tuple of six float, optional
+        a, b, c, d, e, f: the image is looked up at u' = a u + b v + c and v' = d u + e v + f, where
+        u and v are a mesh's coordinates and v points up [default: unchanged]. It moves maps of
+        normals and heights, but does not turn their normals.
     """
 
     def __init__(
@@ -54,12 +62,17 @@ class Texture:
         *,
         name: str = "",
         wrap: Literal["repeat", "clamp"] = "repeat",
+        transform: Affine | None = None,
     ) -> None:
         if wrap not in ("repeat", "clamp"):
             raise ValueError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
+        if transform is not None:
+            a, b, c, d, e, f = _numbers(transform)
+            transform = a, b, c, d, e, f
         self.path = source if isinstance(source, Path) else None
         self.name = name or (self.path.name if self.path else "")
         self.wrap = wrap
+        self.transform = transform
         self._encoded = source if isinstance(source, bytes) else None
         self._pixels = source if isinstance(source, np.ndarray) else None
         self._whole: Texture | None = None
@@ -86,7 +99,7 @@ class Texture:
 
         The image is read on first use of the channel.
         """
-        channel = Texture(b"", name=self.name, wrap=self.wrap)
+        channel = Texture(b"", name=self.name, wrap=self.wrap, transform=self.transform)
         channel._whole = self
         return channel
 
@@ -121,3 +134,10 @@ class Texture:
 
     def __repr__(self) -> str:
         return f"Texture({self.name!r}, wrap={self.wrap!r})"
+
+
+def _numbers(transform: Affine) -> list[float]:
+    numbers = [float(number) for number in transform]
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"transform: expected six finite numbers, got {transform}")
+    return numbers

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gzip
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -127,6 +128,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.parametrize("make", [tiny.gltf_document, tiny.moving_gltf])
 @settings(
     max_examples=300,
     deadline=None,
@@ -134,8 +136,10 @@ JSON = st.recursive(
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(choice=st.integers(min_value=0), value=JSON)
-def test_gltf_with_one_value_replaced(tmp_path: Path, choice: int, value: object) -> None:
-    document = tiny.gltf_document()
+def test_gltf_with_one_value_replaced(
+    tmp_path: Path, make: Callable[[], dict[str, Any]], choice: int, value: object
+) -> None:
+    document = make()
     places = []
     waiting: list[object] = [document]
     while waiting:

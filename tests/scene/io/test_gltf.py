@@ -20,26 +20,13 @@ from raystream.scene.io.gltf import read_gltf
 from raystream.scene.lights import DirectionalLight, PointLight
 from raystream.scene.scene import Scene
 from scene.io import tiny
+from scene.io.tiny import with_buffer
 
 
 def read(tmp_path: Path, document: dict[str, Any]) -> Scene:
     path = tmp_path / "a.gltf"
     path.write_bytes(json.dumps(document).encode())
     return read_gltf(path)
-
-
-def with_buffer(document: dict[str, Any], *arrays: np.ndarray[Any, Any]) -> dict[str, Any]:
-    """Put arrays into the first buffer, a view for each."""
-    payload = b""
-    document["bufferViews"] = []
-    for array in arrays:
-        content = array.tobytes()
-        view = {"buffer": 0, "byteOffset": len(payload), "byteLength": len(content)}
-        document["bufferViews"].append(view)
-        payload += content + b"\0" * (-len(content) % 4)
-    uri = "data:;base64," + base64.b64encode(payload).decode()
-    document["buffers"] = [{"byteLength": len(payload), "uri": uri}]
-    return document
 
 
 def png() -> bytes:
@@ -196,7 +183,9 @@ def test_materials_and_images(tmp_path: Path) -> None:
     assert material.diffuse == (0.1, 0.2, 0.3)
     assert material.emission == (4, 2, 0)
     assert (material.opacity, material.roughness, material.metallic) == (0.4, 0.7, 0.6)
-    assert (material.ior, material.transmission) == (1.3, (0.05, 0.1, 0.15))
+    assert (material.ior, material.transmission) == (1.0, (0.05, 0.1, 0.15))  # a thin pane
+    assert material.normal_reflectance == pytest.approx((((1.3 - 1) / (1.3 + 1)) ** 2,) * 3)
+    assert material.grazing_reflectance == 1.0
     assert material.double_sided
     assert material.normal_scale == 0.25
     assert material.textures["diffuse"].wrap == "clamp"
@@ -398,7 +387,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
     ("path", "value", "reason"),
     [
         ("asset/version", "1.0", "not supported"),
-        ("extensionsRequired", ["KHR_draco_mesh_compression"], "KHR_draco_mesh_compression"),
+        ("extensionsRequired", ["ACME_fur"], "ACME_fur"),
         ("nodes/1/children", [0], "occurs twice"),
         ("nodes/0/children", [1, 1], "occurs twice"),
         ("nodes/0/children", [7], "nodes has no entry 7"),
@@ -460,6 +449,29 @@ def test_buffers_as_programs_write_them(tmp_path: Path) -> None:
         document["buffers"][0]["uri"] = uri
         vertices = read(tmp_path, document).meshes[0].vertices
         np.testing.assert_array_equal(vertices, 2 * tiny.TETRAHEDRON + [1, 0, 0])
+
+
+def test_extensions_that_are_not_supported_are_named_once(tmp_path: Path) -> None:
+    document = tiny.gltf_document()
+    document["extensionsUsed"] = ["KHR_materials_sheen", "KHR_materials_ior", "ACME_fur", 7]
+    names = r'ignored: "ACME_fur", "KHR_materials_sheen"$'
+    with pytest.warns(RaystreamWarning, match=names) as caught:
+        assert read(tmp_path, document).triangle_count == 4
+    assert len(caught) == 1
+    document["extensionsUsed"] = ["KHR_materials_unlit", "EXT_meshopt_compression"]
+    document["extensionsRequired"] = ["KHR_materials_unlit"]
+    read(tmp_path, document)  # without a warning
+    document["extensionsRequired"] += ["EXT_meshopt_compression"]
+    with pytest.raises(FileFormatError, match='needs the extension "EXT_meshopt_compression"'):
+        read(tmp_path, document)
+
+
+def test_compressed_buffers_without_a_plain_copy(tmp_path: Path) -> None:
+    document = tiny.gltf_document()
+    extensions = {"EXT_meshopt_compression": {"fallback": True}}
+    document["buffers"] = [{"byteLength": 72, "extensions": extensions}]
+    with pytest.raises(FileFormatError, match=r"compressed with meshopt.*decompress"):
+        read(tmp_path, document)
 
 
 def test_instances_of_the_gpu_extension_are_counted(tmp_path: Path) -> None:

@@ -130,6 +130,86 @@ def gltf_document() -> dict[str, Any]:
     }
 
 
+def with_buffer(document: dict[str, Any], *arrays: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """Put arrays into the first buffer, a view for each."""
+    payload = b""
+    document["bufferViews"] = []
+    for array in arrays:
+        content = array.tobytes()
+        view = {"buffer": 0, "byteOffset": len(payload), "byteLength": len(content)}
+        document["bufferViews"].append(view)
+        payload += content + b"\0" * (-len(content) % 4)
+    uri = "data:;base64," + base64.b64encode(payload).decode()
+    document["buffers"] = [{"byteLength": len(payload), "uri": uri}]
+    return document
+
+
+def moving_gltf() -> dict[str, Any]:
+    """A tetrahedron with a skin, a morph target, a keyed joint, a spot and a material."""
+    joints, weights = np.array([[0, 1, 0, 0]] * 4, np.uint8), np.full((4, 4), 0.25, np.float32)
+    times, turns = np.array([0, 2], np.float32), np.eye(4, dtype=np.float32)[[3, 2]]
+    document = with_buffer(
+        gltf_document(),
+        TETRAHEDRON,
+        SIDES,
+        joints,
+        weights,
+        times,
+        turns,
+        TETRAHEDRON[:, :2].copy(),
+    )
+    layouts = [
+        (0, 5126, 4, "VEC3"),
+        (1, 5125, 12, "SCALAR"),
+        (2, 5121, 4, "VEC4"),
+        (3, 5126, 4, "VEC4"),
+        (4, 5126, 2, "SCALAR"),
+        (5, 5126, 2, "VEC4"),
+        (6, 5126, 4, "VEC2"),
+    ]
+    attributes = {"POSITION": 0, "JOINTS_0": 2, "WEIGHTS_0": 3, "TEXCOORD_1": 6}
+    transform = {"texCoord": 1, "scale": [2, 3], "rotation": 0.5}
+    use = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    light = {"type": "spot", "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.2}}
+    material = {
+        "pbrMetallicRoughness": {"baseColorTexture": use},
+        "extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}},
+    }
+    primitive = {
+        "attributes": attributes,
+        "indices": 1,
+        "targets": [{"POSITION": 0}],
+        "material": 0,
+    }
+    return document | {
+        "accessors": [
+            {"bufferView": view, "componentType": kind, "count": count, "type": shape}
+            for view, kind, count, shape in layouts
+        ],
+        "nodes": [
+            {"mesh": 0, "skin": 0},
+            {},
+            {"extensions": {"KHR_lights_punctual": {"light": 0}}},
+        ],
+        "scenes": [{"nodes": [0, 1, 2]}],
+        "meshes": [{"primitives": [primitive], "weights": [0.5]}],
+        "skins": [{"joints": [1, 2]}],
+        "materials": [material],
+        "textures": [{"source": 0}],
+        "images": [{"uri": "data:,"}],
+        "extensions": {"KHR_lights_punctual": {"lights": [light]}},
+        "animations": [
+            {
+                "channels": [
+                    {"sampler": 0, "target": {"node": 1, "path": "rotation"}},
+                    {"sampler": 1, "target": {"node": 0, "path": "weights"}},
+                ],
+                "samplers": [{"input": 4, "output": 5}, {"input": 4, "output": 4}],
+            }
+        ],
+    }
+
+
 def gltf_text(document: dict[str, Any] | None = None) -> bytes:
     return json.dumps(document or gltf_document()).encode()
 
@@ -156,5 +236,6 @@ ALL = {
     "a.obj": OBJ,
     "a.gltf": gltf_text(),
     "a.glb": glb(),
+    "moving.gltf": gltf_text(moving_gltf()),
     "a.aff": AFF,
 }

@@ -21,6 +21,7 @@ from raystream.rendering.sampling.sampler import KINDS
 from raystream.rendering.shading.tables import ABSORBS, HAS_TRANSMISSION, IS_ROUGH
 from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
+from raystream.scene.lights import SpotLight
 
 __all__ = ["Mode", "mode_of", "unsupported"]
 
@@ -134,8 +135,12 @@ def unsupported(context: RenderContext) -> str | None:
         return "materials with a roughness"
     if any(not _ROLES.issuperset(one.textures) for one in used):
         return "textures beside diffuse ones"
+    if any(texture.transform for one in used for texture in one.textures.values()):
+        return "textures with a transform"
     if context.punctual.sky.image or context.lights.sky.image:
         return "skies with an image"
+    if any(isinstance(light, SpotLight) for light in scene.lights):
+        return "spot lights"
     if KINDS[context.sampler.kind] == "stratified":
         return "the sampler 'stratified'"
     frame = scene.triangles

@@ -65,7 +65,7 @@ def light_samples(context: RenderContext) -> NDArray[np.float32]:
     parts = (
         ends,
         np.diff(ends, prepend=0.0),
-        np.column_stack([points, _rest(points[:, :3])]),
+        np.column_stack([points[:, :7], _rest(points[:, :3])]),
         suns,
         patch_ends,
         patches,
@@ -108,6 +108,6 @@ def _texels(materials: Sequence[Material]) -> NDArray[np.uint32]:
     texels, places, of_material, *_ = texture_arrays(materials)
     rows = np.zeros((len(materials), 4), np.uint32)
     for row, texture in zip(rows, of_material[:, ROLES.index("diffuse")], strict=True):
-        row[:] = places[texture] if texture >= 0 else _NO_TEXTURE
+        row[:] = places[texture, :4] if texture >= 0 else _NO_TEXTURE
     rows[:, 0] += 4 * len(materials)
     return np.concatenate([rows.ravel(), texels.view(np.uint32).ravel()])

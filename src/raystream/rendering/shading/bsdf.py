@@ -19,7 +19,7 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
-from raystream.rendering.shading.microfacet import LEAST_ALPHA, PLASTIC, eval_rough_reflection
+from raystream.rendering.shading.microfacet import LEAST_ALPHA, eval_rough_reflection, schlick
 from raystream.rendering.shading.surface_points import material_color, material_number
 from raystream.rendering.shading.tables import (
     COLUMNS,
@@ -31,7 +31,7 @@ from raystream.rendering.shading.tables import (
     IS_TEXTURED,
 )
 from raystream.rendering.shading.textures import ROLES, texture_color, texture_of
-from raystream.rendering.shading.vectors import chosen, dot, largest, mirrored, scaled, times
+from raystream.rendering.shading.vectors import added, chosen, dot, largest, mirrored, scaled, times
 
 __all__ = [
     "Bounce",
@@ -39,12 +39,13 @@ __all__ = [
     "emitted",
     "eval_reflection",
     "fresnel",
+    "gloss_share",
     "lobes_at",
     "reflected_surroundings",
     "refracted",
 ]
 
-_NULL, _WHOLE, _TWO, _HALF = map(np.float32, (0.0, 1.0, 2.0, 0.5))
+_NULL, _WHOLE, _TWO, _HALF, _THIRD = map(np.float32, (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))
 _LEAST_IOR = np.float32(1e-3)
 _INV_PI, _INV_TWO_PI = np.float32(1.0 / math.pi), np.float32(0.5 / math.pi)
 _0 = np.int32(0)
@@ -75,7 +76,7 @@ class Lobes(NamedTuple):
         Reflectances: Lambertian, around the mirror direction, along it, and the transmittance;
         at most 1 in total in each channel.
     shininess : float64
-        Phong exponent.
+        Phong exponent; of a glTF material the reflectance at grazing incidence.
     ior : float64
         Index of refraction of the medium that the ray enters over that of the one it leaves.
     alpha : float64
@@ -151,19 +152,18 @@ def emitted(tables, point):
 
 
 @device
-def _metal_or_plastic(tables, point, roughness, base):
-    """GGX roughness of glTF materials, their diffuse colour and normal reflectance."""
+def _metal_or_plastic(tables, point, roughness, base, plastic, grazing):
+    """GGX roughness and share of plastic of glTF materials, and their reflectances.
+
+    `plastic` and `grazing` are the reflectances of what is not metal, at normal and at grazing
+    incidence.
+    """
     metallic = maximum(material_number(tables, point.material, _METALLIC), _NULL)
     numbers = _looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
     roughness, metallic = roughness * numbers[1], minimum(metallic * numbers[2], _WHOLE)
-    plastic = _WHOLE - metallic
-    mirror = (
-        PLASTIC * plastic + base[0] * metallic,
-        PLASTIC * plastic + base[1] * metallic,
-        PLASTIC * plastic + base[2] * metallic,
-    )
+    rest = _WHOLE - metallic
     alpha = minimum(maximum(roughness * roughness, LEAST_ALPHA), _WHOLE)
-    return alpha, scaled(base, plastic), mirror
+    return alpha, rest, added(scaled(plastic, rest), base, metallic), grazing * rest + metallic
 
 
 @device_call
@@ -178,35 +178,39 @@ def lobes_at(tables, point):
     point : Point
     """
     material = point.material
-    diffuse = material_color(tables, material, _DIFFUSE)
-    diffuse = times(diffuse, (point.red, point.green, point.blue))
-    diffuse = _tinted(diffuse, tables, point, _DIFFUSE_TEXTURE)
+    tint = _tinted((point.red, point.green, point.blue), tables, point, _DIFFUSE_TEXTURE)
+    diffuse = times(material_color(tables, material, _DIFFUSE), tint)
     specular = _color_if(tables, HAS_SPECULAR, point, _SPECULAR)
     specular = _tinted(specular, tables, point, _SPECULAR_TEXTURE)
+    reflection = _color_if(tables, HAS_REFLECTION, point, _REFLECTION)
+    transmission = _color_if(tables, HAS_TRANSMISSION, point, _TRANSMISSION)
+    ior, shininess = point.nx * _NULL + _WHOLE, point.nx * _NULL + _WHOLE
+    if tables.kinds & HAS_TRANSMISSION:
+        ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
+    if tables.kinds & HAS_SPECULAR:
+        shininess = material_number(tables, material, _SHININESS)
     roughness = point.nx * _NULL - _WHOLE
     if tables.kinds & IS_ROUGH:
         roughness = material_number(tables, material, _ROUGHNESS)
     is_rough = roughness >= _NULL
     alpha = roughness * _NULL
     if any_lane(is_rough):
-        rough, base, mirror = _metal_or_plastic(tables, point, roughness, diffuse)
-        alpha = select(is_rough, rough, alpha)
-        diffuse, specular = chosen(is_rough, base, diffuse), chosen(is_rough, mirror, specular)
-    reflection = _color_if(tables, HAS_REFLECTION, point, _REFLECTION)
-    transmission = _color_if(tables, HAS_TRANSMISSION, point, _TRANSMISSION)
+        rough, rest, mirror, grazing = _metal_or_plastic(
+            tables, point, roughness, diffuse, specular, shininess
+        )
+        through = scaled(times(transmission, tint), rest)
+        alpha, shininess = select(is_rough, rough, alpha), select(is_rough, grazing, shininess)
+        diffuse = chosen(is_rough, _less(scaled(diffuse, rest), through), diffuse)
+        specular = chosen(is_rough, mirror, specular)
+        transmission = chosen(is_rough, through, transmission)
     share = _WHOLE / maximum(
         largest(
-            _sum(diffuse[0], specular[0], is_rough) + reflection[0] + transmission[0],
-            _sum(diffuse[1], specular[1], is_rough) + reflection[1] + transmission[1],
-            _sum(diffuse[2], specular[2], is_rough) + reflection[2] + transmission[2],
+            _sum(diffuse[0], specular[0], reflection[0], transmission[0], is_rough),
+            _sum(diffuse[1], specular[1], reflection[1], transmission[1], is_rough),
+            _sum(diffuse[2], specular[2], reflection[2], transmission[2], is_rough),
         ),
         _WHOLE,
     )
-    ior, shininess = point.nx * _NULL + _WHOLE, point.nx * _NULL + _WHOLE
-    if tables.kinds & HAS_TRANSMISSION:
-        ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
-    if tables.kinds & HAS_SPECULAR:
-        shininess = material_number(tables, material, _SHININESS)
     return Lobes(
         scaled(diffuse, share),
         scaled(specular, share),
@@ -237,9 +241,39 @@ def reflected_surroundings(lobes, lights):
 
 
 @device
-def _sum(diffuse, specular, is_rough):
-    """Largest albedo of two lobes; microfacets take their share from the diffuse lobe."""
-    return select(is_rough, maximum(diffuse, specular), diffuse + specular)
+def _less(a, b):
+    """The difference of two colours, where it is positive."""
+    return maximum(a[0] - b[0], _NULL), maximum(a[1] - b[1], _NULL), maximum(a[2] - b[2], _NULL)
+
+
+@device
+def _sum(diffuse, specular, reflection, transmission, is_rough):
+    """Largest albedo of all lobes; microfacets take their share from what is below them."""
+    layered = maximum(diffuse + transmission, specular) + reflection
+    return select(is_rough, layered, diffuse + specular + reflection + transmission)
+
+
+@device
+def gloss_share(lobes, back, normal):
+    """Share of the light that microfacets reflect: what is below them gets the rest.
+
+    Parameters
+    ----------
+    lobes : Lobes
+    back, normal : tuple of three float64
+        Unit vectors on the same side.
+
+    Returns
+    -------
+    float64
+        0 for Phong's lobe.
+    """
+    is_rough = lobes.alpha > _NULL
+    share = lobes.alpha * _NULL
+    if any_lane(is_rough):
+        rough = schlick(lobes.specular, lobes.shininess, dot(back, normal))
+        share = select(is_rough, (rough[0] + rough[1] + rough[2]) * _THIRD, share)
+    return share
 
 
 @device
@@ -311,7 +345,7 @@ def eval_reflection(lobes, point, back, toward):
     is_rough = lobes.alpha > _NULL
     if any_lane(is_rough & is_lit):
         rough, pdf = eval_rough_reflection(
-            lobes.diffuse, lobes.specular, lobes.alpha, normal, back, toward
+            lobes.diffuse, lobes.specular, lobes.shininess, lobes.alpha, normal, back, toward
         )
         is_rough &= is_lit
         color = chosen(is_rough, rough, color)

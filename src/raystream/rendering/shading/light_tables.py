@@ -21,7 +21,13 @@ from raystream.rendering.shading.sky import Sky, sky_of
 from raystream.rendering.shading.textures import address_of
 from raystream.rendering.vertex_attributes import check_rows
 from raystream.scene.camera import Camera
-from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
+from raystream.scene.lights import (
+    DirectionalLight,
+    EnvironmentLight,
+    Light,
+    PointLight,
+    SpotLight,
+)
 from raystream.scene.scene import Scene
 
 __all__ = ["LightTables", "lights_of"]
@@ -36,8 +42,9 @@ class LightTables(NamedTuple):
     ----------
     point_count, sun_count, prim_count : uint64
     points : uint64
-        Of shape (P, 7), float64: position; irradiance at normal incidence and a local distance
-        of 1; 1 for inverse-square falloff, 0 for none.
+        Of shape (P, 12), float64: position; irradiance at normal incidence and a local distance
+        of 1; 1 for inverse-square falloff, 0 for none, 2 for a spot, with inverse-square falloff;
+        the spot's unit direction, and the scale and offset of its `SpotLight.fading`.
     suns : uint64
         Of shape (S, 6), float64: unit vector to the light; irradiance at normal incidence.
     sky : Sky
@@ -153,7 +160,7 @@ def _far_lights(
     """Rows of point and of directional lights, and the sky's constant radiance."""
     frame = scene.triangles
     scale = float(frame.scale)
-    points, suns, sky = np.empty((0, 7)), np.empty((0, 6)), np.array(scene.background, np.float64)
+    points, suns, sky = np.empty((0, 12)), np.empty((0, 6)), np.array(scene.background, np.float64)
     for light in lights:
         if isinstance(light, EnvironmentLight):
             sky = sky + light.radiance if light.image is None else sky
@@ -162,9 +169,14 @@ def _far_lights(
             suns = np.vstack([suns, [*against, *light.irradiance]])
         else:
             place = (np.array(light.position) - frame.center) * scale
-            falls = light.falloff == "inverse_square"
-            received = np.array(light.intensity) * (scale * scale if falls else math.pi)
-            points = np.vstack([points, [*place, *received, float(falls)]])
+            kind, cone = 2.0, np.zeros(5)
+            if isinstance(light, SpotLight):
+                cone = np.array([*light.direction, *light.fading])
+                cone[:3] /= np.linalg.norm(cone[:3])
+            else:
+                kind = float(light.falloff == "inverse_square")
+            received = np.array(light.intensity) * (scale * scale if kind else math.pi)
+            points = np.vstack([points, [*place, *received, kind, *cone]])
     return points, suns, sky
 
 

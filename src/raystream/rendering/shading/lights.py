@@ -39,12 +39,17 @@ __all__ = ["LightSample", "sample_light", "triangle_pdf"]
 
 _NONE = np.uint64(0)
 
-_0, _1, _2, _3, _6, _9, _12, _15, _16 = (np.int32(k) for k in (0, 1, 2, 3, 6, 9, 12, 15, 16))
+_0, _1, _2, _3, _6, _7, _9, _10, _11, _12, _15, _16 = (
+    np.int32(k) for k in (0, 1, 2, 3, 6, 7, 9, 10, 11, 12, 15, 16)
+)
 _NULL, _WHOLE, _INF, _TINY = map(np.float32, (0.0, 1.0, np.inf, 1e-37))
 _INV_FOUR_PI = 0.25 / math.pi
 
+# The kind of points that are spots.
+_SPOT = 2.0
+
 # Numbers in a row of points, of suns, and of patches.
-_POINT, _SUN, _PATCH = np.int32(7), np.int32(6), np.int32(17)
+_POINT, _SUN, _PATCH = np.int32(12), np.int32(6), np.int32(17)
 
 Vector = tuple[float, float, float]
 
@@ -89,6 +94,11 @@ def _doubles(row, k):
 
 
 @device
+def _widened(a):
+    return widen(a[0]), widen(a[1]), widen(a[2])
+
+
+@device
 def _narrowed(a):
     return narrow(a[0]), narrow(a[1]), narrow(a[2])
 
@@ -119,16 +129,24 @@ def _from_points(lights, number, point, share, found):
     row = minimum(number, as_int32(as_int32(lights.point_count) - _1)) * _POINT
     target = _doubles(lights.points, row)
     toward, distance = _toward(target[0] - point.x, target[1] - point.y, target[2] - point.z)
-    falls = gather(np.float64, lights.points, row + _6) != 0.0
+    kind = gather(np.float64, lights.points, row + _6)
     square = widen(distance) * widen(distance)
-    factor = 1.0 / (share * select(falls, square, 1.0))
+    factor = 1.0 / (share * select(kind != 0.0, square, 1.0))
+    is_valid, is_spot = is_point & (distance > _NULL), is_point & (kind == _SPOT)
+    if any_lane(is_spot):
+        cosine = -dot(_doubles(lights.points, row + _7), _widened(toward))
+        scale = gather(np.float64, lights.points, row + _10)
+        left = scale * cosine + gather(np.float64, lights.points, row + _11)
+        left = minimum(maximum(left, 0.0), 1.0)
+        factor = select(is_spot, factor * left * left, factor)
+        is_valid &= ~is_spot | (left > 0.0)
     return LightSample(
         chosen(is_point, toward, found.toward),
         chosen(is_point, target, found.target),
         found.is_far & ~is_point,
         chosen(is_point, _narrowed(scaled(_doubles(lights.points, row + _3), factor)), found.color),
         select(is_point, _INF, found.pdf),
-        found.is_valid | (is_point & (distance > _NULL)),
+        found.is_valid | is_valid,
     )
 
 

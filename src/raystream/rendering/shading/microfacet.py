@@ -1,13 +1,13 @@
 """GGX microfacets: reflection of glTF's metallic-roughness materials.
 
 Microfacets reflect a share of the light by Schlick's approximation of Fresnel's equations; the
-rest is diffuse, except on metals.
+rest is scattered or transmitted, except by metals.
 
 References
 ----------
-Khronos, "glTF 2.0 Specification", appendix B. Walter et al., "Microfacet Models for Refraction
-through Rough Surfaces", 2007. Heitz, "Understanding the Masking-Shadowing Function in
-Microfacet-Based BRDFs", 2014 (the height-correlated form).
+Khronos, "glTF 2.0 Specification", appendix B, and ``KHR_materials_specular``. Walter et al.,
+"Microfacet Models for Refraction through Rough Surfaces", 2007. Heitz, "Understanding the
+Masking-Shadowing Function in Microfacet-Based BRDFs", 2014 (the height-correlated form).
 """
 
 from __future__ import annotations
@@ -24,14 +24,10 @@ from raystream.rendering.shading.vectors import dot, mirrored
 
 __all__ = [
     "LEAST_ALPHA",
-    "PLASTIC",
     "eval_rough_reflection",
     "rough_direction",
     "schlick",
 ]
-
-#: Reflectance of non-metals at normal incidence (an index of refraction of 1.5).
-PLASTIC = np.float32(0.04)
 
 #: Least roughness; smoother surfaces would need a delta lobe.
 LEAST_ALPHA = np.float32(1e-3)
@@ -42,25 +38,27 @@ _PI, _INV_PI = np.float32(math.pi), np.float32(1.0 / math.pi)
 
 
 @device
-def schlick(color, cosine):
-    """Schlick's approximation: reflectance at an angle, from that at normal incidence."""
+def schlick(color, grazing, cosine):
+    """Schlick's approximation: reflectance at an angle, from those at normal and at grazing one."""
     rest = _WHOLE - minimum(maximum(cosine, _NULL), _WHOLE)
-    grazing = rest * rest * rest * rest * rest
+    share = rest * rest * rest * rest * rest
     return (
-        color[0] + (_WHOLE - color[0]) * grazing,
-        color[1] + (_WHOLE - color[1]) * grazing,
-        color[2] + (_WHOLE - color[2]) * grazing,
+        color[0] + (grazing - color[0]) * share,
+        color[1] + (grazing - color[1]) * share,
+        color[2] + (grazing - color[2]) * share,
     )
 
 
 @device_call
-def eval_rough_reflection(diffuse, mirror, alpha, normal, back, toward):
+def eval_rough_reflection(diffuse, mirror, grazing, alpha, normal, back, toward):
     """Evaluate the reflection, with the density of `rough_direction`.
 
     Parameters
     ----------
     diffuse, mirror : tuple of three float64
         Diffuse colour, and reflectance at normal incidence.
+    grazing : float64
+        Reflectance at grazing incidence.
     alpha : float64
         GGX roughness.
     normal, back, toward : tuple of three float64
@@ -87,7 +85,7 @@ def eval_rough_reflection(diffuse, mirror, alpha, normal, back, toward):
     view_length = square_root(view * view * (_WHOLE - square) + square)
     light_length = square_root(cosine * cosine * (_WHOLE - square) + square)
     faces = density * cosine * _HALF / (view * light_length + cosine * view_length)
-    share = schlick(mirror, dot(back, half))
+    share = schlick(mirror, grazing, dot(back, half))
     even = select(is_sound, cosine * _INV_PI, _NULL)
     color = (
         share[0] * faces + (_WHOLE - share[0]) * diffuse[0] * even,

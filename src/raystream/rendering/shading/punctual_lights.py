@@ -27,17 +27,18 @@ from raystream.rendering.shading.surface_points import offset_at
 from raystream.rendering.shading.textures import address_of
 from raystream.rendering.shading.vectors import added, dot, scaled
 from raystream.scene.camera import Camera
-from raystream.scene.lights import DirectionalLight, EnvironmentLight
+from raystream.scene.lights import DirectionalLight, EnvironmentLight, SpotLight
 from raystream.scene.scene import Scene
 
 __all__ = ["PunctualLights", "incident_light", "light_rows", "punctual_lights_of"]
 
 # Kinds of lights: a point with inverse-square falloff, one without falloff, a directional light, a
-# flat patch, a bulb.
-_POINT, _STEADY, _SUN, _PATCH, _BULB = range(5)
+# flat patch, a bulb, a spot.
+_POINT, _STEADY, _SUN, _PATCH, _BULB, _SPOT = range(6)
 
 # Columns of a row: position or direction, colour, kind, normal, radius of a disc of equal area, and
-# the extent of the light's own triangles around the position.
+# the extent of the light's own triangles around the position. Spots have their direction as normal,
+# and the scale and offset of `SpotLight.fading` in place of the last two.
 _KIND, _NORMAL, _RADIUS, _CLEARANCE = 6, 7, 10, 11
 _COLUMNS = 12
 _ROW = np.uint64(8 * _COLUMNS)
@@ -100,10 +101,14 @@ def light_rows(
             row[:3] = -np.array(light.direction) / np.linalg.norm(light.direction)
             row[3:6], row[_KIND] = light.irradiance, _SUN
         else:
-            falls = light.falloff == "inverse_square"
             row[:3] = (np.array(light.position) - frame.center) * scale
+            if isinstance(light, SpotLight):
+                row[_KIND], row[_RADIUS:] = _SPOT, light.fading
+                row[_NORMAL:_RADIUS] = np.array(light.direction) / np.linalg.norm(light.direction)
+            else:
+                row[_KIND] = _POINT if light.falloff == "inverse_square" else _STEADY
+            falls = row[_KIND] != _STEADY
             row[3:6] = np.array(light.intensity) * (scale * scale if falls else math.pi)
-            row[_KIND] = _POINT if falls else _STEADY
         rows.append(row)
     rows += _patch_rows(scene, patches)
     surroundings = surrounding_radiance(scene, found)
@@ -189,6 +194,12 @@ def incident_light(tables, lights, number, point):
         x, y, z = x / distance, y / distance, z / distance
         if kind == _POINT:
             factor = 1.0 / (distance * distance)
+        elif kind == _SPOT:
+            cosine = -dot(_three(row, _NORMAL), (x, y, z))
+            left = _double(row, _RADIUS) * cosine + _double(row, _CLEARANCE)
+            left = minimum(maximum(left, 0.0), 1.0)
+            factor = left * left / (distance * distance)
+            is_valid &= left > 0.0
         elif kind != _STEADY:
             factor, away = _of_area(tables, row, kind, place, (x, y, z), distance)
             is_valid &= factor > 0.0

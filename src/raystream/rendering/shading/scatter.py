@@ -7,8 +7,14 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, minimum, select
 from raystream.rendering.sampling.warp import cosine_hemisphere, power_cosine, to_world
-from raystream.rendering.shading.bsdf import Bounce, eval_reflection, fresnel, refracted
-from raystream.rendering.shading.microfacet import rough_direction, schlick
+from raystream.rendering.shading.bsdf import (
+    Bounce,
+    eval_reflection,
+    fresnel,
+    gloss_share,
+    refracted,
+)
+from raystream.rendering.shading.microfacet import rough_direction
 from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
 
 __all__ = ["reflection_pdf", "scatter"]
@@ -30,14 +36,14 @@ def _shares(lobes, back, normal):
     -------
     diffuse, specular, mirror, through, clear : f32x16
         The first four add up to 1, or are 0.
+    below : f32x16
+        Share of the light that microfacets let through.
     """
-    diffuse, specular = _mean(lobes.diffuse), _mean(lobes.specular)
-    is_rough = lobes.alpha > _NULL
-    if any_lane(is_rough):
-        rough = _mean(schlick(lobes.specular, dot(back, normal)))
-        diffuse = select(is_rough, diffuse * (_WHOLE - rough), diffuse)
-        specular = select(is_rough, rough, specular)
-    mirror, through = _mean(lobes.reflection), _mean(lobes.transmission)
+    gloss = gloss_share(lobes, back, normal)
+    below = _WHOLE - gloss
+    diffuse = _mean(lobes.diffuse) * below
+    specular = select(lobes.alpha > _NULL, gloss, _mean(lobes.specular))
+    mirror, through = _mean(lobes.reflection), _mean(lobes.transmission) * below
     clear = through * _NULL
     is_clear = (through > _NULL) & (lobes.ior != _WHOLE)
     if any_lane(is_clear):
@@ -47,13 +53,13 @@ def _shares(lobes, back, normal):
     through = (_WHOLE - clear) * through
     total = diffuse + specular + mirror + through
     factor = select(total > _NULL, _WHOLE / total, _NULL)
-    return diffuse * factor, specular * factor, mirror * factor, through * factor, clear
+    return diffuse * factor, specular * factor, mirror * factor, through * factor, clear, below
 
 
 @device
 def reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf):
     """Density of `scatter` for a direction, from the densities that `eval_reflection` returns."""
-    diffuse, specular, _, _, _ = _shares(lobes, back, (point.nx, point.ny, point.nz))
+    diffuse, specular, _, _, _, _ = _shares(lobes, back, (point.nx, point.ny, point.nz))
     return diffuse * diffuse_pdf + specular * specular_pdf
 
 
@@ -94,7 +100,8 @@ def scatter(lobes, point, back, choice, u, v):
     refraction.
     """
     normal, triangle = (point.nx, point.ny, point.nz), (point.gx, point.gy, point.gz)
-    diffuse, specular, mirror, through, clear = _shares(lobes, back, normal)
+    diffuse, specular, mirror, through, clear, below = _shares(lobes, back, normal)
+    transmission = scaled(lobes.transmission, below)
     scattered = diffuse + specular
     x, y, z = cosine_hemisphere(u, v)
     toward = to_world(x, y, z, *normal)
@@ -110,7 +117,7 @@ def scatter(lobes, point, back, choice, u, v):
     if any_lane(is_mirrored):
         direction = mirrored(back, normal)
         is_mirrored &= dot(triangle, direction) > _NULL
-        light = added(lobes.reflection, lobes.transmission, clear)
+        light = added(lobes.reflection, transmission, clear)
         toward = chosen(is_mirrored, direction, toward)
         weight = chosen(is_mirrored, scaled(light, _WHOLE / mirror), weight)
         pdf = select(is_mirrored, _INF, pdf)
@@ -122,7 +129,7 @@ def scatter(lobes, point, back, choice, u, v):
         is_through &= dot(triangle, direction) < _NULL
         share = through * lobes.ior * lobes.ior / (_WHOLE - clear)
         toward = chosen(is_through, direction, toward)
-        weight = chosen(is_through, scaled(lobes.transmission, _WHOLE / share), weight)
+        weight = chosen(is_through, scaled(transmission, _WHOLE / share), weight)
         pdf = select(is_through, _INF, pdf)
         is_valid |= is_through
     return Bounce(toward, weight, pdf, is_valid)

@@ -86,7 +86,8 @@ class SceneTables(NamedTuple):
         Of shape (F,), int32.
     materials : uint64
         Of shape (M, 22), float32. See `Column`; colours are three numbers. Roughness and
-        metallic are -1 if a material has none.
+        metallic are -1 if a material has none. Otherwise it has its normal reflectance in place
+        of specular, and its grazing reflectance in place of shininess.
     kinds : int
         Bits: features that some material has.
     textures : TextureTables
@@ -192,5 +193,9 @@ def material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
         for name, at in COLUMNS._asdict().items():
             value = getattr(material, name)
             row[at : at + np.size(value)] = -1.0 if value is None else value
-    rows[:, COLUMNS.shininess] = np.maximum(rows[:, COLUMNS.shininess], 1.0)
+        if material.roughness is None:
+            row[COLUMNS.shininess] = max(row[COLUMNS.shininess], 1.0)
+        else:
+            row[COLUMNS.specular : COLUMNS.specular + 3] = material.normal_reflectance
+            row[COLUMNS.shininess] = material.grazing_reflectance
     return rows

@@ -13,6 +13,7 @@ from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
+    any_lane,
     as_float32,
     as_int32,
     floor,
@@ -20,6 +21,7 @@ from raystream.jit.simd import (
     maximum,
     minimum,
     select,
+    widen_number,
 )
 from raystream.rendering.color import LUMINANCE, decode_srgb
 from raystream.scene.material import Material
@@ -47,8 +49,11 @@ _NULL, _HALF, _WHOLE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _INF = np.float32(np.inf)
 _ROLES = np.int32(len(ROLES))
 
-_0, _1, _2, _3, _PLACE = (np.int32(k) for k in range(5))
-_BYTE, _8, _16 = np.uint32(0xFF), np.uint32(8), np.uint32(16)
+_0, _1, _2, _3, _4, _5, _6, _7, _8, _9, _PLACE = (np.int32(k) for k in range(11))
+
+#: Bits of a texture's row: clamped, and transformed.
+_CLAMPED, _TRANSFORMED = np.int32(1), np.int32(2)
+_BYTE, _SHIFT_8, _SHIFT_16 = np.uint32(0xFF), np.uint32(8), np.uint32(16)
 
 #: Most texels of a scene: kernels index them with int32.
 _MAX_TEXELS = 2**31 - 1
@@ -63,8 +68,8 @@ class TextureTables(NamedTuple):
         Of shape (K, 4), uint8: sRGB and an unused byte, row by row, the top one first. Bump maps
         have float32 heights in the same bytes.
     places : uint64
-        Of shape (T, 4), int32: first texel, width, height, and 1 for a clamped texture, 0 for a
-        repeating one.
+        Of shape (T, 10), int32: first texel, width, height, bits of what applies (1: clamped, 2:
+        transformed), and the six numbers of `Texture.transform`, float32.
     of_material : uint64
         Of shape (M, 6), int32: each material's texture by role; -1 for none.
     normal_scales : uint64
@@ -134,6 +139,8 @@ def _is_seen(material: Material, role: str) -> bool:
         return bool(material.roughness or material.metallic)
     if role in ("normal", "bump"):
         return bool(getattr(material, f"{role}_scale"))
+    if role == "specular" and material.roughness is not None:
+        return any(material.normal_reflectance)
     return any(getattr(material, role))
 
 
@@ -163,7 +170,7 @@ class Atlas:
         self._pixels: dict[int, NDArray[np.uint8] | None] = {}
         self._numbers: dict[tuple[int, bool], int] = {}
         self._parts: list[NDArray[np.uint8]] = []
-        self._places: list[tuple[int, int, int, int]] = []
+        self._places: list[NDArray[np.int32]] = []
         self._count = 0
 
     def place(self, texture: Texture, are_heights: bool = False) -> int:
@@ -174,7 +181,7 @@ class Atlas:
             self._numbers[key] = -1
             if pixels is not None:
                 texels = _heights_of(pixels) if are_heights else pixels
-                self._numbers[key] = self.add(texels, texture.wrap)
+                self._numbers[key] = self.add(texels, texture)
         return self._numbers[key]
 
     def holds_normals(self, texture: Texture) -> bool:
@@ -185,14 +192,20 @@ class Atlas:
     def arrays(self) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
         """Texels and places of `TextureTables`."""
         texels = np.concatenate(self._parts) if self._parts else np.empty((0, 4), np.uint8)
-        return texels, np.array(self._places, np.int32).reshape(-1, 4)
+        return texels, np.array(self._places, np.int32).reshape(-1, int(_PLACE))
 
-    def add(self, pixels: NDArray[np.uint8], wrap: str) -> int:
-        """Add texels of shape (H, W, 4); return the texture's number."""
+    def add(self, pixels: NDArray[np.uint8], texture: Texture) -> int:
+        """Add a texture's texels, of shape (H, W, 4); return the texture's number."""
         height, width = pixels.shape[:2]
         if self._count + height * width > _MAX_TEXELS:
             raise MemoryError(f"textures: more than {_MAX_TEXELS:,} texels in one scene")
-        self._places.append((self._count, width, height, int(wrap == "clamp")))
+        row = np.zeros(int(_PLACE), np.int32)
+        row[:4] = self._count, width, height, _CLAMPED * (texture.wrap == "clamp")
+        if texture.transform is not None:
+            row[3] |= _TRANSFORMED
+            with np.errstate(over="ignore"):
+                row[4:] = np.array(texture.transform, np.float32).view(np.int32)
+        self._places.append(row)
         self._parts.append(pixels.reshape(-1, 4))
         self._count += height * width
         return len(self._places) - 1
@@ -251,8 +264,8 @@ def _texel(tables, values, first, width, column, row):
     texel = gather(np.uint32, tables.texels, as_int32(first + row * width + column))
     return (
         gather(np.float32, values, as_int32(texel & _BYTE)),
-        gather(np.float32, values, as_int32((texel >> _8) & _BYTE)),
-        gather(np.float32, values, as_int32((texel >> _16) & _BYTE)),
+        gather(np.float32, values, as_int32((texel >> _SHIFT_8) & _BYTE)),
+        gather(np.float32, values, as_int32((texel >> _SHIFT_16) & _BYTE)),
     )
 
 
@@ -260,6 +273,23 @@ def _texel(tables, values, first, width, column, row):
 def _mixed(a, b, share):
     rest = _WHOLE - share
     return a[0] * rest + b[0] * share, a[1] * rest + b[1] * share, a[2] * rest + b[2] * share
+
+
+@device
+def _coefficient(tables, texture, column):
+    at = as_int32(texture * _PLACE + column)
+    return widen_number(gather(np.float32, tables.places, at))
+
+
+@device
+def _transformed(tables, texture, u, v, is_transformed):
+    """Coordinates in a texture with a transform, where it has one; 0 where they overflow."""
+    s = _coefficient(tables, texture, _4) * u + _coefficient(tables, texture, _5) * v
+    t = _coefficient(tables, texture, _7) * u + _coefficient(tables, texture, _8) * v
+    s, t = s + _coefficient(tables, texture, _6), t + _coefficient(tables, texture, _9)
+    is_known = (absolute(s) < _INF) & (absolute(t) < _INF)
+    s, t = select(is_known, s, u * _NULL), select(is_known, t, v * _NULL)
+    return select(is_transformed, s, u), select(is_transformed, t, v)
 
 
 @device
@@ -284,7 +314,10 @@ def nearest_texels(tables, texture, u, v, beyond):
     """
     first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
     width, height = _texture_size(tables, texture)
-    is_clamped = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3)) != _0
+    bits = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3))
+    is_clamped, is_transformed = (bits & _CLAMPED) != _0, (bits & _TRANSFORMED) != _0
+    if any_lane(is_transformed):
+        u, v = _transformed(tables, texture, u, v, is_transformed)
     most = _WHOLE + beyond
     u = select(is_clamped, minimum(maximum(u, -beyond), most), u - floor(u))
     v = select(is_clamped, minimum(maximum(v, -beyond), most), v - floor(v))

@@ -20,6 +20,7 @@ from raystream.rendering.shading.bsdf import (
     emitted,
     eval_reflection,
     fresnel,
+    gloss_share,
     lobes_at,
     reflected_surroundings,
     refracted,
@@ -157,7 +158,7 @@ def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
     min_weight = options.min_weight
 
     normal, clear = (point.nx, point.ny, point.nz), 0.0
-    through = lobes.transmission
+    through = scaled(lobes.transmission, 1.0 - gloss_share(lobes, back, normal))
     if through[0] + through[1] + through[2] > 0.0:
         if lobes.ior != 1.0:
             clear = fresnel(min(dot(back, normal), 1.0), lobes.ior)

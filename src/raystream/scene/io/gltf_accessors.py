@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.text import shown
 
-__all__ = ["read_accessor"]
+__all__ = ["normalized", "read_accessor"]
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 #: Accessors without a buffer hold zeros: nothing else bounds their length.
 MAX_ZERO_COUNT = 1 << 24
@@ -60,7 +60,7 @@ def read_accessor(file: GltfFile, index: int, widths: tuple[int, ...]) -> NDArra
         values = _viewed(file, view, offset, count, width, component)
     if "sparse" in accessor:
         values = _with_sparse(file, file.child(accessor, "sparse"), values, component)
-    return _normalized(values) if accessor.get("normalized") is True else values
+    return normalized(values) if accessor.get("normalized") is True else values
 
 
 def _viewed(
@@ -113,7 +113,8 @@ def _with_sparse(
     return values
 
 
-def _normalized(values: NDArray[Any]) -> NDArray[Any]:
+def normalized(values: NDArray[Any]) -> NDArray[Any]:
+    """Map integers to [0, 1] or [-1, 1], float32; other numbers stay as they are."""
     if values.dtype.kind == "f":
         return values
     largest = float(np.iinfo(values.dtype).max)

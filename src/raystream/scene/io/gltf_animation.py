@@ -1,4 +1,4 @@
-"""glTF animations: keyframed motion of nodes."""
+"""glTF animations: keyframed motion of nodes, and of their shapes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.scene.io.gltf_accessors import read_accessor
 from raystream.scene.io.gltf_file import GltfFile, Node
+from raystream.scene.io.gltf_morphs import morph_target_count
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import shown
 from raystream.scene.key_tracks import KeyTrack
@@ -30,7 +31,7 @@ class NodeTracks:
     ----------
     of : dict of int to dict of str to KeyTrack
         By node and property: ``"translation"``, ``"rotation"`` (quaternions x, y, z,
-        w), ``"scale"``.
+        w), ``"scale"``, ``"weights"`` of morph targets.
     """
 
     of: dict[int, dict[str, KeyTrack]] = field(default_factory=dict)
@@ -67,8 +68,8 @@ def read_animations(file: GltfFile) -> NodeTracks:
     Warns
     -----
     RaystreamWarning
-        For skipped animations, and for those of morph targets and of nodes with a matrix, which
-        the format does not allow.
+        For skipped animations, and for those of missing morph targets and of nodes with a matrix,
+        which the format does not allow.
     """
     reader = _Reader(file)
     animations = file.entries(file.root, "animations")
@@ -80,7 +81,7 @@ def read_animations(file: GltfFile) -> NodeTracks:
             "same properties",
         )
     for count, what in (
-        (reader.morph_count, "animations of morph targets"),
+        (reader.morph_count, "animations of morph targets that do not exist"),
         (reader.matrix_count, "animations of nodes with a matrix"),
         (reader.unknown_count, "animations of unsupported properties"),
     ):
@@ -114,18 +115,27 @@ class _Reader:
                 wanted[place] = sampler
         if any(path in self.tracks.of.get(node, {}) for node, path in wanted):
             return False
-        read: dict[tuple[int, str], KeyTrack] = {}
+        read: dict[tuple[int, str, int], KeyTrack] = {}
         for (node, path), sampler in wanted.items():
-            if (sampler, path) not in read:
-                read[sampler, path] = self._track(samplers[sampler], path)
-            self.tracks.of.setdefault(node, {})[path] = read[sampler, path]
+            width = _WIDTHS[path] if path in _WIDTHS else self._target_count(node)
+            key = (sampler, path, width)
+            if key not in read:
+                read[key] = self._track(samplers[sampler], path, width)
+            self.tracks.of.setdefault(node, {})[path] = read[key]
         return True
+
+    def _target_count(self, node: int) -> int:
+        """The number of morph targets of a node's mesh."""
+        mesh = self.file.index(self.file.entry("nodes", node), "mesh")
+        return 0 if mesh is None else morph_target_count(self.file, mesh)
 
     def _place(self, target: Node) -> tuple[int, str] | None:
         """Return the node and its property; None, and counted, if unsupported."""
         node = self.file.index(target, "node")
         path = target.get("path")
-        if path == "weights":
+        if path == "weights" and node is not None:
+            if self._target_count(node):
+                return node, path
             self.morph_count += 1
         elif node is None or not isinstance(path, str) or path not in _WIDTHS:
             self.unknown_count += 1
@@ -135,14 +145,16 @@ class _Reader:
             return node, path
         return None
 
-    def _track(self, sampler: Node, path: str) -> KeyTrack:
+    def _track(self, sampler: Node, path: str, width: int) -> KeyTrack:
         file = self.file
         kind = sampler.get("interpolation", "LINEAR")
         method = _METHODS.get(kind, "") if isinstance(kind, str) else ""
         if not method:
             raise file.error(f"is damaged: unknown interpolation {shown(str(kind).encode())}")
         times = self._read(sampler, "input", 1)[:, 0]
-        values = self._read(sampler, "output", _WIDTHS[path])
+        values = self._read(sampler, "output", _WIDTHS.get(path, 1))
+        if path == "weights":
+            values = values[: len(values) // width * width].reshape(-1, width)
         rows_per_key = 3 if method == "cubic" else 1
         if len(times) == 0 or len(values) != rows_per_key * len(times):
             raise file.error(

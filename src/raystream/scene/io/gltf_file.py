@@ -12,6 +12,7 @@ from urllib.parse import unquote, unquote_to_bytes
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import find_sibling, read_model_bytes
+from raystream.scene.io.gltf_extensions import COMPRESSED, can_read
 from raystream.scene.io.text import shown
 
 __all__ = ["GltfFile", "Node"]
@@ -22,15 +23,10 @@ _GLB_MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
 _BINARY_CHUNK = 0x004E4942
 
-#: Required extensions that are supported, or can be ignored without misreading geometry.
-KNOWN_EXTENSIONS = frozenset(
-    {
-        "EXT_texture_webp",
-        "KHR_lights_punctual",
-        "KHR_mesh_quantization",
-        "KHR_texture_transform",
-    }
-)
+
+#: Most numbers of morph targets and of skins, over a whole file: they may share a buffer, but are
+#: stored separately.
+MAX_DEFORMATION_NUMBERS = 1 << 26
 
 
 class GltfFile:
@@ -63,6 +59,7 @@ class GltfFile:
             raise self.error("is not a glTF file: its JSON part is not an object")
         self.root: Node = root
         self._buffers: dict[int, bytes] = {}
+        self._number_count = 0
         self._check_version()
 
     def error(self, reason: str) -> FileFormatError:
@@ -99,12 +96,22 @@ class GltfFile:
         if not isinstance(version, str) or not version.startswith("2"):
             raise self.error(f"glTF version {shown(str(version).encode())} is not supported")
         for name in self.entries(self.root, "extensionsRequired"):
-            if not isinstance(name, str) or not (
-                name in KNOWN_EXTENSIONS or name.startswith("KHR_materials_")
-            ):
+            if not isinstance(name, str) or not can_read(name):
                 raise self.error(
                     f"needs the extension {shown(str(name).encode())}, which is not supported"
                 )
+
+    def extensions_used(self) -> list[str]:
+        """The names of the file's extensions."""
+        return [name for name in self.entries(self.root, "extensionsUsed") if isinstance(name, str)]
+
+    def spend_numbers(self, count: int) -> None:
+        """Count numbers of morph targets and skins; FileFormatError if there are too many."""
+        self._number_count += count
+        if self._number_count > MAX_DEFORMATION_NUMBERS:
+            raise self.error(
+                f"its morph targets and skins have more than {MAX_DEFORMATION_NUMBERS:,} numbers"
+            )
 
     # Checked access.
 
@@ -160,6 +167,16 @@ class GltfFile:
         if not isinstance(values, (list, tuple)) or len(values) != len(default):
             raise self.error(f"is damaged: {key} is not a list of {len(default)} numbers")
         return tuple(self._finite(value, key) for value in values)
+
+    def number_list(self, parent: Node, key: str) -> tuple[float, ...] | None:
+        """Get any number of finite numbers; None if absent."""
+        if key not in parent:
+            return None
+        return tuple(self._finite(value, key) for value in self.entries(parent, key))
+
+    def index_list(self, parent: Node, key: str) -> list[int]:
+        """Get a list of indices; empty if absent."""
+        return [self.integer({key: value}, key) for value in self.entries(parent, key)]
 
     def _finite(self, value: Any, key: str) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -224,10 +241,23 @@ class GltfFile:
         except (ValueError, binascii.Error):
             raise self.error("is damaged: a data URI cannot be decoded") from None
 
+    def _is_placeholder(self, index: int) -> bool:
+        """Whether a buffer holds nothing, and its views are compressed."""
+        entry = self.entry("buffers", index)
+        return "uri" not in entry and any(
+            (self.extension(entry, name) or {}).get("fallback") is True for name in COMPRESSED
+        )
+
     def view(self, index: int) -> tuple[memoryview, int]:
         """Get the bytes of a buffer view, and its stride (0: packed)."""
         view = self.entry("bufferViews", index)
-        buffer = self.buffer(self.integer(view, "buffer"))
+        number = self.integer(view, "buffer")
+        if self._is_placeholder(number):
+            raise self.error(
+                "is compressed with meshopt, which is not supported: decompress it, for example "
+                "with gltf-transform copy"
+            )
+        buffer = self.buffer(number)
         start = self.integer(view, "byteOffset", 0)
         length = self.integer(view, "byteLength")
         if start + length > len(buffer):

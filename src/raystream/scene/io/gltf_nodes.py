@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.scene.io.gltf_animation import NodeTracks
 from raystream.scene.io.gltf_file import GltfFile, Node
+from raystream.scene.key_tracks import KeyTrack
 
 __all__ = ["Matrix", "NodeTree"]
 
@@ -27,6 +28,8 @@ class NodeTree:
     ----------
     nodes : list of dict
         The JSON objects.
+    places : dict of int to int
+        Position in `nodes` by index in the file.
 
     Raises
     ------
@@ -36,27 +39,35 @@ class NodeTree:
 
     def __init__(self, file: GltfFile, tracks: NodeTracks) -> None:
         self.nodes: list[Node] = []
+        self.places: dict[int, int] = {}
         self._parents: list[int | None] = []
         self._locals: list[_Local] = []
-        seen: set[int] = set()
+        self._weights: dict[int, KeyTrack] = {}
         stack: list[tuple[int, int | None]] = [(root, None) for root in reversed(_roots(file))]
         while stack:
             index, parent = stack.pop()
-            if index in seen:
+            if index in self.places:
                 raise file.error(f"is damaged: node {index} occurs twice in the tree of nodes")
-            seen.add(index)
             node = file.entry("nodes", index)
-            place = len(self.nodes)
+            place = self.places[index] = len(self.nodes)
             self.nodes.append(node)
             self._parents.append(parent)
-            self._locals.append(_Local(file, node, tracks, index))
-            children = _indices(file, node, "children")
+            moves = dict(tracks.of.get(index, {}))
+            if "weights" in moves:
+                self._weights[place] = moves.pop("weights")
+            self._locals.append(_Local(file, node, moves))
+            children = file.index_list(node, "children")
             stack += [(child, place) for child in reversed(children)]
 
     @property
     def moves(self) -> bool:
-        """Whether any node is animated."""
-        return any(local.tracks for local in self._locals)
+        """Whether any node or its shape is animated."""
+        return bool(self._weights) or any(local.tracks for local in self._locals)
+
+    def weights(self, place: int, time: float | None) -> tuple[float, ...] | None:
+        """Return the animated weights of a node's morph targets; None for those at rest."""
+        track = self._weights.get(place)
+        return None if track is None or time is None else tuple(track.at(time).tolist())
 
     def matrices(self, time: float | None) -> list[Matrix]:
         """Return the matrix of each node to world space, shape (4, 4); at rest without a time."""
@@ -91,8 +102,8 @@ class NodeTree:
 class _Local:
     """The transform of a node to its parent."""
 
-    def __init__(self, file: GltfFile, node: Node, tracks: NodeTracks, index: int) -> None:
-        self.tracks = tracks.of.get(index, {})
+    def __init__(self, file: GltfFile, node: Node, tracks: dict[str, KeyTrack]) -> None:
+        self.tracks = tracks
         self._parts = {
             "translation": np.array(file.numbers(node, "translation", (0.0, 0.0, 0.0))),
             "rotation": np.array(file.numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0))),
@@ -136,14 +147,11 @@ def _rotation(x: float, y: float, z: float, w: float) -> Matrix:
     )
 
 
-def _indices(file: GltfFile, parent: Node, key: str) -> list[int]:
-    return [file.integer({key: value}, key) for value in file.entries(parent, key)]
-
-
 def _roots(file: GltfFile) -> list[int]:
     if file.entries(file.root, "scenes"):
         scene = file.entry("scenes", file.integer(file.root, "scene", 0))
-        return _indices(file, scene, "nodes")
+        return file.index_list(scene, "nodes")
     count = len(file.entries(file.root, "nodes"))
-    children = {c for i in range(count) for c in _indices(file, file.entry("nodes", i), "children")}
+    nodes = [file.entry("nodes", index) for index in range(count)]
+    children = {child for node in nodes for child in file.index_list(node, "children")}
     return [index for index in range(count) if index not in children]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,20 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError
 from raystream.scene.mesh import Mesh
 
-__all__ = ["Placements", "TriangleBudget", "placed"]
+__all__ = ["Placements", "Shape", "TriangleBudget", "placed"]
 
 #: Maximum triangles after instancing: every copy is stored.
 MAX_INSTANCED_TRIANGLES = 1 << 26
 
 #: Maximum meshes after instancing: a mesh costs far more than a triangle.
 MAX_INSTANCES = 1 << 20
+
+
+class Shape(NamedTuple):
+    """Positions and normals of a deformed mesh, shape (V, 3); normals None if it has none."""
+
+    vertices: NDArray[Any]
+    normals: NDArray[Any] | None
 
 
 class TriangleBudget:
@@ -86,7 +93,7 @@ class Placements:
     """
 
     def __init__(self) -> None:
-        self._placed: dict[int, tuple[Mesh, NDArray[np.float64], Mesh]] = {}
+        self._placed: dict[int, tuple[Mesh, NDArray[np.float64], Shape | None, Mesh]] = {}
         self._next = 0
 
     def begin(self) -> None:
@@ -103,6 +110,7 @@ class Placements:
         matrix: NDArray[np.float64],
         material_id: int | None = None,
         name: str | None = None,
+        shape: Shape | None = None,
     ) -> Mesh:
         """Transform a mesh to the next place; see `placed`.
 
@@ -112,27 +120,36 @@ class Placements:
             As for `placed`; a place always has the same material.
         name : str, optional
             Name of the new mesh.
+        shape : Shape, optional
+            Of the mesh before it is placed [default: its own].
         """
         before = self._placed.get(self._next)
         if before is not None and before[0] is mesh:
-            _, old_matrix, old = before
-            if np.array_equal(matrix, old_matrix):
+            _, old_matrix, old_shape, old = before
+            if shape is old_shape and np.array_equal(matrix, old_matrix):
                 found = old
             elif _mirrors(matrix) == _mirrors(old_matrix):
-                found = old.moved(*_transformed(mesh, matrix))
+                found = old.moved(*_transformed(shape or mesh, matrix))
             else:
-                found = placed(mesh, matrix, material_id)
+                found = _shaped(mesh, matrix, material_id, shape)
                 found.name = old.name
         else:
-            found = placed(mesh, matrix, material_id)
+            found = _shaped(mesh, matrix, material_id, shape)
             found.name = found.name if name is None else name
-        self._placed[self._next] = mesh, matrix, found
+        self._placed[self._next] = mesh, matrix, shape, found
         self._next += 1
         return found
 
 
+def _shaped(
+    mesh: Mesh, matrix: NDArray[np.float64], material_id: int | None, shape: Shape | None
+) -> Mesh:
+    found = placed(mesh, matrix, material_id)
+    return found if shape is None else found.moved(*_transformed(shape, matrix))
+
+
 def _transformed(
-    mesh: Mesh, matrix: NDArray[np.float64]
+    mesh: Mesh | Shape, matrix: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     """Return positions and normals in world space."""
     linear, shift = matrix[:3, :3], matrix[:3, 3]
@@ -152,9 +169,7 @@ def _determinant(linear: NDArray[np.float64]) -> float:
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def _turned(
-    normals: NDArray[np.float32] | None, linear: NDArray[np.float64]
-) -> NDArray[Any] | None:
+def _turned(normals: NDArray[Any] | None, linear: NDArray[np.float64]) -> NDArray[Any] | None:
     """Transform normals by the cofactors, which need no inverse and preserve their side."""
     if normals is None:
         return None
