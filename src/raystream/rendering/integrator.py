@@ -285,8 +285,9 @@ class Integrator:
         sample: int,
         aovs: AovBuffers | None = None,
         progress: Progress | None = None,
+        chosen: NDArray[np.int64] | None = None,
     ) -> NDArray[np.float32]:
-        """Render one sample of each pixel of some rows.
+        """Render one sample of each pixel of some rows, or of some of their pixels.
 
         Parameters
         ----------
@@ -297,20 +298,24 @@ class Integrator:
             Receives the first hits of the sample, if layers are rendered.
         progress : callable, optional
             Called with (pixels done, pixels), where bands are serial.
+        chosen : ndarray of shape (P,), int64, optional
+            Numbers of pixels, from the first one of the rows, which are rendered by the tracer's
+            queries [default: all].
 
         Returns
         -------
         ndarray of shape (rows * width, 3), float32
-            Linear RGB.
+            Linear RGB; black where pixels are not chosen. `aovs` is not written there.
         """
         bands = self.bands_of(context)
-        if bands is not None and aovs is None:
+        if bands is not None and aovs is None and chosen is None:
             return bands.trace(self.stages, rows, sample, progress)
         count = len(rows) * context.width
         radiance = np.zeros((count, 3), np.float32)
         band = Band(context, sample, rows.start * context.width, radiance)
         size = context.width, context.height
-        stream = PathStream(camera_paths(context.camera, size, context.sampler, rows, sample))
+        paths = camera_paths(context.camera, size, context.sampler, rows, sample)
+        stream = PathStream(paths if chosen is None else paths.at(chosen))
         if aovs is not None:
             stream = find_surfaces(stream, band)
             batch = shading_batch(stream, band)

@@ -84,6 +84,13 @@ class Paths(NamedTuple):
         """The first `count` rows, shared."""
         return Paths._make(array[:count] for array in self)
 
+    def at(self, rows: NDArray[np.int64]) -> Paths:
+        """A copy of some rows."""
+        made = Paths.empty(len(rows))
+        for copy, array in zip(made, self, strict=True):
+            np.take(array, rows, axis=0, out=copy, mode="clip")
+        return made
+
 
 class StreamAddresses(NamedTuple):
     """Addresses of the columns of `Paths` or `ShadowRays`.
