@@ -84,7 +84,7 @@ def image_spec(
     )
 
 
-def trace_part(digest: str, image_spec: str, sample: int, part: Part) -> PartSamples:
+def trace_part(digest: str, image_spec: str, samples: NDArray[np.int64], part: Part) -> PartSamples:
     """Trace one sample of the pixels of some rows or tiles, on a worker.
 
     Parameters
@@ -93,7 +93,8 @@ def trace_part(digest: str, image_spec: str, sample: int, part: Part) -> PartSam
         Bundle of a tracer with its scene.
     image_spec : str
         See `image_spec`.
-    sample : int
+    samples : ndarray of int64
+        Its number in the rows, or in each of the tiles.
     part : range or ndarray of int64
         Rows, or tiles.
 
@@ -107,9 +108,9 @@ def trace_part(digest: str, image_spec: str, sample: int, part: Part) -> PartSam
         context = _contexts.get((digest, image_spec), lambda: _context(digest, image_spec))
         renderer = RENDERERS[json.loads(image_spec)["mode"]]
         if isinstance(part, range):
-            light, seen = trace_sample(renderer, context, sample, rows=part)
+            light, seen = trace_sample(renderer, context, int(samples[0]), rows=part)
         else:
-            ((light, seen),) = trace_tiles(renderer, context, [Unit(sample, part)])
+            ((light, seen),) = trace_tiles(renderer, context, [Unit(samples, part)])
     return light, None if seen is None else tuple(seen)
 
 
@@ -174,7 +175,7 @@ class Samples:
         self._tasks = OrderedTasks(
             self._client,
             trace_part,
-            ((*self._of, unit.sample, part) for unit in announced for part in self._parts(unit)),
+            ((*self._of, *part) for unit in announced for part in self._parts(unit)),
             TASKS_PER_THREAD * threads,
             "samples",
         )
@@ -207,12 +208,12 @@ class Samples:
     def _pixels_of(self, unit: Unit) -> int:
         return self._tiles.size_of(unit) if len(unit.tiles) else self._width * self._height
 
-    def _parts(self, unit: Unit) -> list[Part]:
-        """A unit's rows or tiles, in parts for one task each."""
+    def _parts(self, unit: Unit) -> list[tuple[NDArray[np.int64], Part]]:
+        """A unit's samples with its rows or tiles, in parts for one task each."""
         count = math.ceil(self._pixels_of(unit) * self._parts_per_pixel)
         length = len(unit.tiles) or self._height
         count = min(count, length)
         ends = [length * i // count for i in range(count + 1)]
         if len(unit.tiles):
-            return [unit.tiles[a:b] for a, b in itertools.pairwise(ends)]
-        return [range(a, b) for a, b in itertools.pairwise(ends)]
+            return [(unit.samples[a:b], unit.tiles[a:b]) for a, b in itertools.pairwise(ends)]
+        return [(unit.samples, range(a, b)) for a, b in itertools.pairwise(ends)]

@@ -13,7 +13,7 @@ from raystream.rendering.film import Film
 __all__ = ["FIRST_SAMPLES", "TILE", "Rounds", "Tiles", "Unit"]
 
 #: Side of a tile in pixels. All pixels of a tile have the same number of samples.
-TILE = 16
+TILE = 8
 
 #: Samples of every pixel before their variance is meaningful.
 FIRST_SAMPLES = 8
@@ -36,13 +36,13 @@ class Unit(NamedTuple):
 
     Attributes
     ----------
-    sample : int
-        Its number in each of the pixels.
+    samples : ndarray of shape (T,), int64
+        Its number in the pixels of each tile; or one for the whole image.
     tiles : ndarray of shape (T,), int64
         Ascending numbers of tiles; none for the whole image.
     """
 
-    sample: int
+    samples: NDArray[np.int64]
     tiles: NDArray[np.int64] = _NONE
 
 
@@ -67,6 +67,13 @@ class Tiles:
         across = np.minimum(width - TILE * np.arange(self.columns), TILE)
         down = np.minimum(height - TILE * np.arange(self.rows), TILE)
         self.sizes: NDArray[np.int64] = np.outer(down, across).ravel()
+
+    def corners(self, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
+        """First column and row of some tiles, their widths and heights: shape (T, 4)."""
+        row, column = np.divmod(tiles, self.columns)
+        x, y = column * TILE, row * TILE
+        right, bottom = np.minimum(self._width - x, TILE), np.minimum(self._height - y, TILE)
+        return np.stack([x, y, right, bottom], axis=1)
 
     def pixels(self, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
         """Numbers of the pixels of some tiles, one tile after another, each row by row."""
@@ -167,14 +174,11 @@ class Rounds:
 
 
 def _units(counts: NDArray[np.int64], targets: NDArray[np.int64]) -> Iterator[Unit]:
-    """The samples that tiles need for their targets, in the order of their numbers."""
-    wanted = targets > counts
-    if not wanted.any():
-        return
-    for sample in range(int(counts[wanted].min()), int(targets[wanted].max())):
-        tiles = np.flatnonzero((counts <= sample) & (sample < targets))
-        if len(tiles):
-            yield Unit(sample, tiles)
+    """The samples that tiles need for their targets: one of each that needs more, repeatedly."""
+    counts = counts.copy()
+    while len(tiles := np.flatnonzero(counts < targets)):
+        yield Unit(counts[tiles], tiles)
+        counts[tiles] += 1
 
 
 def _targets(

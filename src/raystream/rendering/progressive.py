@@ -265,7 +265,7 @@ class _Passes:
         if fewest >= self._announced:
             last = self._limits.samples
             self._announced = min(last, FIRST_SAMPLES) if self._is_adaptive else last
-            units = map(Unit, range(fewest, self._announced))
+            units = (Unit(np.array([k])) for k in range(fewest, self._announced))
             count = self._announced - fewest
             self._source.begin(units, count * len(self._sums.counts))
         return [(0, *self._source.take(progress))]

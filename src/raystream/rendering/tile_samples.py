@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress, parallel_for
 from raystream.rendering.adaptive import TILE, Tiles, Unit
-from raystream.rendering.integrator import Integrator, RenderContext
+from raystream.rendering.integrator import Integrator, RenderContext, tile_camera_paths
 from raystream.rendering.shading.aovs import AovBuffers
 
 __all__ = ["Sampled", "trace_units"]
@@ -17,7 +17,7 @@ __all__ = ["Sampled", "trace_units"]
 #: A sample of some pixels: its light, and its AOVs.
 Sampled = tuple[NDArray[np.float32], AovBuffers | None]
 
-#: Most pixels of the rows of a band, since rays are generated for whole rows: 25 MB.
+#: Most pixels of the rows that a band covers, whose light is an array: 3 MB.
 MOST_SPAN = 1 << 18
 
 
@@ -49,24 +49,25 @@ def trace_units(
     """
     tiles = Tiles(context.width, context.height)
     made: list[Sampled] = []
-    bands: list[tuple[int, int, NDArray[np.int64]]] = []  # unit, first row of its result, tiles
+    bands: list[tuple[int, int, slice]] = []  # unit, first row of its result, its tiles
     path_count = 0
-    for number, (_, chosen) in enumerate(units):
+    for number, unit in enumerate(units):
         first = 0
-        for part in _parts(tiles, chosen, context.width, band_pixels):
+        for part in _parts(tiles, unit.tiles, context.width, band_pixels):
             bands.append((number, first, part))
-            first += int(tiles.sizes[part].sum())
+            first += int(tiles.sizes[unit.tiles[part]].sum())
         aovs = AovBuffers.empty(first) if context.layers else None
         made.append((np.empty((first, 3), np.float32), aovs))
         path_count += first
 
     def trace(begin: int, end: int) -> None:
         for number, first, part in bands[begin:end]:
+            samples, chosen = units[number]
+            band = Unit(samples[part], chosen[part])
             light, aovs = made[number]
-            pixels = tiles.pixels(part)
-            end_row = first + len(pixels)
-            own = None if aovs is None else aovs.part(first, end_row)
-            light[first:end_row] = _trace(renderer, context, units[number].sample, pixels, own)
+            last = first + tiles.size_of(band)
+            own = None if aovs is None else aovs.part(first, last)
+            light[first:last] = _trace(renderer, context, tiles, band, own)
 
     report = None
     if progress is not None:
@@ -78,7 +79,7 @@ def trace_units(
 
 def _parts(
     tiles: Tiles, chosen: NDArray[np.int64], width: int, band_pixels: int
-) -> Iterator[NDArray[np.int64]]:
+) -> Iterator[slice]:
     """Divide ascending tiles into those of bands."""
     count = max(band_pixels // TILE**2, 1)
     rows = max(MOST_SPAN // (TILE * width), 1)
@@ -86,24 +87,26 @@ def _parts(
     while first < len(chosen):
         end_row = int(chosen[first]) // tiles.columns + rows
         end = min(first + count, int(np.searchsorted(chosen, end_row * tiles.columns)))
-        yield chosen[first:end]
+        yield slice(first, end)
         first = end
 
 
 def _trace(
     renderer: Integrator,
     context: RenderContext,
-    sample: int,
-    pixels: NDArray[np.int64],
+    tiles: Tiles,
+    unit: Unit,
     aovs: AovBuffers | None,
 ) -> NDArray[np.float32]:
-    """Trace one sample of some pixels, and write its AOVs."""
-    width = context.width
+    """Trace a unit on this thread, and write its AOVs."""
+    size = width, _ = context.width, context.height
+    pixels, corners = tiles.pixels(unit.tiles), tiles.corners(unit.tiles)
+    paths = tile_camera_paths(context.camera, size, context.sampler, corners, pixels, unit.samples)
     rows = range(int(pixels.min()) // width, int(pixels.max()) // width + 1)
-    chosen = pixels - rows.start * width
+    places = pixels - rows.start * width
     seen = None if aovs is None else AovBuffers.empty(len(rows) * width)
-    light = renderer.trace(context, rows, sample, seen, chosen=chosen)
+    light = renderer.trace_paths(context, rows, 0, paths, seen)
     if aovs is not None and seen is not None:
         for to, values in zip(aovs, seen, strict=True):
-            to[:] = values[chosen]
-    return light[chosen]
+            to[:] = values[places]
+    return light[places]
