@@ -111,9 +111,9 @@ class Tiles:
         return np.array_equal(each.ravel(), film.counts)
 
     def smoothed(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values of tiles, averaged with those of the eight around each: weights 4, 2 and 1."""
+        """Values of tiles, averaged over squares of 5 x 5 tiles with binomial weights."""
         smooth = values.reshape(self.rows, self.columns)
-        for axis in (0, 1):
+        for axis in (0, 1, 0, 1):
             padded = np.pad(smooth, [(1, 1) if k == axis else (0, 0) for k in (0, 1)], "edge")
             before, after = (
                 padded.take(range(smooth.shape[axis]), axis),
@@ -189,11 +189,12 @@ def _targets(
     Notes
     -----
     With N samples in a tile of P pixels whose samples deviate by s, the sum of its pixels'
-    absolute errors is proportional to P s N^(-1/2). The sum over all tiles is least, for a given
-    sum of P N, if N is proportional to s^(2/3) (by a Lagrange multiplier).
+    absolute errors is proportional to P s N^(-1/2). If a sample takes the time c, the sum over all
+    tiles is least, for a given sum of P N c, if N is proportional to (s/c)^(2/3) (by a Lagrange
+    multiplier). Paths take longer where they find more noise: as if c were s^(1/4), N is
+    proportional to the root of s.
     """
-    noise = tiles.smoothed(tiles.means(film.deviation()))
-    weights = np.cbrt(noise * noise)
+    weights = np.sqrt(tiles.smoothed(tiles.means(film.deviation())))
     mean = float(np.dot(weights, tiles.sizes)) / float(tiles.sizes.sum())
     weights = np.maximum(weights, LEAST_SHARE * mean) if mean > 0.0 else np.ones(len(weights))
     budget = GROWTH * float(np.dot(counts, tiles.sizes))
