@@ -28,20 +28,20 @@ SIZE = WIDTH, HEIGHT = 58, 26
 def tracer():
     """A floor, its right half black; a lamp, and below it a board that casts a shadow."""
 
-    def square(x, y, z, half, material):
+    def square(x, y, z, half, material, faces=((0, 1, 2), (0, 2, 3))):
         corners = [[x - half, y - half, z], [x + half, y - half, z]]
         corners += [[x + half, y + half, z], [x - half, y + half, z]]
-        return rs.Mesh(corners, [[0, 1, 2], [0, 2, 3]], material_ids=material)
+        return rs.Mesh(corners, faces, material_ids=material)
 
     materials = [
         rs.Material("floor", diffuse=(0.7, 0.5, 0.3)),
         rs.Material("black", diffuse=(0.0, 0.0, 0.0)),
-        rs.Material("lamp", diffuse=(0.0, 0.0, 0.0), emission=(9.0, 8.0, 7.0)),
+        rs.Material("lamp", diffuse=(0.0, 0.0, 0.0), emission=(90.0, 80.0, 70.0)),
     ]
     meshes = [
         square(-4, 0, 0, 4, 0),
         square(4, 0, 0, 4, 1),
-        square(-3, 0, 3, 1, 2),
+        square(-3, 0, 3, 0.5, 2, ((0, 2, 1), (0, 3, 2))),  # faces down
         square(-2, 1, 1, 0.7, 0),
     ]
     camera = rs.Camera((0, -0.1, 9), (0, 0, 0), fov=30)
@@ -163,6 +163,19 @@ def test_number_of_samples_alone_means_all_pixels(tracer):
     # All tiles end with these samples, in whatever order they got them.
     assert_same_image(render(tracer, samples=20, noise=1e-9), image)
     assert_same_image(render(tracer, samples=20, time_limit=1e9), image)
+
+
+LENS = rs.Camera((0, -0.1, 9), (0, 0, 0), fov=30, aperture=0.5, focus=8.0)
+AROUND = rs.Camera((-3, -0.1, 2), (-3, 0, 0), projection="equirectangular")
+
+
+@pytest.mark.parametrize("camera", [LENS, AROUND], ids=["lens", "around"])
+@pytest.mark.parametrize("mode", ["raycast", "whitted", "xray", "ao", "path"])
+def test_samples_of_tiles_have_the_bits_of_the_whole(tracer, mode, camera):
+    """In all modes and cameras: tiles end with the same samples, with other samples beside."""
+    asked = {"mode": mode, "size": (21, 13), "samples": 12, "camera": camera, "layers": "all"}
+    scene = rs.Tracer(tracer.scene, "graph") if mode == "path" else tracer
+    assert_same_image(rs.render(scene, noise=1e-12, **asked), rs.render(scene, **asked))
 
 
 def test_checkpoint_of_unequal_tiles_becomes_one_of_equal_tiles(tracer, tmp_path):

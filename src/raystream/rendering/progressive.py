@@ -478,7 +478,7 @@ def _rows_per_band(
 
 
 def _pixels_per_band(renderer: Integrator, context: RenderContext, paths: int) -> int:
-    """Number of pixels that a thread traces at once on the host, of so many paths in total."""
+    """Number of pixels that a thread traces at once on the host, of `paths` in total."""
     share = -(-paths // (4 * thread_count()))
     per_pixel = max(renderer.rays_per_pixel(context), 1)
     return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
