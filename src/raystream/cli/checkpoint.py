@@ -106,14 +106,14 @@ class PathProgress:
 
     Attributes
     ----------
-    samples_before : int
-        Samples per pixel loaded from the checkpoint.
+    samples_before : int or float
+        Samples per pixel loaded from the checkpoint, on average.
     """
 
     def __init__(
         self, output: Path, pixel_count: int, shown: Callable[[int, int], None] | None
     ) -> None:
-        self.samples_before = 0
+        self.samples_before: int | float = 0
         self._output = output
         self._pixel_count = pixel_count
         self._shown = shown
@@ -123,15 +123,18 @@ class PathProgress:
         """Report progress: paths done, and paths in total."""
         if self._is_first:
             self._is_first = False
-            self.samples_before = done // self._pixel_count
+            whole, rest = divmod(done, self._pixel_count)
+            self.samples_before = done / self._pixel_count if rest else whole
             if self.samples_before:
-                write_note(f"{self._output}: resumed from {self.samples_before} samples")
+                count = _count_text(self.samples_before)
+                write_note(f"{self._output}: resumed from {count} samples")
         if self._shown is not None:
             self._shown(done, total)
 
     def count(self, image: Image) -> int:
         """Return the number of paths traced in this run."""
-        return (image.figures["samples"] - self.samples_before) * self._pixel_count
+        samples: float = image.figures["samples"] - self.samples_before
+        return round(samples * self._pixel_count)
 
     def figures(self, image: Image) -> dict[str, Any]:
         """Return samples, error and passes, if there are any, for ``--json``.
@@ -150,5 +153,10 @@ class PathProgress:
     def text(self, image: Image) -> str:
         """Format samples and error for the console."""
         taken, error = image.figures["samples"], image.figures["error"]
-        counts = f"{taken:,} sample{'s' if taken > 1 else ''}"
+        counts = f"{_count_text(taken)} sample{'s' if taken > 1 else ''}"
         return f"{counts}, error {error:.2%}" if math.isfinite(error) else counts
+
+
+def _count_text(samples: int | float) -> str:
+    """Format a number of samples, which is a mean if it is not an int."""
+    return f"{samples:,}" if isinstance(samples, int) else f"{samples:,.1f}"

@@ -12,14 +12,15 @@ from raystream.cluster.errors import ClusterError
 from raystream.cluster.samples import Samples, image_spec
 from raystream.cluster.tracer_bundles import pack_tracer
 from raystream.cluster.uploader import uploader_of
-from raystream.core.choices import DeviceOptions
+from raystream.core.choices import Cpu, DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_size
 from raystream.rendering.image import Image
 from raystream.rendering.integrator import make_context
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
-from raystream.rendering.progressive import Limits, render_samples
+from raystream.rendering.limits import Limits
+from raystream.rendering.progressive import render_samples
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
@@ -115,9 +116,12 @@ def render(
     own = renderer.complete({name: options.pop(name) for name in given})
     chosen = renderer.check(own)
     numbers = Sampler.of(sampler, seed, limits.samples)
+    if isinstance(scene, Scene) and (device == "cpu" or isinstance(device, Cpu)):
+        scene, structure, options = Tracer(scene, structure, **options), "bvh", {}
     bundle = pack_tracer(scene, structure, device, options, for_rendering=True)
-    # Nothing is traced in this process.
-    here = scene if isinstance(scene, Tracer) else Tracer(scene, "brute")
+    # Nothing is traced in this process. Other devices than the CPU render all pixels alike.
+    is_uniform = isinstance(scene, Scene)
+    here = Tracer(scene, "brute") if isinstance(scene, Scene) else scene
     view = camera or here.scene.camera_for(width / height)
     context = make_context(here, view, (width, height), numbers, chosen, wanted, lights)
     drawn = sampler, seed, limits.samples
@@ -125,7 +129,7 @@ def render(
     with open_client(client) as found:
         uploader = uploader_of(found)
         digest = uploader.send(bundle)
-        taken = Samples(found, digest, spec, context, limits.samples)
+        taken = Samples(found, digest, spec, context, is_uniform)
         try:
             return render_samples(
                 renderer,
@@ -134,7 +138,7 @@ def render(
                 checkpoint=checkpoint,
                 on_pass=on_pass,
                 progress=progress,
-                take=taken.take,
+                source=taken,
             )
         finally:
             taken.close()

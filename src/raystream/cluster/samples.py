@@ -1,4 +1,4 @@
-"""Samples: images in tasks, each one sample of some rows."""
+"""Samples: images in tasks, each one sample of some rows or tiles."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import itertools
 import json
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,9 @@ from raystream.cluster.tasks import OrderedTasks
 from raystream.cluster.thread_budget import shared_threads
 from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
+from raystream.rendering.adaptive import Tiles, Unit
 from raystream.rendering.integrator import RenderContext, make_context
-from raystream.rendering.progressive import Sampled, trace_sample
+from raystream.rendering.progressive import Sampled, trace_sample, trace_tiles
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers
@@ -30,7 +31,7 @@ from raystream.scene.camera import Camera
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Samples", "image_spec", "trace_rows"]
+__all__ = ["Samples", "image_spec", "trace_part"]
 
 #: Maximum pixels per task: some megabytes of light, and a few seconds of work at most.
 TASK_PIXELS = 1 << 19
@@ -45,7 +46,10 @@ MIN_TASKS_PER_THREAD = 4
 #: Cached contexts per process.
 _contexts = OnceCache(2)
 
-RowSamples = tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]
+PartSamples = tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]
+
+#: Rows, or tiles.
+Part = range | NDArray[np.int64]
 
 
 def image_spec(
@@ -81,8 +85,8 @@ def image_spec(
     )
 
 
-def trace_rows(digest: str, image_spec: str, sample: int, first: int, end: int) -> RowSamples:
-    """Trace one sample of the pixels of some rows, on a worker.
+def trace_part(digest: str, image_spec: str, samples: NDArray[np.int64], part: Part) -> PartSamples:
+    """Trace one sample of the pixels of some rows or tiles, on a worker.
 
     Parameters
     ----------
@@ -90,20 +94,24 @@ def trace_rows(digest: str, image_spec: str, sample: int, first: int, end: int) 
         Bundle of a tracer with its scene.
     image_spec : str
         See `image_spec`.
-    sample : int
-    first, end : int
-        Rows.
+    samples : ndarray of int64
+        Its number in the rows, or in each of the tiles.
+    part : range or ndarray of int64
+        Rows, or tiles.
 
     Returns
     -------
-    light : ndarray of shape (R * W, 3), float32
+    light : ndarray of shape (P, 3), float32
     seen : tuple of ndarray, or None
         As `AovBuffers`.
     """
     with shared_threads():
         context = _contexts.get((digest, image_spec), lambda: _context(digest, image_spec))
         renderer = RENDERERS[json.loads(image_spec)["mode"]]
-        light, seen = trace_sample(renderer, context, sample, rows=range(first, end))
+        if isinstance(part, range):
+            light, seen = trace_sample(renderer, context, int(samples[0]), rows=part)
+        else:
+            ((light, seen),) = trace_tiles(renderer, context, [Unit(samples, part)])
     return light, None if seen is None else tuple(seen)
 
 
@@ -126,17 +134,19 @@ def _context(digest: str, image_spec: str) -> RenderContext:
 
 
 class Samples:
-    """Complete samples of an image in order, assembled from the rows that workers trace.
+    """Samples of an image in order, assembled from the parts that workers trace.
+
+    A `SampleSource` of `render_samples`.
 
     Parameters
     ----------
     client : distributed.Client
     digest, image_spec : str
-        See `trace_rows`.
+        See `trace_part`.
     context : RenderContext
         Determines the size and the layers.
-    sample_count : int
-        Maximum samples per pixel.
+    is_uniform : bool
+        See `SampleSource`.
     """
 
     def __init__(
@@ -145,34 +155,49 @@ class Samples:
         digest: str,
         image_spec: str,
         context: RenderContext,
-        sample_count: int,
+        is_uniform: bool,
     ) -> None:
+        self.is_uniform = is_uniform
         self._client = client
         self._of = digest, image_spec
         self._width, self._height = context.width, context.height
+        self._tiles = Tiles(context.width, context.height)
         self._has_layers = bool(context.layers)
-        self._sample_count = sample_count
+        self._units: Iterator[Unit] = iter(())
         self._tasks: OrderedTasks | None = None
-        self._bands: list[range] = []
-        self._next = 0
+        self._parts_per_pixel = 0.0
 
-    def take(self, sample: int, progress: Progress | None) -> Sampled:
-        """Return the next sample of every pixel; see `render_samples`."""
-        if self._tasks is None:
-            self._begin(sample)
-        assert self._tasks is not None
-        assert sample == self._next, "samples are taken in order"
-        self._next += 1
-        count = self._width * self._height
+    def begin(self, units: Iterable[Unit], path_count: int) -> None:
+        """Trace units next, in their order; see `SampleSource`."""
+        self.close()
+        threads = thread_total(self._client)
+        least = MIN_TASKS_PER_THREAD * threads / path_count
+        self._parts_per_pixel = max(1 / TASK_PIXELS, least)
+        self._units, announced = itertools.tee(units)
+        self._tasks = OrderedTasks(
+            self._client,
+            trace_part,
+            ((*self._of, *part) for unit in announced for part in self._parts(unit)),
+            TASKS_PER_THREAD * threads,
+            "samples",
+        )
+
+    def take(self, progress: Progress | None) -> Sampled:
+        """Return the next unit; see `SampleSource`."""
+        assert self._tasks is not None, "begin comes first"
+        unit = next(self._units)
+        count = self._pixels_of(unit)
         light = np.empty((count, 3), np.float32)
         seen = AovBuffers.empty(count) if self._has_layers else None
-        for band in self._bands:
+        first = 0
+        for _ in self._parts(unit):
             own, own_seen = next(self._tasks)
-            first, end = band.start * self._width, band.stop * self._width
+            end = first + len(own)
             light[first:end] = own
             if seen is not None and own_seen is not None:
                 for to, values in zip(seen.part(first, end), own_seen, strict=True):
                     to[:] = values
+            first = end
             if progress is not None:
                 progress(end, count)
         return light, seen
@@ -182,26 +207,15 @@ class Samples:
         if self._tasks is not None:
             self._tasks.close()
 
-    def _begin(self, first: int) -> None:
-        threads = thread_total(self._client)
-        left = self._sample_count - first
-        pixel_count = self._width * self._height
-        count = max(
-            math.ceil(pixel_count / TASK_PIXELS), math.ceil(MIN_TASKS_PER_THREAD * threads / left)
-        )
-        count = min(count, self._height)
-        ends = [self._height * i // count for i in range(count + 1)]
-        self._bands = [range(a, b) for a, b in itertools.pairwise(ends)]
-        self._next = first
-        self._tasks = OrderedTasks(
-            self._client,
-            trace_rows,
-            self._calls(first),
-            TASKS_PER_THREAD * threads,
-            "rows",
-        )
+    def _pixels_of(self, unit: Unit) -> int:
+        return self._tiles.size_of(unit) if len(unit.tiles) else self._width * self._height
 
-    def _calls(self, first: int) -> Iterator[tuple[Any, ...]]:
-        for sample in range(first, self._sample_count):
-            for band in self._bands:
-                yield (*self._of, sample, band.start, band.stop)
+    def _parts(self, unit: Unit) -> list[tuple[NDArray[np.int64], Part]]:
+        """A unit's samples with its rows or tiles, in parts for one task each."""
+        count = math.ceil(self._pixels_of(unit) * self._parts_per_pixel)
+        length = len(unit.tiles) or self._height
+        count = min(count, length)
+        ends = [length * i // count for i in range(count + 1)]
+        if len(unit.tiles):
+            return [(unit.samples[a:b], unit.tiles[a:b]) for a, b in itertools.pairwise(ends)]
+        return [(unit.samples, range(a, b)) for a, b in itertools.pairwise(ends)]

@@ -33,7 +33,10 @@ _BYTES_PER_PIXEL = 56
 _ADDED_PIXELS = 1 << 14
 
 #: Names of a checkpoint's arrays, apart from those of layers.
-_SUM, _SQUARES, _COUNTS = "sum", "squares", "counts"
+_SUM, _SQUARES, _COUNTS, _TARGETS = "sum", "squares", "counts", "targets"
+
+#: The first of consecutive pixels, or each of some.
+Pixels = int | NDArray[np.int64]
 
 
 class Film:
@@ -54,6 +57,8 @@ class Film:
         Samples of each pixel.
     dropped : int
         Number of samples that were not finite; they count as black.
+    targets : ndarray of shape (T,), int64, optional
+        Samples that tiles get in a round that has begun, see `adaptive.Rounds`.
 
     Raises
     ------
@@ -71,16 +76,18 @@ class Film:
         self._squares = np.zeros((pixel_count, 3))
         self.counts: NDArray[np.int64] = np.zeros(pixel_count, np.int64)
         self.dropped = 0
+        self.targets: NDArray[np.int64] | None = None
         self._layers: dict[str, _Layer] = {}
         self._lock = threading.Lock()
 
-    def add_samples(self, first_pixel: int, radiance: NDArray[Any]) -> None:
-        """Add a sample, or several, to each of N consecutive pixels, on all threads.
+    def add_samples(self, pixels: Pixels, radiance: NDArray[Any]) -> None:
+        """Add a sample, or several, to each of N pixels, on all threads.
 
         Parameters
         ----------
-        first_pixel : int
-            Row times width plus column. Pixels may continue in the next rows.
+        pixels : int or ndarray of shape (N,), int64
+            Row times width plus column: the first of consecutive pixels, which may continue in
+            the next rows, or N different pixels.
         radiance : ndarray of shape (N, 3) or (S, N, 3), float32
             Linear RGB. A sample that is not finite in all channels counts as black.
 
@@ -92,9 +99,9 @@ class Film:
         if radiance.ndim not in (2, 3) or radiance.shape[-1] != 3:
             raise ValueError(f"radiance: expected shape (N, 3) or (S, N, 3), got {radiance.shape}")
         count = radiance.shape[-2]
-        pixels = self._pixels(first_pixel, count)
+        chosen = self._chosen(pixels, count)
         light = np.ascontiguousarray(radiance, np.float32).reshape(-1, count, 3)
-        sums = self._sum[pixels], self._squares[pixels], self.counts[pixels]
+        sums = self._sum[chosen], self._squares[chosen], self.counts[chosen]
 
         def add(begin: int, end: int) -> None:
             dropped = add_light(begin, end, light, *sums)
@@ -103,14 +110,16 @@ class Film:
                     self.dropped += dropped
 
         parallel_for(add, count, _ADDED_PIXELS)
+        if not isinstance(chosen, slice):  # these are copies
+            self._sum[chosen], self._squares[chosen], self.counts[chosen] = sums
 
-    def set_layer(self, name: str, first_pixel: int, values: NDArray[Any]) -> None:
-        """Add one sample of a layer to each of N consecutive pixels.
+    def set_layer(self, name: str, pixels: Pixels, values: NDArray[Any]) -> None:
+        """Add one sample of a layer to each of N pixels.
 
         Parameters
         ----------
         name : {"depth", "normal", "albedo", "prim_id", "emission"}
-        first_pixel : int
+        pixels : int or ndarray of shape (N,), int64
             As in `add_samples`.
         values : ndarray of shape (N,), or (N, 3) for normal, albedo and emission
             The layer is their mean over samples, or the first one for prim_id. Other values
@@ -128,11 +137,11 @@ class Film:
         if values.ndim < 1 or values.shape[1:] != kind.shape:
             expected = "(N,)" if kind.width == 1 else "(N, 3)"
             raise ValueError(f"{name}: expected shape {expected}, got {values.shape}")
-        pixels = self._pixels(first_pixel, len(values))
+        chosen = self._chosen(pixels, len(values))
         with self._lock:
             if name not in self._layers:
                 self._layers[name] = _Layer(kind, len(self.counts))
-        self._layers[name].add(pixels, values)
+        self._layers[name].add(chosen, values)
 
     def mean(self) -> NDArray[np.float32]:
         """The mean of the samples: shape (H, W, 3), float32; black without samples."""
@@ -160,6 +169,11 @@ class Film:
         np.maximum(variance, 0.0, out=variance)  # rounding
         variance[self.counts < 2] = np.inf
         return variance
+
+    def deviation(self) -> NDArray[np.float64]:
+        """Standard deviation of a pixel's samples, over all channels: shape (H * W,)."""
+        variance: NDArray[np.float64] = self._variance().mean(axis=1) * self.counts
+        return np.sqrt(variance)
 
     def error(self) -> float:
         """Estimate of the image's relative error.
@@ -222,6 +236,8 @@ class Film:
         for name, layer in self._layers.items():
             arrays[f"{name}_{_SUM}"] = layer.sum
             arrays[f"{name}_{_COUNTS}"] = layer.counts
+        if self.targets is not None:
+            arrays[_TARGETS] = self.targets
         write_npz(path, arrays)
 
     @classmethod
@@ -253,6 +269,9 @@ class Film:
         sums._sum = file.take(_SUM, (pixel_count, 3), np.float64)
         sums._squares = file.take(_SQUARES, (pixel_count, 3), np.float64, least=0)
         sums.dropped = int(file.take("dropped", (1,), np.int64, least=0).item())
+        if _TARGETS in file.arrays:
+            length = file.arrays[_TARGETS].size
+            sums.targets = file.take(_TARGETS, (length,), np.int64, least=0)
         for name, kind in LAYERS.items():
             if f"{name}_{_SUM}" in file.arrays:
                 layer = sums._layers[name] = _Layer(kind, pixel_count)
@@ -260,11 +279,19 @@ class Film:
                 layer.counts = file.take(f"{name}_{_COUNTS}", (pixel_count,), np.int64, least=0)
         return sums
 
-    def _pixels(self, first: int, count: int) -> slice:
-        if first < 0 or first + count > len(self.counts):
+    def _chosen(self, pixels: Pixels, count: int) -> slice | NDArray[np.int64]:
+        if not isinstance(pixels, np.ndarray):
+            first, end = pixels, pixels + count
+        elif pixels.shape != (count,):
+            raise ValueError(f"pixels: expected shape ({count},), got {pixels.shape}")
+        elif count == 0:
+            first = end = 0
+        else:
+            first, end = int(pixels.min()), int(pixels.max()) + 1
+        if first < 0 or end > len(self.counts):
             total = len(self.counts)
-            raise ValueError(f"first_pixel: {first} to {first + count} is outside 0 to {total}")
-        return slice(first, first + count)
+            raise ValueError(f"pixels: {first} to {end} is outside 0 to {total}")
+        return pixels if isinstance(pixels, np.ndarray) else slice(first, end)
 
     def __repr__(self) -> str:
         fewest, most = int(self.counts.min()), int(self.counts.max())
@@ -285,15 +312,18 @@ class _Layer:
         )
         self.counts = np.zeros(pixel_count, np.int64)
 
-    def add(self, pixels: slice, values: NDArray[Any]) -> None:
+    def add(self, pixels: slice | NDArray[np.int64], values: NDArray[Any]) -> None:
         sums, counts = self.sum[pixels], self.counts[pixels]
         if self.kind.fold == "first":
             sums[counts == 0] = values[counts == 0]
             counts += 1
-            return
-        is_known = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
-        np.add(sums, values, out=sums, where=is_known if values.ndim == 1 else is_known[:, None])
-        counts += is_known
+        else:
+            is_known = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+            where = is_known if values.ndim == 1 else is_known[:, None]
+            np.add(sums, values, out=sums, where=where)
+            counts += is_known
+        if not isinstance(pixels, slice):  # these are copies
+            self.sum[pixels], self.counts[pixels] = sums, counts
 
     def values(self) -> NDArray[Any]:
         """The layer, a row per pixel."""

@@ -28,11 +28,15 @@ from raystream.rendering.lighting import has_visible_light
 from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers, write_aovs
-from raystream.rendering.shading.camera_rays import generate_camera_rays, view_of
+from raystream.rendering.shading.camera_rays import (
+    generate_camera_rays,
+    generate_tile_rays,
+    view_of,
+)
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.punctual_lights import PunctualLights, punctual_lights_of
 from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
-from raystream.rendering.shading.streams import Paths, ShadingBatch
+from raystream.rendering.shading.streams import PIXEL_BITS, Paths, ShadingBatch
 from raystream.rendering.shading.tables import EMITS, IS_TEXTURED, SceneTables, tables_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
@@ -50,6 +54,7 @@ __all__ = [
     "sectors_of",
     "shading_batch",
     "take_no_options",
+    "tile_camera_paths",
     "trace_shadow_rays",
 ]
 
@@ -204,6 +209,10 @@ class Band:
     first_pixel: int
     radiance: NDArray[np.float32]
 
+    def rows_of(self, pixels: NDArray[np.int64]) -> NDArray[np.int32]:
+        """The rows of light of pixels as in `Paths`: without the numbers of samples."""
+        return (pixels - self.first_pixel).astype(np.int32)
+
 
 @dataclass(frozen=True)
 class PathStream:
@@ -322,11 +331,38 @@ class Integrator:
         bands = self.bands_of(context)
         if bands is not None and aovs is None:
             return bands.trace(self.stages, rows, sample, progress)
-        count = len(rows) * context.width
-        radiance = np.zeros((count, 3), np.float32)
-        band = Band(context, sample, rows.start * context.width, radiance)
         size = context.width, context.height
-        stream = PathStream(camera_paths(context.camera, size, context.sampler, rows, sample))
+        paths = camera_paths(context.camera, size, context.sampler, rows, sample)
+        return self.trace_paths(context, rows, sample, paths, aovs)
+
+    def trace_paths(
+        self,
+        context: RenderContext,
+        rows: range,
+        sample: int,
+        paths: Paths,
+        aovs: AovBuffers | None = None,
+    ) -> NDArray[np.float32]:
+        """Find the light of camera rays, at most one for each pixel of some rows, by queries.
+
+        Parameters
+        ----------
+        context : RenderContext
+        rows : range
+        sample : int
+            Added to the numbers that the paths have, see `Paths`.
+        paths : Paths
+        aovs : AovBuffers, optional
+            See `trace`; written where there are paths.
+
+        Returns
+        -------
+        ndarray of shape (rows * width, 3), float32
+            Linear RGB; black where there are no paths.
+        """
+        radiance = np.zeros((len(rows) * context.width, 3), np.float32)
+        band = Band(context, sample, rows.start * context.width, radiance)
+        stream = PathStream(paths)
         if aovs is not None:
             stream = find_surfaces(stream, band)
             batch = shading_batch(stream, band)
@@ -368,19 +404,59 @@ def camera_paths(
         generate_camera_rays(view_of(camera, *size), rows.start, len(rows), sampler, sample, paths)
         return paths
     pixels = np.arange(rows.start * width, rows.start * width + count)
+    return _projected(camera, size, sampler, pixels, sample)
+
+
+def tile_camera_paths(
+    camera: Camera,
+    size: tuple[int, int],
+    sampler: Sampler,
+    corners: NDArray[np.int64],
+    pixels: NDArray[np.int64],
+    samples: NDArray[np.int64],
+) -> Paths:
+    """Generate camera rays for the pixels of some tiles, with the bits of `camera_paths`.
+
+    Parameters
+    ----------
+    camera, size, sampler
+        See `camera_paths`.
+    corners : ndarray of shape (T, 4), int64
+        First column and row of each tile, its width and height.
+    pixels : ndarray of shape (N,), int64
+        Of the tiles, one after another, each row by row.
+    samples : ndarray of shape (T,), int64
+        Number of the sample of each tile.
+    """
+    if camera.projection == "perspective":
+        paths = Paths.empty(len(pixels))
+        generate_tile_rays(view_of(camera, *size), corners, samples, sampler, paths)
+        return paths
+    each = samples.repeat(corners[:, 2] * corners[:, 3])
+    paths = _projected(camera, size, sampler, pixels, each)
+    paths.pixels[:] |= each << PIXEL_BITS
+    return paths
+
+
+def _projected(
+    camera: Camera,
+    size: tuple[int, int],
+    sampler: Sampler,
+    pixels: NDArray[np.int64],
+    sample: int | NDArray[np.int64],
+) -> Paths:
+    """Generate camera rays of any camera through pixels."""
+    width, _ = size
     x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
     if sampler.sample_count == 1:
         x, y = x + 0.5, y + 0.5
     else:
         numbers = sampler.numbers(pixels, sample, 0, 2)
         x, y = x + numbers[:, 0], y + numbers[:, 1]
-    shape = len(rows), width
-    places = x.reshape(shape), y.reshape(shape)
-    origins, directions = camera.rays(*size, *places)
-    paths = Paths.empty(count)
+    origins, directions = camera.rays(*size, x, y)
+    paths = Paths.empty(len(pixels))
     paths.pixels[:], paths.weights[:], paths.pdfs[:] = pixels, 1.0, np.inf
-    paths.origins[:] = np.reshape(origins, (-1, 3))
-    paths.directions[:] = np.reshape(directions, (-1, 3))
+    paths.origins[:], paths.directions[:] = origins, directions
     return paths
 
 
@@ -401,13 +477,13 @@ def sectors_of(stream: PathStream, band: Band) -> NDArray[np.int32] | None:
     if hits is None or hits.sectors is None:
         return None
     sectors = np.full(len(band.radiance), -1, np.int32)
-    sectors[stream.paths.pixels - band.first_pixel] = hits.sectors
+    sectors[band.rows_of(stream.paths.pixels)] = hits.sectors
     return sectors
 
 
 def _starts(stream: PathStream, pixels: NDArray[np.int64], band: Band) -> NDArray[np.int32] | None:
     """The sectors in which rays of some pixels begin, as far as they are known."""
-    return None if stream.sectors is None else stream.sectors[pixels - band.first_pixel]
+    return None if stream.sectors is None else stream.sectors[band.rows_of(pixels)]
 
 
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:

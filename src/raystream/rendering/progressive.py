@@ -5,37 +5,35 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from os import PathLike
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import RaystreamError
+from raystream.core.errors import FileFormatError, RaystreamError
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
+from raystream.rendering.adaptive import FIRST_SAMPLES, Rounds, Tiles, Unit
 from raystream.rendering.film import Film
 from raystream.rendering.image import Image
 from raystream.rendering.integrator import Integrator, RenderContext
+from raystream.rendering.limits import Limits
 from raystream.rendering.sample_file import SampleFile
 from raystream.rendering.shading.aovs import AovBuffers
+from raystream.rendering.tile_samples import Sampled, trace_units
 from raystream.structures.bvh.kernel_choice import SMALL_BATCH
 
 __all__ = [
-    "Limits",
+    "SampleSource",
     "Sampled",
     "checkpoint_seconds",
     "render_samples",
     "trace_sample",
     "trace_samples",
+    "trace_tiles",
 ]
-
-#: A sample of every pixel: its light, and its AOVs; see `trace_sample`.
-Sampled = tuple[NDArray[np.float32], AovBuffers | None]
-
-#: Returns a sample of all rows, by its number: (number, progress).
-TakeSample = Callable[[int, Progress | None], Sampled]
 
 #: Pixels of a band: enough for streams of rays to be worth sorting, few enough for the threads
 #: to finish together. Memory is about 300 bytes per pixel.
@@ -52,37 +50,28 @@ SAMPLES_SECONDS, SAMPLES_BYTES = 0.5, 1 << 26
 CHECKPOINT_SECONDS = 10.0
 
 
-@dataclass(frozen=True)
-class Limits:
-    """When rendering stops: at the first limit reached.
+class SampleSource(Protocol):
+    """Traces samples in place of this process, with the same bits.
 
     Attributes
     ----------
-    samples : int
-        Per pixel.
-    noise : float, optional
-        Relative error of the image, see `Film.error`; tested from 8 samples on.
-    seconds : float, optional
-        A sample that has begun is finished. Time before an interruption does not count.
+    is_uniform : bool
+        Whether all pixels of an image get the same number of samples.
     """
 
-    samples: int
-    noise: float | None = None
-    seconds: float | None = None
+    is_uniform: bool
 
-    def __post_init__(self) -> None:
-        for name, value in (("noise", self.noise), ("time_limit", self.seconds)):
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name}: expected a number above 0, got {value}")
+    def begin(self, units: Iterable[Unit], path_count: int) -> None:
+        """Announce what will be taken next: units, and the number of their paths.
 
-    @property
-    def only_samples(self) -> bool:
-        """Whether nothing but the number of samples ends the rendering."""
-        return self.noise is None and self.seconds is None
+        Fewer may be taken than announced.
+        """
+        ...
 
+    def take(self, progress: Progress | None) -> Sampled:
+        """Return the next unit, as `trace_sample` or `trace_units` would."""
+        ...
 
-#: Samples before their variance is meaningful.
-_FIRST_SAMPLES = 8
 
 #: Of a sample's light.
 _LIGHT_BYTES = 12
@@ -96,7 +85,7 @@ def render_samples(
     checkpoint: str | PathLike[str] | None = None,
     on_pass: Callable[[Image], object] | None = None,
     progress: Progress | None = None,
-    take: TakeSample | None = None,
+    source: SampleSource | None = None,
 ) -> Image:
     """Render an image.
 
@@ -105,25 +94,28 @@ def render_samples(
     renderer : Integrator
     context : RenderContext
     limits : Limits
+        With noise or time limits, tiles get samples where the noise is, see `adaptive.Rounds`;
+        but not if the context has `DeviceBands`, which render whole rows.
     checkpoint : path, optional
         A file, ending in ``.npz``, to which all samples are saved every 10 seconds, at the end
         (see `SampleFile`), and when rendering is interrupted after the first of them. An existing
         one is resumed, to the same bits as without the interruption.
     on_pass : callable, optional
-        Called with the image so far, every 10 seconds, after whole samples.
+        Called with the image so far, every 10 seconds, after whole passes.
     progress : callable, optional
         Called with (paths done, paths), first with those of the checkpoint. With noise and time
         limits the total is an estimate until the last call. An exception that it raises ends
         the rendering.
-    take : callable, optional
-        Returns each sample as `trace_sample` would, with the same bits, for example from other
-        machines. If it raises `RaystreamError`, the samples so far are saved as after an
-        interruption.
+    source : SampleSource, optional
+        Traces the samples in place of this process, for example on other machines. If it
+        raises `RaystreamError`, the samples so far are saved as after an interruption.
 
     Returns
     -------
     Image
-        With the context's layers, ``variance`` and ``samples``.
+        With the context's layers, ``variance`` and ``samples``. Its figures are ``samples``,
+        the mean per pixel, an int if all are equal; ``error``, see `Film.error`; and those of the
+        context's `DeviceBands`.
 
     Raises
     ------
@@ -135,64 +127,175 @@ def render_samples(
         If ``RAYSTREAM_CHECKPOINT_SECONDS`` is not a number of seconds.
     """
     interval = checkpoint_seconds()
-    pixel_count = context.width * context.height
     file = None
     if checkpoint is not None:
         file = checkpoint if isinstance(checkpoint, SampleFile) else SampleFile(checkpoint)
     kept = None if file is None else file.open(renderer, context)
     sums = Film(context.width, context.height) if kept is None else kept
-    first = sample = int(sums.counts.min())
+    first = int(sums.counts.sum())
     started = time.monotonic()
-    bands = renderer.bands_of(context)
-    is_serial = bands is not None and bands.is_serial
-    if take is None and sample < limits.samples and not is_serial:
-        _compile(renderer, context, sample)
-    if bands is not None:
-        bands.start()
-    # Samples are traced one by one where another may not be needed, or each is asked for.
-    at_once = take is None and not context.layers and not is_serial and limits.only_samples
-    seconds = math.inf  # of a sample
+    passes = _Passes(renderer, context, limits, sums, source)
+    if file is not None and not passes.tiles.fit(sums):
+        raise FileFormatError(file, "holds pixels of a tile with different numbers of samples")
+    passes.start()
     shown = time.monotonic()
     try:
         # Ctrl-C reaches this thread only. Another thread, which the block joins, never leaves
-        # half of a sample in the sums.
+        # half of a pass in the sums.
         with ThreadPoolExecutor(1) as adder:
             adder.submit(int).result()  # only a started thread is joined
             while True:
                 now = time.monotonic()
-                expected = _expected_samples(sums, first, sample, limits, now - started)
+                done = int(sums.counts.sum())
+                expected = limits.expected_paths(sums, first, now - started)
                 if progress is not None:
-                    progress(sample * pixel_count, expected * pixel_count)
-                if sample >= expected:
+                    progress(done, expected)
+                if done >= expected:
                     break
-                if sample and now - shown >= interval:
+                if done and now - shown >= interval:
                     if file is not None:
                         file.save(sums)
                     if on_pass is not None:
                         on_pass(sums.image())
                     shown = time.monotonic()
                 begun = time.monotonic()  # without the checkpoint
-                report = part_of(progress, sample * pixel_count, expected * pixel_count)
-                count = 1
-                if at_once:
-                    count = _samples_at_once(expected - sample, pixel_count, seconds, interval)
-                    numbers = range(sample, sample + count)
-                    light, aovs = trace_samples(renderer, context, numbers, report), None
-                elif take is None:
-                    light, aovs = trace_sample(renderer, context, sample, report)
-                else:
-                    light, aovs = take(sample, report)
-                adder.submit(_add, sums, context.layers, light, aovs).result()
-                sample += count
-                seconds = (time.monotonic() - begun) / count
+                traced = passes.trace(interval, _within(progress, done, expected))
+                adder.submit(_add, sums, context.layers, traced).result()
+                passes.seconds = (time.monotonic() - begun) / passes.samples_at_once
     except (KeyboardInterrupt, RaystreamError):
         if file is not None and sums.counts.any():
             file.save(sums)
         raise
     if file is not None:
         file.finish(sums, time.monotonic() - shown >= interval)
+    bands = passes.bands
     more = {} if bands is None else bands.figures()
-    return sums.image({"samples": sample, "error": sums.error(), **more})
+    return sums.image({"samples": _mean_samples(sums), "error": sums.error(), **more})
+
+
+def _within(progress: Progress | None, done: int, expected: int) -> Progress | None:
+    """Progress callback of a pass, which may have more paths than expected."""
+    if progress is None:
+        return None
+    whole = progress
+    return lambda more, _: whole(min(done + more, expected), expected)
+
+
+#: Samples of consecutive pixels from the first, or of some pixels, which are added to the sums.
+_Traced = tuple[int | NDArray[np.int64], NDArray[np.float32], AovBuffers | None]
+
+
+class _Passes:
+    """Traces the samples that an image needs next.
+
+    Parameters
+    ----------
+    renderer : Integrator
+    context : RenderContext
+    limits : Limits
+    sums : Film
+        The samples so far: after each call of `trace`, its result must be added.
+    source : SampleSource, optional
+
+    Attributes
+    ----------
+    tiles : Tiles
+    bands : DeviceBands or None
+    seconds : float
+        That a sample of the whole image takes.
+    samples_at_once : int
+        Samples of the whole image in the last result.
+    """
+
+    def __init__(
+        self,
+        renderer: Integrator,
+        context: RenderContext,
+        limits: Limits,
+        sums: Film,
+        source: SampleSource | None,
+    ) -> None:
+        self._renderer, self._context, self._limits = renderer, context, limits
+        self._sums, self._source = sums, source
+        self.tiles = Tiles(context.width, context.height)
+        self.bands = renderer.bands_of(context)
+        self.seconds, self.samples_at_once = math.inf, 1
+        is_serial = self.bands is not None and self.bands.is_serial
+        self._compiles = source is None and not is_serial
+        self._is_adaptive = not (limits.only_samples or context.bands is not None)
+        if source is not None and source.is_uniform:
+            self._is_adaptive = False
+        # Samples are traced one by one where another may not be needed, or each is asked for.
+        self._at_once = source is None and not context.layers and not is_serial
+        self._at_once &= limits.only_samples
+        self._rounds = Rounds(sums, limits.samples, self._is_adaptive)
+        self._round: Iterator[list[Unit]] = iter(())
+        self._announced = 0  # first sample of the whole image that the source does not expect
+
+    def start(self) -> None:
+        """Begin the image: compile its kernels."""
+        fewest = int(self._sums.counts.min())
+        if self._compiles and fewest < self._limits.samples:
+            _compile(self._renderer, self._context, fewest)
+        if self.bands is not None:
+            self.bands.start()
+
+    def trace(self, interval: float, progress: Progress | None) -> list[_Traced]:
+        """Trace a sample of the whole image, or several at once, or a pass of tiles.
+
+        Parameters
+        ----------
+        interval : float
+            See `checkpoint_seconds`.
+        progress : callable, optional
+            Called with (paths done, paths).
+        """
+        fewest, most = int(self._sums.counts.min()), int(self._sums.counts.max())
+        self.samples_at_once = 1
+        if fewest < most or (self._is_adaptive and fewest >= FIRST_SAMPLES):
+            return self._trace_tiles(progress)
+        if self._at_once:
+            left = self._limits.samples - fewest
+            count = _samples_at_once(left, len(self._sums.counts), self.seconds, interval)
+            self.samples_at_once = count
+            numbers = range(fewest, fewest + count)
+            return [(0, trace_samples(self._renderer, self._context, numbers, progress), None)]
+        if self._source is None:
+            return [(0, *trace_sample(self._renderer, self._context, fewest, progress))]
+        if fewest >= self._announced:
+            last = self._limits.samples
+            self._announced = min(last, FIRST_SAMPLES) if self._is_adaptive else last
+            units = (Unit(np.array([k])) for k in range(fewest, self._announced))
+            count = self._announced - fewest
+            self._source.begin(units, count * len(self._sums.counts))
+        return [(0, *self._source.take(progress))]
+
+    def _trace_tiles(self, progress: Progress | None) -> list[_Traced]:
+        units = next(self._round, None)
+        if units is None:
+            whole = self._rounds.begin()
+            if self._source is not None:
+                count = sum(self.tiles.size_of(unit) for unit in whole)
+                self._source.begin(whole, count)
+            self._round = self._rounds.passes(whole)
+            units = next(self._round)
+        made: list[Sampled] = []
+        if self._source is None:
+            made = trace_tiles(self._renderer, self._context, units, progress)
+        else:
+            done = 0
+            for unit in units:
+                made.append(self._source.take(part_of(progress, done, 0)))
+                done += self.tiles.size_of(unit)
+        pixels = [self.tiles.pixels(unit.tiles) for unit in units]
+        return [(chosen, *sampled) for chosen, sampled in zip(pixels, made, strict=True)]
+
+
+def _mean_samples(sums: Film) -> int | float:
+    """The mean number of samples of a pixel, an int if all are equal."""
+    paths, pixel_count = int(sums.counts.sum()), len(sums.counts)
+    fewest = int(sums.counts.min())
+    return fewest if paths == fewest * pixel_count else paths / pixel_count
 
 
 def _compile(renderer: Integrator, context: RenderContext, sample: int) -> None:
@@ -231,36 +334,6 @@ def checkpoint_seconds() -> float:
     if not 0.0 <= seconds < math.inf:
         raise ValueError(f"RAYSTREAM_CHECKPOINT_SECONDS: expected seconds, got {text!r}")
     return seconds
-
-
-def _expected_samples(sums: Film, first: int, sample: int, limits: Limits, seconds: float) -> int:
-    """Estimate the samples that the image will have; at most `sample` once it is complete.
-
-    Parameters
-    ----------
-    sums : Film
-    first, sample : int
-        Number of samples at the start, and now.
-    limits : Limits
-    seconds : float
-        Since the start.
-    """
-    if sample >= limits.samples:
-        return sample
-    expected = float(limits.samples)
-    if limits.seconds is not None and sample > 0:
-        if seconds >= limits.seconds:
-            return sample
-        if sample > first:
-            per_second = (sample - first) / max(seconds, 1e-9)
-            expected = min(expected, first + per_second * limits.seconds)
-    if limits.noise is not None and sample >= _FIRST_SAMPLES:
-        error = sums.error()
-        if error <= limits.noise:
-            return sample
-        ratio = error / limits.noise
-        expected = min(expected, sample * ratio * ratio)  # 4x the samples halve the error
-    return min(limits.samples, max(math.ceil(expected), sample + 1))
 
 
 def _samples_at_once(left: int, pixel_count: int, seconds: float, interval: float) -> int:
@@ -337,6 +410,19 @@ def trace_samples(
     return _trace_bands(renderer, context, samples, range(context.height), progress)
 
 
+def trace_tiles(
+    renderer: Integrator,
+    context: RenderContext,
+    units: Sequence[Unit],
+    progress: Progress | None = None,
+) -> list[Sampled]:
+    """Trace samples of tiles on all threads; see `trace_units`."""
+    tiles = Tiles(context.width, context.height)
+    path_count = sum(tiles.size_of(unit) for unit in units)
+    at_once = _pixels_per_band(renderer, context, path_count)
+    return trace_units(renderer, context, units, at_once, progress)
+
+
 def _trace_bands(
     renderer: Integrator,
     context: RenderContext,
@@ -384,22 +470,23 @@ def _rows_per_band(
 ) -> int:
     """Number of rows in a band, for some samples of an image of `rows` rows."""
     bands = renderer.bands_of(context)
-    per_pixel = max(renderer.rays_per_pixel(context), 1)
     if bands is not None:
-        pixels = bands.pixels_at_once(renderer.stages, per_pixel)
+        pixels = bands.pixels_at_once(renderer.stages, max(renderer.rays_per_pixel(context), 1))
     else:
-        share = -(-context.width * rows * samples // (4 * thread_count()))
-        pixels = min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+        pixels = _pixels_per_band(renderer, context, context.width * rows * samples)
     return max(1, pixels // context.width)
 
 
-def _add(
-    sums: Film,
-    layers: Sequence[str],
-    light: NDArray[np.float32],
-    aovs: AovBuffers | None,
-) -> None:
-    """Add samples of every pixel to the film, with the layers of a single one."""
-    sums.add_samples(0, light)
-    for name in layers:
-        sums.set_layer(name, 0, getattr(aovs, name))
+def _pixels_per_band(renderer: Integrator, context: RenderContext, paths: int) -> int:
+    """Number of pixels that a thread traces at once on the host, of `paths` in total."""
+    share = -(-paths // (4 * thread_count()))
+    per_pixel = max(renderer.rays_per_pixel(context), 1)
+    return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+
+
+def _add(sums: Film, layers: Sequence[str], traced: Sequence[_Traced]) -> None:
+    """Add samples to the film, with the layers of single ones."""
+    for pixels, light, aovs in traced:
+        sums.add_samples(pixels, light)
+        for name in layers:
+            sums.set_layer(name, pixels, getattr(aovs, name))

@@ -15,8 +15,9 @@ from raystream.rendering.integrator import Integrator, make_context
 from raystream.rendering.kajiya import KAJIYA
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
+from raystream.rendering.limits import Limits
 from raystream.rendering.path import PATH
-from raystream.rendering.progressive import Limits, render_samples
+from raystream.rendering.progressive import render_samples
 from raystream.rendering.raycast import RAYCAST
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shadow import SHADOW
@@ -98,7 +99,9 @@ def render(
         Of the samples: the same seed gives the same image, on any number of threads.
     noise, time_limit : float, optional
         Stop early once the image's estimated relative error is below `noise`, or after
-        `time_limit` seconds; see `progressive.Limits`.
+        `time_limit` seconds; see `limits.Limits`. Until then, noisy tiles of the image get more
+        samples than others, at most `samples` per pixel; see `adaptive.Rounds`. Devices other
+        than the CPU, and the multipass machine, give all pixels the same number.
     sampler : {"sobol", "stratified", "random"}
         The random number generator of samples.
     layers : list of {"depth", "normal", "albedo", "prim_id", "emission"}, or "all", optional

@@ -29,6 +29,7 @@ from raystream.rendering.shading.streams import (
     append_rows,
     batch_addresses,
     direction_of,
+    sample_of,
     weights_of,
 )
 from raystream.rendering.shading.surface_points import surface_point, world_position
@@ -101,9 +102,10 @@ def spawn_path_ao_rays(i, batch, tables, sample, options, rays):
         point.z + point.offset * point.gz,
     )
     lanes = lane_numbers(i32x16)
+    first_sample = as_uint32(np.int64(sample_of(pixel_id, sample.number)) * count)
     for first in range(0, count, lane_count(lanes)):
         j = lanes + as_int32(first)
-        samples = as_uint32(j) + as_uint32(sample.number * count)
+        samples = as_uint32(j) + first_sample
         u, v = draw_pair_lanes(sample.sampler, u32x16(as_uint32(pixel_id)), samples, _DIMENSION)
         x, y, z = to_world(*cosine_hemisphere(u, v), *normal)
         # Those that a smooth normal sends below the triangle hit it at once.
