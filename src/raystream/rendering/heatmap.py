@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
+from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.false_colors import check_maximum, draw_counts
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import camera_paths
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene

@@ -23,20 +23,16 @@ from raystream.core.hits import Hits
 from raystream.jit.threads import Progress
 from raystream.programs.filters import Bound
 from raystream.rendering.arguments import check_samples
+from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.device_bands import DeviceBands
 from raystream.rendering.lighting import has_visible_light
 from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers, write_aovs
-from raystream.rendering.shading.camera_rays import (
-    generate_camera_rays,
-    generate_tile_rays,
-    view_of,
-)
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.punctual_lights import PunctualLights, punctual_lights_of
 from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
-from raystream.rendering.shading.streams import PIXEL_BITS, Paths, ShadingBatch
+from raystream.rendering.shading.streams import Paths, ShadingBatch
 from raystream.rendering.shading.tables import EMITS, IS_TEXTURED, SceneTables, tables_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
@@ -48,13 +44,11 @@ __all__ = [
     "PathStage",
     "PathStream",
     "RenderContext",
-    "camera_paths",
     "find_surfaces",
     "make_context",
     "sectors_of",
     "shading_batch",
     "take_no_options",
-    "tile_camera_paths",
     "trace_shadow_rays",
 ]
 
@@ -379,85 +373,6 @@ class Integrator:
 def take_no_options(options: Mapping[str, Any]) -> Mapping[str, Any]:
     """For `Integrator.check` of modes without options."""
     return options
-
-
-def camera_paths(
-    camera: Camera, size: tuple[int, int], sampler: Sampler, rows: range, sample: int
-) -> Paths:
-    """Generate camera rays for some rows of an image (Purcell 2002, 3.1.1).
-
-    Parameters
-    ----------
-    camera : Camera
-    size : (int, int)
-        Width and height of the whole image.
-    sampler : Sampler
-        A single sample goes through the pixels' centres and the centre of the lens; several
-        are distributed over pixel and lens, by dimensions 0 to 3.
-    rows : range
-    sample : int
-    """
-    width, _ = size
-    count = len(rows) * width
-    if camera.projection == "perspective":
-        paths = Paths.empty(count)
-        generate_camera_rays(view_of(camera, *size), rows.start, len(rows), sampler, sample, paths)
-        return paths
-    pixels = np.arange(rows.start * width, rows.start * width + count)
-    return _projected(camera, size, sampler, pixels, sample)
-
-
-def tile_camera_paths(
-    camera: Camera,
-    size: tuple[int, int],
-    sampler: Sampler,
-    corners: NDArray[np.int64],
-    pixels: NDArray[np.int64],
-    samples: NDArray[np.int64],
-) -> Paths:
-    """Generate camera rays for the pixels of some tiles, with the bits of `camera_paths`.
-
-    Parameters
-    ----------
-    camera, size, sampler
-        See `camera_paths`.
-    corners : ndarray of shape (T, 4), int64
-        First column and row of each tile, its width and height.
-    pixels : ndarray of shape (N,), int64
-        Of the tiles, one after another, each row by row.
-    samples : ndarray of shape (T,), int64
-        Number of the sample of each tile.
-    """
-    if camera.projection == "perspective":
-        paths = Paths.empty(len(pixels))
-        generate_tile_rays(view_of(camera, *size), corners, samples, sampler, paths)
-        return paths
-    each = samples.repeat(corners[:, 2] * corners[:, 3])
-    paths = _projected(camera, size, sampler, pixels, each)
-    paths.pixels[:] |= each << PIXEL_BITS
-    return paths
-
-
-def _projected(
-    camera: Camera,
-    size: tuple[int, int],
-    sampler: Sampler,
-    pixels: NDArray[np.int64],
-    sample: int | NDArray[np.int64],
-) -> Paths:
-    """Generate camera rays of any camera through pixels."""
-    width, _ = size
-    x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
-    if sampler.sample_count == 1:
-        x, y = x + 0.5, y + 0.5
-    else:
-        numbers = sampler.numbers(pixels, sample, 0, 2)
-        x, y = x + numbers[:, 0], y + numbers[:, 1]
-    origins, directions = camera.rays(*size, x, y)
-    paths = Paths.empty(len(pixels))
-    paths.pixels[:], paths.weights[:], paths.pdfs[:] = pixels, 1.0, np.inf
-    paths.origins[:], paths.directions[:] = origins, directions
-    return paths
 
 
 def shading_batch(stream: PathStream, band: Band) -> ShadingBatch:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress, parallel_for
 from raystream.rendering.adaptive import TILE, Tiles, Unit
-from raystream.rendering.integrator import Integrator, RenderContext, tile_camera_paths
+from raystream.rendering.camera_paths import tile_camera_paths
+from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.shading.aovs import AovBuffers
 
 __all__ = ["Sampled", "trace_units"]

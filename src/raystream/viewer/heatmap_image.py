@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress
 from raystream.kernels.tally import COLUMNS
+from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.color import encode_srgb
 from raystream.rendering.false_colors import color_ramp, draw_counts
 from raystream.rendering.heatmap import Heatmap, RayCost
-from raystream.rendering.integrator import RenderContext, camera_paths
+from raystream.rendering.integrator import RenderContext
 from raystream.viewer.adaptive_resolution import Cost
 from raystream.viewer.messages import Message
 from raystream.viewer.progressive_images import Drawing, ProgressiveImage

@@ -19,7 +19,8 @@ from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.rendering.integrator import RenderContext, camera_paths
+from raystream.rendering.camera_paths import camera_paths
+from raystream.rendering.integrator import RenderContext
 from raystream.rendering.sampling.sampler import PixelSample
 from raystream.rendering.shading.camera_rays import view_of
 from raystream.rendering.shading.streams import ShadingBatch
@@ -219,7 +220,7 @@ class DeviceBand:
         self._staging.finish()
 
     def camera_paths(self) -> DeviceStream:
-        """Begin a path at each pixel; see `rendering.integrator.camera_paths`."""
+        """Begin a path at each pixel; see `rendering.camera_paths.camera_paths`."""
         scene, context = self.scene, self.scene.context
         if scene.view is None:
             size = context.width, context.height
