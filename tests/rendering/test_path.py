@@ -268,7 +268,7 @@ def test_nothing_outside_a_spot():
     toward = PLACE - np.array([1, 2, 0.5])
     assert 0.1 < faded(LIGHTS["spot"][0], toward / np.linalg.norm(toward)) < 0.9
     light = rs.SpotLight((1, 2, 0.5), (1, -0.1, 0), (9, 9, 9), 10, 20)
-    assert not path(on_the_floor([light]), 4).pixels.any()
+    assert not path(on_the_floor([light]), 4, lights="file").pixels.any()
 
 
 def test_all_lights_together_add_up():
