@@ -19,6 +19,7 @@ from raystream.core.choices import MACHINES, SCHEDULERS
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.structures import STRUCTURES
 
+ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("numba", "llvmlite", "trimesh", "PIL", "pooch", "OpenEXR")
 
 
@@ -87,6 +88,21 @@ def test_help_has_the_letters_that_were_written(run, name):
     assert shown.isascii()
     for text in filter(None, written):
         assert "".join(text.split()) in "".join(shown.split())
+
+
+def test_help_of_render_fits_on_two_screens(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    assert len(run("render", "--help").out.splitlines()) <= 100
+
+
+def test_an_example_shows_each_option_of_render():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.rst")]
+    lines = [line for page in pages for line in page.read_text(encoding="utf-8").splitlines()]
+    shown = {word for line in lines if "raystream render" in line for word in line.split()}
+    options = [one for one in COMMANDS.commands["render"].params if one.param_type_name == "option"]
+    names = {frozenset([*one.opts, *one.secondary_opts]): one.secondary_opts for one in options}
+    missing = [sorted(every) for every, off in names.items() if not every & shown or {*off} - shown]
+    assert missing == [["--help", "-h"]] or missing == []
 
 
 def test_summaries_of_commands_are_whole(run):

@@ -64,8 +64,8 @@ class LayerOptions:
         bool | None,
         typer.Option(
             "--denoise/--no-denoise",
-            help="Denoise the finished image, preserving edges; with Open Image Denoise if it is "
-            "installed: raystream[denoise] [default: as --quality says]",
+            help="Denoise the image; best with raystream[denoise], Open Image Denoise [default: "
+            "as --quality says]",
         ),
     ] = None
 

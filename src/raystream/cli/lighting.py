@@ -28,8 +28,8 @@ class LightingOptions:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="An environment map (equirectangular: .hdr, .exr, .png or .jpg) that replaces "
-            "the scene's own sky; its top is the scene's up direction.",
+            help="A map (equirectangular: .hdr, .exr, .png or .jpg) instead of the scene's sky; "
+            "its top is the scene's up direction.",
         ),
     ] = None
     environment_rotation: Annotated[
@@ -44,8 +44,8 @@ class LightingOptions:
         str | None,
         options.choice(
             options.LIGHTS,
-            "The scene's own lights only: file; others beside them: added, a white sky or a light "
-            "at the eye; auto adds them where the scene's own show nothing [default: auto]",
+            "file: the scene's own lights only; added: a white sky or a light at the eye beside "
+            "them; auto: those where its own show nothing [default: auto]",
         ),
     ] = None
 

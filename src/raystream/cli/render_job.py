@@ -51,7 +51,8 @@ class ImageOptions:
         str | None,
         options.choice(
             options.MODES,
-            f"Renderer: {' or '.join(options.MODES)} [default: {options.DEFAULT_MODE}]",
+            f"Renderer: {' or '.join(options.MODES)} [default: {options.DEFAULT_MODE}]. Rays of ao "
+            "are a tenth of the scene's diagonal long, or --option distance=LENGTH or inf.",
         ),
     ] = None
     heat: HeatmapOptions

@@ -93,9 +93,7 @@ class SamplingOptions:
         typer.Option(
             min=0,
             metavar="N",
-            help="Modes whitted, kajiya and path: maximum number of bounces [default: 8, 3 and "
-            "8]. Other options of a mode are passed with --option, such as distance=2 for ao, "
-            "the length of its rays [default: a tenth of the scene's diagonal; inf for unlimited]",
+            help="Modes whitted, kajiya and path: maximum number of bounces [default: 8, 3 and 8]",
         ),
     ] = None
     preset: Annotated[
