@@ -448,6 +448,12 @@ class Tracer(RayCaster):
         loops = self._backend.capabilities.loops and not self._needs_queries()
         return self._backend if loops else None
 
+    @property
+    def has_cheap_queries(self) -> bool:
+        """Whether a query of few rays is quick, as on the branching CPU: no passes, no GPU."""
+        capabilities = self._backend.capabilities
+        return not (capabilities.shading or capabilities.loops)
+
     def _needs_queries(self) -> bool:
         """Whether a renderer must call the queries: they count, or a subclass overrides them."""
         queries = type(self).first_hit, type(self).any_hit

@@ -16,6 +16,7 @@ import pytest
 import raystream
 from conftest import leave_out_first_use
 from raystream.cli import main
+from raystream.cli.layers import LayerSelection
 from raystream.jit.threads import set_thread_count
 
 SQUARE = """\
@@ -62,6 +63,8 @@ def run(capsys, tmp_path, monkeypatch) -> Callable[..., Run]:
     monkeypatch.delenv("RAYSTREAM_DEBUG", raising=False)
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # put back after Ctrl-C
     leave_out_first_use(monkeypatch)
+    # It depends on what is installed.
+    monkeypatch.setattr(LayerSelection, "report_denoiser", lambda _: None)
 
     def call(*arguments: object) -> Run:
         capsys.readouterr()

@@ -8,9 +8,11 @@ from PIL import Image as Picture
 
 import raystream as rs
 from extras import need
-from raystream.cli.layers import GUIDES, NAMES
+from raystream.cli.layers import GUIDES, NAMES, LayerSelection
 from raystream.rendering.image import Image
 from raystream.rendering.layers import LAYERS
+
+REPORT_DENOISER = LayerSelection.report_denoiser
 
 ASKED = ("render", "cornell", "--mode", "path", "--size", "16x12", "--samples", 4)
 SUMS = {"variance", "samples"}
@@ -67,6 +69,7 @@ def test_denoised_png_is_the_librarys(run):
 
 
 def test_missing_denoiser_is_named_once(run, monkeypatch):
+    monkeypatch.setattr(LayerSelection, "report_denoiser", REPORT_DENOISER)
     for module in ("oidn", "denoise"):
         monkeypatch.setattr(f"raystream.rendering.{module}.has_oidn", lambda: False)
     result = run(*ASKED, "--denoise")

@@ -95,7 +95,7 @@ def test_a_made_texture_is_seen():
     )
     material = rs.Material(diffuse=(0, 0, 0), emission=(3, 3, 3), textures={"emission": colors})
     camera = rs.Camera((0.5, 0.5, 1), (0.5, 0.5, 0), fov=2 * np.degrees(np.arctan(0.5)))
-    image = rs.render(rs.Scene([mesh], materials=[material], camera=camera), "path", (4, 4))
+    image = rs.render(rs.Scene([mesh], materials=[material], camera=camera), "path", (4, 4), 1)
     red, blue = [3, 0, 0], [0, 0, 3]
     upper, lower = [blue, blue, red, red], [red, red, blue, blue]
     np.testing.assert_allclose(image.pixels, [upper, upper, lower, lower], atol=1e-6)

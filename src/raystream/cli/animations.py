@@ -42,7 +42,6 @@ def render_animation(job: RenderJob, json: bool) -> None:
     with Bars() as bars:
         with watch.measure("load"), bars.step("loading"):
             scene, camera, timeline = _open_scene(job)
-        job.layers.report_denoiser()
         try:
             numbers = timeline.chosen(wanted)
         except ValueError as error:  # argument names equal option names
@@ -162,6 +161,7 @@ def _render(
             **job.arguments,
             **job.chosen.keywords(),
         )
+        job.layers.report_denoiser()
         exposure = Exposure(job.image.exposure, scene, job.mode, is_fixed=True)
         for number, image in images:
             if job.layers.is_denoised:

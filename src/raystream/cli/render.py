@@ -84,7 +84,6 @@ def _render_image(job: RenderJob, json: bool) -> None:
         unit = "paths" if what is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if what is None:
-                job.layers.report_denoiser()
                 paths = PathProgress(output, width * height, progress)
                 arguments |= {"checkpoint": samples_file, "progress": paths}
                 save_pass = None if output == STDOUT else partial(save, path=output)
@@ -97,6 +96,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
                 heat = heatmap(tracer, what, maximum=maximum, progress=progress, **arguments)
                 image = heat.image
         if job.layers.is_denoised:
+            job.layers.report_denoiser()
             with watch.measure("denoise"), bars.step("denoising"):
                 image = job.layers.denoise(image)
         with watch.measure("save"), bars.step("saving"):

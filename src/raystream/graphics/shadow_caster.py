@@ -14,12 +14,12 @@ import numpy as np
 from raystream.core.hits import Hits
 from raystream.graphics.raster import Visibility, visibility
 from raystream.rendering.arguments import check_camera, check_size, make_tracer
+from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.image import Image
 from raystream.rendering.integrator import (
     Band,
     PathStream,
     RenderContext,
-    camera_paths,
     make_context,
 )
 from raystream.rendering.render import RENDERERS

@@ -39,7 +39,8 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
 
     Notes
     -----
-    The same for any number of threads, and on all devices: the trial is shaded by the host.
+    The same for any number of threads and on all structures. No trial is rendered by multipass
+    machines, whose queries may take thousands of passes, and on CUDA.
     """
     scene = context.tracer.scene
     asked = context.chosen_lights
@@ -47,7 +48,8 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
         return context
     is_weak = bool(added_light(scene, renderer.name, asked))
     chosen = context
-    if asked == "auto" and not _shows(renderer, context):
+    is_tried = asked == "auto" and context.tracer.has_cheap_queries
+    if is_tried and not _shows(renderer, context):
         chosen = context.with_lights("added")
     added = added_light(scene, renderer.name, chosen.chosen_lights)
     if added:

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.core.errors import RaystreamError
+from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.integrator import (
     Band,
     Integrator,
     PathStream,
     RenderContext,
-    camera_paths,
 )
 from raystream.rendering.render import RENDERERS
 from raystream.scene.load import load
