@@ -104,9 +104,9 @@ def test_noise_ends_a_picture(run):
 
 
 def test_noise_of_some_tiles_gives_a_mean_number_of_samples(run):
+    need("OpenEXR")
     asked = ("render", "cornell", "--size", "48x32", "--mode", "path", "--noise", 0.3)
     figures = run(*asked, "-o", "out.exr", "--json").figures
-    need("OpenEXR")
     counts = rs.Image.load("out.exr").layers["samples"]
     assert counts.min() < counts.max()
     assert figures["rays"] == counts.sum()
