@@ -50,7 +50,9 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
     chosen = context
     is_tried = asked == "auto" and context.tracer.has_cheap_queries
     if is_tried and not _shows(renderer, context):
-        chosen = context.with_lights("added")
+        lighter = context.with_lights("added")
+        if _shows(renderer, lighter):  # paths without bounces see no light that is added
+            chosen = lighter
     added = added_light(scene, renderer.name, chosen.chosen_lights)
     if added:
         why = "are too weak to see by" if is_weak else "do not reach what the camera sees"
