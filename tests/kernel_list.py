@@ -37,7 +37,9 @@ def write(line: str) -> None:
 def render(mode: str) -> None:
     from raystream.cli import main
 
-    for name, more in (("a.png", ()), ("b.png", ("--samples", "2"))):
+    # As a preview, but without a limit of time: it decides whether tiles get samples.
+    usual = ("--samples", "16", "--noise", "1e-6") if mode in ("kajiya", "path") else ()
+    for name, more in (("a.png", usual), ("b.png", ("--samples", "2"))):
         with contextlib.suppress(SystemExit):
             main(["render", "robots", "-o", name, "--mode", mode, "--size", SIZE, *more])
 

@@ -132,6 +132,7 @@ def test_a_first_picture_compiles_in_two_processes(tmp_path):
         RAYSTREAM_CACHE_DIR=str(tmp_path / "cache"), RAYSTREAM_THREADS="2"
     )
     command = [sys.executable, "-m", "raystream", "render", "-o", "picture.png"]
+    command += ["--mode", "raycast", "--samples", "1"]
     pictures = []
     for _ in range(2):
         done = subprocess.run(
