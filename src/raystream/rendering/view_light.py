@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamWarning
+from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.lighting import ADDED, MEASURED, added_light, is_dark_by_intent
-from raystream.rendering.sampling.sampler import Sampler
 
 __all__ = ["kept_choice", "lit"]
 
-#: The trial image, in blocks whose means count: one sample of few pixels is noisy.
-_SIZE, _BLOCK = (64, 48), 8
+#: The trial: strips of the image, in blocks whose means count, since one sample is noisy. Whole
+#: rows go to the kernels that the image needs; sparse pixels went to others, and compiled them.
+_STRIPS, _ROWS, _BLOCKS = 6, 2, 8
 
 #: A view is dark if no more than this share of the blocks with surfaces is this bright: a tenth of
 #: a screen's range, encoded.
@@ -27,8 +29,8 @@ _LEAST_SHARE, _LEAST_LUMINANCE = 0.05, 0.01
 def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
     """The context, with lights added if its own leave what the camera sees in the dark.
 
-    A small image of one sample is rendered with the lights of the context, by the mode itself. If
-    it is dark where there are surfaces, the scene gets the lights of ``"added"``; a scene that has
+    One sample of some rows is rendered with the lights of the context, by the mode itself. If they
+    are dark where there are surfaces, the scene gets the lights of ``"added"``; a scene that has
     lights, which do not suffice, is warned of.
 
     Parameters
@@ -72,24 +74,26 @@ def kept_choice(context: RenderContext) -> str:
 
 def _shows(renderer: Integrator, context: RenderContext) -> bool:
     """Whether the image shows more than darkness where there are surfaces."""
-    width, height = (min(pair) for pair in zip(_SIZE, (context.width, context.height), strict=True))
-    small = context.seen_by(context.camera, (width, height))
-    sampler = Sampler.of("sobol", context.sampler.seed, 1)
-    small = replace(small, sampler=sampler, bands=None, layers=())
-    origins, directions = context.camera.rays(width, height)
-    is_surface = context.tracer.first_hit(origins, directions).prim_id >= 0
-    if not is_surface.any():
-        return True  # no light would help
-    light = renderer.trace(small, range(height), 0).reshape(height, width, 3)
-    luminance = np.nan_to_num(light.astype(np.float64) @ LUMINANCE, posinf=0.0)
-    luminance[~is_surface] = 0.0
-    sums, counts = _blocks(luminance), _blocks(is_surface.astype(np.float64))
-    is_bright = sums[counts > 0.0] / counts[counts > 0.0] > _LEAST_LUMINANCE
-    return bool(is_bright.mean() > _LEAST_SHARE)
+    bare = replace(context, bands=None, layers=())
+    width, height = context.width, context.height
+    lit_count = block_count = 0
+    for first in np.linspace(0, max(height - _ROWS, 0), _STRIPS).astype(int).tolist():
+        rows = range(first, min(first + _ROWS, height))
+        paths = camera_paths(context.camera, (width, height), context.sampler, rows, 0)
+        hits = context.tracer.first_hit(paths.origins, paths.directions)
+        is_surface = (hits.prim_id >= 0).reshape(len(rows), width)
+        light = renderer.trace(bare, rows, 0).reshape(len(rows), width, 3)
+        luminance = np.nan_to_num(light.astype(np.float64) @ LUMINANCE, posinf=0.0)
+        counts = _blocks(is_surface)
+        sums = _blocks(np.where(is_surface, luminance, 0.0))
+        seen = counts > 0.0
+        lit_count += int((sums[seen] / counts[seen] > _LEAST_LUMINANCE).sum())
+        block_count += int(seen.sum())
+    return lit_count > _LEAST_SHARE * block_count or not block_count  # no light would help
 
 
-def _blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums over blocks."""
-    for axis in (0, 1):
-        values = np.add.reduceat(values, np.arange(0, values.shape[axis], _BLOCK), axis)
-    return values
+def _blocks(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Sums over blocks of a strip, from left to right."""
+    columns = values.sum(axis=0, dtype=np.float64)
+    width = -(-len(columns) // _BLOCKS)
+    return np.add.reduceat(columns, np.arange(0, len(columns), width))

@@ -47,7 +47,7 @@ class Geometry(NamedTuple):
 
 def warmup_geometry() -> Geometry:
     """Generate triangles for a first build, which triggers the loading and compiling."""
-    count = 40_000
+    count = 20_000
     generator = np.random.default_rng(0)
     corners = generator.random((count, 1, 3)) + 0.01 * generator.normal(size=(count, 3, 3))
     faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)

@@ -25,9 +25,8 @@ from raystream.structures.bvh.write_wide import READ_AHEAD
 
 __all__ = ["Tree", "grow_tree"]
 
-#: Ranges of more triangles are split by all threads together; those of a quarter of all, or of
-#: the least number, if the scene is small.
-_LARGE, _LEAST_LARGE = 1 << 17, 1 << 15
+#: Ranges of more triangles are split by all threads together.
+_LARGE = 1 << 17
 
 #: Most triangles per call of a loop over all triangles.
 _MOST = 1 << 16
@@ -114,7 +113,6 @@ class _Grower:
         )
         # About 64 subtrees or more, of 1 to 10 ms each.
         self.subtree_size = min(max(1 << 12, self.count >> 6), 1 << 16)
-        self.large_size = min(max(_LEAST_LARGE, self.count >> 2), _LARGE)
 
     def grow(self, progress: Progress | None) -> Tree:
         root = self._make_refs()
@@ -158,7 +156,7 @@ class _Grower:
     def _split_large(self, ranges: list[_Range]) -> list[_Range]:
         """Split the large ranges; append their parts to `ranges`, return the others."""
         (root,) = ranges
-        if root.size <= self.large_size:
+        if root.size <= _LARGE:
             return [root]
         # References move between two arrays at each split.
         other = aligned_array(len(self.refs), REF_FLOATS)
@@ -167,7 +165,7 @@ class _Grower:
             part = pending.pop()
             result = None
             target = other if part.refs is self.refs else self.refs
-            if part.size > self.large_size and part.depth < self.settings.sah_depth:
+            if part.size > _LARGE and part.depth < self.settings.sah_depth:
                 result = split_large(part.refs, target, part.begin, part.end, part.bounds[1])
             if result is None:
                 others.append(part)
