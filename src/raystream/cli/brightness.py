@@ -27,9 +27,6 @@ _MOST, _BLACK, _WHITE = 0.99, 2, 253
 #: Modes that show light.
 LIT = ("raycast", "shadow", "whitted", "kajiya", "path")
 
-#: Of the view that is searched for surfaces.
-_SIZE = (64, 48)
-
 
 def parse_exposure(text: str | None) -> str | None:
     """Accept ``auto`` or a number above 0; a callback of Typer."""
@@ -90,8 +87,10 @@ def report_blank(
         Arguments of `raystream.render`.
     mode : str
     """
-    hits = tracer.first_hit(*camera.rays(*_SIZE))
-    if tracer.scene.triangle_count and not (hits.prim_id >= 0).any():
+    from raystream.rendering.view_light import sees_surface
+
+    height, width, _ = encoded.shape
+    if tracer.scene.triangle_count and not sees_surface(tracer, camera, (width, height)):
         write_note("the camera sees no surface: --eye and --look-at move it")
         return
     is_black = float((encoded.max(axis=2) <= _BLACK).mean()) > _MOST

@@ -14,8 +14,10 @@ from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.lighting import ADDED, MEASURED, added_light, is_dark_by_intent
+from raystream.scene.camera import Camera
+from raystream.tracer import Tracer
 
-__all__ = ["kept_choice", "lit"]
+__all__ = ["kept_choice", "lit", "sees_surface"]
 
 #: The trial: strips of the image, in blocks whose means count, since one sample is noisy. Whole
 #: rows go to the kernels that the image needs; sparse pixels went to others, and compiled them.
@@ -75,11 +77,10 @@ def kept_choice(context: RenderContext) -> str:
 def _shows(renderer: Integrator, context: RenderContext) -> bool:
     """Whether the image shows more than darkness where there are surfaces."""
     bare = replace(context, bands=None, layers=())
-    width, height = context.width, context.height
+    width, size = context.width, (context.width, context.height)
     lit_count = block_count = 0
-    for first in np.linspace(0, max(height - _ROWS, 0), _STRIPS).astype(int).tolist():
-        rows = range(first, min(first + _ROWS, height))
-        paths = camera_paths(context.camera, (width, height), context.sampler, rows, 0)
+    for rows in _strips(context.height):
+        paths = camera_paths(context.camera, size, context.sampler, rows, 0)
         hits = context.tracer.first_hit(paths.origins, paths.directions)
         is_surface = (hits.prim_id >= 0).reshape(len(rows), width)
         light = renderer.trace(bare, rows, 0).reshape(len(rows), width, 3)
@@ -90,6 +91,23 @@ def _shows(renderer: Integrator, context: RenderContext) -> bool:
         lit_count += int((sums[seen] / counts[seen] > _LEAST_LUMINANCE).sum())
         block_count += int(seen.sum())
     return lit_count > _LEAST_SHARE * block_count or not block_count  # no light would help
+
+
+def sees_surface(tracer: Tracer, camera: Camera, size: tuple[int, int]) -> bool:
+    """Whether a camera sees any surface, as far as some rows of an image of this size show."""
+    width, height = size
+    x = np.arange(width) + 0.5
+    for rows in _strips(height):
+        hits = tracer.first_hit(*camera.rays(width, height, x, np.array(rows)[:, None] + 0.5))
+        if (hits.prim_id >= 0).any():
+            return True
+    return False
+
+
+def _strips(height: int) -> list[range]:
+    """Rows of strips that are spread over an image."""
+    firsts = np.linspace(0, max(height - _ROWS, 0), _STRIPS).astype(int).tolist()
+    return [range(first, min(first + _ROWS, height)) for first in firsts]
 
 
 def _blocks(values: NDArray[Any]) -> NDArray[np.float64]:
