@@ -15,6 +15,9 @@ import typer
 
 import raystream
 from raystream.cli import app, options
+from raystream.cli.brightness import LIT
+from raystream.cli.camera_options import PROJECTIONS
+from raystream.cli.sampling import NOISY
 from raystream.core.choices import MACHINES, SCHEDULERS
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.structures import STRUCTURES
@@ -276,13 +279,18 @@ def test_names_are_those_of_the_library():
     from raystream import MODES
     from raystream.machines.devices import DEVICES, device_of
     from raystream.rendering.heatmap import HEATMAPS
-    from raystream.rendering.lighting import LIGHTS
+    from raystream.rendering.lighting import ADDED, LIGHTS
+    from raystream.rendering.render import RENDERERS
     from raystream.rendering.tone import TONES
     from raystream.scene.procedural import BUILTIN
+    from raystream.scene.projections import PROJECTIONS as LIBRARY_PROJECTIONS
 
     assert set(options.MODES) == set(MODES)
     assert tuple(HEATMAPS) == options.HEATMAPS
     assert options.LIGHTS == LIGHTS
+    assert set(LIT) == set(ADDED)
+    assert set(PROJECTIONS) == set(LIBRARY_PROJECTIONS)
+    assert {name for name, mode in RENDERERS.items() if mode.default_samples > 1} == set(NOISY)
     assert tuple(TONES) == options.TONES
     assert tuple(BUILTIN) == options.SCENES
     machines = {name: device_of(name).machines.names for name in options.DEVICES}

@@ -78,6 +78,15 @@ def test_views_that_are_lit_are_left_alone(name, mode):
     np.testing.assert_array_equal(image.pixels, own.pixels)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("options", [{"preset": "arnold"}, {"light_samples": False}])
+def test_paths_that_find_lights_by_chance_leave_a_lit_view_alone(options, seed):
+    """One sample of them hits the lamp too rarely to judge by."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rs.render(rs.load("cornell"), "path", (17, 9), 1, max_bounces=2, seed=seed, **options)
+
+
 def test_the_choice_is_the_same_on_all_structures_and_threads():
     scene = far_lamp()
     expected = rs.render(scene, "path", SIZE, 4, lights="added").pixels

@@ -24,7 +24,7 @@ __all__ = ["Exposure", "parse_exposure", "report_blank"]
 #: count as such.
 _MOST, _BLACK, _WHITE = 0.99, 2, 253
 
-#: Modes that show light.
+#: Modes that show light; a test compares them with the library's.
 LIT = ("raycast", "shadow", "whitted", "kajiya", "path")
 
 

@@ -119,10 +119,16 @@ def _place(
         chunk = chunk_size(len(faces), _MOST)
         chunk_count = -(-len(faces) // chunk)
         bounds, reaches = _nothing(chunk_count, np.float32), _nothing(chunk_count, np.float64)
-        arrays = vertices, faces, corners[rows], kinds[rows], bounds, reaches
+        arrays = vertices, faces, corners[rows], kinds[rows]
 
-        def body(begin: int, end: int, chunk: int = chunk, arrays: Any = arrays) -> None:
-            _move(begin, end, chunk, frame, scale, *arrays)
+        def body(
+            begin: int,
+            end: int,
+            arrays: Any = arrays,
+            chunk: int = chunk,
+            boxes: Any = (bounds, reaches),
+        ) -> None:
+            _move(begin, end, frame, scale, *arrays, *(box[begin // chunk] for box in boxes))
 
         parallel_for(body, len(faces), chunk)
         all_bounds.append(bounds)
@@ -155,9 +161,8 @@ def _is_usable(x):
 
 
 @kernel
-def _move(begin, end, chunk, center, scale, vertices, faces, corners, kinds, bounds, reaches):
-    """Move faces begin to end, a chunk, and compute their bounds."""
-    row = begin // chunk
+def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds, reaches):
+    """Move faces begin to end, and compute their bounds."""
     low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
     high_x, high_y, high_z = -low_x, -low_y, -low_z
     west, south, down = np.inf, np.inf, np.inf
@@ -198,10 +203,10 @@ def _move(begin, end, chunk, center, scale, vertices, faces, corners, kinds, bou
                 kind = _DEGENERATE
         kinds[i] = kind
     if begin < end:
-        bounds[row, 0, 0], bounds[row, 0, 1], bounds[row, 0, 2] = low_x, low_y, low_z
-        bounds[row, 1, 0], bounds[row, 1, 1], bounds[row, 1, 2] = high_x, high_y, high_z
-        reaches[row, 0, 0], reaches[row, 0, 1], reaches[row, 0, 2] = west, south, down
-        reaches[row, 1, 0], reaches[row, 1, 1], reaches[row, 1, 2] = east, north, up
+        bounds[0, 0], bounds[0, 1], bounds[0, 2] = low_x, low_y, low_z
+        bounds[1, 0], bounds[1, 1], bounds[1, 2] = high_x, high_y, high_z
+        reaches[0, 0], reaches[0, 1], reaches[0, 2] = west, south, down
+        reaches[1, 0], reaches[1, 1], reaches[1, 2] = east, north, up
 
 
 @device

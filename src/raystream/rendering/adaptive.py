@@ -27,7 +27,6 @@ LEAST_SHARE = 1 / 8
 #: Steps of the bisection of shares: to the last bits of a float64.
 _BISECTIONS = 64
 
-
 _NONE = np.empty(0, np.int64)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -76,7 +77,7 @@ def kept_choice(context: RenderContext) -> str:
 
 def _shows(renderer: Integrator, context: RenderContext) -> bool:
     """Whether the image shows more than darkness where there are surfaces."""
-    bare = replace(context, bands=None, layers=())
+    bare = replace(context, bands=None, layers=(), options=_sampling_lights(context.options))
     width, size = context.width, (context.width, context.height)
     lit_count = block_count = 0
     for rows in _strips(context.height):
@@ -91,6 +92,13 @@ def _shows(renderer: Integrator, context: RenderContext) -> bool:
         lit_count += int((sums[seen] / counts[seen] > _LEAST_LUMINANCE).sum())
         block_count += int(seen.sum())
     return lit_count > _LEAST_SHARE * block_count or not block_count  # no light would help
+
+
+def _sampling_lights(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A mode's options, with lights sampled: a path that finds them by chance rarely does."""
+    if options.get("light_samples", True):
+        return options
+    return {**options, "rules": options["rules"]._replace(samples_lights=True)}
 
 
 def sees_surface(tracer: Tracer, camera: Camera, size: tuple[int, int]) -> bool:

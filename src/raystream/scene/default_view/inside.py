@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.scene.camera import Camera, front_of
-from raystream.scene.default_view.outside import OutsideViews
+from raystream.scene.camera import Camera
+from raystream.scene.default_view.outside import OutsideViews, level_front
 from raystream.scene.default_view.surface_samples import SurfaceSamples, components, visible
 
 __all__ = ["look_from_inside"]
@@ -46,7 +46,6 @@ _SOLID = 0.9
 
 #: An eye keeps this distance from all surfaces, as a share of the room's longest side.
 _CLEARANCE = 0.06
-
 
 #: The order of samples does not decide between equals.
 _MORE = 1.0 + 1e-9
@@ -96,9 +95,7 @@ def look_from_inside(
     Camera or None
         In the space of the samples; None if the scene should be seen from outside.
     """
-    front = front_of(up)
-    front = front - (front @ up) * up
-    front /= np.linalg.norm(front)
+    front = level_front(up)
     axes = np.stack([np.cross(up, front), up, front])
     needed = max(_MUCH_HIDDEN, _RATHER_INSIDE * outside.worth)
     best, best_worth = None, 0.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.scene.camera import front_of, three_quarter_view
 from raystream.scene.default_view.surface_samples import SurfaceSamples, components, visible
 
-__all__ = ["OutsideViews", "look_from_outside"]
+__all__ = ["OutsideViews", "level_front", "look_from_outside"]
 
 #: Degrees around up, from the front to the right: three-quarter views and straight ones.
 _AZIMUTHS = (28.8, 61.2, 90.0, 118.8, 151.2, 180.0, 208.8, 241.2, 270.0, 298.8, 331.2, 0.0)
@@ -101,11 +101,17 @@ def look_from_outside(
     return OutsideViews(directions[best], scores[best], min(backs[: len(likings)]), counts >= _SEEN)
 
 
-def _direction(up: NDArray[np.float64], azimuth: float, elevation: float) -> NDArray[np.float64]:
-    """Unit vector toward a point on the sky."""
+def level_front(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The direction from which models are seen from the front, perpendicular to up."""
     front = front_of(up)
     front = front - (front @ up) * up
     front /= np.linalg.norm(front)
+    return front
+
+
+def _direction(up: NDArray[np.float64], azimuth: float, elevation: float) -> NDArray[np.float64]:
+    """Unit vector toward a point on the sky."""
+    front = level_front(up)
     right = np.cross(up, front)
     around, above = math.radians(azimuth), math.radians(elevation)
     level = math.cos(around) * front + math.sin(around) * right
