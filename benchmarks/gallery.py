@@ -1,179 +1,237 @@
-"""Pictures of six scenes in every mode: a sheet for each scene.
+"""The gallery: eight images of 1920 x 1080, each made by one command, and the page that shows them.
 
-    python benchmarks/gallery.py -o docs/images
+    python benchmarks/gallery.py
+    python benchmarks/gallery.py kitchen engine --size 640x360 -o /tmp/gallery
 
-draws gallery_cornell.png, gallery_robots.png and so on; names of scenes draw only theirs. Models
-that are not there (see `RAYSTREAM_SCENES`) are skipped. `--samples` says how many samples paths
-get, before they are denoised. The other modes have little noise, and get an eighth of it.
+renders all or some of them by their commands, one after the other, and writes JPEG files and
+gallery.rst, with the commands, samples and times. The first image is a sheet of the eight modes.
+Models are found through `RAYSTREAM_SCENES`, an absolute path. The page has the figures of the last
+run of each image, from figures.json beside the images.
 """
 
+from __future__ import annotations
+
 import argparse
-import math
+import json
+import os
+import platform
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import textwrap
 import time
 from pathlib import Path
+from typing import NamedTuple
 
-import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from rich.progress import Progress
-
-import raystream as rs
-from raystream.core.errors import RaystreamError
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 
-#: Modes that show light, and so are exposed for it.
-EXPOSED = ("raycast", "shadow", "whitted", "kajiya", "path")
+HEAD = """\
+Gallery
+=======
 
-#: Pictures side by side.
-COLUMNS = 4
-
-
-def sky(zenith=(0.18, 0.36, 0.8), horizon=(0.75, 0.82, 0.9), ground=(0.2, 0.18, 0.16)):
-    """A clear sky over even ground, as an image all around."""
-    height = 128
-    elevation = np.radians(90.0 - (np.arange(height) + 0.5) * 180.0 / height)
-    share = np.clip(np.sin(elevation), 0.0, 1.0)[:, None] ** 0.5
-    above = np.array(horizon) * (1.0 - share) + np.array(zenith) * share
-    rows = np.where(elevation[:, None] > 0.0, above, ground)
-    return rs.EnvironmentLight(image=np.repeat(rows[:, None], 2 * height, axis=1))
+*Each image is made by the command below it. Times are of that command as a whole, with kernels
+compiled before. Written by* ``python benchmarks/gallery.py``.
+"""
 
 
-def lit(scene, sun, irradiance=(3.3, 3.0, 2.6), meshes=(), materials=None):
-    """The same scene with a sun and a sky, and further meshes."""
-    return rs.Scene(
-        [*scene.meshes, *meshes],
-        materials=materials or scene.materials,
-        lights=[rs.DirectionalLight(sun, irradiance), sky()],
-        camera=scene.camera,
-        up=scene.up,
-    )
+class Entry(NamedTuple):
+    """An image of the gallery.
+
+    Attributes
+    ----------
+    title : str
+    command : str
+        The size, and for ``raystream render`` the file, are appended.
+    text : str
+        What the image shows, and who made the model.
+    """
+
+    title: str
+    command: str
+    text: str
+
+    @property
+    def is_example(self) -> bool:
+        """Whether it is an example, which takes the size and writes its own file."""
+        return self.command.startswith("python ")
 
 
-def bunny():
-    """The bunny on a floor, with a sun from the left."""
-    scene = rs.load("bunny")
-    low = float(scene.bounds[0, 1])
-    reach = 20.0
-    floor = rs.Mesh(
-        [(x * reach, low, z * reach) for x, z in ((-1, -1), (-1, 1), (1, 1), (1, -1))],
-        [[0, 1, 2], [0, 2, 3]],
-        material_ids=1,
-    )
-    materials = [rs.Material(diffuse=(0.8, 0.7, 0.58)), rs.Material(diffuse=(0.42, 0.42, 0.4))]
-    return lit(scene, (0.6, -0.8, -0.55), meshes=[floor], materials=materials)
-
-
-def sponza():
-    """The atrium, with a sun that stands high over its open roof."""
-    return lit(rs.load("sponza"), (0.45, -1.0, 0.12), (6.0, 5.6, 5.0))
-
-
-def helmet():
-    """The helmet, with a sun behind who looks at it, to the left."""
-    return lit(rs.load("helmet"), (-0.6, -0.7, 0.7))
-
-
-SCENES = {
-    "cornell": lambda: rs.load("cornell"),
-    "bunny": bunny,
-    "sponza": sponza,
-    "kitchen": lambda: rs.load("kitchen"),
-    "robots": lambda: rs.load("robots"),
-    "helmet": helmet,
+ENTRIES = {
+    "kitchen": Entry(
+        "Glass and polished metal",
+        "raystream render kitchen --samples 64 --denoise --option clamp=4 --exposure 1.2 --tone "
+        "aces",
+        "Path tracing with the lights of the file; ``clamp`` bounds the caustics of its small "
+        "lamps. Model: BART, a Benchmark for "
+        "Animated Ray Tracing (Jonas Lext, Ulf Assarsson and Tomas Möller, 2000).",
+    ),
+    "sponza": Entry(
+        "The atrium at noon",
+        "raystream render sponza --sun 285 65 --exposure 3 --samples 64 --denoise --tone aces",
+        "A model without lights, in the sun: most of it is lit by the light that the floor and "
+        "the walls reflect. Model: Marko Dabrovic; "
+        "texture coordinates and cracks repaired by Kenzie Lamar, bump maps by Morgan McGuire.",
+    ),
+    "robots": Entry(
+        "Robots in the city",
+        "raystream render robots --sun 150 30 --exposure 0.9 --samples 64 --denoise --tone aces",
+        "A built-in scene, generated.",
+    ),
+    "glass": Entry(
+        "The bunny in glass",
+        "python examples/glass_model.py bunny {size} 256",
+        "70 lines of Python: the mesh gets a material, a floor, two lamps and the sky. Model: "
+        "Stanford University Computer Graphics "
+        "Laboratory (Turk and Levoy, 1994).",
+    ),
+    "helmet": Entry(
+        "Textures of a glTF file",
+        "raystream render helmet --sun 230 40 --exposure 1 --samples 64 --denoise --tone aces",
+        'Maps of colour, metal, roughness, normals and emitted light. Model: "Battle Damaged '
+        'Sci-fi Helmet" by theblueturtle\\_ '
+        "(Sketchfab), Creative Commons Attribution-NonCommercial.",
+    ),
+    "forest": Entry(
+        "A forest of a million triangles",
+        "raystream render forest:1000000 --sun 120 30 --exposure 2 --samples 64 --denoise "
+        "--tone aces",
+        "A built-in scene, generated for any number of triangles; each leaf is one.",
+    ),
+    "engine": Entry(
+        "X-ray of an engine",
+        "raystream render engine --mode xray --option absorption=20 --samples 64 --eye -0.2 0.42 "
+        "1.5 --look-at 0 0.27 0 --fov 25",
+        "A built-in scene, generated; closed meshes absorb light along each ray (:doc:`physics`).",
+    ),
+    "conference": Entry(
+        "Ambient occlusion of a conference room",
+        "raystream render conference --mode ao --samples 16",
+        "512 rays per pixel, a tenth of the room long. Model: Anat Grynberg and Greg Ward.",
+    ),
 }
 
-#: Options of modes in scenes: indoors rays of ambient occlusion end before walls, outdoors they do
-#: not end; and caustics of small lights, dots for want of samples, are bounded.
-OPTIONS = {
-    **{(name, "ao"): {"distance": math.inf} for name in ("cornell", "bunny", "helmet", "robots")},
-    ("sponza", "ao"): {"distance": 3.0},
-    ("kitchen", "ao"): {"distance": 1.0},
-    ("kitchen", "kajiya"): {"clamp": 4.0},
-    ("kitchen", "path"): {"clamp": 4.0},
-    ("robots", "kajiya"): {"clamp": 4.0},
-    ("robots", "path"): {"clamp": 4.0},
-}
+
+def render(entry: Entry, size: str, folder: Path) -> tuple[Path, str, float]:
+    """Run an entry's command; returns the image, what the command printed, and its seconds."""
+    words = shlex.split(entry.command.format(size=size))
+    path = folder / "image.png"
+    if entry.is_example:
+        script = Path(__file__).parents[1] / words[1]
+        words, path = [sys.executable, str(script), *words[2:]], folder / "glass.png"
+    else:
+        words = [sys.executable, "-m", *words, "--size", size, "-o", str(path), "--json"]
+    start = time.perf_counter()
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    seconds = time.perf_counter() - start
+    if done.returncode:
+        raise RuntimeError(f"{entry.command}: {done.stderr.strip()}")
+    return path, done.stdout, seconds
 
 
-#: Scenes whose paths are exposed so many times as much, with a curve that keeps what is bright.
-BRIGHTER = {"sponza": 3.0}
+def sheet(size: str, folder: Path) -> Image.Image:
+    """The built-in robots in all modes, with their names."""
+    width, height = (int(length) for length in size.split("x"))
+    whole = Image.new("RGB", (4 * width, 2 * height))
+    for index, mode in enumerate(MODES):
+        entry = Entry("", f"raystream render robots --mode {mode}", "")
+        with Image.open(render(entry, size, folder)[0]) as image:
+            tile = image.convert("RGB")
+        draw, font = ImageDraw.Draw(tile), ImageFont.load_default(height // 18)
+        left, top, right, bottom = draw.textbbox((16, 16), mode, font)
+        draw.rectangle((left - 8, top - 8, right + 8, bottom + 8), "black")
+        draw.text((16, 16), mode, "white", font)
+        whole.paste(tile, (index % 4 * width, index // 4 * height))
+    return whole
 
 
-def draw(tracer, name, mode, size, samples, progress):
-    """The picture of a scene in a mode."""
-    options = OPTIONS.get((name, mode), {})
-    if mode not in ("path", "kajiya"):
-        return rs.render(tracer, mode, size, max(samples // 8, 1), progress=progress, **options)
-    image = rs.render(tracer, mode, size, samples, layers="all", progress=progress, **options)
-    return image.denoise()
+def measured(name: str, out: str, size: str, seconds: float, machine: str) -> dict[str, object]:
+    """What the page says of an image."""
+    entry = ENTRIES[name]
+    command = entry.command.format(size=size)
+    if entry.is_example:
+        counts = re.findall(r"([\d,]+) (triangles|samples)", out)
+        named = {what: int(count.replace(",", "")) for count, what in counts}
+    else:
+        command += f" --size {size} -o {name}.png"
+        named = {what: json.loads(out)[what] for what in ("triangles", "samples")}
+    return {"command": command, **named, "seconds": round(seconds), "machine": machine}
 
 
-def exposure(image):
-    """A factor that makes the brightest part of a picture, lights apart, nearly white."""
-    level = float(np.quantile(image.pixels.max(axis=2), 0.98))
-    return min(0.9 / level, 8.0) if level > 0.0 else 1.0
+def page(figures: dict[str, dict[str, object]]) -> str:
+    """The page of all images."""
+    lines = [HEAD]
+    for name, entry in ENTRIES.items():
+        made = figures[name]
+        about = (
+            f"{made['triangles']:,} triangles, {made['samples']} samples per pixel, "
+            f"{made['seconds']} seconds on {made['machine']}. {entry.text}"
+        )
+        lines += [
+            entry.title,
+            "-" * len(entry.title),
+            "",
+            f".. figure:: images/gallery/{name}.jpg",
+            f"   :alt: {entry.title}",
+            "",
+            f"   ``{made['command']}``",
+            "",
+            *textwrap.wrap(about, 120, initial_indent="   ", subsequent_indent="   "),
+            "",
+        ]
+    return "\n".join(lines)
 
 
-def tile(image, name, mode):
-    """A picture as bytes, with the mode's name in a corner."""
-    factor, tone = exposure(image) if mode in EXPOSED else 1.0, "linear"
-    if name in BRIGHTER and mode in ("path", "kajiya"):
-        factor, tone = factor * BRIGHTER[name], "reinhard"
-    picture = Image.fromarray(image.to_bytes(factor, tone))
-    draw = ImageDraw.Draw(picture)
-    font = ImageFont.load_default(max(image.size[1] // 18, 8))
-    place = image.size[1] // 40
-    left, top, right, bottom = draw.textbbox((2 * place, 2 * place), mode, font)
-    draw.rectangle((left - place, top - place, right + place, bottom + place), "black")
-    draw.text((2 * place, 2 * place), mode, "white", font)
-    return picture
+def machine_name() -> str:
+    """The number and kind of this machine's processors."""
+    lines = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
+    named = [line.partition(":")[2].strip() for line in lines.splitlines() if "model name" in line]
+    return f"{os.cpu_count()} cores of {named[0] if named else platform.processor()}"
 
 
-def draw_sheet(tracer, name, modes, size, samples, progress):
-    """All modes of a scene, in rows of `COLUMNS`."""
-    width, height = size
-    columns = min(COLUMNS, len(modes))
-    sheet = Image.new("RGB", (columns * width, -(-len(modes) // columns) * height))
-    for index, mode in enumerate(modes):
-        task = progress.add_task(mode)
-
-        def show(done, total, task=task):
-            progress.update(task, completed=done, total=total)
-
-        image = draw(tracer, name, mode, size, samples, show)
-        place = index % columns * width, index // columns * height
-        sheet.paste(tile(image, name, mode), place)
-        progress.remove_task(task)
-    return sheet
-
-
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("scenes", nargs="*", default=[], metavar="scene", help=", ".join(SCENES))
-    parser.add_argument("-o", "--output", default="docs/images", help="a folder")
-    parser.add_argument("--size", default="400x300", help="of a picture in a sheet")
-    parser.add_argument("--samples", type=int, default=64)
-    parser.add_argument("--modes", nargs="+", default=MODES, choices=MODES)
-    arguments = parser.parse_args()
-    unknown = [name for name in arguments.scenes if name not in SCENES]
+def main() -> int:
+    """Render the images, and write the page."""
+    docs = Path(__file__).resolve().parents[1] / "docs"
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"modes, {', '.join(ENTRIES)}")
+    parser.add_argument("--size", default="1920x1080")
+    parser.add_argument("--machine", default=machine_name(), help="as the page names it")
+    parser.add_argument("-o", "--output", type=Path, default=docs, help="a folder")
+    asked = parser.parse_args()
+    names = asked.names or ["modes", *ENTRIES]
+    unknown = [name for name in names if name not in ("modes", *ENTRIES)]
     if unknown:
-        parser.error(f"{unknown[0]}: expected one of {', '.join(SCENES)}")
-    size = tuple(int(length) for length in arguments.size.split("x"))
-    with Progress() as progress:
-        for name in arguments.scenes or SCENES:
-            began = time.perf_counter()
-            try:
-                tracer = rs.Tracer(SCENES[name]())
-            except (RaystreamError, OSError) as error:
-                progress.print(f"{name}: skipped: {error}")
+        parser.error(f"{unknown[0]}: expected one of modes, {', '.join(ENTRIES)}")
+    folder = asked.output / "images" / "gallery"
+    folder.mkdir(parents=True, exist_ok=True)
+    record = folder / "figures.json"
+    figures = json.loads(record.read_text()) if record.exists() else {}
+    has_failed = False
+    with tempfile.TemporaryDirectory() as place:
+        for name in names:
+            if name == "modes":
+                image = sheet("400x300", Path(place))
+                image.save(folder.parent / "gallery_robots.png", optimize=True)
                 continue
-            sheet = draw_sheet(tracer, name, arguments.modes, size, arguments.samples, progress)
-            path = Path(arguments.output) / f"gallery_{name}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            sheet.save(path, optimize=True)
-            seconds, size_kb = time.perf_counter() - began, path.stat().st_size / 1000
-            progress.print(f"{path}: {seconds:.0f} seconds, {size_kb:.0f} kB")
+            entry = ENTRIES[name]
+            try:
+                path, out, seconds = render(entry, asked.size, Path(place))
+            except RuntimeError as error:
+                print(f"{name}: {error}", file=sys.stderr)
+                has_failed = True
+                continue
+            with Image.open(path) as image:
+                image.convert("RGB").save(folder / f"{name}.jpg", quality=90, optimize=True)
+            figures[name] = measured(name, out, asked.size, seconds, asked.machine)
+            record.write_text(json.dumps(figures, indent=1) + "\n")
+            print(f"{name}: {seconds:.0f} s", flush=True)
+    if figures.keys() >= ENTRIES.keys():
+        (asked.output / "gallery.rst").write_text(page(figures))
+    return int(has_failed)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -51,7 +51,9 @@ class Listener:
     def first_hit(self, origins, directions, **options):
         """Ask the tracer."""
         hits = self.tracer.first_hit(origins, directions, **options)
-        self.batches.append(("first_hit", origins.copy(), directions.copy(), None))
+        self.batches.append(
+            ("first_hit", origins.reshape(-1, 3).copy(), directions.reshape(-1, 3).copy(), None)
+        )
         return hits
 
     def any_hit(self, origins, directions, t_max=np.inf, **options):

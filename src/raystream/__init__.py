@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from raystream.scene.animation import Animation
     from raystream.scene.camera import Camera
     from raystream.scene.camera_track import CameraTrack
+    from raystream.scene.daylight import daylight
     from raystream.scene.lights import DirectionalLight, EnvironmentLight, PointLight, SpotLight
     from raystream.scene.load import load
     from raystream.scene.material import Material
@@ -97,6 +98,7 @@ _HOMES = {
     "Texture": "scene.texture",
     "Tracer": "tracer",
     "attenuation": "physics.attenuation",
+    "daylight": "scene.daylight",
     "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
@@ -149,6 +151,7 @@ __all__ = [
     "__version__",
     "attenuation",
     "cluster",
+    "daylight",
     "heatmap",
     "lidar_returns",
     "load",

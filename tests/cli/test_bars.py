@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 import time
 from collections.abc import Callable
 
 import pytest
 
-from raystream.cli import bars
+from raystream.cli import bars, main
 
 
 class Terminal(io.StringIO):
@@ -50,6 +51,28 @@ def test_long_work_shows_its_steps(to_terminal, monkeypatch):
             wait_for(terminal, "25%")
     written = terminal.getvalue()
     assert written.rindex("\x1b[2K") > written.rindex("tracing")  # the bar is wiped off
+
+
+def test_a_render_shows_its_error_so_far(to_terminal, monkeypatch, tmp_path):
+    to_terminal()
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")  # after each sample
+    shown = []
+    monkeypatch.setattr(bars.Step, "describe", lambda _, state: shown.append(state))
+    wanted = ["render", "cornell", "--mode", "path", "--size", "16x12", "--samples", "6"]
+    with pytest.raises(SystemExit) as end:
+        main([*wanted, "-o", str(tmp_path / "out.png")])
+    assert end.value.code == 0
+    assert shown
+    assert all(re.fullmatch(r"error \d+\.\d\d%", state) for state in shown)
+
+
+def test_a_state_is_shown_behind_the_title(to_terminal, monkeypatch):
+    terminal = to_terminal()
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    with bars.Bars() as shown, shown.step("rendering") as step:
+        step.describe("error 3.20%")
+        wait_for(terminal, "rendering, error 3.20%")
 
 
 def test_title_is_no_markup(to_terminal, monkeypatch):

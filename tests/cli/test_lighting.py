@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 import raystream as rs
-from raystream.cli.lighting import SUFFIXES
+from raystream.cli.brightness import Exposure
+from raystream.cli.lighting import SUFFIXES, LightingOptions
 from raystream.rendering.environment import MAP_SUFFIXES
 
 SIZE = ("--size", "16x12")
@@ -91,7 +92,7 @@ def pixels():
 
 
 @pytest.mark.parametrize(
-    ("mode", "added"), [("raycast", "a light at the eye"), ("path", "a white sky")]
+    ("mode", "added"), [("raycast", "a light at the eye"), ("path", "a sun and a sky")]
 )
 def test_a_note_says_what_is_added_to_weak_lights(run, weak, mode, added):
     result = run("render", weak, *SIZE, "--mode", mode, "--samples", 1)
@@ -147,3 +148,60 @@ def test_animations_say_it_once(run, tmp_path):
 )
 def test_bad_lights_are_refused(run, arguments, reason):
     assert reason in run("render", "cornell", *SIZE, *arguments).err
+
+
+def test_a_sun_and_a_clear_sky_replace_the_scene_s(run):
+    result = run("render", "robots", *WHITTED, "--sun", 200, 35)
+    assert (result.code, result.err) == (0, "")
+    scene = rs.load("robots")
+    scene = scene.replace(lights=rs.daylight(200, 35, up=scene.up), background=(0.0, 0.0, 0.0))
+    with Image.open("out.png") as image:
+        expected = rs.render(scene, "whitted", (16, 12)).to_bytes("auto")
+        np.testing.assert_array_equal(np.asarray(image), expected)
+
+
+def test_modes_without_light_are_exposed_by_1_under_a_sun(run):
+    assert (
+        run("render", "robots", *SIZE, "--mode", "vis", "--samples", 1, "--sun", 200, 35).code == 0
+    )
+    shown = pixels()
+    expected = rs.render(rs.load("robots").replace(background=(0, 0, 0)), "vis", (16, 12))
+    covered = expected.pixels.any(axis=2)
+    np.testing.assert_array_equal(shown[covered], expected.to_bytes()[covered])
+
+
+def test_images_that_lights_leave_dark_are_shown_brighter(capsys):
+    lit, dark, own = rs.load("cornell"), rs.Image(np.full((8, 8, 3), 0.01)), LightingOptions()
+    chosen = Exposure(None, own, lit, "path")
+    assert chosen.of(dark) == pytest.approx(90.0)
+    chosen.report_dark(dark)
+    assert "leave the image dark: it is shown 90 times as bright" in capsys.readouterr().err
+    assert chosen.of(rs.Image(np.full((8, 8, 3), 0.2))) == 1.0
+    insisted = LightingOptions(lights="file")
+    off = lit.replace(lights=[rs.PointLight((0, 0, 0), (0, 0, 0))])
+    for exposure in (
+        Exposure("1", own, lit, "path"),
+        Exposure(None, own, lit, "vis"),
+        Exposure(None, own, off, "path"),
+        Exposure(None, own, lit, "path", is_fixed=True),
+        Exposure(None, insisted, lit, "path"),
+    ):
+        assert exposure.of(dark) == 1.0
+        exposure.report_dark(dark)
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--sun", 0, 0], "--sun': expected an elevation above 0 and at most 90 degrees, got 0"),
+        (["--sun", 0, "nan"], "--sun': expected an elevation"),
+        (["--sun", "inf", 30], "--sun': expected a finite azimuth, got inf"),
+        (["--sun", 0, 30, "--environment", "sky.png"], "--sun: cannot be combined with"),
+        (["--sun", 0, 30, "--heatmap", "steps"], "--sun: cannot be combined with --heatmap"),
+    ],
+)
+def test_bad_suns_are_refused(run, arguments, reason):
+    result = run("render", "cornell", *SIZE, *arguments)
+    assert result.code == 2
+    assert reason in result.err

@@ -163,7 +163,7 @@ def test_modes_that_ignore_lights_are_named_none():
     assert {mode: added_light(scene, mode) for mode in rs.MODES} == {
         **{"raycast": "a light at the eye", "vis": "", "shadow": "a light at the eye"},
         **{"whitted": "a light at the eye", "xray": "", "ao": ""},
-        **{"kajiya": "a white sky", "path": "a white sky"},
+        **{"kajiya": "a sun and a sky", "path": "a sun and a sky"},
     }
     assert not any(added_light(scene, mode, "file") for mode in rs.MODES)
 

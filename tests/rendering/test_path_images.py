@@ -8,6 +8,8 @@ import pytest
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import cube, icosphere
+from raystream.rendering.lighting import SKY as SKY_ADDED
+from raystream.rendering.lighting import SUN as SUN_ADDED
 from z_test import assert_equal_means, assert_mean, assert_zero, mean_of, spread_limits
 
 WHITE = (1.0, 1.0, 1.0)
@@ -245,18 +247,25 @@ def test_lights_that_are_off_leave_it_dark():
 
 def test_an_empty_scene_shows_its_sky():
     camera = rs.Camera((0, 0, 1), (0, 0, 0))
-    assert (path(rs.Scene(camera=camera), 2).pixels == 1).all()
+    assert (path(rs.Scene(camera=camera), 2).pixels == np.float32(SKY_ADDED)).all()
     sky = [rs.EnvironmentLight((0.25, 0.5, 0.25)), rs.PointLight((0, 0, 0))]
     lit = rs.Scene(camera=camera, lights=sky, background=(0.25, 0.0, 0.5))
     assert (path(lit, 2).pixels == [0.5, 0.5, 0.75]).all()
 
 
-def test_a_scene_without_lights_stands_under_a_white_sky():
+def test_a_scene_without_lights_stands_under_a_sky_and_a_sun():
+    """The sun is over the viewer's left shoulder, wherever that is."""
     meshes = [mesh for mesh in room().meshes if LAMP not in mesh.material_ids]
-    options = {"materials": MATERIALS, "camera": room().camera}
-    white = [rs.EnvironmentLight(WHITE)]
-    bare, lit = rs.Scene(meshes, **options), rs.Scene(meshes, lights=white, **options)
-    assert_same_bits(path(bare, 2).pixels, path(lit, 2).pixels)
+    sky = rs.EnvironmentLight((SKY_ADDED,) * 3)
+    back = rs.Camera((0.9, 0.8, 0.1), (0.2, 0.1, 0.9))
+    for camera in (room().camera, back):
+        right, up, forward = camera.basis()
+        sun = rs.DirectionalLight(0.5 * right - 0.7 * up + 0.7 * forward, (np.pi * SUN_ADDED,) * 3)
+        bare = rs.Scene(meshes, materials=MATERIALS, camera=camera)
+        expected = path(bare.replace(lights=[sun, sky]), 2).pixels
+        np.testing.assert_allclose(path(bare, 2).pixels, expected, rtol=1e-5)
+        moved = rs.Tracer(bare.replace(camera=back))
+        np.testing.assert_array_equal(path(moved, 2, camera=camera).pixels, path(bare, 2).pixels)
 
 
 def test_degenerate_triangles_change_nothing():

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.rendering.integrator import make_context
 from raystream.rendering.lighting import ADDED, needs_light
+from raystream.rendering.progressive import trace_sample
+from raystream.rendering.render import RENDERERS
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.tone import auto_exposure
 
 SIZE = (32, 24)
@@ -56,7 +60,7 @@ def test_a_view_in_the_dark_gets_light(make, mode):
 
 
 def test_a_room_without_lights_gets_one_that_reaches_it():
-    """The white sky stays outside."""
+    """The sky stays outside."""
     scene = closed_room().replace(lights=())
     assert needs_light(scene)
     with warnings.catch_warnings():
@@ -85,6 +89,21 @@ def test_paths_that_find_lights_by_chance_leave_a_lit_view_alone(options, seed):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rs.render(rs.load("cornell"), "path", (17, 9), 1, max_bounces=2, seed=seed, **options)
+
+
+@pytest.mark.parametrize("lights", ["auto", "added"])
+def test_lights_that_are_added_follow_the_camera(lights):
+    """Another view of a context is the image of that view."""
+    scene = rs.Scene([box(2.0)], camera=rs.Camera((3.0, 2.0, 4.0), (0, 0, 0)))
+    back = rs.Camera((-4.0, 2.0, -3.0), (0, 0, 0))
+    renderer, one = RENDERERS["path"], Sampler.of("sobol", 0, 1)
+    options = renderer.check(renderer.complete({}))
+    context = make_context(rs.Tracer(scene), scene.camera, SIZE, one, options, (), lights)
+    assert context.is_light_added
+    light, _ = trace_sample(renderer, context.seen_by(back), 0)
+    expected = rs.render(scene, "path", SIZE, 1, camera=back, lights=lights).pixels
+    np.testing.assert_array_equal(light.reshape(expected.shape), expected)
+    assert expected.max() > 0.3  # its sunny side is seen
 
 
 def test_the_choice_is_the_same_on_all_structures_and_threads():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import raystream as rs
 from raystream.rendering.color import decode_srgb
@@ -120,3 +121,26 @@ def test_a_made_texture_is_seen():
 def test_errors_name_the_argument(make, match):
     with pytest.raises(ValueError, match=match):
         make()
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "says"),
+    [
+        (np.zeros((4, 4, 3)), TypeError, "expected pixels of dtype uint8, 0 to 255, got float64"),
+        (np.zeros((4, 4), np.uint8), ValueError, r"expected pixels of shape \(H, W, C\)"),
+        (np.zeros((4, 4, 2), np.uint8), ValueError, r"C 1, 3 or 4, got \(4, 4, 2\)"),
+        (np.zeros((0, 4, 3), np.uint8), ValueError, "source"),
+        ([[0, 1]], TypeError, "expected a path, bytes or an array, got list"),
+    ],
+)
+def test_what_is_no_image_is_refused(source, kind, says):
+    """Colours from 0 to 1 would all be black."""
+    with pytest.raises(kind, match=says):
+        rs.Texture(source)
+
+
+def test_names_of_files_are_paths(tmp_path):
+    Image.fromarray(np.full((2, 3, 3), 99, np.uint8)).save(tmp_path / "grey.png")
+    texture = rs.Texture(str(tmp_path / "grey.png"))
+    assert (texture.path, texture.name) == (tmp_path / "grey.png", "grey.png")
+    assert (texture.pixels() == 99).all()

@@ -79,5 +79,6 @@ class RecordingTracer(Tracer):
 
     def _record(self, query: str, origins: Any, directions: Any) -> None:
         count = math.prod(np.broadcast_shapes(np.shape(origins), np.shape(directions))[:-1])
-        rays = (np.array(origins), np.array(directions)) if self.keep_rays else (None, None)
-        self.queries.append(RecordedQuery(query, count, *rays))
+        rays = (np.array(one).reshape(-1, 3) for one in (origins, directions))
+        kept = rays if self.keep_rays else (None, None)
+        self.queries.append(RecordedQuery(query, count, *kept))

@@ -162,7 +162,7 @@ def _render(
             **job.chosen.keywords(),
         )
         job.layers.report_denoiser()
-        exposure = Exposure(job.image.exposure, scene, job.mode, is_fixed=True)
+        exposure = Exposure(job.image.exposure, job.image.lighting, scene, job.mode, is_fixed=True)
         for number, image in images:
             if job.layers.is_denoised:
                 image = job.layers.denoise(image)

@@ -6,17 +6,45 @@ import contextlib
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
-__all__ = ["Bars"]
+__all__ = ["Bars", "Step"]
 
 #: Seconds of work before a bar appears.
 DELAY = 1.0
+
+
+class Step:
+    """Progress callback of a step: called with (done, total).
+
+    Parameters
+    ----------
+    progress : rich.progress.Progress
+    title : str
+    unit : str
+    """
+
+    def __init__(self, progress: RichProgress, title: str, unit: str) -> None:
+        self._progress = progress
+        self._title = title
+        self._task = progress.add_task(title, total=None, unit=unit)
+
+    def __call__(self, done: int, total: int) -> None:
+        """Report progress."""
+        self._progress.update(self._task, completed=done, total=total)
+
+    def describe(self, state: str) -> None:
+        """Show a state behind the title, such as "error 3.20%"."""
+        self._progress.update(self._task, description=f"{self._title}, {state}")
+
+    def remove(self) -> None:
+        """Remove the step from the screen."""
+        self._progress.remove_task(self._task)
 
 
 class Bars:
@@ -57,7 +85,7 @@ class Bars:
                 self._progress.start()
 
     @contextlib.contextmanager
-    def step(self, title: str, unit: str = "") -> Iterator[Callable[[int, int], None] | None]:
+    def step(self, title: str, unit: str = "") -> Iterator[Step | None]:
         """Show a step during the block.
 
         Parameters
@@ -69,19 +97,18 @@ class Bars:
 
         Yields
         ------
-        callable or None
-            The progress callback, called with (done, total); until it is called, the step
-            shows a spinner. None if stderr is not interactive.
+        Step or None
+            Until it is called, the step shows a spinner. None if stderr is not interactive.
         """
         progress = self._progress
         if progress is None:
             yield None
             return
-        task = progress.add_task(title, total=None, unit=unit)
+        step = Step(progress, title, unit)
         try:
-            yield lambda done, total: progress.update(task, completed=done, total=total)
+            yield step
         finally:
-            progress.remove_task(task)
+            step.remove()
 
 
 def _make_progress() -> RichProgress:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from raystream.cli.lighting import LightingOptions
     from raystream.rendering.image import Image
     from raystream.scene.camera import Camera
     from raystream.scene.scene import Scene
@@ -23,6 +24,9 @@ __all__ = ["Exposure", "parse_exposure", "report_blank"]
 #: Share of the pixels that are black, or white, in an image that is reported; and the bytes that
 #: count as such.
 _MOST, _BLACK, _WHITE = 0.99, 2, 253
+
+#: Images of scenes with lights are dark if automatic exposure would be above this factor.
+_DARK = 8.0
 
 #: Modes that show light; a test compares them with the library's.
 LIT = ("raycast", "shadow", "whitted", "kajiya", "path")
@@ -47,18 +51,34 @@ class Exposure:
     Parameters
     ----------
     asked : str or None
-        ``"auto"``, a number, or None: automatic for scenes without lights, else 1.
+        ``"auto"``, a number, or None: automatic with a sun, for scenes without lights, and for
+        single images that would be dark; else 1, also with ``--lights file``.
+    lighting : LightingOptions
     scene : Scene
     mode : str
-        Modes that show no light are exposed by 1.
+        Modes that show no light are exposed by 1, unless a factor is asked for.
     is_fixed : bool
         Whether all images get the factor of the first one, as frames do.
     """
 
     def __init__(
-        self, asked: str | None, scene: Scene, mode: str, *, is_fixed: bool = False
+        self,
+        asked: str | None,
+        lighting: LightingOptions,
+        scene: Scene,
+        mode: str,
+        *,
+        is_fixed: bool = False,
     ) -> None:
-        self._asked = asked or ("1" if scene.has_lights or mode not in LIT else "auto")
+        from raystream.rendering.lighting import is_dark_by_intent
+
+        is_lit = scene.has_lights and lighting.sun is None
+        self._least = _DARK if asked is None and is_lit else 0.0
+        if asked is None:
+            keeps = is_lit and (is_fixed or is_dark_by_intent(scene))
+            keeps = keeps or mode not in LIT or lighting.lights == "file"
+            asked = "1" if keeps else "auto"
+        self._asked = asked
         self._is_fixed = is_fixed
 
     def of(self, image: Image) -> float:
@@ -68,9 +88,20 @@ class Exposure:
         from raystream.rendering.tone import auto_exposure
 
         factor = auto_exposure(image.pixels)
+        if factor <= self._least:
+            factor = 1.0
         if self._is_fixed:
             self._asked = repr(factor)
         return factor
+
+    def report_dark(self, image: Image) -> None:
+        """Report on stderr that an image of a scene with lights is shown brighter than it is."""
+        factor = self.of(image)
+        if self._asked == "auto" and self._least > 0.0 and factor != 1.0:
+            write_note(
+                f"the scene's lights leave the image dark: it is shown {factor:.3g} times as "
+                "bright (--exposure 1 leaves it)"
+            )
 
 
 def report_blank(
@@ -95,6 +126,8 @@ def report_blank(
         return
     is_black = float((encoded.max(axis=2) <= _BLACK).mean()) > _MOST
     is_white = float((encoded.min(axis=2) >= _WHITE).mean()) > _MOST
+    if mode == "ao":  # black where no surface is
+        is_black = not encoded.any()
     if not (is_black or is_white) or mode in ("vis", "xray"):
         return
     if mode == "ao":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from raystream.cli.console import BadInputError, InterruptedRunError, refuse, wr
 from raystream.core.errors import FileFormatError
 
 if TYPE_CHECKING:
+    from raystream.cli.bars import Step
     from raystream.rendering.image import Image
     from raystream.rendering.sample_file import SampleFile
 
@@ -101,8 +102,8 @@ class PathProgress:
     ----------
     output : Path
     pixel_count : int
-    shown : callable or None
-        Callback of the progress bar.
+    shown : Step or None
+        The progress bar.
 
     Attributes
     ----------
@@ -110,9 +111,7 @@ class PathProgress:
         Samples per pixel loaded from the checkpoint, on average.
     """
 
-    def __init__(
-        self, output: Path, pixel_count: int, shown: Callable[[int, int], None] | None
-    ) -> None:
+    def __init__(self, output: Path, pixel_count: int, shown: Step | None) -> None:
         self.samples_before: int | float = 0
         self._output = output
         self._pixel_count = pixel_count
@@ -130,6 +129,12 @@ class PathProgress:
                 write_note(f"{self._output}: resumed from {count} samples")
         if self._shown is not None:
             self._shown(done, total)
+
+    def show_error(self, image: Image) -> None:
+        """Show the error so far in the progress bar."""
+        error = image.figures["error"]
+        if self._shown is not None and math.isfinite(error):
+            self._shown.describe(_error_text(error))
 
     def count(self, image: Image) -> int:
         """Return the number of paths traced in this run."""
@@ -154,7 +159,11 @@ class PathProgress:
         """Format samples and error for the console."""
         taken, error = image.figures["samples"], image.figures["error"]
         counts = f"{_count_text(taken)} sample{'s' if taken > 1 else ''}"
-        return f"{counts}, error {error:.2%}" if math.isfinite(error) else counts
+        return f"{counts}, {_error_text(error)}" if math.isfinite(error) else counts
+
+
+def _error_text(error: float) -> str:
+    return f"error {error:.2%}"
 
 
 def _count_text(samples: int | float) -> str:

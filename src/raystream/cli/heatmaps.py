@@ -19,7 +19,7 @@ __all__ = ["HeatmapOptions", "heatmap_figures"]
 
 #: Other options of ``raystream render`` that do not apply to heat maps.
 IMAGE_ONLY = (
-    *("mode", "exposure", "tone", "environment", "lights", "layers", "denoise", "cluster"),
+    *("mode", "exposure", "tone", "environment", "sun", "lights", "layers", "denoise", "cluster"),
     *("max_bounces", "quality", "noise", "time_limit", "sampler", "resume"),
 )
 

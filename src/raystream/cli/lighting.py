@@ -1,7 +1,8 @@
-"""Lighting on the command line: environment maps, and an extra light for dim scenes."""
+"""Lighting on the command line: a sun, environment maps, and an extra light for dim scenes."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,7 @@ from raystream.cli import options
 from raystream.cli.console import BadInputError
 
 if TYPE_CHECKING:
+    from raystream.scene.lights import Light
     from raystream.scene.scene import Scene
 
 __all__ = ["LightingOptions"]
@@ -20,16 +22,39 @@ __all__ = ["LightingOptions"]
 SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
 
 
+def _sun(value: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Accept the place of a sun above the horizon, or an omitted option."""
+    if value is None:
+        return None
+    azimuth, elevation = value
+    if not math.isfinite(azimuth):
+        raise typer.BadParameter(f"expected a finite azimuth, got {azimuth}")
+    if not 0.0 < elevation <= 90.0:
+        raise typer.BadParameter(
+            f"expected an elevation above 0 and at most 90 degrees, got {elevation:g}"
+        )
+    return value
+
+
 @dataclass(frozen=True)
 class LightingOptions:
     """Options of a scene's lighting."""
 
+    sun: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="AZIMUTH ELEVATION",
+            callback=_sun,
+            help="A sun and a clear sky instead of the scene's; in degrees from north (-z, +y if z "
+            "is up) to east (+x), and above the horizon.",
+        ),
+    ] = None
     environment: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="A map (equirectangular: .hdr, .exr, .png or .jpg) instead of the scene's sky; "
-            "its top is the scene's up direction.",
+            help="An equirectangular map (.hdr, .exr, .png or .jpg) instead of the scene's sky; "
+            "its top is up.",
         ),
     ] = None
     environment_rotation: Annotated[
@@ -37,27 +62,34 @@ class LightingOptions:
         typer.Option(
             metavar="DEGREES",
             callback=options.finite,
-            help="With --environment: rotation of the map, counterclockwise as seen from above.",
+            help="Rotation of the map, counterclockwise as seen from above.",
         ),
     ] = None
     lights: Annotated[
         str | None,
         options.choice(
             options.LIGHTS,
-            "file: the scene's own lights only; added: a white sky or a light at the eye beside "
-            "them; auto: those where its own show nothing [default: auto]",
+            "file: the scene's own lights only; added: a sun and a sky, or a light at the "
+            "eye, beside them; auto: those where its own show nothing [default: auto]",
         ),
     ] = None
 
+    @property
+    def has_sky(self) -> bool:
+        """Whether `apply` changes scenes."""
+        return self.environment is not None or self.sun is not None
+
     def check(self) -> None:
-        """Check the map's extension, and reject a rotation without a map."""
+        """Check the map's extension, and reject two skies and a rotation without a map."""
+        if self.sun is not None and self.environment is not None:
+            raise BadInputError("--sun: cannot be combined with --environment")
         if self.environment is not None:
             options.check_suffix(self.environment, SUFFIXES, "reading")
         elif self.environment_rotation is not None:
             raise BadInputError("--environment-rotation: only with --environment")
 
     def apply(self, scene: Scene) -> Scene:
-        """Replace a scene's environment lights and background with the map, if one is given.
+        """Replace a scene's sky and background, with a sun its suns, too, if one is given.
 
         Applies to every frame of an animated scene.
 
@@ -68,8 +100,30 @@ class LightingOptions:
         MemoryError
             If the map does not fit in memory.
         """
-        if self.environment is None:
+        if not self.has_sky:
             return scene
+        from raystream.scene.lights import DirectionalLight, EnvironmentLight
+
+        added = self._daylight(scene) if self.sun else (self._map(scene),)
+        replaced = (EnvironmentLight, DirectionalLight) if self.sun else (EnvironmentLight,)
+
+        def light_up(scene: Scene) -> Scene:
+            others = [other for other in scene.lights if not isinstance(other, replaced)]
+            return scene.replace(lights=(*others, *added), background=(0.0, 0.0, 0.0))
+
+        lit = light_up(scene)
+        if scene.animation is None:
+            return lit
+        pose = scene.animation.at
+        return lit.replace(animation=replace(scene.animation, at=lambda time: light_up(pose(time))))
+
+    def _daylight(self, scene: Scene) -> tuple[Light, ...]:
+        from raystream.scene.daylight import daylight
+
+        assert self.sun is not None
+        return daylight(*self.sun, up=scene.up)
+
+    def _map(self, scene: Scene) -> Light:
         from raystream.rendering.environment import texels_of
         from raystream.scene.lights import EnvironmentLight
 
@@ -78,14 +132,5 @@ class LightingOptions:
             up=tuple(scene.up),
             rotation=self.environment_rotation or 0.0,
         )
-        texels_of(light)
-
-        def light_up(scene: Scene) -> Scene:
-            others = [other for other in scene.lights if not isinstance(other, EnvironmentLight)]
-            return scene.replace(lights=(*others, light), background=(0.0, 0.0, 0.0))
-
-        lit = light_up(scene)
-        if scene.animation is None:
-            return lit
-        pose = scene.animation.at
-        return lit.replace(animation=replace(scene.animation, at=lambda time: light_up(pose(time))))
+        texels_of(light)  # now, if it cannot be read
+        return light

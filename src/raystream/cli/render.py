@@ -28,10 +28,14 @@ from raystream.cli.tracer_options import TracerArguments, TracerOptions
 
 if TYPE_CHECKING:
     from raystream.rendering.heatmap import Heatmap
+    from raystream.rendering.image import Image
 
 __all__ = ["DEFAULT_SCENE", "render"]
 
 DEFAULT_SCENE = "robots"
+
+#: Files that keep radiance.
+UNEXPOSED = (".exr", ".hdr")
 
 
 @expand_groups
@@ -75,20 +79,27 @@ def _render_image(job: RenderJob, json: bool) -> None:
         if render_with.builds_on_workers:
             built = TracerArguments(None, "cpu", {})
         tracer = open_tracer(job.scene, job.loading, built, bars, watch)
-        if asked.lighting.environment is not None:
-            with watch.measure("environment"), bars.step("reading environment"):
+        if asked.lighting.has_sky:
+            with watch.measure("environment"), bars.step("preparing the sky"):
                 tracer.update(asked.lighting.apply(tracer.scene))
         arguments = {**job.arguments, "size": job.size, "camera": job.view(tracer.scene)[1]}
-        exposure = Exposure(asked.exposure, tracer.scene, job.mode if what is None else what)
+        exposure = Exposure(
+            asked.exposure, asked.lighting, tracer.scene, job.mode if what is None else what
+        )
         save = partial(asked.save, exposure=exposure)
         unit = "paths" if what is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if what is None:
                 paths = PathProgress(output, width * height, progress)
                 arguments |= {"checkpoint": samples_file, "progress": paths}
-                save_pass = None if output == STDOUT else partial(save, path=output)
+
+                def show_pass(image: Image, paths: PathProgress = paths) -> None:
+                    paths.show_error(image)
+                    if output != STDOUT:
+                        save(image, path=output)
+
                 with refuse(OSError, where=str(checkpoint)):
-                    image = render_with(tracer, job.mode, on_pass=save_pass, **arguments)
+                    image = render_with(tracer, job.mode, on_pass=show_pass, **arguments)
             else:
                 from raystream.rendering.heatmap import heatmap
 
@@ -103,6 +114,8 @@ def _render_image(job: RenderJob, json: bool) -> None:
             save(image, path=output)
         if what is None:
             look = exposure.of(image), asked.tone or options.TONES[0]
+            if output.suffix.lower() not in UNEXPOSED:
+                exposure.report_dark(image)
             report_blank(image.to_bytes(*look), tracer, arguments["camera"], arguments, job.mode)
     triangle_count = len(tracer.structure.triangles)
     if heat is None:

@@ -71,8 +71,8 @@ class ImageOptions:
         typer.Option(
             metavar="FACTOR",
             callback=parse_exposure,
-            help="Factor on the colours of a PNG, or auto [default: auto for scenes without "
-            "lights, else 1]",
+            help="Factor on the colours of a PNG, or auto [default: 1; auto with --sun, without "
+            "lights, and for dark images]",
         ),
     ] = None
     tone: Annotated[

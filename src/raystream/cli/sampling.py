@@ -42,7 +42,7 @@ class Quality(NamedTuple):
 
 
 QUALITIES = {
-    "preview": Quality(64, 0.03, 2.0, True, 4),
+    "preview": Quality(64, 0.03, 1.25, True, 4),
     "good": Quality(1024, 0.01, None, True, 16),
     "final": Quality(MAX_SAMPLES, 0.003, None, False, 64),
 }
@@ -59,7 +59,7 @@ class SamplingOptions:
         str | None,
         options.choice(
             tuple(QUALITIES),
-            "preview takes 2 seconds and is denoised; good is denoised at a noise of 1 %; final "
+            "preview takes a second and is denoised; good is denoised at a noise of 1 %; final "
             "has a noise of 0.3 % [default: preview, without the next three]",
         ),
     ] = None

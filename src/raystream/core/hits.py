@@ -229,6 +229,18 @@ class Hits(_HitColumns):
             None if self.sectors is None else np.asarray(self.sectors[index]),
         )
 
+    def ravel(self) -> Hits:
+        """The same hits in shape (N,)."""
+        return Hits(
+            self.t.ravel(),
+            self.u.ravel(),
+            self.v.ravel(),
+            self.prim_id.ravel(),
+            self.status.ravel(),
+            self._triangles,
+            None if self.sectors is None else self.sectors.ravel(),
+        )
+
     @property
     def is_hit(self) -> NDArray[np.bool_]:
         """Whether each ray hit anything, shape S, bool."""

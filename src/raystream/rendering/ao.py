@@ -1,7 +1,8 @@
 """ao: ambient occlusion, the share of a white sky that each first hit sees (Rayforce 2013).
 
 32 rays from each first hit, cosine-distributed around its normal: white where they hit nothing
-within `distance`, so that closed rooms are not black.
+within `distance`, so that closed rooms are not black. Pixels without a surface are black: white
+models are seen against them.
 """
 
 from __future__ import annotations

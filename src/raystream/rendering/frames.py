@@ -78,8 +78,9 @@ def render_frames(
     iterator of (int, Image)
         Number and image of each frame, rendered on demand. Frame i is ``render(scene.at(time),
         ..., seed=frame_seed(seed, i))`` at the time ``start + i / fps``, bit for bit if both trace
-        in the same local frame, as ordinary scenes do. ``lights="auto"`` depends on no frame's
-        view, else the light would flicker.
+        in the same local frame, as ordinary scenes do. Whether ``lights="auto"``
+        adds lights depends on no frame's view, else they would flicker; the sun and the light at
+        the eye that are added follow the camera.
 
     Raises
     ------

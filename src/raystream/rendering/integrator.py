@@ -25,7 +25,7 @@ from raystream.programs.filters import Bound
 from raystream.rendering.arguments import check_samples
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.device_bands import DeviceBands
-from raystream.rendering.lighting import has_visible_light
+from raystream.rendering.lighting import has_visible_light, needs_light
 from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers, write_aovs
@@ -80,6 +80,8 @@ class RenderContext:
         Names in `LAYERS` to render.
     chosen_lights : {"auto", "file", "added"}
         See `lighting.needs_light`, and `view_light.lit`.
+    is_light_added : bool
+        Whether the scene needs light, see `lighting.needs_light`.
     bands : DeviceBands, optional
         Renders samples on the tracer's device, or in loops of its machine, if it can.
     """
@@ -97,6 +99,7 @@ class RenderContext:
     kept: tuple[object, object, object]
     layers: Sequence[str] = ()
     chosen_lights: str = "auto"
+    is_light_added: bool = False
     bands: DeviceBands | None = None
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
@@ -112,7 +115,7 @@ class RenderContext:
         scene, chosen = self.tracer.scene, self.chosen_lights
         punctual, kept_punctual = punctual_lights_of(scene, camera, chosen)
         lights, kept_lights = self.lights, self.kept[1]
-        if chosen == "added":  # one of them is at the eye
+        if chosen == "added" or self.is_light_added:  # their place depends on the camera
             lights, kept_lights = lights_of(scene, camera, chosen)
         width, height = size or (self.width, self.height)
         made = replace(
@@ -151,7 +154,8 @@ def make_context(
     chosen_lights: str = "auto",
 ) -> RenderContext:
     """Prepare a tracer's scene for shading; see `tables_of` for warnings."""
-    tables, kept_tables = tables_of(tracer.scene)
+    scene = tracer.scene
+    tables, kept_tables = tables_of(scene)
     if options.get("diffuse_only"):
         tables = tables._replace(kinds=tables.kinds & (EMITS | IS_TEXTURED))
     lights, kept_lights = lights_of(tracer.scene, camera, chosen_lights)
@@ -181,6 +185,7 @@ def make_context(
         kept,
         layers,
         chosen_lights,
+        needs_light(scene, chosen_lights, background=scene.background),
     )
     return made.with_bands()
 
@@ -406,9 +411,24 @@ def find_surfaces(stream: PathStream, band: Band) -> PathStream:
     if stream.hits is not None:
         return stream
     context, rays = band.context, (stream.paths.origins, stream.paths.directions)
-    near = _starts(stream, stream.paths.pixels, band)
-    hits = context.tracer.first_hit(*rays, on_hit=context.filter(*rays), near=near)
+    near, filter_ = _starts(stream, stream.paths.pixels, band), context.filter(*rays)
+    if stream.bounce == 0 and _is_rows(stream.paths.pixels, context.width):
+        # Nothing need look for the rows: two kernels less for a first image to compile.
+        shape = -1, context.width, 3
+        rows = (values.reshape(shape) for values in rays)
+        hits = context.tracer.first_hit(*rows, on_hit=filter_)
+        return replace(stream, hits=hits.ravel())
+    hits = context.tracer.first_hit(*rays, on_hit=filter_, near=near)
     return replace(stream, hits=hits)
+
+
+def _is_rows(pixels: NDArray[np.int64], width: int) -> bool:
+    """Whether these are all pixels of some rows of an image; a wrong answer costs time only."""
+    count = len(pixels)
+    if count == 0 or count % width or pixels[0] % width:
+        return False
+    # Those of tiles are as many, but not one after another.
+    return bool(pixels[-1] - pixels[0] == count - 1 and pixels[width - 1] == pixels[0] + width - 1)
 
 
 def trace_shadow_rays(stream: PathStream, band: Band) -> PathStream:

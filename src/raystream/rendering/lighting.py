@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,8 +27,11 @@ __all__ = [
     "LEAST_LIGHT",
     "LIGHTS",
     "MEASURED",
+    "SKY",
+    "SUN",
     "PatchLight",
     "added_light",
+    "added_sun",
     "area_patches",
     "check_lights",
     "has_visible_light",
@@ -51,8 +55,15 @@ LEAST_LIGHT = 1e-3
 #: The light that modes add if lights are too weak. Other modes ignore lights.
 ADDED = {
     **dict.fromkeys(("raycast", "shadow", "whitted"), "a light at the eye"),
-    **dict.fromkeys(("kajiya", "path"), "a white sky"),
+    **dict.fromkeys(("kajiya", "path"), "a sun and a sky"),
 }
+
+#: Radiance of the sky that is added, and of a white surface that faces the sun beside it, without
+#: the sky: a white sky alone hardly shows the shape of white models, and they pale before it.
+SKY, SUN = 0.3, 0.8
+
+#: Direction of its light: to the right, down and forward in the image, in `Camera.basis`.
+_SUN_DIRECTION = (0.5, -0.7, 0.7)
 
 #: Radiance of a white surface that faces the light at the eye, which paths get beside the sky.
 HEADLIGHT = 0.5
@@ -195,11 +206,21 @@ def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
     """
     if mode not in ADDED or not (scene.lights or scene.area_lights):
         return ""
-    seen = scene.background if ADDED[mode] == "a white sky" else (0.0, 0.0, 0.0)
+    seen = scene.background if ADDED[mode] == "a sun and a sky" else (0.0, 0.0, 0.0)
     if not needs_light(scene, lights, background=seen):
         return ""
     has_sky = lights == "added" and mode in ("kajiya", "path")
-    return f"{ADDED[mode]} and a light at the eye" if has_sky else ADDED[mode]
+    return "a sun, a sky and a light at the eye" if has_sky else ADDED[mode]
+
+
+def added_sun(camera: Camera) -> DirectionalLight:
+    """The sun that paths get beside a sky if a scene needs light: over the viewer's left shoulder.
+
+    Whatever the camera sees from outside is lit, and shows its shape by shades and shadows.
+    """
+    direction = np.array(_SUN_DIRECTION) @ camera.basis()
+    x, y, z = direction.tolist()
+    return DirectionalLight((x, y, z), (math.pi * SUN,) * 3)
 
 
 def punctual_lights(

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +101,8 @@ def render_samples(
         (see `SampleFile`), and when rendering is interrupted after the first of them. An existing
         one is resumed, to the same bits as without the interruption.
     on_pass : callable, optional
-        Called with the image so far, every 10 seconds, after whole passes.
+        Called with the image so far and its ``samples`` and ``error``, every 10 seconds, after
+        whole passes.
     progress : callable, optional
         Called with (paths done, paths), first with those of the checkpoint. With noise and time
         limits the total is an estimate until the last call. An exception that it raises ends
@@ -156,7 +157,7 @@ def render_samples(
                     if file is not None:
                         file.save(sums)
                     if on_pass is not None:
-                        on_pass(sums.image())
+                        on_pass(sums.image(_figures(sums)))
                     shown = time.monotonic()
                 begun = time.monotonic()  # without the checkpoint
                 traced = passes.trace(interval, _within(progress, done, expected))
@@ -170,7 +171,7 @@ def render_samples(
         file.finish(sums, time.monotonic() - shown >= interval)
     bands = passes.bands
     more = {} if bands is None else bands.figures()
-    return sums.image({"samples": _mean_samples(sums), "error": sums.error(), **more})
+    return sums.image({**_figures(sums), **more})
 
 
 def _within(progress: Progress | None, done: int, expected: int) -> Progress | None:
@@ -289,6 +290,10 @@ class _Passes:
                 done += self.tiles.size_of(unit)
         pixels = [self.tiles.pixels(unit.tiles) for unit in units]
         return [(chosen, *sampled) for chosen, sampled in zip(pixels, made, strict=True)]
+
+
+def _figures(sums: Film) -> dict[str, Any]:
+    return {"samples": _mean_samples(sums), "error": sums.error()}
 
 
 def _mean_samples(sums: Film) -> int | float:

@@ -91,9 +91,9 @@ def render(
         The view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     lights : {"auto", "file", "added"}
         ``"auto"`` adds a light if the scene has none, or if its lights are too weak to see
-        anything: a white sky (``"path"``, ``"kajiya"``), or a headlight (``"raycast"``,
+        anything: a sun and a sky (``"path"``, ``"kajiya"``), or a headlight (``"raycast"``,
         ``"shadow"``, ``"whitted"``); see `lighting.needs_light` for the criterion. If what the
-        camera sees is dark nevertheless, as in a closed room, paths get both; see
+        camera sees is dark nevertheless, as in a closed room, paths get all three; see
         `view_light.lit`. ``"file"`` uses the scene's lights only; ``"added"`` adds in any case.
     seed : int
         Of the samples: the same seed gives the same image, on any number of threads.

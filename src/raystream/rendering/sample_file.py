@@ -18,6 +18,7 @@ from raystream.core.errors import FileFormatError
 from raystream.rendering.environment import image_light, texels_of
 from raystream.rendering.film import Film
 from raystream.rendering.integrator import Integrator, RenderContext
+from raystream.rendering.lighting import HEADLIGHT, SKY, SUN
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 
@@ -103,6 +104,7 @@ def identity(renderer: Integrator, context: RenderContext) -> str:
             "camera": str(asdict(context.camera)),
             "layers": list(context.layers),
             "lights": context.chosen_lights,
+            "added lights": [SKY, SUN, HEADLIGHT] if context.is_light_added else [],
             "scene": _digest(context.tracer.scene),
         },
         sort_keys=True,

@@ -25,8 +25,8 @@ __all__ = ["kept_choice", "lit", "sees_surface"]
 _STRIPS, _ROWS, _BLOCKS = 6, 2, 8
 
 #: A view is dark if no more than this share of the blocks with surfaces is this bright: a tenth of
-#: a screen's range, encoded.
-_LEAST_SHARE, _LEAST_LUMINANCE = 0.05, 0.01
+#: a screen's range, encoded. Lights of the scene itself may be meant to light little.
+_LEAST_SHARE, _LEAST_SHARE_IF_ADDED, _LEAST_LUMINANCE = 0.05, 0.25, 0.01
 
 
 def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
@@ -91,7 +91,8 @@ def _shows(renderer: Integrator, context: RenderContext) -> bool:
         seen = counts > 0.0
         lit_count += int((sums[seen] / counts[seen] > _LEAST_LUMINANCE).sum())
         block_count += int(seen.sum())
-    return lit_count > _LEAST_SHARE * block_count or not block_count  # no light would help
+    share = _LEAST_SHARE_IF_ADDED if context.is_light_added else _LEAST_SHARE
+    return lit_count > share * block_count or not block_count  # no light would help
 
 
 def _sampling_lights(options: Mapping[str, Any]) -> Mapping[str, Any]:

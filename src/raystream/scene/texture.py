@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from os import PathLike
 from pathlib import Path
 from typing import Literal
 
@@ -45,7 +46,8 @@ class Texture:
     Parameters
     ----------
     source : path, bytes or ndarray of shape (H, W, C), uint8
-        The image file, its encoded content, or decoded pixels with the top row first.
+        The image file, its encoded content, or decoded pixels with the top row first: encoded
+        values (sRGB for colours), C is 1, 3 or 4.
     name : str, optional
         Defaults to the file's name.
     wrap : {"repeat", "clamp"}
@@ -54,11 +56,16 @@ class Texture:
         a, b, c, d, e, f: the image is looked up at u' = a u + b v + c and v' = d u + e v + f, where
         u and v are a mesh's coordinates and v points up [default: unchanged]. It moves maps of
         normals and heights, but does not turn their normals.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is of another type, shape or range. Files are read on first use.
     """
 
     def __init__(
         self,
-        source: Path | bytes | NDArray[np.uint8],
+        source: str | PathLike[str] | bytes | NDArray[np.uint8],
         *,
         name: str = "",
         wrap: Literal["repeat", "clamp"] = "repeat",
@@ -69,6 +76,14 @@ class Texture:
         if transform is not None:
             a, b, c, d, e, f = _numbers(transform)
             transform = a, b, c, d, e, f
+        if isinstance(source, str | PathLike):
+            source = Path(source)
+        elif isinstance(source, np.ndarray):
+            _check_pixels(source)
+        elif not isinstance(source, bytes):
+            raise TypeError(
+                f"source: expected a path, bytes or an array, got {type(source).__name__}"
+            )
         self.path = source if isinstance(source, Path) else None
         self.name = name or (self.path.name if self.path else "")
         self.wrap = wrap
@@ -134,6 +149,16 @@ class Texture:
 
     def __repr__(self) -> str:
         return f"Texture({self.name!r}, wrap={self.wrap!r})"
+
+
+def _check_pixels(pixels: NDArray[np.uint8]) -> None:
+    """Raise if an array is not an image: one of floats from 0 to 1 would be black."""
+    if pixels.dtype != np.uint8:
+        raise TypeError(f"source: expected pixels of dtype uint8, 0 to 255, got {pixels.dtype}")
+    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
+        raise ValueError(
+            f"source: expected pixels of shape (H, W, C), C 1, 3 or 4, got {pixels.shape}"
+        )
 
 
 def _numbers(transform: Affine) -> list[float]:

@@ -24,7 +24,6 @@ from raystream.rendering.sampling.sampler import draw_pair_lanes
 from raystream.rendering.sampling.warp import cosine_hemisphere, to_world
 from raystream.rendering.shading.streams import (
     StreamCursor,
-    add_light,
     addresses_of,
     append_rows,
     batch_addresses,
@@ -38,8 +37,6 @@ __all__ = ["OcclusionOptions", "spawn_ao_rays", "spawn_path_ao_rays"]
 
 #: The first sampler dimension: those before are for the position in the pixel and on the lens.
 _DIMENSION = 4
-
-_WHITE = (1.0, 1.0, 1.0)
 
 
 class OcclusionOptions(NamedTuple):
@@ -86,7 +83,6 @@ def spawn_path_ao_rays(i, batch, tables, sample, options, rays):
     pixel_id, weights = gather(np.int64, paths.pixels, i), weights_of(paths, i)
     prim_id = gather(np.int32, hits.prim_id, i)
     if prim_id < 0:
-        add_light(batch.radiance, pixel_id - batch.first_pixel, weights, _WHITE, 1.0)
         return rays
     dx, dy, dz, _ = direction_of(paths, i)
     across, up = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
@@ -123,7 +119,7 @@ def spawn_ao_rays(batch, tables, sample, options, rays):
     Parameters
     ----------
     batch : ShadingBatch
-        Paths that miss see white.
+        Paths that miss stay black.
     tables : SceneTables
     sample : PixelSample
     options : OcclusionOptions

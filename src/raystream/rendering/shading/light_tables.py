@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import image_light
-from raystream.rendering.lighting import HEADLIGHT, needs_light
+from raystream.rendering.lighting import HEADLIGHT, SKY, added_sun, needs_light
 from raystream.rendering.shading.discrete_distribution import running_sums
 from raystream.rendering.shading.sky import Sky, sky_of
 from raystream.rendering.shading.textures import address_of
@@ -85,13 +85,13 @@ class LightTables(NamedTuple):
 def lights_of(
     scene: Scene, camera: Camera | None = None, chosen: str = "auto"
 ) -> tuple[LightTables, object]:
-    """Make the tables of a scene's lights, with a white sky if it needs light.
+    """Make the tables of a scene's lights, with a sun and a sky if it needs light.
 
     Parameters
     ----------
     scene : Scene
     camera : Camera, optional
-        Where the light at the eye is, for ``"added"``.
+        Decides where lights are that are added: the sun and the light at the eye.
     chosen : {"auto", "file", "added"}
         See `lighting.needs_light`; ``"added"`` adds a light at the eye, too.
 
@@ -103,6 +103,9 @@ def lights_of(
     lights = scene.lights
     if chosen == "added" and camera is not None:
         lights = (*lights, PointLight(camera.eye, (HEADLIGHT,) * 3, falloff="none"))
+    is_added = needs_light(scene, chosen, background=scene.background)
+    if is_added and camera is not None:
+        lights = (*lights, added_sun(camera))
     points, suns, color = _far_lights(scene, lights)
     prims = np.concatenate(
         [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
@@ -110,8 +113,8 @@ def lights_of(
     prims = np.unique(prims).astype(np.int32)  # intersect1d would sort the scene's, too
     prims = prims[np.isin(prims, scene.triangles.prim_ids)]
     check_rows(len(prims), 17, "triangles that emit light")
-    if needs_light(scene, chosen, background=scene.background):
-        color = color + 1.0
+    if is_added:
+        color = color + SKY
     sky, sky_luminance, kept_sky = sky_of(color, image_light(scene.lights))
     patches, powers, density = _area_patches(scene, prims)
 
