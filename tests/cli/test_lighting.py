@@ -174,6 +174,8 @@ def test_images_that_lights_leave_dark_are_shown_brighter(capsys):
     lit, dark, own = rs.load("cornell"), rs.Image(np.full((8, 8, 3), 0.01)), LightingOptions()
     chosen = Exposure(None, own, lit, "path")
     assert chosen.of(dark) == pytest.approx(90.0)
+    assert Exposure(None, LightingOptions(sun=(0, 30)), lit, "path").of(dark) == chosen.of(dark)
+    assert Exposure(None, own, lit, "path").of(rs.Image(np.full((8, 8, 3), 0.05))) == 1.0
     chosen.report_dark(dark)
     assert "leave the image dark: it is shown 90 times as bright" in capsys.readouterr().err
     assert chosen.of(rs.Image(np.full((8, 8, 3), 0.2))) == 1.0

@@ -25,8 +25,9 @@ __all__ = ["Exposure", "parse_exposure", "report_blank"]
 #: count as such.
 _MOST, _BLACK, _WHITE = 0.99, 2, 253
 
-#: Images of scenes with lights are dark if automatic exposure would be above this factor.
-_DARK = 8.0
+#: Images of scenes with lights are dark if this share of their pixels is below this luminance: a
+#: fifth of a screen's range, encoded.
+_DARK_SHARE, _DARK = 0.9, 0.03
 
 #: Modes that show light; a test compares them with the library's.
 LIT = ("raycast", "shadow", "whitted", "kajiya", "path")
@@ -51,8 +52,8 @@ class Exposure:
     Parameters
     ----------
     asked : str or None
-        ``"auto"``, a number, or None: automatic with a sun, for scenes without lights, and for
-        single images that would be dark; else 1, also with ``--lights file``.
+        ``"auto"``, a number, or None: automatic for single images with a sun, of scenes without
+        lights, and those that would be dark; else 1, also with ``--lights file``.
     lighting : LightingOptions
     scene : Scene
     mode : str
@@ -73,10 +74,10 @@ class Exposure:
         from raystream.rendering.lighting import is_dark_by_intent
 
         is_lit = scene.has_lights and lighting.sun is None
-        self._least = _DARK if asked is None and is_lit else 0.0
+        self._is_for_dark_images = asked is None and is_lit
         if asked is None:
-            keeps = is_lit and (is_fixed or is_dark_by_intent(scene))
-            keeps = keeps or mode not in LIT or lighting.lights == "file"
+            keeps = is_fixed or mode not in LIT or lighting.lights == "file"
+            keeps = keeps or (is_lit and is_dark_by_intent(scene))
             asked = "1" if keeps else "auto"
         self._asked = asked
         self._is_fixed = is_fixed
@@ -88,8 +89,8 @@ class Exposure:
         from raystream.rendering.tone import auto_exposure
 
         factor = auto_exposure(image.pixels)
-        if factor <= self._least:
-            factor = 1.0
+        if self._is_for_dark_images:
+            factor = max(factor, 1.0) if _is_dark(image) else 1.0
         if self._is_fixed:
             self._asked = repr(factor)
         return factor
@@ -97,11 +98,20 @@ class Exposure:
     def report_dark(self, image: Image) -> None:
         """Report on stderr that an image of a scene with lights is shown brighter than it is."""
         factor = self.of(image)
-        if self._asked == "auto" and self._least > 0.0 and factor != 1.0:
+        if self._is_for_dark_images and factor != 1.0:
             write_note(
                 f"the scene's lights leave the image dark: it is shown {factor:.3g} times as "
                 "bright (--exposure 1 leaves it)"
             )
+
+
+def _is_dark(image: Image) -> bool:
+    import numpy as np
+
+    from raystream.rendering.color import luminance
+
+    brightness = np.nan_to_num(luminance(image.pixels))
+    return float(np.quantile(brightness, _DARK_SHARE)) < _DARK
 
 
 def report_blank(
