@@ -461,8 +461,8 @@ def test_extensions_that_are_not_supported_are_named_once(tmp_path: Path) -> Non
     document["extensionsUsed"] = ["KHR_materials_unlit", "EXT_meshopt_compression"]
     document["extensionsRequired"] = ["KHR_materials_unlit"]
     read(tmp_path, document)  # without a warning
-    document["extensionsRequired"] += ["EXT_meshopt_compression"]
-    with pytest.raises(FileFormatError, match='needs the extension "EXT_meshopt_compression"'):
+    document["extensionsRequired"] += ["ACME_fur"]
+    with pytest.raises(FileFormatError, match='needs the extension "ACME_fur"'):
         read(tmp_path, document)
 
 
@@ -470,7 +470,7 @@ def test_compressed_buffers_without_a_plain_copy(tmp_path: Path) -> None:
     document = tiny.gltf_document()
     extensions = {"EXT_meshopt_compression": {"fallback": True}}
     document["buffers"] = [{"byteLength": 72, "extensions": extensions}]
-    with pytest.raises(FileFormatError, match=r"compressed with meshopt.*decompress"):
+    with pytest.raises(FileFormatError, match="buffer view 0 has no data"):
         read(tmp_path, document)
 
 

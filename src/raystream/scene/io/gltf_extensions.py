@@ -10,6 +10,7 @@ __all__ = ["COMPRESSED", "can_read", "lost_extensions"]
 _SUPPORTED = frozenset(
     {
         "EXT_mesh_gpu_instancing",  # with its own warning
+        "EXT_meshopt_compression",
         "EXT_texture_webp",
         "KHR_draco_mesh_compression",
         "KHR_lights_punctual",
@@ -21,13 +22,13 @@ _SUPPORTED = frozenset(
         "KHR_materials_variants",  # the default variant
         "KHR_materials_volume",
         "KHR_mesh_quantization",
+        "KHR_meshopt_compression",
         "KHR_texture_transform",
         "KHR_xmp_json_ld",
     }
 )
 
-#: Compressions of buffers, which are not supported. Files that do not require them have the same
-#: data uncompressed.
+#: Compressions of buffer views. Files that do not require them have the same data uncompressed.
 COMPRESSED = frozenset({"EXT_meshopt_compression", "KHR_meshopt_compression"})
 
 #: Their materials are shown without them.
@@ -42,4 +43,4 @@ def can_read(name: str) -> bool:
 
 def lost_extensions(used: Iterable[str]) -> list[str]:
     """Those of a file's extensions that are ignored, although they may affect images."""
-    return sorted({name for name in used if name not in _SUPPORTED | COMPRESSED})
+    return sorted({name for name in used if name not in _SUPPORTED})

@@ -13,6 +13,7 @@ from urllib.parse import unquote, unquote_to_bytes
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.gltf_extensions import COMPRESSED, can_read
+from raystream.scene.io.gltf_meshopt import decoded_view
 from raystream.scene.io.text import shown
 
 __all__ = ["GltfFile", "Node"]
@@ -27,6 +28,9 @@ _BINARY_CHUNK = 0x004E4942
 #: Most numbers of morph targets and of skins, over a whole file: they may share a buffer, but are
 #: stored separately.
 MAX_DEFORMATION_NUMBERS = 1 << 26
+
+#: Most bytes of compressed buffer views, each time that one is read: they may share their data.
+MAX_DECODED_BYTES = 1 << 32
 
 
 class GltfFile:
@@ -59,6 +63,7 @@ class GltfFile:
             raise self.error("is not a glTF file: its JSON part is not an object")
         self.root: Node = root
         self._buffers: dict[int, bytes] = {}
+        self._decoded_bytes = 0
         self._number_count = 0
         self._check_version()
 
@@ -251,15 +256,24 @@ class GltfFile:
     def view(self, index: int) -> tuple[memoryview, int]:
         """Get the bytes of a buffer view, and its stride (0: packed)."""
         view = self.entry("bufferViews", index)
-        number = self.integer(view, "buffer")
-        if self._is_placeholder(number):
-            raise self.error(
-                "is compressed with meshopt, which is not supported: decompress it, for example "
-                "with gltf-transform copy"
-            )
-        buffer = self.buffer(number)
-        start = self.integer(view, "byteOffset", 0)
+        stride = self.integer(view, "byteStride", 0)
+        if not self._is_placeholder(self.integer(view, "buffer")):
+            return self._part(view, f"buffer view {index}"), stride
+        packed = next(filter(None, (self.extension(view, name) for name in COMPRESSED)), None)
+        if packed is None:
+            raise self.error(f"is damaged: buffer view {index} has no data")
+        part = self._part(packed, f"compressed buffer view {index}")
         length = self.integer(view, "byteLength")
+        self._decoded_bytes += length
+        if self._decoded_bytes > MAX_DECODED_BYTES:
+            raise self.error(f"its compressed buffer views have over {MAX_DECODED_BYTES:,} bytes")
+        return memoryview(decoded_view(self, packed, part, length)), stride
+
+    def _part(self, place: Node, label: str) -> memoryview:
+        """The bytes of a buffer from ``byteOffset``, ``byteLength`` of them."""
+        buffer = self.buffer(self.integer(place, "buffer"))
+        start = self.integer(place, "byteOffset", 0)
+        length = self.integer(place, "byteLength")
         if start + length > len(buffer):
-            raise self.error(f"is damaged: buffer view {index} exceeds its buffer")
-        return memoryview(buffer)[start : start + length], self.integer(view, "byteStride", 0)
+            raise self.error(f"is damaged: {label} exceeds its buffer")
+        return memoryview(buffer)[start : start + length]
