@@ -34,7 +34,8 @@ Gallery
 =======
 
 *Each image is made by the command below it. Times are of that command as a whole, with kernels
-compiled before. Written by* ``python benchmarks/gallery.py``.
+compiled before, on a machine that ran other work at times. Written by*
+``python benchmarks/gallery.py``.
 """
 
 
@@ -84,7 +85,7 @@ ENTRIES = {
     "glass": Entry(
         "The bunny in glass",
         "python examples/glass_model.py bunny {size} 256",
-        "70 lines of Python: the mesh gets a material, a floor, two lamps and the sky. Model: "
+        "80 lines of Python: the mesh gets a material, a floor, two lamps and the sky. Model: "
         "Stanford University Computer Graphics "
         "Laboratory (Turk and Levoy, 1994).",
     ),

@@ -2,8 +2,8 @@
 
     python examples/glass_model.py bunny 1920x1080 512
 
-renders a model file or a sample in this size, with so many samples; without arguments a small
-image of a ring.
+renders a model file or a sample at this size, with this number of samples per pixel; without
+arguments, a small image of a ring.
 """
 
 import sys
@@ -36,7 +36,7 @@ def smooth(vertices, faces):
 
 
 def rectangle(center, across, along, material):
-    """A rectangle by its centre and its halves; its front is on the side of their cross product."""
+    """A rectangle from its centre and half of each side; their cross product is its front."""
     center, across, along = (np.array(vector, float) for vector in (center, across, along))
     corners = [center - across - along, center + across - along]
     corners += [center + across + along, center - across + along]

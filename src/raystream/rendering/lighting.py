@@ -52,10 +52,13 @@ MEASURED = "measured"
 #: thousand times as bright as its black.
 LEAST_LIGHT = 1e-3
 
+#: Modes of paths, which see the background and the sky.
+_PATHS = ("kajiya", "path")
+
 #: The light that modes add if lights are too weak. Other modes ignore lights.
 ADDED = {
     **dict.fromkeys(("raycast", "shadow", "whitted"), "a light at the eye"),
-    **dict.fromkeys(("kajiya", "path"), "a sun and a sky"),
+    **dict.fromkeys(_PATHS, "a sun and a sky"),
 }
 
 #: Radiance of the sky that is added, and of a white surface that faces the sun beside it, without
@@ -206,11 +209,11 @@ def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
     """
     if mode not in ADDED or not (scene.lights or scene.area_lights):
         return ""
-    seen = scene.background if ADDED[mode] == "a sun and a sky" else (0.0, 0.0, 0.0)
+    seen = scene.background if mode in _PATHS else (0.0, 0.0, 0.0)
     if not needs_light(scene, lights, background=seen):
         return ""
-    has_sky = lights == "added" and mode in ("kajiya", "path")
-    return "a sun, a sky and a light at the eye" if has_sky else ADDED[mode]
+    has_all = lights == "added" and mode in _PATHS
+    return "a sun, a sky and a light at the eye" if has_all else ADDED[mode]
 
 
 def added_sun(camera: Camera) -> DirectionalLight:
