@@ -116,6 +116,7 @@ STAGES = {
     "first_hit": (rs.Tracer, "first_hit"),
     "any_hit": (rs.Tracer, "any_hit"),
     "shading of paths": (path, "shade_paths"),
+    "shading of paths in plain scenes": (path, "shade_plain_paths"),
     "shading of ao": (ao, "spawn_ao_rays"),
     "rays from the eye": (integrator, "camera_paths"),
     "adding light": (integrator, "add_unblocked"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import subprocess
 import sys
@@ -17,11 +18,14 @@ from pathlib import Path
 from typing import Any
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
+#: Modes whose shading has a copy for plain scenes.
+COPIED_MODES = ("raycast", "shadow", "whitted", "kajiya", "path")
 QUALITIES = ("balanced", "fast")
 QUERIES = ("first", "any", "multi", "count", "filter")
 TASKS = (
     *(f"build-{how}" for how in (*QUALITIES, "update")),
     *(f"render-{mode}" for mode in MODES),
+    *(f"render-{mode}:full" for mode in COPIED_MODES),
     *(f"query-{kind}" for kind in QUERIES),
 )
 
@@ -34,14 +38,37 @@ def write(line: str) -> None:
     sys.stdout.flush()
 
 
-def render(mode: str) -> None:
+def write_hills(count: int = 128) -> None:
+    """Write ``hills.obj``, with a texture, and enough triangles for all kernels of a build."""
+    places = [(i / count, k / count) for i in range(count + 1) for k in range(count + 1)]
+    corners = [f"v {x} {0.1 * math.sin(9 * x) * math.sin(7 * z)} {z}" for x, z in places]
+    texcoords = [f"vt {x} {z}" for x, z in places]
+    firsts = [i * (count + 1) + k + 1 for i in range(count) for k in range(count)]
+    faces = [
+        "f " + " ".join(f"{at}/{at}" for at in (a, a + 1, a + count + 2, a + count + 1))
+        for a in firsts
+    ]
+    lines = ["mtllib hills.mtl", "usemtl grass", *corners, *texcoords, *faces, ""]
+    Path("hills.obj").write_text("\n".join(lines), encoding="ascii")
+    Path("hills.mtl").write_text("newmtl grass\nmap_Kd grass.ppm\n", encoding="ascii")
+    Path("grass.ppm").write_text("P3 1 1 255 50 200 50\n", encoding="ascii")
+
+
+def render(what: str) -> None:
     from raystream.cli import main
 
+    mode, _, kind = what.partition(":")
+    if kind:
+        write_hills()
+    scene = "hills.obj" if kind else "robots"
     # As a preview, but without a limit of time: it decides whether tiles get samples.
-    usual = ("--samples", "16", "--noise", "1e-6") if mode in ("kajiya", "path") else ()
+    usual: tuple[str, ...] = ()
+    if mode in ("kajiya", "path"):
+        usual = "--samples", "16", "--noise", "1e-6", "--denoise"
+    sys.modules["pyoidn"] = None  # type: ignore[assignment]  # the filter of a plain installation
     for name, more in (("a.png", usual), ("b.png", ("--samples", "2"))):
         with contextlib.suppress(SystemExit):
-            main(["render", "robots", "-o", name, "--mode", mode, "--size", SIZE, *more])
+            main(["render", scene, "-o", name, "--mode", mode, "--size", SIZE, *more])
 
 
 def query(kind: str) -> None:
@@ -100,7 +127,7 @@ def record(task: str) -> list[dict[str, Any]]:
         save(self, sig, data)
 
     # Each kernel is compiled when it is requested, so that its seconds are its own.
-    compiling._CompileListener._compile_all = lambda *_: None  # type: ignore[method-assign]
+    compiling.CompileListener._compile_all = lambda *_: None  # type: ignore[method-assign]
     KernelCache.load_overload, KernelCache.save_overload = note, note_end  # type: ignore[method-assign]
     kind, _, name = task.partition("-")
     {"render": render, "query": query, "build": build}[kind](name)

@@ -53,7 +53,13 @@ MATERIALS = [
         normal_reflectance=(0.1, 0.05, 0.02),
         grazing_reflectance=0.75,
         transmission=(0.3, 0.2, 0.1),
+        clearcoat=0.7,
+        clearcoat_roughness=0.5,
+        sheen_color=(0.2, 0.5, 0.3),
+        sheen_roughness=0.6,
         textures={
+            "clearcoat_normal": rs.Texture(np.uint8([[[120, 150, 240]]])),
+            "sheen_roughness": bitmap(2, 2),
             "normal": rs.Texture(np.uint8([[[150, 110, 240], [110, 140, 240]]])),
             "metallic_roughness": bitmap(2, 2),
         },

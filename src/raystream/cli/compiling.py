@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from raystream.cli.console import write_note
 from raystream.cli.load import Stopwatch
@@ -14,7 +14,10 @@ from raystream.core.cache_folder import cache_folder
 from raystream.jit.compile_events import listening
 from raystream.jit.threads import thread_count
 
-__all__ = ["compiling"]
+if TYPE_CHECKING:
+    from raystream.scene.scene import Scene
+
+__all__ = ["CompileListener", "compiling", "render_task"]
 
 #: Seconds of compilation before a note is printed.
 DELAY = 1.0
@@ -24,7 +27,9 @@ MAX_HELPERS = 3
 
 
 @contextlib.contextmanager
-def compiling(task: str, chosen: TracerArguments, stopwatch: Stopwatch) -> Iterator[None]:
+def compiling(
+    task: str, chosen: TracerArguments, stopwatch: Stopwatch
+) -> Iterator[CompileListener]:
     """During the block, report compilation that takes more than a second.
 
     When the first kernel is missing, all kernels of the task are compiled, on as many cores as
@@ -38,21 +43,37 @@ def compiling(task: str, chosen: TracerArguments, stopwatch: Stopwatch) -> Itera
         Kernels of other structures and devices than the default are compiled when first needed.
     stopwatch : Stopwatch
         Records a step "compile", if anything is compiled.
+
+    Yields
+    ------
+    CompileListener
+        Its `task` may be replaced by a more exact one before the first kernel is needed.
     """
     is_listed = chosen.structure in (None, "bvh") and chosen.device == "cpu"
-    listener = _CompileListener(task if is_listed else None, stopwatch)
+    listener = CompileListener(task, is_listed, stopwatch)
     try:
         with listening(listener):
-            yield
+            yield listener
     finally:
         listener.stop()
 
 
-class _CompileListener:
+def render_task(mode: str, scene: Scene, has_sky: bool = False) -> str:
+    """The task whose kernels an image of a scene needs; `has_sky`: with an image of the sky."""
+    is_plain = not (
+        has_sky
+        or any(m.textures or m.roughness is not None for m in scene.materials)
+        or any(getattr(light, "image", None) is not None for light in scene.lights)
+    )
+    return f"render-{mode}" if is_plain else f"render-{mode}:full"
+
+
+class CompileListener:
     """Reports slow compilation; see `jit.compile_events.CompileListener`."""
 
-    def __init__(self, task: str | None, stopwatch: Stopwatch) -> None:
-        self._task = task
+    def __init__(self, task: str, is_listed: bool, stopwatch: Stopwatch) -> None:
+        self.task = task
+        self._is_listed = is_listed
         self._stopwatch = stopwatch
         self._helpers: list[Any] = []
         self._lock = threading.Lock()
@@ -61,12 +82,14 @@ class _CompileListener:
         self._has_told = False
 
     def begin(self, kernel: str) -> None:
+        """Compile the task's other kernels, when the first one is missing."""
         with self._lock:
             is_first, self._has_begun = not self._has_begun, True
-        if is_first and self._task is not None:
-            self._compile_all(self._task, kernel)
+        if is_first and self._is_listed:
+            self._compile_all(self.task, kernel)
 
     def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a listener's
+        """Say what takes so long, after a second."""
         with self._lock:
             self._seconds += seconds
             is_time = self._seconds > DELAY

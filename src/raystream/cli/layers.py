@@ -22,11 +22,12 @@ GUIDES = ("depth", "normal", "albedo", "emission")
 
 
 class LayerSelection(NamedTuple):
-    """The layers to render, and the layers to save; whether the image is denoised."""
+    """The layers to render, and the layers to save; whether the image is denoised, and fast."""
 
     rendered: tuple[str, ...]
     saved: tuple[str, ...]
     is_denoised: bool
+    is_fast: bool
 
     def report_denoiser(self) -> None:
         """Say on stderr that the better denoiser is not there, if it is wanted."""
@@ -38,8 +39,9 @@ class LayerSelection(NamedTuple):
     def denoise(self, image: Image) -> Image:
         """Denoise an image, and drop the layers that only guided the filter."""
         from raystream.rendering.image import Image
+        from raystream.rendering.oidn import has_oidn
 
-        smooth = image.denoise()
+        smooth = image.denoise("oidn-fast" if self.is_fast and has_oidn() else None)
         layers = {
             name: layer
             for name, layer in smooth.layers.items()
@@ -69,7 +71,7 @@ class LayerOptions:
         ),
     ] = None
 
-    def select(self, output: Path, is_denoised: bool) -> LayerSelection:
+    def select(self, output: Path, is_denoised: bool, is_fast: bool = False) -> LayerSelection:
         """Choose the layers for an output file; `is_denoised` unless an option decides.
 
         Raises
@@ -92,4 +94,4 @@ class LayerOptions:
         denoises = is_denoised if self.denoise is None else self.denoise
         guides = GUIDES if denoises else ()
         rendered = tuple(name for name in NAMES if name in saved or name in guides)
-        return LayerSelection(rendered, saved, denoises)
+        return LayerSelection(rendered, saved, denoises, is_fast)

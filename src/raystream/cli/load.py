@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from raystream.cli.options import SceneOptions
 from raystream.cli.tracer_options import TracerArguments
 
 if TYPE_CHECKING:
+    from raystream.scene.scene import Scene
     from raystream.tracer import Tracer
 
 __all__ = ["Stopwatch", "choose_threads", "open_tracer", "rays_per_second"]
@@ -54,7 +55,12 @@ def choose_threads(count: int | None) -> None:
 
 
 def open_tracer(
-    name: str, loading: SceneOptions, chosen: TracerArguments, bars: Bars, watch: Stopwatch
+    name: str,
+    loading: SceneOptions,
+    chosen: TracerArguments,
+    bars: Bars,
+    watch: Stopwatch,
+    loaded: Callable[[Scene], None] | None = None,
 ) -> Tracer:
     """Load a scene and build its structure, or load a saved structure.
 
@@ -67,6 +73,8 @@ def open_tracer(
     bars : Bars
     watch : Stopwatch
         Records "load" and "build".
+    loaded : callable, optional
+        Called with the scene, of a model before anything is computed from it.
 
     Raises
     ------
@@ -80,7 +88,10 @@ def open_tracer(
     if name.lower().endswith(".npz"):
         if options_given(loading):
             raise BadInputError(f"{name}: --time and --triangles do not apply to saved structures")
-        return _open_structure(name, chosen, bars, watch)
+        tracer = _open_structure(name, chosen, bars, watch)
+        if loaded is not None:
+            loaded(tracer.scene)
+        return tracer
     from raystream.scene.load import load
 
     # Without these arguments, a ValueError would be a bug in a reader.
@@ -88,6 +99,8 @@ def open_tracer(
     with watch.measure("load"), bars.step("loading"):
         with refuse(*kinds):
             scene = load(name, time=loading.time, triangles=loading.triangles)
+        if loaded is not None:
+            loaded(scene)
         _ = scene.triangles  # computed on first use; excluded from the build time
     with watch.measure("build"), bars.step("building") as progress, chosen.blamed():
         return Tracer(

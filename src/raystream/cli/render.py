@@ -11,7 +11,7 @@ from raystream.cli.bars import Bars
 from raystream.cli.brightness import Exposure, report_blank
 from raystream.cli.checkpoint import PathProgress, checkpoint_path, sample_checkpoint
 from raystream.cli.clusters import ClusterOptions, ImageRenderer
-from raystream.cli.compiling import compiling
+from raystream.cli.compiling import compiling, render_task
 from raystream.cli.console import (
     BadInputError,
     one_line,
@@ -29,6 +29,7 @@ from raystream.cli.tracer_options import TracerArguments, TracerOptions
 if TYPE_CHECKING:
     from raystream.rendering.heatmap import Heatmap
     from raystream.rendering.image import Image
+    from raystream.scene.scene import Scene
 
 __all__ = ["DEFAULT_SCENE", "render"]
 
@@ -70,7 +71,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
     heat: Heatmap | None = None
     with (
         Bars() as bars,
-        compiling(f"render-{job.mode}", job.chosen, watch),
+        compiling(f"render-{job.mode}", job.chosen, watch) as kernels,
         job.workers.client() as client,
         sample_checkpoint(checkpoint) as samples_file,
     ):
@@ -78,7 +79,12 @@ def _render_image(job: RenderJob, json: bool) -> None:
         built = job.chosen
         if render_with.builds_on_workers:
             built = TracerArguments(None, "cpu", {})
-        tracer = open_tracer(job.scene, job.loading, built, bars, watch)
+
+        def choose_task(scene: Scene) -> None:
+            if what is None:
+                kernels.task = render_task(job.mode, scene, asked.lighting.has_sky)
+
+        tracer = open_tracer(job.scene, job.loading, built, bars, watch, choose_task)
         if asked.lighting.has_sky:
             with watch.measure("environment"), bars.step("preparing the sky"):
                 tracer.update(asked.lighting.apply(tracer.scene))

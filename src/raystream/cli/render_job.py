@@ -19,7 +19,7 @@ from raystream.cli.layers import LayerOptions, LayerSelection
 from raystream.cli.lighting import LightingOptions
 from raystream.cli.load import choose_threads
 from raystream.cli.option_groups import options_given
-from raystream.cli.sampling import SamplingOptions, is_denoised, mode_arguments
+from raystream.cli.sampling import SamplingOptions, is_denoised, is_preview, mode_arguments
 from raystream.cli.tracer_options import TracerArguments, TracerOptions
 
 if TYPE_CHECKING:
@@ -153,7 +153,9 @@ class RenderJob:
         chosen = tracing.arguments()
         mode = image.mode or options.DEFAULT_MODE
         is_image = image.heat.heatmap is None
-        layers = image.layers.select(image.output, is_image and is_denoised(mode, image.sampling))
+        layers = image.layers.select(
+            image.output, is_image and is_denoised(mode, image.sampling), is_preview(image.sampling)
+        )
         image.lighting.check()
         if image.is_animation:
             _refuse_beside_frames(options_given(image.heat) | {"time": loading.time})

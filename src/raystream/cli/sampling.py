@@ -14,7 +14,7 @@ from raystream.cli.console import BadInputError
 if TYPE_CHECKING:
     from raystream.rendering.integrator import Integrator
 
-__all__ = ["SamplingOptions", "is_denoised", "mode_arguments"]
+__all__ = ["SamplingOptions", "is_denoised", "is_preview", "mode_arguments"]
 
 #: Maximum samples when noise or time decide, and no number is given.
 MAX_SAMPLES = 1 << 16
@@ -153,6 +153,11 @@ def is_denoised(mode: str, sampling: SamplingOptions) -> bool:
     """Whether the quality asks for a denoised image."""
     quality = _quality(sampling)
     return quality is not None and quality.is_denoised and mode in NOISY
+
+
+def is_preview(sampling: SamplingOptions) -> bool:
+    """Whether a few seconds count for more than the last of the noise."""
+    return _quality(sampling) is QUALITIES["preview"]
 
 
 def _quality(sampling: SamplingOptions) -> Quality | None:

@@ -44,8 +44,9 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 #: Files of `jit` that no compiled code depends on: they run before or after compilation.
 _HOST_FILES = frozenset(
-    ["__init__.py", "cache.py", "constants.py", "fingerprint.py", "from_source.py", "signatures.py"]
-    + ["compile_events.py", "compile_lock.py", "threads.py", "user_loops.py", "warm.py"]
+    ["__init__.py", "cache.py", "constants.py", "copies.py", "fingerprint.py"]
+    + ["from_source.py", "signatures.py", "compile_events.py", "compile_lock.py"]
+    + ["threads.py", "user_loops.py", "warm.py"]
 )
 
 _CUDA_ROOM = "raystream.jit.cuda."

@@ -36,6 +36,9 @@ TASKS = ("render", "query", "build", "all")
 
 FILE = Path(__file__).with_name("kernels.json")
 
+#: Suffix of kernels for plain scenes.
+PLAIN = "_of_plain_scenes"
+
 #: Seconds between two checks of what other processes have compiled.
 _PAUSE = 0.25
 
@@ -70,15 +73,22 @@ def entries_of(task: str, file: Path = FILE) -> list[Entry]:
     Parameters
     ----------
     task : str
-        One of `TASKS`, or a part of one: ``"render-ao"``, ``"query-first"``.
+        One of `TASKS`, or a part of one: ``"render-ao"``, ``"query-first"``. With ``":full"``, as
+        in ``"render-path:full"``, of scenes that are not plain; see `shading.plain_scenes`.
     file : Path, optional
         Another list.
     """
     entries = [Entry(**row) for row in json.loads(file.read_text(encoding="utf-8"))]
+    part, _, of_full = task.partition(":")
     found = [
         entry
         for entry in entries
-        if task == "all" or any(one == task or one.startswith(f"{task}-") for one in entry.tasks)
+        if task == "all"
+        or task in entry.tasks
+        or (
+            any(one == part or one.startswith(f"{part}-") for one in entry.tasks)
+            and not (of_full and entry.kernel.endswith(PLAIN))
+        )
     ]
     return sorted(found, key=lambda entry: -entry.seconds)
 

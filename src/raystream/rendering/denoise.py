@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from raystream.rendering.regional_gain import regional_gain
 __all__ = ["denoise"]
 
 #: Memory per pixel of each filter, as measured with a megapixel: images, layers and buffers.
-_BYTES_PER_PIXEL = {"oidn": 760, "atrous": 220}
+_BYTES_PER_PIXEL = {"oidn": 760, "oidn-fast": 760, "atrous": 220}
 
 #: Light is clamped to this, so that sums of squares do not overflow float32.
 _MOST_LIGHT = np.float32(1e15)
@@ -26,6 +27,7 @@ _MOST_LIGHT = np.float32(1e15)
 #: Filters by name: from an image and its light, without emission, to the change of light.
 _FILTERS: dict[str, Callable[[Image, NDArray[np.float32]], NDArray[np.float32]]] = {
     "oidn": filter_with_oidn,
+    "oidn-fast": partial(filter_with_oidn, is_fast=True),
     "atrous": filter_with_atrous,
 }
 

@@ -181,8 +181,9 @@ class Image:
 
         Parameters
         ----------
-        method : {"oidn", "atrous"}, optional
+        method : {"oidn", "oidn-fast", "atrous"}, optional
             Open Image Denoise [1]_, a neural network on the CPU (needs ``raystream[denoise]``);
+            its smaller network, which takes about half the time and leaves up to 5 % more error;
             or raystream's edge-avoiding à-trous wavelet filter [2]_, with the weights of the
             spatial part of [3]_: it averages pixels of one surface whose light differs by no more
             than noise. [default: Open Image Denoise if it is installed]
@@ -198,7 +199,7 @@ class Image:
         ValueError
             If `method` is unknown, or a layer has the wrong shape.
         ImportError
-            If `method` is ``"oidn"``, and Open Image Denoise is not installed.
+            If `method` is ``"oidn"`` or ``"oidn-fast"``, and Open Image Denoise is not installed.
         MemoryError
             If the buffers do not fit into memory.
         RaystreamError

@@ -35,7 +35,9 @@ def has_oidn() -> bool:
         return False
 
 
-def filter_with_oidn(image: Image, light: NDArray[np.float32]) -> NDArray[np.float32]:
+def filter_with_oidn(
+    image: Image, light: NDArray[np.float32], is_fast: bool = False
+) -> NDArray[np.float32]:
     """Filter the light of an image with Open Image Denoise, on the CPU.
 
     Parameters
@@ -44,6 +46,8 @@ def filter_with_oidn(image: Image, light: NDArray[np.float32]) -> NDArray[np.flo
         Its layers ``"albedo"`` and ``"normal"`` are guides: both, albedo alone, or none.
     light : ndarray of shape (H, W, 3), float32
         Linear RGB without emission, finite; negative values count as 0.
+    is_fast : bool
+        Whether to use a smaller network.
 
     Returns
     -------
@@ -66,11 +70,11 @@ def filter_with_oidn(image: Image, light: NDArray[np.float32]) -> NDArray[np.flo
         planes["albedo"] = np.clip(finite(guide_layer(image, "albedo", 3, 0.0)), 0.0, 1.0)
         if "normal" in image.layers:
             planes["normal"] = np.clip(finite(guide_layer(image, "normal", 3, 0.0)), -1.0, 1.0)
-    _run(planes)
+    _run(planes, is_fast)
     return planes["output"] - light
 
 
-def _run(planes: dict[str, NDArray[np.float32]]) -> None:
+def _run(planes: dict[str, NDArray[np.float32]], is_fast: bool) -> None:
     """Run its filter for rendered images; ``planes["output"]`` is written."""
     import pyoidn
 
@@ -85,6 +89,8 @@ def _run(planes: dict[str, NDArray[np.float32]]) -> None:
             for name, plane in planes.items():
                 neural.set_image(name, plane, pyoidn.OIDN_FORMAT_FLOAT3)
             neural.set_bool("hdr", True)
+            if is_fast:
+                neural.set_int("quality", pyoidn.OIDN_QUALITY_FAST)
             neural.commit()
             neural.execute()
             _check(device)

@@ -24,7 +24,8 @@ from raystream.rendering.integrator import (
     trace_shadow_rays,
 )
 from raystream.rendering.sampling.sampler import PixelSample
-from raystream.rendering.shading.paths import PathOptions, shade_paths
+from raystream.rendering.shading.paths import PathOptions, shade_paths, shade_plain_paths
+from raystream.rendering.shading.plain_scenes import kernel_for
 from raystream.rendering.shading.shadow_rays import ShadowRays
 
 __all__ = ["PATH", "PATH_STAGES", "check_path", "shade_surfaces"]
@@ -37,7 +38,8 @@ def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: add emitted light, sample the lights by shadow rays, and scatter the paths."""
     context, paths = band.context, stream.paths
     rays, sectors = ShadowRays.empty(len(stream)), sectors_of(stream, band)
-    path_count, ray_count = shade_paths(
+    shade = kernel_for(shade_paths, shade_plain_paths, context.tables, context.lights)
+    path_count, ray_count = shade(
         shading_batch(stream, band),
         context.tables,
         context.lights,

@@ -14,7 +14,8 @@ from raystream.rendering.integrator import (
     shading_batch,
     take_no_options,
 )
-from raystream.rendering.shading.local_shading import shade_unshadowed
+from raystream.rendering.shading.local_shading import shade_plain_unshadowed, shade_unshadowed
+from raystream.rendering.shading.plain_scenes import kernel_for
 
 __all__ = ["RAYCAST", "shade_by_lights"]
 
@@ -22,7 +23,9 @@ __all__ = ["RAYCAST", "shade_by_lights"]
 def shade_by_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: shade the hits by every light; the paths end."""
     context = band.context
-    shade_unshadowed(shading_batch(stream, band), context.tables, context.punctual)
+    tables, lights = context.tables, context.punctual
+    shade = kernel_for(shade_unshadowed, shade_plain_unshadowed, tables, lights)
+    shade(shading_batch(stream, band), tables, lights)
     return PathStream(stream.paths.first(0))
 
 

@@ -21,9 +21,10 @@ from raystream.rendering.integrator import (
     shading_batch,
     trace_shadow_rays,
 )
+from raystream.rendering.shading.plain_scenes import kernel_for
 from raystream.rendering.shading.shadow_rays import ShadowRays
 from raystream.rendering.shading.streams import Paths
-from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted
+from raystream.rendering.shading.whitted import WhittedOptions, shade_plain_whitted, shade_whitted
 
 __all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sample_all_lights"]
 
@@ -34,7 +35,8 @@ def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
     continues = stream.bounce < context.options["max_bounces"]
     rays = ShadowRays.empty(count * lights_per_pixel(context))
     onward = Paths.empty(2 * count if continues else 0)
-    path_count, ray_count = shade_whitted(
+    shade = kernel_for(shade_whitted, shade_plain_whitted, context.tables, context.punctual)
+    path_count, ray_count = shade(
         shading_batch(stream, band),
         context.tables,
         context.punctual,

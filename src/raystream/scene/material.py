@@ -20,6 +20,10 @@ _NUMBERS = (
     "grazing_reflectance",
     "normal_scale",
     "bump_scale",
+    "clearcoat",
+    "clearcoat_roughness",
+    "clearcoat_normal_scale",
+    "sheen_roughness",
     "alpha_cutoff",
 )
 
@@ -63,9 +67,9 @@ class Material:
         False if only the front is visible (glTF); tracing hits both sides.
     textures : mapping of str to Texture
         By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
-        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``. Opacity is read from the alpha
-        channel, or from the luminance if there is none or it is 1 everywhere. Occlusion is
-        not used: rays compute it.
+        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``, and those of coat and sheen.
+        Opacity is read from the alpha channel, or from the luminance if there is none or it is 1
+        everywhere. Occlusion is not used: rays compute it.
     normal_scale : float
         Factor of a normal map's x and y: 0 is flat, negative swaps bumps and dents.
     bump_scale : float
@@ -78,6 +82,19 @@ class Material:
         Absorption coefficient of the volume behind the surface: exp(-absorption d) is
         transmitted over a world length d (Beer-Lambert law). It applies where a ray hits the
         surface from behind, so meshes should be closed.
+    clearcoat, clearcoat_roughness : float
+        With `roughness`, the strength from 0 to 1 of a clear coat on both sides of the surface,
+        whose index of refraction is 1.5, and its roughness; times the red of the texture
+        ``"clearcoat"`` and the green of ``"clearcoat_roughness"``. It does not dim the light that
+        the surface emits.
+    clearcoat_normal_scale : float
+        As `normal_scale`, for ``"clearcoat_normal"``: the coat does not follow ``"normal"``.
+    sheen_color : Color
+        With `roughness`, colour of fibres, as of velvet, above the surface and below the coat; at
+        most 1, and times the texture ``"sheen_color"``.
+    sheen_roughness : float
+        From 0, where only the silhouette shines, to 1; times the texture ``"sheen_roughness"``
+        of one channel.
     """
 
     name: str = ""
@@ -99,9 +116,14 @@ class Material:
     bump_scale: float = 1.0
     alpha_cutoff: float | None = None
     absorption: Color = (0.0, 0.0, 0.0)
+    clearcoat: float = 0.0
+    clearcoat_roughness: float = 0.0
+    clearcoat_normal_scale: float = 1.0
+    sheen_color: Color = (0.0, 0.0, 0.0)
+    sheen_roughness: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in (*_COLORS, "normal_reflectance", "absorption"):
+        for name in (*_COLORS, "normal_reflectance", "sheen_color", "absorption"):
             color = tuple(float(c) for c in getattr(self, name))
             if len(color) != 3 or not all(math.isfinite(c) and c >= 0.0 for c in color):
                 raise ValueError(f"{name}: expected three finite numbers >= 0, got {color}")
@@ -115,6 +137,16 @@ class Material:
     def emits(self) -> bool:
         """Whether triangles of this material are lights."""
         return any(c > 0.0 for c in self.emission)
+
+    @property
+    def is_coated(self) -> bool:
+        """Whether there is a clear coat."""
+        return self.roughness is not None and self.clearcoat > 0.0
+
+    @property
+    def has_sheen(self) -> bool:
+        """Whether there are fibres with a sheen."""
+        return self.roughness is not None and any(self.sheen_color)
 
     @property
     def is_opaque(self) -> bool:

@@ -204,3 +204,37 @@ def test_textures_of_extensions(tmp_path: Path) -> None:
         _, material = loaded(tmp_path, document)
     assert len(caught) == 1
     assert list(material.textures) == ["specular"]
+
+
+def test_clear_coats_and_sheen(tmp_path: Path) -> None:
+    document = extended(
+        clearcoat={
+            "clearcoatFactor": 0.5,
+            "clearcoatTexture": use(0),
+            "clearcoatRoughnessFactor": 0.25,
+            "clearcoatRoughnessTexture": use(1),
+            "clearcoatNormalTexture": use(2) | {"scale": -0.75},
+        },
+        sheen={
+            "sheenColorFactor": [0.1, 0.2, 0.3],
+            "sheenColorTexture": use(3),
+            "sheenRoughnessFactor": 0.125,
+            "sheenRoughnessTexture": use(3),
+        },
+    )
+    _, material = loaded(tmp_path, document)
+    assert (material.clearcoat, material.clearcoat_roughness) == (0.5, 0.25)
+    assert material.clearcoat_normal_scale == -0.75
+    assert (material.sheen_color, material.sheen_roughness) == ((0.1, 0.2, 0.3), 0.125)
+    found = {role: texture.pixels()[0, 0].tolist() for role, texture in material.textures.items()}
+    assert found == {
+        "clearcoat": [0, 0, 0, 9],
+        "clearcoat_roughness": [1, 0, 0, 9],
+        "clearcoat_normal": [2, 0, 0, 9],
+        "sheen_color": [3, 0, 0, 9],
+        "sheen_roughness": [9],
+    }
+    _, plain = loaded(tmp_path, {})
+    assert (plain.is_coated, plain.has_sheen) == (False, False)
+    _, extreme = loaded(tmp_path, extended(clearcoat={"clearcoatFactor": 7}, sheen={}))
+    assert (extreme.clearcoat, extreme.clearcoat_roughness, extreme.has_sheen) == (1, 0, False)

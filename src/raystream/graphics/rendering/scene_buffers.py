@@ -80,7 +80,7 @@ def _rest(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _material_rows(materials: Sequence[Material], kinds: int) -> NDArray[np.float32]:
-    rows = material_rows(materials)
+    rows = np.ascontiguousarray(material_rows(materials)[:, : COLUMNS.clearcoat])  # WIDTH in WGSL
     for kind, column in _OF_KINDS:
         if not kinds & kind:
             rows[:, column : column + 3] = 0.0

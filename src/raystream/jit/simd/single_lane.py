@@ -7,23 +7,17 @@ source says 16. Lanes do not depend on each other, so the bits are the same.
 
 from __future__ import annotations
 
-import dis
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from types import FunctionType
 from typing import Any
 
-import numba
 from llvmlite import ir
 from numba import types
-from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 
+from raystream.jit.copies import Copies
 from raystream.jit.simd.types import VECTORS, VectorType, refuse
 
 __all__ = ["lane_count", "single_lane"]
-
-_PACKAGE = Path(__file__).parents[2]
 
 #: Width of the vectors that become single lanes.
 _WIDE = 16
@@ -62,52 +56,9 @@ def single_lane(
     TypeError
         If it is not compiled, or is a closure.
     """
-    if not isinstance(function, Dispatcher):
-        raise TypeError(f"function: expected a compiled one, got {type(function).__name__}")
-    return _Copies(instead or {}).of(function)
+    return Copies("of_one_lane", instead or {}, _narrow).of(function)
 
 
-class _Copies:
-    """Makes each copy once."""
-
-    def __init__(self, instead: Mapping[Any, Any]) -> None:
-        self._instead = instead
-        self._made: dict[Any, Any] = {}
-
-    def of(self, function: Any) -> Any:
-        if function not in self._made:
-            self._made[function] = self._copy(self._instead.get(function, function))
-        return self._made[function]
-
-    def _copy(self, dispatcher: Any) -> Any:
-        function = dispatcher.py_func
-        if not Path(function.__code__.co_filename).is_relative_to(_PACKAGE):
-            return dispatcher
-        given = {
-            name: function.__globals__[name]
-            for name in _global_names(function)
-            if name in function.__globals__
-        }
-        made = {name: self._value(value) for name, value in given.items()}
-        if all(made[name] is value for name, value in given.items()):
-            return dispatcher
-        if function.__closure__:
-            raise TypeError(f"function: {function.__qualname__} is a closure")
-        copy = FunctionType(
-            function.__code__,
-            {**function.__globals__, **made},
-            function.__name__,
-            function.__defaults__,
-        )
-        copy.__qualname__ = f"{function.__qualname__}_of_one_lane"
-        copy.__module__ = function.__module__
-        return numba.jit(**dispatcher.targetoptions)(copy)
-
-    def _value(self, value: Any) -> Any:
-        if isinstance(value, VectorType) and value.lane_count == _WIDE:
-            return VECTORS[value.kind, 1]
-        return self.of(value) if isinstance(value, Dispatcher) else value
-
-
-def _global_names(function: FunctionType) -> set[str]:
-    return {step.argval for step in dis.get_instructions(function) if step.opname == "LOAD_GLOBAL"}
+def _narrow(value: Any) -> Any:
+    is_wide = isinstance(value, VectorType) and value.lane_count == _WIDE
+    return VECTORS[value.kind, 1] if is_wide else value

@@ -6,7 +6,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import exponential, select
-from raystream.rendering.shading.surface_points import material_color
+from raystream.rendering.shading.material_values import material_color
 from raystream.rendering.shading.tables import COLUMNS
 
 __all__ = ["transmittance"]

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import as_uint32
-from raystream.rendering.shading.bsdf import lobes_at
+from raystream.rendering.shading.bsdf import diffuse_albedo, glossy_albedo, lobes_at
 from raystream.rendering.shading.streams import addresses_of, direction_of
 from raystream.rendering.shading.surface_points import surface_point
+from raystream.rendering.shading.vectors import added
 
 __all__ = ["AovBuffers", "write_aovs"]
 
@@ -80,10 +81,12 @@ def write_aovs(batch, tables, aovs):
             continue
         dx, dy, dz, length = direction_of(paths, i)
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
-        lobes = lobes_at(tables, point)
+        back = -dx / length, -dy / length, -dz / length
+        lobes = lobes_at(tables, point, back)
+        albedo = added(diffuse_albedo(lobes), glossy_albedo(lobes), 1.0)
         aovs.depth[pixel] = np.float32(np.float64(ts[i]) * length)
         aovs.normal[pixel, 0] = np.float32(point.nx)
         aovs.normal[pixel, 1] = np.float32(point.ny)
         aovs.normal[pixel, 2] = np.float32(point.nz)
         for k in range(3):
-            aovs.albedo[pixel, k] = np.float32(min(lobes.diffuse[k] + lobes.specular[k], 1.0))
+            aovs.albedo[pixel, k] = np.float32(min(albedo[k], 1.0))

@@ -1,4 +1,4 @@
-"""BSDFs: diffuse, glossy, mirror and transmissive lobes of a surface, and their sum.
+"""BSDFs: diffuse, glossy, mirror and transmissive lobes of a surface, coatings, and their sum.
 
 A surface may have several lobes, as MTL and BART materials do. Mirror and transmissive lobes are
 delta distributions, and are only sampled. Directions are unit vectors that point away from the
@@ -19,36 +19,49 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
+from raystream.rendering.shading.coatings import coat_at, sheen_at
+from raystream.rendering.shading.material_values import (
+    color_if,
+    looked_up,
+    material_color,
+    material_number,
+    tinted,
+)
 from raystream.rendering.shading.microfacet import LEAST_ALPHA, eval_rough_reflection, schlick
-from raystream.rendering.shading.surface_points import material_color, material_number
+from raystream.rendering.shading.sheen import eval_sheen
 from raystream.rendering.shading.tables import (
     COLUMNS,
     EMITS,
+    HAS_COAT,
     HAS_REFLECTION,
+    HAS_SHEEN,
     HAS_SPECULAR,
     HAS_TRANSMISSION,
     IS_ROUGH,
-    IS_TEXTURED,
 )
-from raystream.rendering.shading.textures import ROLES, texture_color, texture_of
+from raystream.rendering.shading.textures import ROLES
 from raystream.rendering.shading.vectors import added, chosen, dot, largest, mirrored, scaled, times
 
 __all__ = [
     "Bounce",
     "Lobes",
+    "Pdfs",
+    "diffuse_albedo",
     "emitted",
     "eval_reflection",
     "fresnel",
     "gloss_share",
+    "glossy_albedo",
     "lobes_at",
+    "metal_or_plastic",
     "reflected_surroundings",
     "refracted",
+    "sheen_share",
 ]
 
 _NULL, _WHOLE, _TWO, _HALF, _THIRD = map(np.float32, (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))
-_LEAST_IOR = np.float32(1e-3)
+_LEAST_IOR, _LEAST = np.float32(1e-3), np.float32(1e-30)
 _INV_PI, _INV_TWO_PI = np.float32(1.0 / math.pi), np.float32(0.5 / math.pi)
-_0 = np.int32(0)
 
 _DIFFUSE = np.int32(COLUMNS.diffuse)
 _SPECULAR = np.int32(COLUMNS.specular)
@@ -82,6 +95,16 @@ class Lobes(NamedTuple):
     alpha : float64
         GGX roughness of a glTF material, see `microfacet`: `specular` is then its reflectance at
         normal incidence. 0 for Phong's lobe.
+    base : float64
+        Share of light that coatings leave to all these lobes, 1 without any.
+    coat : float64
+        Share that a clear coat reflects, 0 without one.
+    coat_alpha : float64
+        Its GGX roughness.
+    sheen : tuple of three float64
+        Colour of fibres, black without sheen.
+    sheen_alpha : float64
+        Squared roughness of the fibres; 0 without sheen.
     """
 
     diffuse: Vector
@@ -91,6 +114,25 @@ class Lobes(NamedTuple):
     shininess: float
     ior: float
     alpha: float
+    base: float
+    coat: float
+    coat_alpha: float
+    sheen: Vector
+    sheen_alpha: float
+
+
+class Pdfs(NamedTuple):
+    """Densities over solid angle of the samples of lobes, for one direction.
+
+    Attributes
+    ----------
+    diffuse, specular, coat, sheen : float64
+    """
+
+    diffuse: float
+    specular: float
+    coat: float
+    sheen: float
 
 
 class Bounce(NamedTuple):
@@ -114,52 +156,21 @@ class Bounce(NamedTuple):
 
 
 @device
-def _looked_up(tables, point, role, values):
-    """A texture's RGB at a point; white without a texture."""
-    white = point.nx * _NULL + _WHOLE
-    color = white, white, white
-    if tables.kinds & IS_TEXTURED:
-        texture = texture_of(tables.textures, point.material, role)
-        is_there = texture >= _0
-        if any_lane(is_there):
-            place = maximum(texture, _0)
-            found = texture_color(tables.textures, place, point.u, point.v, values)
-            color = chosen(is_there, found, color)
-    return color
-
-
-@device
-def _tinted(color, tables, point, role):
-    """A material's colour times its texture."""
-    return times(color, _looked_up(tables, point, role, tables.textures.linear))
-
-
-@device
-def _color_if(tables, kind, point, column):
-    """A material's colour, if any material of the scene has one; else black."""
-    nothing = point.nx * _NULL
-    color = nothing, nothing, nothing
-    if tables.kinds & kind:
-        color = material_color(tables, point.material, column)
-    return color
-
-
-@device
 def emitted(tables, point):
     """Radiance that the front of a surface emits."""
-    color = _color_if(tables, EMITS, point, _EMISSION)
-    return _tinted(color, tables, point, _EMISSION_TEXTURE)
+    color = color_if(tables, EMITS, point, _EMISSION)
+    return tinted(color, tables, point, _EMISSION_TEXTURE)
 
 
 @device
-def _metal_or_plastic(tables, point, roughness, base, plastic, grazing):
+def metal_or_plastic(tables, point, roughness, base, plastic, grazing):
     """GGX roughness and share of plastic of glTF materials, and their reflectances.
 
     `plastic` and `grazing` are the reflectances of what is not metal, at normal and at grazing
     incidence.
     """
     metallic = maximum(material_number(tables, point.material, _METALLIC), _NULL)
-    numbers = _looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
+    numbers = looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
     roughness, metallic = roughness * numbers[1], minimum(metallic * numbers[2], _WHOLE)
     rest = _WHOLE - metallic
     alpha = minimum(maximum(roughness * roughness, LEAST_ALPHA), _WHOLE)
@@ -167,7 +178,7 @@ def _metal_or_plastic(tables, point, roughness, base, plastic, grazing):
 
 
 @device_call
-def lobes_at(tables, point):
+def lobes_at(tables, point, back):
     """Evaluate the lobes of a surface at a point.
 
     Lobes that add up to more than 1, as files allow, are scaled down to conserve energy.
@@ -176,14 +187,16 @@ def lobes_at(tables, point):
     ----------
     tables : SceneTables
     point : Point
+    back : tuple of three float64
+        Unit vector to the ray's origin.
     """
     material = point.material
-    tint = _tinted((point.red, point.green, point.blue), tables, point, _DIFFUSE_TEXTURE)
+    tint = tinted((point.red, point.green, point.blue), tables, point, _DIFFUSE_TEXTURE)
     diffuse = times(material_color(tables, material, _DIFFUSE), tint)
-    specular = _color_if(tables, HAS_SPECULAR, point, _SPECULAR)
-    specular = _tinted(specular, tables, point, _SPECULAR_TEXTURE)
-    reflection = _color_if(tables, HAS_REFLECTION, point, _REFLECTION)
-    transmission = _color_if(tables, HAS_TRANSMISSION, point, _TRANSMISSION)
+    specular = color_if(tables, HAS_SPECULAR, point, _SPECULAR)
+    specular = tinted(specular, tables, point, _SPECULAR_TEXTURE)
+    reflection = color_if(tables, HAS_REFLECTION, point, _REFLECTION)
+    transmission = color_if(tables, HAS_TRANSMISSION, point, _TRANSMISSION)
     ior, shininess = point.nx * _NULL + _WHOLE, point.nx * _NULL + _WHOLE
     if tables.kinds & HAS_TRANSMISSION:
         ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
@@ -195,7 +208,7 @@ def lobes_at(tables, point):
     is_rough = roughness >= _NULL
     alpha = roughness * _NULL
     if any_lane(is_rough):
-        rough, rest, mirror, grazing = _metal_or_plastic(
+        rough, rest, mirror, grazing = metal_or_plastic(
             tables, point, roughness, diffuse, specular, shininess
         )
         through = scaled(times(transmission, tint), rest)
@@ -211,6 +224,13 @@ def lobes_at(tables, point):
         ),
         _WHOLE,
     )
+    base, coat, nothing = point.nx * _NULL + _WHOLE, point.nx * _NULL, point.nx * _NULL
+    coat_alpha, sheen, sheen_alpha = coat, (nothing, nothing, nothing), nothing
+    if tables.kinds & HAS_SHEEN:
+        sheen, sheen_alpha, base = sheen_at(tables, point, back)
+    if tables.kinds & HAS_COAT:
+        coat, coat_alpha = coat_at(tables, point, back)
+        base, sheen = base * (_WHOLE - coat), scaled(sheen, _WHOLE - coat)
     return Lobes(
         scaled(diffuse, share),
         scaled(specular, share),
@@ -219,7 +239,38 @@ def lobes_at(tables, point):
         shininess,
         select(point.is_front, ior, _WHOLE / ior),
         alpha,
+        base,
+        coat,
+        coat_alpha,
+        sheen,
+        sheen_alpha,
     )
+
+
+@device
+def sheen_share(lobes):
+    """Share of light that fibres reflect, in their strongest channel."""
+    share = maximum(_WHOLE - lobes.base - lobes.coat, _NULL)
+    return select(lobes.sheen_alpha > _NULL, share, _NULL)
+
+
+@device
+def diffuse_albedo(lobes):
+    """Share of light that is scattered: by the surface, and by fibres with a sheen."""
+    color = scaled(lobes.diffuse, lobes.base)
+    has_sheen = lobes.sheen_alpha > _NULL
+    if any_lane(has_sheen):
+        strongest = maximum(largest(lobes.sheen[0], lobes.sheen[1], lobes.sheen[2]), _LEAST)
+        share = select(has_sheen, sheen_share(lobes) / strongest, _NULL)
+        color = added(color, lobes.sheen, share)
+    return color
+
+
+@device
+def glossy_albedo(lobes):
+    """Reflectance of the glossy lobe, and of a clear coat."""
+    red, green, blue = scaled(lobes.specular, lobes.base)
+    return red + lobes.coat, green + lobes.coat, blue + lobes.coat
 
 
 @device
@@ -236,7 +287,7 @@ def reflected_surroundings(lobes, lights):
     red, green, blue = lights.surroundings
     around = np.float32(red), np.float32(green), np.float32(blue)
     nothing = lobes.alpha * _NULL
-    color = times(lobes.specular, around)
+    color = times(glossy_albedo(lobes), around)
     return chosen(lobes.alpha > _NULL, color, (nothing, nothing, nothing))
 
 
@@ -333,12 +384,12 @@ def eval_reflection(lobes, point, back, toward):
     -------
     color : tuple of three float64
         BRDF times cosine.
-    diffuse_pdf, specular_pdf : float64
-        Densities over solid angle of the two lobes.
+    pdfs : Pdfs
     """
     normal = point.nx, point.ny, point.nz
     cosine = dot(normal, toward)
-    is_lit = (cosine > _NULL) & (dot((point.gx, point.gy, point.gz), toward) > _NULL)
+    is_above = dot((point.gx, point.gy, point.gz), toward) > _NULL
+    is_lit = (cosine > _NULL) & is_above
     cosine = select(is_lit, cosine, _NULL)
     diffuse_pdf = cosine * _INV_PI
     color, specular_pdf = scaled(lobes.diffuse, diffuse_pdf), cosine * _NULL
@@ -359,4 +410,21 @@ def eval_reflection(lobes, point, back, toward):
         color = color[0] + shining[0], color[1] + shining[1], color[2] + shining[2]
         glossy_pdf = highlight * (lobes.shininess + _WHOLE)
         specular_pdf = select(is_glossy, glossy_pdf, specular_pdf)
-    return color, diffuse_pdf, specular_pdf
+    color, coat_pdf, sheen_pdf = scaled(color, lobes.base), cosine * _NULL, cosine * _NULL
+    has_sheen = is_lit & (lobes.sheen_alpha > _NULL)
+    if any_lane(has_sheen):
+        reflected = eval_sheen(lobes.sheen_alpha, normal, back, toward)
+        color = added(color, lobes.sheen, select(has_sheen, reflected, _NULL))
+        sheen_pdf = select(has_sheen, _INV_TWO_PI, sheen_pdf)
+    normal = point.cx, point.cy, point.cz
+    is_coated = is_above & (lobes.coat > _NULL) & (dot(normal, toward) > _NULL)
+    if any_lane(is_coated):
+        nothing = lobes.coat * _NULL
+        all_ = nothing + _WHOLE
+        black, white = (nothing, nothing, nothing), (all_, all_, all_)
+        shining, pdf = eval_rough_reflection(
+            black, white, all_, lobes.coat_alpha, normal, back, toward
+        )
+        color = added(color, chosen(is_coated, shining, black), lobes.coat)
+        coat_pdf = select(is_coated, pdf, coat_pdf)
+    return color, Pdfs(diffuse_pdf, specular_pdf, coat_pdf, sheen_pdf)

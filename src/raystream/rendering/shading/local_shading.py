@@ -14,11 +14,13 @@ from raystream.jit.simd import (
     square_root,
 )
 from raystream.rendering.shading.bsdf import (
+    diffuse_albedo,
     emitted,
     eval_reflection,
     lobes_at,
     reflected_surroundings,
 )
+from raystream.rendering.shading.plain_scenes import plain_copy
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.sky_lanes import sky_radiance_lanes
@@ -27,7 +29,13 @@ from raystream.rendering.shading.surface_points import surface_points
 from raystream.rendering.shading.tables import IS_ROUGH
 from raystream.rendering.shading.vectors import added, chosen, dot, scaled, times
 
-__all__ = ["facing_ratio_block", "shade_facing_ratio", "shade_unshadowed", "unshadowed_block"]
+__all__ = [
+    "facing_ratio_block",
+    "shade_facing_ratio",
+    "shade_plain_unshadowed",
+    "shade_unshadowed",
+    "unshadowed_block",
+]
 
 #: Of vectors.
 _LANES = 16
@@ -92,16 +100,16 @@ def unshadowed_block(first, batch, tables, lights):
         return
     back = scaled(toward, -_WHOLE)
     point = _points(tables, batch.hits, row, prim, toward, is_hit)
-    lobes = lobes_at(tables, point)
+    lobes = lobes_at(tables, point, back)
     red, green, blue = lights.ambient
-    color = times(lobes.diffuse, (np.float32(red), np.float32(green), np.float32(blue)))
+    color = times(diffuse_albedo(lobes), (np.float32(red), np.float32(green), np.float32(blue)))
     if tables.kinds & IS_ROUGH:
         color = added(color, reflected_surroundings(lobes, lights), _WHOLE)
     glow = added(color, emitted(tables, point), _WHOLE)
     color = chosen(point.is_front, glow, color)
     for number in range(lights.light_count):
         found = incident_light(tables, lights, number, point)
-        share, _, _ = eval_reflection(lobes, point, back, found.toward)
+        share, _ = eval_reflection(lobes, point, back, found.toward)
         more = added(color, times(share, found.color), _WHOLE)
         color = chosen(found.is_valid, more, color)
     _add(batch, row, pixel, color, is_hit)
@@ -121,6 +129,9 @@ def shade_unshadowed(batch, tables, lights):
     places = batch_addresses(batch)
     for first in range(0, batch.path_count, _LANES):
         unshadowed_block(first, places, tables, lights)
+
+
+shade_plain_unshadowed = plain_copy(shade_unshadowed)
 
 
 @device

@@ -20,20 +20,21 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import as_float32, maximum, minimum, select, square_root
 from raystream.rendering.sampling.ggx import visible_normal
 from raystream.rendering.sampling.warp import basis
-from raystream.rendering.shading.vectors import dot, mirrored
+from raystream.rendering.shading.vectors import dot
 
 __all__ = [
     "LEAST_ALPHA",
     "eval_rough_reflection",
-    "rough_direction",
     "schlick",
+    "smith_masking",
+    "visible_facet",
 ]
 
 #: Least roughness; smoother surfaces would need a delta lobe.
 LEAST_ALPHA = np.float32(1e-3)
 
 _LEAST_COSINE = np.float32(1e-4)
-_NULL, _WHOLE, _HALF = map(np.float32, (0.0, 1.0, 0.5))
+_NULL, _HALF, _WHOLE, _TWO = map(np.float32, (0.0, 0.5, 1.0, 2.0))
 _PI, _INV_PI = np.float32(math.pi), np.float32(1.0 / math.pi)
 
 
@@ -51,7 +52,7 @@ def schlick(color, grazing, cosine):
 
 @device_call
 def eval_rough_reflection(diffuse, mirror, grazing, alpha, normal, back, toward):
-    """Evaluate the reflection, with the density of `rough_direction`.
+    """Evaluate the reflection, with the density of mirroring by `visible_facet`.
 
     Parameters
     ----------
@@ -96,8 +97,8 @@ def eval_rough_reflection(diffuse, mirror, grazing, alpha, normal, back, toward)
 
 
 @device_call
-def rough_direction(alpha, normal, back, u, v):
-    """Sample a direction, by the normals of microfacets visible from `back`."""
+def visible_facet(alpha, normal, back, u, v):
+    """Sample the normal of a microfacet, of those visible from `back`."""
     tx, ty, tz, bx, by, bz = basis(
         as_float32(normal[0]), as_float32(normal[1]), as_float32(normal[2])
     )
@@ -111,9 +112,15 @@ def rough_direction(alpha, normal, back, u, v):
         as_float32(alpha),
         as_float32(alpha),
     )
-    half = (
+    return (
         x * across[0] + y * up[0] + z * normal[0],
         x * across[1] + y * up[1] + z * normal[1],
         x * across[2] + y * up[2] + z * normal[2],
     )
-    return mirrored(back, half)
+
+
+@device
+def smith_masking(alpha, cosine):
+    """Share of microfacets that others do not hide from a direction, by its cosine; 0 if <= 0."""
+    square, cosine = alpha * alpha, maximum(cosine, _NULL)
+    return _TWO * cosine / (cosine + square_root(cosine * cosine * (_WHOLE - square) + square))

@@ -30,7 +30,10 @@ from raystream.rendering.shading.textures import ROLES, texture_color, texture_o
 from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
 from raystream.rendering.shading.vertices import attribute_pair, attribute_vector, vertices_of
 
-__all__ = ["has_normal_map", "mapped_normal"]
+__all__ = ["BASE", "COAT", "has_coat_map", "has_normal_map", "mapped_normal"]
+
+#: Layers of a surface that have normal maps: itself, and its clear coat.
+BASE, COAT = np.int32(0), np.int32(1)
 
 #: Between a normal and the view, or the geometric normal: smaller ones may change sign by
 #: float32 rounding.
@@ -38,13 +41,14 @@ _LEAST_COSINE = np.float32(1e-3)
 
 _NORMAL = np.int32(ROLES.index("normal"))
 _BUMP = np.int32(ROLES.index("bump"))
+_COAT_NORMAL = np.int32(ROLES.index("clearcoat_normal"))
 
 _NULL, _HALF, _WHOLE = map(np.float32, (0.0, 0.5, 1.0))
 _INF = np.float32(np.inf)
-_0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
+_0, _1, _2, _3 = map(np.int32, range(4))
 
 #: Numbers in a row of `TextureTables.normal_scales`; bytes of a row of tangents.
-_RELIEF, _TANGENT = np.int32(3), np.uint64(12)
+_RELIEF, _TANGENT = np.int32(4), np.uint64(12)
 
 
 @device
@@ -53,6 +57,12 @@ def has_normal_map(tables, material):
     textures = tables.textures
     normal, bump = texture_of(textures, material, _NORMAL), texture_of(textures, material, _BUMP)
     return maximum(normal, bump) >= _0
+
+
+@device
+def has_coat_map(tables, material):
+    """Whether a material's clear coat, or each of 16, has a normal map."""
+    return texture_of(tables.textures, material, _COAT_NORMAL) >= _0
 
 
 @device
@@ -73,15 +83,18 @@ def _scale(textures, material, column):
 
 
 @device_call
-def _mapped(textures, material, s, t):
+def _mapped(textures, material, s, t, layer):
     """The normal in tangent space, of any length."""
-    texture = texture_of(textures, material, _NORMAL)
+    role, column = (_NORMAL, _0) if layer == BASE else (_COAT_NORMAL, _3)
+    texture = texture_of(textures, material, role)
     is_mapped = texture >= _0
     x, y, z = s * _NULL, s * _NULL, s * _NULL + _WHOLE
     if any_lane(is_mapped):
-        scale = _scale(textures, material, _0)
+        scale = _scale(textures, material, column)
         found = texture_color(textures, maximum(texture, _0), s, t, textures.signed)
         x, y, z = chosen(is_mapped, (scale * found[0], scale * found[1], found[2]), (x, y, z))
+    if layer != BASE:
+        return x, y, z
     texture = texture_of(textures, material, _BUMP)
     is_bumpy = texture >= _0
     if any_lane(is_bumpy):
@@ -124,7 +137,9 @@ def _turned(normal, geometric, back, is_mirror):
 
 
 @device_call
-def mapped_normal(tables, prim, material, weights, texcoord, geometric, normal, is_front, back):
+def mapped_normal(
+    tables, prim, material, weights, texcoord, geometric, normal, is_front, back, layer
+):
     """The shading normal of a normal-mapped surface, or of 16.
 
     Parameters
@@ -139,6 +154,8 @@ def mapped_normal(tables, prim, material, weights, texcoord, geometric, normal, 
         Whether that is the triangle's front.
     back : tuple of three float64
         Unit vector to the ray's origin.
+    layer : int32
+        `BASE` or `COAT`.
 
     Returns
     -------
@@ -168,7 +185,7 @@ def mapped_normal(tables, prim, material, weights, texcoord, geometric, normal, 
         hand * (normal[2] * across[0] - normal[0] * across[2]),
         hand * (normal[0] * across[1] - normal[1] * across[0]),
     )
-    x, y, z = _mapped(tables.textures, material, s, t)
+    x, y, z = _mapped(tables.textures, material, s, t, layer)
     x, y = side * x, side * y
     bent = _unit(added(added(scaled(normal, z), across, x), up, y))
     normal = chosen(is_mapped & _is_unit(bent), bent, normal)

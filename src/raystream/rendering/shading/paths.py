@@ -34,6 +34,7 @@ from raystream.rendering.sampling.sampler import draw_lanes, draw_pair_lanes
 from raystream.rendering.shading.absorption import transmittance
 from raystream.rendering.shading.bsdf import emitted, eval_reflection, lobes_at
 from raystream.rendering.shading.lights import sample_light, triangle_pdf
+from raystream.rendering.shading.plain_scenes import plain_copy
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.scatter import reflection_pdf, scatter
 from raystream.rendering.shading.shadow_rays import put_shadow_rays
@@ -51,7 +52,7 @@ from raystream.rendering.shading.surface_points import spawn_origin, surface_poi
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import dot, largest, scaled, times
 
-__all__ = ["PathOptions", "shade_path_block", "shade_paths"]
+__all__ = ["PathOptions", "shade_path_block", "shade_paths", "shade_plain_paths"]
 
 #: Sampler dimensions that a path uses at each surface, and those before the first one: the
 #: position in the pixel and on the lens.
@@ -131,11 +132,11 @@ def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights
     u, v = draw_pair_lanes(sampler, pixel, sample, dimension)
     choice = draw_lanes(sampler, pixel, sample, dimension + 2)
     found = sample_light(tables, lights, point, choice, u, v)
-    color, diffuse_pdf, specular_pdf = eval_reflection(lobes, point, back, found.toward)
+    color, pdfs = eval_reflection(lobes, point, back, found.toward)
     mask &= found.is_valid & (color[0] + color[1] + color[2] > _NULL)
     share = f32x16(_WHOLE)
     if not is_alone:
-        other = reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf)
+        other = reflection_pdf(lobes, point, back, pdfs)
         share = select(found.pdf < _INF, _mis_weight(found.pdf, other), _WHOLE)
     light = scaled(times(times(weights, color), found.color), share)
     return found, light, mask
@@ -200,7 +201,7 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, options, onwa
         return onward, rays
 
     is_last = not options.follows_last and bounce + 1 >= options.max_bounces
-    lobes = lobes_at(tables, point)
+    lobes = lobes_at(tables, point, back)
     if options.samples_lights and not lights.is_dark:
         numbers = key, samples, dimension
         found, light, is_lit = _light_sampled(
@@ -259,3 +260,6 @@ def shade_paths(batch, tables, lights, sample, bounce, options, onward, rays):
             first, places, tables, lights, sample, bounce, options, path_end, ray_end
         )
     return np.int64(path_end.row), np.int64(ray_end.row)
+
+
+shade_plain_paths = plain_copy(shade_paths)

@@ -21,7 +21,13 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.shading.sky import image_radiance, relative_pdf, sample_image
 
-__all__ = ["sample_image_lanes", "sky_pdf_lanes", "sky_radiance_lanes"]
+__all__ = [
+    "image_radiance_lanes",
+    "relative_pdf_lanes",
+    "sample_image_lanes",
+    "sky_pdf_lanes",
+    "sky_radiance_lanes",
+]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -61,11 +67,12 @@ def sky_radiance_lanes(lights, toward, mask):
     """`sky_radiance` for 16 directions, of `f32x16`; undefined where the mask is not set."""
     if lights.sky.image == _NONE:
         return _colors(lights.sky.color)
-    return _image_radiances(lights.sky, toward, mask)
+    return image_radiance_lanes(lights.sky, toward, mask)
 
 
 @device_call
-def _image_radiances(sky, toward, mask):
+def image_radiance_lanes(sky, toward, mask):
+    """`image_radiance` for 16 directions; see `sky_radiance_lanes`."""
     rows, bits = scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
         i = count_trailing_zeros(bits)
@@ -81,11 +88,12 @@ def sky_pdf_lanes(lights, toward, mask):
     density = f32x16(np.float32(lights.sky_density))
     if lights.sky.image == _NONE:
         return density
-    return density * _relative_pdfs(lights.sky, toward, mask)
+    return density * relative_pdf_lanes(lights.sky, toward, mask)
 
 
 @device_call
-def _relative_pdfs(sky, toward, mask):
+def relative_pdf_lanes(sky, toward, mask):
+    """`relative_pdf` for 16 directions; see `sky_pdf_lanes`."""
     row, bits = scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
         i = count_trailing_zeros(bits)

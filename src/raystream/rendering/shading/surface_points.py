@@ -20,9 +20,15 @@ from raystream.jit.simd import (
     widen,
     widen_number,
 )
-from raystream.rendering.shading.normal_maps import has_normal_map, mapped_normal
-from raystream.rendering.shading.tables import WIDTH
-from raystream.rendering.shading.vectors import largest
+from raystream.rendering.shading.normal_maps import (
+    BASE,
+    COAT,
+    has_coat_map,
+    has_normal_map,
+    mapped_normal,
+)
+from raystream.rendering.shading.tables import HAS_COAT
+from raystream.rendering.shading.vectors import chosen, largest
 from raystream.rendering.shading.vertices import (
     attribute_number,
     attribute_vector,
@@ -32,19 +38,17 @@ from raystream.rendering.shading.vertices import (
 
 __all__ = [
     "Point",
-    "material_color",
-    "material_number",
     "material_of",
     "offset_at",
     "spawn_origin",
     "surface_point",
     "surface_points",
+    "with_normal_maps",
     "world_position",
 ]
 
 _NONE = np.uint64(0)
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
-_COLUMN_COUNT = np.int32(WIDTH)
 _NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
 _INF, _NAN = np.float32(np.inf), np.float32(np.nan)
 
@@ -64,6 +68,8 @@ class Point(NamedTuple):
     nx, ny, nz : float64
         Unit shading normal, on the same side; the geometric normal where it would face away
         from the ray. With normal and bump maps, it always faces the ray's origin.
+    cx, cy, cz : float64
+        The same of a clear coat, which has its own normal map.
     offset : float64
         Distance from the triangle at which rays that leave it start, see `core.spawn`.
     is_front : bool
@@ -84,6 +90,9 @@ class Point(NamedTuple):
     nx: float
     ny: float
     nz: float
+    cx: float
+    cy: float
+    cz: float
     offset: float
     is_front: bool
     u: float
@@ -98,23 +107,6 @@ class Point(NamedTuple):
 def material_of(tables, prim):
     """The material of a triangle, int32; or of 16."""
     return gather(np.int32, tables.material_ids, prim)
-
-
-@device
-def material_number(tables, material, column):
-    """A number of a material, by its index in `Column`."""
-    at = as_int32(material * _COLUMN_COUNT + column)
-    return widen_number(gather(np.float32, tables.materials, at))
-
-
-@device
-def material_color(tables, material, column):
-    """A colour of a material, by its index in `Column`."""
-    return (
-        material_number(tables, material, column),
-        material_number(tables, material, as_int32(column + _1)),
-        material_number(tables, material, as_int32(column + _2)),
-    )
 
 
 @device
@@ -191,6 +183,7 @@ def _base_point(tables, prim, u, v, dx, dy, dz):
     offset = offset_at(tables, extent, largest(absolute(x), absolute(y), absolute(z)))
     # A normal that faces away, as near silhouettes, would reflect into the surface.
     is_away = nx * dx + ny * dy + nz * dz >= _NULL
+    facing = chosen(is_away, (gx, gy, gz), (nx, ny, nz))
     point = Point(
         x,
         y,
@@ -198,9 +191,12 @@ def _base_point(tables, prim, u, v, dx, dy, dz):
         gx,
         gy,
         gz,
-        select(is_away, gx, nx),
-        select(is_away, gy, ny),
-        select(is_away, gz, nz),
+        facing[0],
+        facing[1],
+        facing[2],
+        facing[0],
+        facing[1],
+        facing[2],
         offset,
         is_front,
         s,
@@ -214,8 +210,8 @@ def _base_point(tables, prim, u, v, dx, dy, dz):
 
 
 @device
-def _with_normal(point, x, y, z):
-    """The same point with another shading normal."""
+def _with_normals(point, normal, coat):
+    """The same point with other shading normals: of the surface, and of its clear coat."""
     return Point(
         point.x,
         point.y,
@@ -223,9 +219,12 @@ def _with_normal(point, x, y, z):
         point.gx,
         point.gy,
         point.gz,
-        x,
-        y,
-        z,
+        normal[0],
+        normal[1],
+        normal[2],
+        coat[0],
+        coat[1],
+        coat[2],
         point.offset,
         point.is_front,
         point.u,
@@ -256,17 +255,33 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
     """
     prim = as_int32(prim_id)
     point, smooth = _base_point(tables, prim, u, v, dx, dy, dz)
-    if tables.tangents == _NONE or not has_normal_map(tables, point.material):
-        return point
-    return _with_normal_map(tables, prim, (u, v), point, smooth, (dx, dy, dz))
+    return with_normal_maps(tables, prim, (u, v), point, smooth, (dx, dy, dz), True)
 
 
 @device
-def _with_normal_map(tables, prim, weights, point, smooth, direction):
-    """Apply normal and bump maps, as if all points had one."""
+def with_normal_maps(tables, prim, weights, point, smooth, direction, is_hit):
+    """Apply the normal and bump maps of points that have some."""
+    if tables.tangents == _NONE:
+        return point
+    normal, coat = (point.nx, point.ny, point.nz), (point.cx, point.cy, point.cz)
+    is_bent = has_normal_map(tables, point.material) & is_hit
+    if any_lane(is_bent):
+        bent = _bent(tables, prim, weights, point, smooth, direction, BASE)
+        normal = chosen(is_bent, bent, normal)
+    if tables.kinds & HAS_COAT:
+        is_bent = has_coat_map(tables, point.material) & is_hit
+        if any_lane(is_bent):
+            bent = _bent(tables, prim, weights, point, smooth, direction, COAT)
+            coat = chosen(is_bent, bent, coat)
+    return _with_normals(point, normal, coat)
+
+
+@device
+def _bent(tables, prim, weights, point, smooth, direction, layer):
+    """The normals of points as if all had a normal map; `layer` is `BASE` or `COAT`."""
     dx, dy, dz = direction
     scale = -_WHOLE / square_root(dx * dx + dy * dy + dz * dz)
-    x, y, z = mapped_normal(
+    return mapped_normal(
         tables,
         prim,
         point.material,
@@ -276,8 +291,8 @@ def _with_normal_map(tables, prim, weights, point, smooth, direction):
         smooth,
         point.is_front,
         (dx * scale, dy * scale, dz * scale),
+        layer,
     )
-    return _with_normal(point, x, y, z)
 
 
 @device_call
@@ -300,18 +315,7 @@ def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
         Of vectors.
     """
     point, smooth = _base_point(tables, prim_ids, u, v, dx, dy, dz)
-    if tables.tangents == _NONE:
-        return point
-    is_bent = has_normal_map(tables, point.material) & is_hit
-    if not any_lane(is_bent):
-        return point
-    bent = _with_normal_map(tables, prim_ids, (u, v), point, smooth, (dx, dy, dz))
-    return _with_normal(
-        point,
-        select(is_bent, bent.nx, point.nx),
-        select(is_bent, bent.ny, point.ny),
-        select(is_bent, bent.nz, point.nz),
-    )
+    return with_normal_maps(tables, prim_ids, (u, v), point, smooth, (dx, dy, dz), is_hit)
 
 
 @device

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.rendering.shading.sheen import sheen_table
 from raystream.rendering.shading.tangents import vertex_tangents
 from raystream.rendering.shading.textures import TextureTables, address_of, pack_textures
 from raystream.rendering.vertex_attributes import VertexAttributes, check_rows
@@ -18,7 +19,9 @@ __all__ = [
     "ABSORBS",
     "COLUMNS",
     "EMITS",
+    "HAS_COAT",
     "HAS_REFLECTION",
+    "HAS_SHEEN",
     "HAS_SPECULAR",
     "HAS_TRANSMISSION",
     "IS_ROUGH",
@@ -44,16 +47,21 @@ class Column(NamedTuple):
     roughness: int
     metallic: int
     absorption: int
+    clearcoat: int
+    clearcoat_roughness: int
+    sheen_color: int
+    sheen_roughness: int
 
 
-COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18, 19)
-WIDTH = 22
+COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18, 19, 22, 23, 24, 27)
+WIDTH = 28
 
 
 #: Bits of `SceneTables.kinds`: features that some material has. Others are skipped.
 HAS_SPECULAR, HAS_REFLECTION, HAS_TRANSMISSION, IS_ROUGH, EMITS, IS_TEXTURED, ABSORBS = (
     1 << k for k in range(7)
 )
+HAS_COAT, HAS_SHEEN = 1 << 7, 1 << 8
 
 
 class SceneTables(NamedTuple):
@@ -85,9 +93,12 @@ class SceneTables(NamedTuple):
     material_ids : uint64
         Of shape (F,), int32.
     materials : uint64
-        Of shape (M, 22), float32. See `Column`; colours are three numbers. Roughness and
-        metallic are -1 if a material has none. Otherwise it has its normal reflectance in place
-        of specular, and its grazing reflectance in place of shininess.
+        Of shape (M, 28), float32. See `Column`; colours are three numbers. Roughness and
+        metallic are -1 if a material has none; it has no clear coat and no sheen then. Otherwise
+        it has its normal reflectance in place of specular, and its grazing reflectance in place of
+        shininess.
+    sheen_albedos : uint64
+        Of the table of `sheen_table`; 0 if no material has sheen.
     kinds : int
         Bits: features that some material has.
     textures : TextureTables
@@ -106,6 +117,7 @@ class SceneTables(NamedTuple):
     colors: np.uint64
     material_ids: np.uint64
     materials: np.uint64
+    sheen_albedos: np.uint64
     kinds: int
     textures: TextureTables
 
@@ -128,6 +140,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     vertices = VertexAttributes.of(scene)
     material_ids = scene.attributes.material_ids
     materials = material_rows(scene.materials)
+    sheen = sheen_table() if any(m.has_sheen for m in scene.materials) else None
     textures, kept_textures = pack_textures(scene.materials)
     corners = np.ascontiguousarray(triangles.corners)
     tangents = _tangents(scene, corners, vertices, material_ids)
@@ -147,10 +160,11 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         address_of(vertices.colors),
         address_of(material_ids),
         address_of(materials),
+        address_of(sheen),
         _kinds_of(scene.materials),
         textures,
     )
-    return tables, (corners, vertices, tangents, material_ids, materials, kept_textures)
+    return tables, (corners, vertices, tangents, material_ids, materials, sheen, kept_textures)
 
 
 def _kinds_of(materials: Sequence[Material]) -> int:
@@ -165,9 +179,16 @@ def _kinds_of(materials: Sequence[Material]) -> int:
             (EMITS, any(m.emits for m in materials)),
             (IS_TEXTURED, any(m.textures for m in materials)),
             (ABSORBS, any(any(m.absorption) for m in materials)),
+            (HAS_COAT, any(m.is_coated for m in materials)),
+            (HAS_SHEEN, any(m.has_sheen for m in materials)),
         )
         if does
     )
+
+
+def _has_normal_map(material: Material) -> bool:
+    roles = {"normal", "bump", *(("clearcoat_normal",) if material.is_coated else ())}
+    return not roles.isdisjoint(material.textures)
 
 
 def _tangents(
@@ -177,9 +198,7 @@ def _tangents(
     material_ids: NDArray[np.int32],
 ) -> NDArray[np.float32] | None:
     """Tangents where materials have normal or bump maps; None if they are not needed."""
-    has_normal_map = np.array(
-        [not {"normal", "bump"}.isdisjoint(m.textures) for m in scene.materials]
-    )
+    has_normal_map = np.array([_has_normal_map(material) for material in scene.materials])
     if vertices.texcoords is None or not has_normal_map[material_ids].any():
         return None
     check_rows(len(vertices.texcoords), 6, "vertices with normal maps")
@@ -195,6 +214,8 @@ def material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
             row[at : at + np.size(value)] = -1.0 if value is None else value
         if material.roughness is None:
             row[COLUMNS.shininess] = max(row[COLUMNS.shininess], 1.0)
+            row[COLUMNS.clearcoat] = row[COLUMNS.sheen_roughness] = 0.0
+            row[COLUMNS.sheen_color : COLUMNS.sheen_color + 3] = 0.0
         else:
             row[COLUMNS.specular : COLUMNS.specular + 3] = material.normal_reflectance
             row[COLUMNS.shininess] = material.grazing_reflectance

@@ -41,7 +41,19 @@ __all__ = [
 ]
 
 #: Properties of materials that have textures, in the order of `TextureTables.of_material`.
-ROLES = ("diffuse", "specular", "emission", "metallic_roughness", "normal", "bump")
+ROLES = (
+    "diffuse",
+    "specular",
+    "emission",
+    "metallic_roughness",
+    "normal",
+    "bump",
+    "clearcoat",
+    "clearcoat_roughness",
+    "clearcoat_normal",
+    "sheen_color",
+    "sheen_roughness",
+)
 
 _NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
 
@@ -71,10 +83,10 @@ class TextureTables(NamedTuple):
         Of shape (T, 10), int32: first texel, width, height, bits of what applies (1: clamped, 2:
         transformed), and the six numbers of `Texture.transform`, float32.
     of_material : uint64
-        Of shape (M, 6), int32: each material's texture by role; -1 for none.
+        Of shape (M, 11), int32: each material's texture by role; -1 for none.
     normal_scales : uint64
-        Of shape (M, 3), float32: factors of normals' x and y, and of heights; 1 for specular
-        materials, 0 for diffuse ones.
+        Of shape (M, 4), float32: factors of normals' x and y, and of heights; 1 for specular
+        materials, 0 for diffuse ones; factors of a clear coat's normals.
     linear, plain, signed : uint64
         Of shape (256,), float32: decoded bytes of colours, of numbers in [0, 1], and of normals'
         components in [-1, 1], where 128 is 0, so that a flat normal map is flat.
@@ -139,16 +151,27 @@ def _is_seen(material: Material, role: str) -> bool:
         return bool(material.roughness or material.metallic)
     if role in ("normal", "bump"):
         return bool(getattr(material, f"{role}_scale"))
+    if role.startswith("clearcoat") and not material.is_coated:
+        return False
+    if role.startswith("sheen") and not material.has_sheen:
+        return False
+    if role == "clearcoat_normal":
+        return bool(material.clearcoat_normal_scale)
     if role == "specular" and material.roughness is not None:
         return any(material.normal_reflectance)
-    return any(getattr(material, role))
+    return bool(np.any(getattr(material, role)))
 
 
-def _normal_scales_of(material: Material) -> tuple[float, float, float]:
+def _normal_scales_of(material: Material) -> tuple[float, float, float, float]:
     shines = material.roughness is not None or any(
         (*material.specular, *material.reflection, *material.transmission)
     )
-    return material.normal_scale, material.bump_scale, float(shines)
+    return (
+        material.normal_scale,
+        material.bump_scale,
+        float(shines),
+        material.clearcoat_normal_scale,
+    )
 
 
 def _holds_normals(texels: NDArray[np.uint8]) -> bool:

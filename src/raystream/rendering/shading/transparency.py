@@ -44,7 +44,8 @@ def composite_hits(paths, splits, rows, tables, opacity, lights, first_pixel, ra
             cosine = abs(point.gx * dx + point.gy * dy + point.gz * dz) / length
             facing = abs(point.nx * dx + point.ny * dy + point.nz * dz) / length
             here = clear ** (1.0 / cosine) if cosine > 0.0 else 0.0
-            color = lobes_at(tables, point).diffuse
+            back = -dx / length, -dy / length, -dz / length
+            color = lobes_at(tables, point, back).diffuse
             shade = passed * (1.0 - here) * facing
             add_light(base, pixel, weights, color, shade)
             passed *= here

@@ -17,6 +17,7 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import gather
 from raystream.rendering.shading.absorption import transmittance
 from raystream.rendering.shading.bsdf import (
+    diffuse_albedo,
     emitted,
     eval_reflection,
     fresnel,
@@ -25,6 +26,7 @@ from raystream.rendering.shading.bsdf import (
     reflected_surroundings,
     refracted,
 )
+from raystream.rendering.shading.plain_scenes import plain_copy
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.shadow_rays import put_shadow_ray
 from raystream.rendering.shading.sky import sky_radiance
@@ -41,7 +43,7 @@ from raystream.rendering.shading.surface_points import spawn_origin, surface_poi
 from raystream.rendering.shading.tables import ABSORBS, IS_ROUGH
 from raystream.rendering.shading.vectors import added, dot, mirrored, scaled, times
 
-__all__ = ["WhittedOptions", "shade_whitted", "shade_whitted_path"]
+__all__ = ["WhittedOptions", "shade_plain_whitted", "shade_whitted", "shade_whitted_path"]
 
 
 class WhittedOptions(NamedTuple):
@@ -82,7 +84,7 @@ def _sample_all_lights(rays, pixel, batch, tables, lights, lobes, point, back, w
         found = incident_light(tables, lights, number, point)
         if not found.is_valid:
             continue
-        color, _, _ = eval_reflection(lobes, point, back, found.toward)
+        color, _ = eval_reflection(lobes, point, back, found.toward)
         if color[0] + color[1] + color[2] <= 0.0:
             continue
         if not shadows:
@@ -137,8 +139,8 @@ def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
             weights[1] * np.float32(left[1]),
             weights[2] * np.float32(left[2]),
         )
-    lobes = lobes_at(tables, point)
-    add_light(radiance, pixel, weights, times(lobes.diffuse, lights.ambient), 1.0)
+    lobes = lobes_at(tables, point, back)
+    add_light(radiance, pixel, weights, times(diffuse_albedo(lobes), lights.ambient), 1.0)
     if tables.kinds & IS_ROUGH:
         add_light(radiance, pixel, weights, reflected_surroundings(lobes, lights), 1.0)
     rays = _sample_all_lights(
@@ -158,7 +160,8 @@ def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
     min_weight = options.min_weight
 
     normal, clear = (point.nx, point.ny, point.nz), 0.0
-    through = scaled(lobes.transmission, 1.0 - gloss_share(lobes, back, normal))
+    below = (1.0 - gloss_share(lobes, back, normal)) * lobes.base
+    through = scaled(lobes.transmission, below)
     if through[0] + through[1] + through[2] > 0.0:
         if lobes.ior != 1.0:
             clear = fresnel(min(dot(back, normal), 1.0), lobes.ior)
@@ -166,7 +169,7 @@ def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
         if clear < 1.0 and dot((point.gx, point.gy, point.gz), toward) < 0.0:
             color = scaled(through, 1.0 - clear)
             onward = _continue(onward, pixel_id, tables, point, toward, weights, color, min_weight)
-    color = added(lobes.reflection, through, clear)
+    color = added(scaled(lobes.reflection, lobes.base), through, clear)
     toward = mirrored(back, normal)
     if dot((point.gx, point.gy, point.gz), toward) > 0.0:
         onward = _continue(onward, pixel_id, tables, point, toward, weights, color, min_weight)
@@ -202,3 +205,6 @@ def shade_whitted(batch, tables, lights, options, onward, rays):
             i, places, tables, lights, options, path_end, ray_end
         )
     return np.int64(path_end.row), np.int64(ray_end.row)
+
+
+shade_plain_whitted = plain_copy(shade_whitted)

@@ -20,15 +20,19 @@ _LEAST = 1e-30
 
 _BLACK = 0.0, 0.0, 0.0
 
+#: An index of refraction that bends no ray visibly.
+_NEARLY_1 = 1.0001
+
 
 def read_materials(file: GltfFile) -> tuple[list[Material], list[Texcoords]]:
     """Read all materials, followed by the default one for primitives without a material.
 
     The base colour becomes `diffuse`, regardless of the metallic factor. Also read are
     `roughness`, `metallic` and of ``KHR_materials_`` `emissive_strength`, `ior`, `specular`,
-    `transmission`, `volume` and `unlit`. The base colour's alpha is the opacity, unless
-    ``alphaMode`` is ``OPAQUE``; ``MASK`` sets the cutoff. Factors multiply the textures of the
-    same role. The `scale` of a normal map is read; occlusion is not, as no renderer uses it.
+    `transmission`, `volume`, `clearcoat`, `sheen` and `unlit`. The base colour's alpha is the
+    opacity, unless ``alphaMode`` is ``OPAQUE``; ``MASK`` sets the cutoff. Factors multiply the
+    textures of the same role. The `scale` of a normal map is read; occlusion is not, as no
+    renderer uses it.
 
     Parameters
     ----------
@@ -67,7 +71,7 @@ def _material(file: GltfFile, entry: Node, reader: TextureReader) -> tuple[Mater
     is_solid, is_mask = mode not in ("MASK", "BLEND"), mode == "MASK"
     fields: dict[str, Any] = {
         "name": str(entry.get("name", "")),
-        "opacity": 1.0 if is_solid else min(1.0, max(0.0, alpha)),
+        "opacity": 1.0 if is_solid else _share(alpha),
         "double_sided": entry.get("doubleSided", False) is True,
         "alpha_cutoff": max(0.0, file.number(entry, "alphaCutoff", 0.5)) if is_mask else None,
     }
@@ -78,6 +82,8 @@ def _material(file: GltfFile, entry: Node, reader: TextureReader) -> tuple[Mater
         textures, texcoords = reader.textures({role: color})
         fields |= {"diffuse": _BLACK, "emission": base}
     else:
+        coat = file.extension(entry, "KHR_materials_clearcoat") or {}
+        sheen = file.extension(entry, "KHR_materials_sheen") or {}
         textures, texcoords = reader.textures(
             {
                 role: color,
@@ -85,9 +91,17 @@ def _material(file: GltfFile, entry: Node, reader: TextureReader) -> tuple[Mater
                 "normal": file.child(entry, "normalTexture"),
                 "emission": file.child(entry, "emissiveTexture"),
                 "specular": _child(file, entry, "specular", "specularColorTexture"),
+                "clearcoat": file.child(coat, "clearcoatTexture"),
+                "clearcoat_roughness": file.child(coat, "clearcoatRoughnessTexture"),
+                "clearcoat_normal": file.child(coat, "clearcoatNormalTexture"),
+                "sheen_color": file.child(sheen, "sheenColorTexture"),
+                "sheen_roughness": file.child(sheen, "sheenRoughnessTexture"),
             }
         )
+        if "sheen_roughness" in textures:
+            textures["sheen_roughness"] = reader.alpha(textures["sheen_roughness"])
         fields |= {"diffuse": base, **_lit(file, entry, surface, base, reader)}
+        fields |= _layers(file, coat, sheen)
     if color and role in textures and not is_solid:
         textures["opacity"] = reader.alpha(textures[role])
     return Material(textures=textures, **fields), texcoords
@@ -103,7 +117,7 @@ def _lit(
     refraction = file.extension(entry, "KHR_materials_ior") or {}
     ior = max(0.0, file.number(refraction, "ior", 1.5))
     glass = file.extension(entry, "KHR_materials_transmission") or {}
-    through = min(1.0, max(0.0, file.number(glass, "transmissionFactor", 0.0)))
+    through = _share(file.number(glass, "transmissionFactor", 0.0))
     volume = file.extension(entry, "KHR_materials_volume") or {}
     is_thick = through > 0.0 and file.number(volume, "thicknessFactor", 0.0) > 0.0
     reader.leave_out("of transmission", file.child(glass, "transmissionTexture"))
@@ -112,23 +126,42 @@ def _lit(
     # transmission, and no ray is bent.
     share = 1.0 - through if is_thick else 1.0
     gloss = file.extension(entry, "KHR_materials_specular") or {}
-    grazing = share * min(1.0, max(0.0, file.number(gloss, "specularFactor", 1.0)))
+    grazing = share * _share(file.number(gloss, "specularFactor", 1.0))
     tint = _positive(file.numbers(gloss, "specularColorFactor", (1.0, 1.0, 1.0)))
     normal = ((ior - 1.0) / (ior + 1.0)) ** 2
     red, green, blue = (grazing * min(1.0, normal * part) for part in tint)
     return {
         "transmission": (through * base[0], through * base[1], through * base[2]),
-        "ior": ior if is_thick else 1.0,
+        # An index of exactly 1 is a pane's, which scatters light if it is rough.
+        "ior": (ior if ior != 1.0 else _NEARLY_1) if is_thick else 1.0,
         "emission": (emission[0] * strength, emission[1] * strength, emission[2] * strength),
         "roughness": file.number(surface, "roughnessFactor", 1.0),
         "metallic": file.number(surface, "metallicFactor", 1.0),
         "normal_reflectance": (red, green, blue),
         "grazing_reflectance": grazing,
-        "normal_scale": min(
-            max(-_MOST, file.number(file.child(entry, "normalTexture"), "scale", 1.0)), _MOST
-        ),
+        "normal_scale": _scale(file, file.child(entry, "normalTexture")),
         "absorption": _absorption(file, volume) if is_thick else _BLACK,
     }
+
+
+def _layers(file: GltfFile, coat: Node, sheen: Node) -> dict[str, Any]:
+    """The parameters of a clear coat and of sheen."""
+    return {
+        "clearcoat": _share(file.number(coat, "clearcoatFactor", 0.0)),
+        "clearcoat_roughness": _share(file.number(coat, "clearcoatRoughnessFactor", 0.0)),
+        "clearcoat_normal_scale": _scale(file, file.child(coat, "clearcoatNormalTexture")),
+        "sheen_color": tuple(map(_share, file.numbers(sheen, "sheenColorFactor", _BLACK))),
+        "sheen_roughness": _share(file.number(sheen, "sheenRoughnessFactor", 0.0)),
+    }
+
+
+def _scale(file: GltfFile, normals: Node) -> float:
+    """The scale of a normal map."""
+    return min(max(-_MOST, file.number(normals, "scale", 1.0)), _MOST)
+
+
+def _share(value: float) -> float:
+    return min(1.0, max(0.0, value))
 
 
 def _child(file: GltfFile, entry: Node, name: str, key: str) -> Node:

@@ -104,7 +104,7 @@ def shared_texcoords(uses: Mapping[str, Texcoords]) -> Texcoords:
     if not uses:
         return Texcoords(0, np.eye(3))
     first = next(iter(uses.values()))
-    normal = uses.get("normal", first)
+    normal = uses.get("normal", uses.get("clearcoat_normal", first))
     chosen = normal if normal.number == first.number else first
     if not np.linalg.cond(chosen.matrix) < 1e12:
         return Texcoords(first.number, np.eye(3))
