@@ -22,6 +22,13 @@ def usual_camera(scene, aspect=4 / 3):
     return rs.Camera.framing(*scene.bounds, up=scene.up, aspect=aspect)
 
 
+def assert_same_view(camera, other):
+    """Of the same place, from the same direction."""
+    np.testing.assert_allclose(camera.look_at, other.look_at, atol=1e-6)
+    np.testing.assert_allclose(toward_eye(camera), toward_eye(other), atol=1e-6)
+    assert camera.up == other.up
+
+
 def hits_of(scene, camera=None):
     camera = camera or scene.camera_for(SIZE[0] / SIZE[1])
     return rs.Tracer(scene).first_hit(*camera.rays(*SIZE))
@@ -32,10 +39,10 @@ def toward_eye(camera):
     return offset / np.linalg.norm(offset)
 
 
-def shows_all(camera, low, high, aspect=4 / 3):
-    """Whether all corners of a box are inside the image."""
-    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
-    right, upward, depth = camera.basis() @ (corners - np.array(camera.eye)).T
+def shows_all(camera, meshes, aspect=4 / 3):
+    """Whether all vertices of meshes are inside the image."""
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    right, upward, depth = camera.basis() @ (vertices - np.array(camera.eye)).T
     half = math.tan(math.radians(camera.fov) / 2)
     return bool(
         (depth > 0).all()
@@ -103,7 +110,21 @@ def room(scale=1.0, flipped=False):
 def test_ordinary_models_are_framed_completely(mesh, up):
     scene = rs.Scene([mesh], up=up)
     for aspect in (4 / 3, 0.5, 3.0):
-        assert shows_all(scene.camera_for(aspect), *scene.bounds, aspect)
+        assert shows_all(scene.camera_for(aspect), [mesh], aspect)
+
+
+@pytest.mark.parametrize("aspect", [0.3, 0.9, 4 / 3, 2.1, 4.0])
+@pytest.mark.parametrize("shape", ["sphere", "pyramid"])
+def test_models_reach_the_border_of_the_image(shape, aspect):
+    vertices, faces = icosphere(4)
+    if shape == "pyramid":  # its box has seven corners more than it has at the top
+        vertices = np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1], [0, 3, 0.0]])
+        faces = [[0, 1, 2], [0, 2, 3], [0, 4, 1], [1, 4, 2], [2, 4, 3], [3, 4, 0]]
+    camera = rs.Scene([rs.Mesh(vertices, faces)]).camera_for(aspect)
+    right, upward, depth = camera.basis() @ (vertices - np.array(camera.eye)).T
+    half = math.tan(math.radians(camera.fov) / 2)
+    reach = max(np.abs(right / depth).max() / aspect, np.abs(upward / depth).max()) / half
+    assert (0.88 if shape == "sphere" else 0.7) < reach < 1
 
 
 @pytest.mark.parametrize(
@@ -111,8 +132,11 @@ def test_ordinary_models_are_framed_completely(mesh, up):
 )
 def test_what_looks_alike_from_all_sides_is_seen_from_the_usual_one(make, up):
     scene = rs.Scene([rs.Mesh(*(make(3) if make is icosphere else make()))], up=up)
-    assert scene.camera == usual_camera(scene)
-    assert scene.camera_for(2.0) == usual_camera(scene, 2.0)
+    for aspect in (4 / 3, 2.0):
+        camera, usual = scene.camera_for(aspect), usual_camera(scene, aspect)
+        assert_same_view(camera, usual)
+        distance = math.dist(camera.eye, camera.look_at) / math.dist(usual.eye, usual.look_at)
+        assert distance == pytest.approx(1) if make is cube else 0.5 < distance < 1
 
 
 @pytest.mark.parametrize("size", [0.01, 1.0, 1000.0], ids=["small", "as large", "huge"])
@@ -121,7 +145,7 @@ def test_a_few_strays_are_ignored(size, distance):
     scene = rs.Scene([sphere_mesh(level=4), stray_triangles(size, distance + 2 * size)])
     hits = hits_of(scene)
     assert np.mean(hits.mesh_id == 0) > 0.2
-    assert shows_all(scene.camera, (-0.999,) * 3, (0.999,) * 3)
+    assert shows_all(scene.camera, scene.meshes[:1])
 
 
 def test_strays_at_any_distance_are_ignored():
@@ -143,15 +167,15 @@ def test_a_vertex_far_away_is_ignored():
 def test_thin_parts_are_shown():
     antenna = box_mesh((-0.01, 0.9, -0.01), (0.01, 8.0, 0.01))
     scene = rs.Scene([sphere_mesh(level=4), antenna])
-    assert shows_all(scene.camera, *scene.bounds)
+    assert shows_all(scene.camera, scene.meshes)
     beads = [sphere_mesh((1.5 * k, 0, 0), 0.05, level=1) for k in range(1, 9)]
     scene = rs.Scene([sphere_mesh(level=4), *beads])
-    assert shows_all(scene.camera, *scene.bounds)
+    assert shows_all(scene.camera, scene.meshes)
 
 
 def test_parts_beside_each_other_are_shown():
     scene = rs.Scene([sphere_mesh(level=4), sphere_mesh((2.9, 0.0, 0.0), 0.2, level=1)])
-    assert shows_all(scene.camera, *scene.bounds)
+    assert shows_all(scene.camera, scene.meshes)
 
 
 @pytest.mark.parametrize("cells", [1, 60], ids=["two triangles", "many triangles"])
@@ -162,16 +186,16 @@ def test_a_large_ground_does_not_make_what_stands_on_it_small(cells, width):
     scene = rs.Scene([ground, sphere_mesh((0.3, 1.0, 0.0), level=3)])
     hits = hits_of(scene)
     assert np.mean(hits.mesh_id == 1) > 0.17  # 0.24 without a ground
-    assert shows_all(scene.camera, (-0.69, 0.01, -0.99), (1.29, 1.99, 0.99))
+    assert shows_all(scene.camera, scene.meshes[1:])
 
 
 def test_a_ground_that_is_not_much_larger_is_shown():
     vertices, faces = grid_floor(1)
     scene = rs.Scene([rs.Mesh(vertices * 2.5, faces), sphere_mesh((0.0, 1.0, 0.0), level=3)])
-    assert shows_all(scene.camera, *scene.bounds)
+    assert shows_all(scene.camera, scene.meshes)
     many = [sphere_mesh((3.0 * x, 1.0, 3.0 * z), level=1) for x in range(5) for z in range(5)]
     scene = rs.Scene([rs.Mesh(vertices * 20.0 + [6, 0, 6], faces), *many])
-    assert shows_all(scene.camera, (-1, 0, -1), (13, 2, 13))
+    assert shows_all(scene.camera, many)
 
 
 @pytest.mark.parametrize("radius", [25.0, 1000.0])
@@ -186,14 +210,14 @@ def test_what_is_under_a_sky_is_seen(radius, is_half):
     for meshes in ([model, sky], [model, sky, ground]):
         scene = rs.Scene(meshes)
         assert np.mean(hits_of(scene).mesh_id == 0) > 0.15
-        assert shows_all(scene.camera, (-0.69, 0.01, -0.99), (1.29, 1.99, 0.99))
+        assert shows_all(scene.camera, [model])
 
 
 def test_a_lamp_keeps_its_foot():
     scene = rs.Scene(
         [box_mesh((-1, 0, -1), (1, 0.1, 1)), box_mesh((-0.05, 0.1, -0.05), (0.05, 6, 0.05))]
     )
-    assert shows_all(scene.camera, *scene.bounds)
+    assert shows_all(scene.camera, scene.meshes)
 
 
 # From where.
@@ -370,8 +394,8 @@ def test_own_cameras_are_kept():
 def test_the_camera_follows_up_and_meshes():
     scene = rs.Scene([rs.Mesh(*icosphere(2))])
     tilted = scene.replace(up=(0, 0, 1))
-    assert tilted.camera == usual_camera(tilted)
-    assert scene.camera == usual_camera(scene)
+    assert_same_view(tilted.camera, usual_camera(tilted))
+    assert_same_view(scene.camera, usual_camera(scene))
     larger = scene.replace(meshes=[rs.Mesh(icosphere(2)[0] * 2, icosphere(2)[1])])
     np.testing.assert_allclose(larger.camera.eye, np.multiply(scene.camera.eye, 2), rtol=1e-6)
 

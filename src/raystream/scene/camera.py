@@ -11,9 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.scene.lens import disk_points, lens_samples
 from raystream.scene.projections import PROJECTIONS, ahead, around, beside
 
-__all__ = ["Camera", "frame_box", "front_of", "three_quarter_view", "unit_vector"]
+__all__ = [
+    "FOV",
+    "Camera",
+    "frame_box",
+    "frame_points",
+    "front_of",
+    "three_quarter_view",
+    "unit_vector",
+]
 
 Vector = tuple[float, float, float]
+
+#: Degrees of the default field of view, from the top of the image to its bottom.
+FOV = 40.0
 
 
 def unit_vector(name: str, values: ArrayLike) -> NDArray[np.float64]:
@@ -73,7 +84,7 @@ class Camera:
     eye: Vector
     look_at: Vector
     up: Vector = (0.0, 1.0, 0.0)
-    fov: float = 40.0
+    fov: float = FOV
     projection: str = "perspective"
     height: float | None = None
     aperture: float = 0.0
@@ -107,7 +118,7 @@ class Camera:
         high: ArrayLike,
         *,
         up: ArrayLike = (0.0, 1.0, 0.0),
-        fov: float = 40.0,
+        fov: float = FOV,
         aspect: float = 4.0 / 3.0,
     ) -> Camera:
         """Place a camera so that a box fills the image, seen from the front, right and above.
@@ -244,7 +255,7 @@ def frame_box(
     toward_eye: NDArray[np.float64],
     up: NDArray[np.float64],
     *,
-    fov: float = 40.0,
+    fov: float = FOV,
     aspect: float = 4.0 / 3.0,
 ) -> Camera:
     """Place a camera so that a box fills the image.
@@ -257,15 +268,28 @@ def frame_box(
         Unit vectors: from the box to the eye, and the world's up, not parallel to it.
     """
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-    center = low + (high - low) / 2
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    return frame_points(corners, low + (high - low) / 2, toward_eye, up, fov=fov, aspect=aspect)
+
+
+def frame_points(
+    points: NDArray[np.float64],
+    center: NDArray[np.float64],
+    toward_eye: NDArray[np.float64],
+    up: NDArray[np.float64],
+    *,
+    fov: float = FOV,
+    aspect: float = 4.0 / 3.0,
+) -> Camera:
+    """Place a camera so that points fill the image; it looks at `center`. See `frame_box`."""
     axis_right = np.cross(up, toward_eye)
     axis_right /= np.linalg.norm(axis_right)
     axis_up = np.cross(toward_eye, axis_right)
     tan_up = math.tan(math.radians(fov) / 2)
     tan_right = tan_up * aspect
-    # Back off until every corner lies inside the frustum.
+    # Back off until every point lies inside the frustum.
     distance = 0.0
-    for corner in np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T - center:
+    for corner in points - center:
         depth = corner @ toward_eye
         distance = max(
             distance,

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.scene.camera import Camera, frame_box, three_quarter_view
+from raystream.scene.camera import FOV, Camera, frame_points, three_quarter_view
 from raystream.scene.default_view.bulk import find_bulk
 from raystream.scene.default_view.inside import look_from_inside
+from raystream.scene.default_view.outline import outline_points
 from raystream.scene.default_view.outside import look_from_outside
 from raystream.scene.default_view.sizes import measure
 from raystream.scene.default_view.surface_samples import sample_surfaces
@@ -24,17 +25,19 @@ class DefaultView:
 
     Attributes
     ----------
-    low, high : ndarray of shape (3,), float64
-        Corners of the box to frame, world space.
+    points : ndarray of shape (K, 3), float64
+        To be framed, world space.
+    center : ndarray of shape (3,), float64
+        To look at.
     toward_eye : ndarray of shape (3,), float64
-        From the box to the camera, a unit vector.
+        From there to the camera, a unit vector.
     up : ndarray of shape (3,), float64
     inside : Camera or None
         Replaces the others in a room.
     """
 
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    points: NDArray[np.float64]
+    center: NDArray[np.float64]
     toward_eye: NDArray[np.float64]
     up: NDArray[np.float64]
     inside: Camera | None = None
@@ -43,7 +46,7 @@ class DefaultView:
         """The camera for an image, given its width divided by its height."""
         if self.inside is not None:
             return self.inside
-        return frame_box(self.low, self.high, self.toward_eye, self.up, aspect=aspect)
+        return frame_points(self.points, self.center, self.toward_eye, self.up, aspect=aspect)
 
 
 def choose_view(triangles: Triangles, up: NDArray[np.float64]) -> DefaultView:
@@ -62,7 +65,7 @@ def choose_view(triangles: Triangles, up: NDArray[np.float64]) -> DefaultView:
     """
     if not len(triangles.prim_ids):
         low, high = triangles.world_bounds
-        return DefaultView(low, high, three_quarter_view(up), up)
+        return DefaultView(np.stack([low, high]), (low + high) / 2, three_quarter_view(up), up)
     was_released = not triangles.has_corners
     sizes = measure(triangles)
     bulk, box = find_bulk(sizes, up)
@@ -78,4 +81,8 @@ def choose_view(triangles: Triangles, up: NDArray[np.float64]) -> DefaultView:
         middle = (low + high) / 2
         eye, look_at = (middle + size * np.asarray(at) for at in (inside.eye, inside.look_at))
         inside = replace(inside, eye=tuple(eye), look_at=tuple(look_at))
-    return DefaultView(low, high, seen.toward_eye, up, inside)
+    points = np.stack([low, high])
+    if inside is None:
+        found = outline_points(sizes, bulk, box, seen.toward_eye, up, FOV)
+        points = triangles.to_world(found) if len(found) else points
+    return DefaultView(points, low + (high - low) / 2, seen.toward_eye, up, inside)
