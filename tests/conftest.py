@@ -425,7 +425,7 @@ def leave_out_first_use(monkeypatch) -> None:
     """Make commands compile only what they need, and silently, as after the first use."""
     from raystream.cli import compiling
 
-    monkeypatch.setattr(compiling.CompileListener, "_compile_all", lambda *_: None)
+    monkeypatch.setattr(compiling.KernelCompilation, "_compile_all", lambda *_: None)
     monkeypatch.setattr(compiling, "DELAY", math.inf)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.cli.compiling import render_task
 from raystream.jit.fingerprint import fingerprint
 from raystream.rendering import path, raycast, whitted
 from raystream.rendering.shading import local_shading, paths
@@ -46,8 +47,11 @@ def test_which_kernel_shades(name, module, monkeypatch):
     monkeypatch.setattr(module, "kernel_for", spy)
     sun = rs.DirectionalLight((-0.3, -1, 0.2))
     mode = module.__name__.rpartition(".")[2]
-    rs.render(floor(material, [sun, *lights], np.zeros((4, 2))), mode, (8, 8))
+    scene = floor(material, [sun, *lights], np.zeros((4, 2)))
+    rs.render(scene, mode, (8, 8))
     assert {kernel in [plain for _, plain in KERNELS] for kernel in chosen} == {is_plain}
+    # The command line compiles the same one in advance.
+    assert render_task(mode, scene) == f"render-{mode}" + ("" if is_plain else ":full")
 
 
 def room_of_glass():

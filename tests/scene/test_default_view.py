@@ -117,7 +117,7 @@ def test_ordinary_models_are_framed_completely(mesh, up):
 @pytest.mark.parametrize("shape", ["sphere", "pyramid"])
 def test_models_reach_the_border_of_the_image(shape, aspect):
     vertices, faces = icosphere(4)
-    if shape == "pyramid":  # its box has seven corners more than it has at the top
+    if shape == "pyramid":  # the corners of its box are empty at the top
         vertices = np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1], [0, 3, 0.0]])
         faces = [[0, 1, 2], [0, 2, 3], [0, 4, 1], [1, 4, 2], [2, 4, 3], [3, 4, 0]]
     camera = rs.Scene([rs.Mesh(vertices, faces)]).camera_for(aspect)

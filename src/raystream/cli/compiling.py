@@ -17,7 +17,7 @@ from raystream.jit.threads import thread_count
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
 
-__all__ = ["CompileListener", "compiling", "render_task"]
+__all__ = ["KernelCompilation", "compiling", "render_task"]
 
 #: Seconds of compilation before a note is printed.
 DELAY = 1.0
@@ -29,7 +29,7 @@ MAX_HELPERS = 3
 @contextlib.contextmanager
 def compiling(
     task: str, chosen: TracerArguments, stopwatch: Stopwatch
-) -> Iterator[CompileListener]:
+) -> Iterator[KernelCompilation]:
     """During the block, report compilation that takes more than a second.
 
     When the first kernel is missing, all kernels of the task are compiled, on as many cores as
@@ -46,11 +46,11 @@ def compiling(
 
     Yields
     ------
-    CompileListener
+    KernelCompilation
         Its `task` may be replaced by a more exact one before the first kernel is needed.
     """
     is_listed = chosen.structure in (None, "bvh") and chosen.device == "cpu"
-    listener = CompileListener(task, is_listed, stopwatch)
+    listener = KernelCompilation(task, is_listed, stopwatch)
     try:
         with listening(listener):
             yield listener
@@ -68,7 +68,7 @@ def render_task(mode: str, scene: Scene, has_sky: bool = False) -> str:
     return f"render-{mode}" if is_plain else f"render-{mode}:full"
 
 
-class CompileListener:
+class KernelCompilation:
     """Reports slow compilation; see `jit.compile_events.CompileListener`."""
 
     def __init__(self, task: str, is_listed: bool, stopwatch: Stopwatch) -> None:
@@ -89,7 +89,7 @@ class CompileListener:
             self._compile_all(self.task, kernel)
 
     def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a listener's
-        """Say what takes so long, after a second."""
+        """Print a note once compilation has taken a second."""
         with self._lock:
             self._seconds += seconds
             is_time = self._seconds > DELAY

@@ -22,7 +22,7 @@ GUIDES = ("depth", "normal", "albedo", "emission")
 
 
 class LayerSelection(NamedTuple):
-    """The layers to render, and the layers to save; whether the image is denoised, and fast."""
+    """The layers to render, and the layers to save; whether to denoise, and whether fast."""
 
     rendered: tuple[str, ...]
     saved: tuple[str, ...]

@@ -74,7 +74,7 @@ def open_tracer(
     watch : Stopwatch
         Records "load" and "build".
     loaded : callable, optional
-        Called with the scene, of a model before anything is computed from it.
+        Called with the scene; for a model, before anything is computed from it.
 
     Raises
     ------

@@ -68,7 +68,7 @@ class Material:
     textures : mapping of str to Texture
         By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
         ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``, and those of coat and sheen.
-        Opacity is read from the alpha channel, or from the luminance if there is none or it is 1
+        Opacity is read from the alpha channel, or from the luminance where that is missing or 1
         everywhere. Occlusion is not used: rays compute it.
     normal_scale : float
         Factor of a normal map's x and y: 0 is flat, negative swaps bumps and dents.

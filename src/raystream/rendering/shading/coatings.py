@@ -59,7 +59,7 @@ def coat_at(tables, point, back):
     Returns
     -------
     share, alpha : float64
-        Share of the light that it reflects, 0 if there is none, and its GGX roughness.
+        Share of the light that it reflects, 0 without a coat, and its GGX roughness.
     """
     plain = tables.textures.plain
     strength = material_number(tables, point.material, _COAT)
@@ -85,9 +85,9 @@ def sheen_at(tables, point, back):
     Returns
     -------
     color : tuple of three float64
-        Black if there is none.
+        Black without sheen.
     alpha : float64
-        Squared roughness; 0 if there is none.
+        Squared roughness; 0 without sheen.
     base : float64
         Factor of what is below.
     """

@@ -1,9 +1,8 @@
 """Shading kernels for plain scenes: without textures, roughness, and images of the sky.
 
-Most of a shading kernel's code is for these, and it takes most of the time to compile; scenes that
-have none of them, as most models of simulations, need not wait for it. A plain copy of a kernel
-is the kernel with such functions replaced by trivial ones: where it is used they are never
-reached, so bits are the same.
+A scene without them need not wait until their code is compiled: of 7.7 s for `shade_unshadowed`,
+3.4. A plain copy of a kernel is the kernel with functions for them replaced by trivial ones. In
+plain scenes these are never reached, so the bits are the same.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def outline_points(
     Returns
     -------
     ndarray of shape (K, 3), float64
-        Local frame: corners of triangles' boxes. None for a model without triangles in the box.
+        Local frame: corners of triangles' boxes. K is 0 without triangles in the box.
     """
     right = np.cross(up, toward_eye)
     right /= np.linalg.norm(right)
