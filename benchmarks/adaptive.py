@@ -56,9 +56,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     default = ["cornell", "sponza", "building", "kitchen"]
     parser.add_argument("scenes", nargs="*", default=default)
-    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--size", default="160x120")
+    parser.add_argument("--size", default="480x360")
     options = parser.parse_args()
     size = tuple(map(int, options.size.split("x")))
     print("scene    samples/s", *(f"{name:>12s}" for name in MEASURES))

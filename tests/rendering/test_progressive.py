@@ -12,6 +12,7 @@ import pytest
 import raystream as rs
 from raystream.jit.threads import set_thread_count
 from raystream.rendering import progressive, sample_file
+from raystream.rendering.adaptive import FIRST_SAMPLES
 from raystream.rendering.film import Film
 from raystream.structures.bvh import kernel_choice
 
@@ -130,20 +131,20 @@ def test_samples_at_once_give_the_bits_of_one_by_one(tracer, at_once, monkeypatc
 
 def test_a_clock_that_stands_still_sets_no_bound():
     """Coarse clocks do not advance during a small sample."""
-    assert progressive._samples_at_once(7, PIXELS, 0.0, 10.0) == 7
-    assert progressive._samples_at_once(7, PIXELS, 0.0, 0.0) == 1
-    assert progressive._samples_at_once(7, PIXELS, np.inf, 10.0) == 1
+    assert progressive._passes_at_once(7, PIXELS, 0.0, 10.0) == 7
+    assert progressive._passes_at_once(7, PIXELS, 0.0, 0.0) == 1
+    assert progressive._passes_at_once(7, PIXELS, np.inf, 10.0) == 1
 
 
 def test_checkpoints_do_not_count_as_time_of_samples(tracer, tmp_path, monkeypatch):
-    seen, ask = [], progressive._samples_at_once
+    seen, ask = [], progressive._passes_at_once
 
-    def note(left, pixel_count, seconds, interval):
+    def note(left, size, seconds, interval):
         seen.append(seconds)
-        return ask(left, pixel_count, seconds, interval)
+        return ask(left, size, seconds, interval)
 
     monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
-    monkeypatch.setattr(progressive, "_samples_at_once", note)
+    monkeypatch.setattr(progressive, "_passes_at_once", note)
     rs.render(tracer, **PICTURE, samples=2)  # compiles
     seen.clear()
     rs.render(tracer, **PICTURE, samples=4, on_pass=lambda _: time.sleep(1.5))
@@ -168,11 +169,25 @@ def test_interrupt_keeps_whole_samples_only(tracer, at_once, tmp_path):
     np.testing.assert_array_equal(image.pixels, whole.pixels)
 
 
-@pytest.mark.parametrize("limit", [{"noise": 1e-9}, {"time_limit": 1e9}, {"layers": ["depth"]}])
-def test_samples_that_may_not_be_needed_are_traced_singly(tracer, at_once, limit):
-    image = rs.render(tracer, **PICTURE, samples=3, **limit)
-    assert (image.layers["samples"] == 3).all()
-    assert at_once == []
+@pytest.mark.parametrize("limit", [{"noise": 0.0}, {"time_limit": 1e9}, {"layers": "all"}])
+def test_samples_traced_at_once_end_where_single_ones_do(tracer, at_once, monkeypatch, limit):
+    """What is traced beyond the noise limit is dropped."""
+    asked = {**PICTURE, "mode": "path", "samples": 60, **limit}
+    if "noise" in limit:
+        asked["noise"] = 1.5 * rs.render(tracer, **{**asked, "noise": None}).figures["error"]
+        at_once.clear()
+    together = rs.render(tracer, **asked)
+    assert at_once[0] == 1
+    assert at_once[1] > 1
+    monkeypatch.setattr(progressive, "SAMPLES_SECONDS", 0.0)
+    singly = rs.render(tracer, **asked)
+    assert at_once[2:4] == [1, 1]
+    if "noise" in limit:
+        assert FIRST_SAMPLES <= singly.figures["samples"] < 60
+    assert together.figures == singly.figures
+    np.testing.assert_array_equal(together.pixels, singly.pixels)
+    for name, layer in singly.layers.items():
+        np.testing.assert_array_equal(together.layers[name], layer)
 
 
 def test_interrupt_before_the_first_sample_leaves_no_checkpoint(tracer, tmp_path):

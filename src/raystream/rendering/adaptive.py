@@ -173,11 +173,20 @@ class Rounds:
 
 
 def _units(counts: NDArray[np.int64], targets: NDArray[np.int64]) -> Iterator[Unit]:
-    """The samples that tiles need for their targets: one of each that needs more, repeatedly."""
+    """The samples that tiles need for their targets, in as few units as these allow.
+
+    All units have about as many tiles, since small ones take longer per path. What follows
+    depends on the samples left alone, so that a round can be continued anywhere.
+    """
     counts = counts.copy()
-    while len(tiles := np.flatnonzero(counts < targets)):
+    left = targets - counts
+    for units_left in range(int(left.max(initial=0)), 0, -1):
+        order = np.argsort(-left, kind="stable")
+        needed = int(np.count_nonzero(left == units_left))
+        tiles = np.sort(order[: max(needed, -(-int(left.sum()) // units_left))])
         yield Unit(counts[tiles], tiles)
         counts[tiles] += 1
+        left[tiles] -= 1
 
 
 def _targets(

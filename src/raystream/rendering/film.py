@@ -101,17 +101,16 @@ class Film:
         count = radiance.shape[-2]
         chosen = self._chosen(pixels, count)
         light = np.ascontiguousarray(radiance, np.float32).reshape(-1, count, 3)
-        sums = self._sum[chosen], self._squares[chosen], self.counts[chosen]
+        numbers = np.arange(chosen.start, chosen.stop) if isinstance(chosen, slice) else chosen
+        sums = self._sum, self._squares, self.counts
 
         def add(begin: int, end: int) -> None:
-            dropped = add_light(begin, end, light, *sums)
+            dropped = add_light(begin, end, numbers, light, *sums)
             if dropped:
                 with self._lock:
                     self.dropped += dropped
 
         parallel_for(add, count, _ADDED_PIXELS)
-        if not isinstance(chosen, slice):  # these are copies
-            self._sum[chosen], self._squares[chosen], self.counts[chosen] = sums
 
     def set_layer(self, name: str, pixels: Pixels, values: NDArray[Any]) -> None:
         """Add one sample of a layer to each of N pixels.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
@@ -43,7 +45,7 @@ LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
 MOST_RAYS = 1 << 21
 
 #: Most samples that are traced at once, so that threads need not wait for each other after each:
-#: half a second of them, since an interrupt discards them, and 64 MB of their light.
+#: half a second of them, since an interrupt discards them, and 64 MB of their light and layers.
 SAMPLES_SECONDS, SAMPLES_BYTES = 0.5, 1 << 26
 
 #: See `checkpoint_seconds`.
@@ -73,8 +75,8 @@ class SampleSource(Protocol):
         ...
 
 
-#: Of a sample's light.
-_LIGHT_BYTES = 12
+#: Of a sample's light, and of its AOVs.
+_LIGHT_BYTES, _AOV_BYTES = 12, 44
 
 
 def render_samples(
@@ -146,10 +148,11 @@ def render_samples(
         with ThreadPoolExecutor(1) as adder:
             adder.submit(int).result()  # only a started thread is joined
             while True:
-                now = time.monotonic()
+                if not passes.ahead:  # time does not end what is traced already
+                    now = time.monotonic()
                 done = int(sums.counts.sum())
                 expected = limits.expected_paths(sums, first, now - started)
-                if progress is not None:
+                if progress is not None and (done >= expected or not passes.ahead):
                     progress(done, expected)
                 if done >= expected:
                     break
@@ -159,10 +162,10 @@ def render_samples(
                     if on_pass is not None:
                         on_pass(sums.image(_figures(sums)))
                     shown = time.monotonic()
-                begun = time.monotonic()  # without the checkpoint
-                traced = passes.trace(interval, _within(progress, done, expected))
-                adder.submit(_add, sums, context.layers, traced).result()
-                passes.seconds = (time.monotonic() - begun) / passes.samples_at_once
+                if not passes.ahead:
+                    left = expected - done
+                    passes.trace(left, interval, _within(progress, done, expected))
+                adder.submit(_add, sums, context.layers, passes.ahead.popleft()).result()
     except (KeyboardInterrupt, RaystreamError):
         if file is not None and sums.counts.any():
             file.save(sums)
@@ -195,17 +198,15 @@ class _Passes:
     context : RenderContext
     limits : Limits
     sums : Film
-        The samples so far: after each call of `trace`, its result must be added.
+        The samples so far.
     source : SampleSource, optional
 
     Attributes
     ----------
     tiles : Tiles
     bands : DeviceBands or None
-    seconds : float
-        That a sample of the whole image takes.
-    samples_at_once : int
-        Samples of the whole image in the last result.
+    ahead : deque of list
+        Passes that are traced and not yet added to the film, in the order to add them.
     """
 
     def __init__(
@@ -220,76 +221,105 @@ class _Passes:
         self._sums, self._source = sums, source
         self.tiles = Tiles(context.width, context.height)
         self.bands = renderer.bands_of(context)
-        self.seconds, self.samples_at_once = math.inf, 1
-        is_serial = self.bands is not None and self.bands.is_serial
-        self._compiles = source is None and not is_serial
+        self.ahead: deque[list[_Traced]] = deque()
+        self._is_serial = self.bands is not None and self.bands.is_serial
         self._is_adaptive = not (limits.only_samples or context.bands is not None)
         if source is not None and source.is_uniform:
             self._is_adaptive = False
-        # Samples are traced one by one where another may not be needed, or each is asked for.
-        self._at_once = source is None and not context.layers and not is_serial
-        self._at_once &= limits.only_samples
         self._rounds = Rounds(sums, limits.samples, self._is_adaptive)
         self._round: Iterator[list[Unit]] = iter(())
         self._announced = 0  # first sample of the whole image that the source does not expect
+        self._seconds_per_path = math.inf
 
     def start(self) -> None:
         """Begin the image: compile its kernels."""
         fewest = int(self._sums.counts.min())
-        if self._compiles and fewest < self._limits.samples:
+        compiles = self._source is None and not self._is_serial
+        if compiles and fewest < self._limits.samples:
             _compile(self._renderer, self._context, fewest)
         if self.bands is not None:
             self.bands.start()
 
-    def trace(self, interval: float, progress: Progress | None) -> list[_Traced]:
-        """Trace a sample of the whole image, or several at once, or a pass of tiles.
+    def trace(self, left: int, interval: float, progress: Progress | None) -> None:
+        """Trace the next pass, a sample of the whole image or of tiles; or several at once.
 
         Parameters
         ----------
+        left : int
+            Paths that the image needs, at most or by an estimate.
         interval : float
             See `checkpoint_seconds`.
         progress : callable, optional
             Called with (paths done, paths).
         """
         fewest, most = int(self._sums.counts.min()), int(self._sums.counts.max())
-        self.samples_at_once = 1
-        if fewest < most or (self._is_adaptive and fewest >= FIRST_SAMPLES):
-            return self._trace_tiles(progress)
-        if self._at_once:
-            left = self._limits.samples - fewest
-            count = _samples_at_once(left, len(self._sums.counts), self.seconds, interval)
-            self.samples_at_once = count
-            numbers = range(fewest, fewest + count)
-            return [(0, trace_samples(self._renderer, self._context, numbers, progress), None)]
-        if self._source is None:
-            return [(0, *trace_sample(self._renderer, self._context, fewest, progress))]
-        if fewest >= self._announced:
+        is_whole = fewest == most and not (self._is_adaptive and fewest >= FIRST_SAMPLES)
+        if self._source is not None:
+            taken = self._take_whole(fewest, progress) if is_whole else self._take_tiles(progress)
+            self.ahead.append(taken)
+            return
+        count = self._passes_at_once(left, interval)
+        begun, done = time.monotonic(), 0
+        if is_whole:
+            last = FIRST_SAMPLES if self._is_adaptive else self._limits.samples
+            numbers = range(fewest, min(fewest + count, max(last, fewest + 1)))
+            light, aovs = trace_samples(self._renderer, self._context, numbers, progress)
+            done = len(numbers) * len(self._sums.counts)
+            if self._limits.only_samples and not self._context.layers:
+                self.ahead.append([(0, light, None)])
+            else:
+                self.ahead.extend([(0, *each)] for each in zip(light, aovs, strict=True))
+        else:
+            passes = [self._next_pass()]
+            passes += itertools.islice(self._round, count - 1)
+            units = [unit for each in passes for unit in each]
+            traced = iter(trace_tiles(self._renderer, self._context, units, progress))
+            for each in passes:
+                self.ahead.append([(self.tiles.pixels(u.tiles), *next(traced)) for u in each])
+            done = sum(self.tiles.size_of(unit) for unit in units)
+        self._seconds_per_path = (time.monotonic() - begun) / done
+
+    def _passes_at_once(self, left: int, interval: float) -> int:
+        """Number of passes to trace at once, each of about the image's pixels."""
+        if self._is_serial:
+            return 1
+        pixel_count = len(self._sums.counts)
+        size = pixel_count * (_LIGHT_BYTES + (_AOV_BYTES if self._context.layers else 0))
+        seconds = pixel_count * self._seconds_per_path
+        return _passes_at_once(-(-left // pixel_count), size, seconds, interval)
+
+    def _next_pass(self) -> list[Unit]:
+        """The next pass of the round, or of a new one, which a source is told of."""
+        units = next(self._round, None)
+        if units is not None:
+            return units
+        whole = self._rounds.begin()
+        if self._source is not None:
+            self._source.begin(whole, sum(self.tiles.size_of(unit) for unit in whole))
+        self._round = self._rounds.passes(whole)
+        return next(self._round)
+
+    def _take_whole(self, number: int, progress: Progress | None) -> list[_Traced]:
+        """A sample of the whole image from the source."""
+        assert self._source is not None
+        if number >= self._announced:
             last = self._limits.samples
             self._announced = min(last, FIRST_SAMPLES) if self._is_adaptive else last
-            units = (Unit(np.array([k])) for k in range(fewest, self._announced))
-            count = self._announced - fewest
+            units = (Unit(np.array([k])) for k in range(number, self._announced))
+            count = self._announced - number
             self._source.begin(units, count * len(self._sums.counts))
         return [(0, *self._source.take(progress))]
 
-    def _trace_tiles(self, progress: Progress | None) -> list[_Traced]:
-        units = next(self._round, None)
-        if units is None:
-            whole = self._rounds.begin()
-            if self._source is not None:
-                count = sum(self.tiles.size_of(unit) for unit in whole)
-                self._source.begin(whole, count)
-            self._round = self._rounds.passes(whole)
-            units = next(self._round)
-        made: list[Sampled] = []
-        if self._source is None:
-            made = trace_tiles(self._renderer, self._context, units, progress)
-        else:
-            done = 0
-            for unit in units:
-                made.append(self._source.take(part_of(progress, done, 0)))
-                done += self.tiles.size_of(unit)
-        pixels = [self.tiles.pixels(unit.tiles) for unit in units]
-        return [(chosen, *sampled) for chosen, sampled in zip(pixels, made, strict=True)]
+    def _take_tiles(self, progress: Progress | None) -> list[_Traced]:
+        """A pass of tiles from the source."""
+        assert self._source is not None
+        made: list[_Traced] = []
+        done = 0
+        for unit in self._next_pass():
+            sampled = self._source.take(part_of(progress, done, 0))
+            made.append((self.tiles.pixels(unit.tiles), *sampled))
+            done += self.tiles.size_of(unit)
+        return made
 
 
 def _figures(sums: Film) -> dict[str, Any]:
@@ -341,20 +371,21 @@ def checkpoint_seconds() -> float:
     return seconds
 
 
-def _samples_at_once(left: int, pixel_count: int, seconds: float, interval: float) -> int:
-    """Number of samples to trace at once, of those that are left.
+def _passes_at_once(left: int, size: int, seconds: float, interval: float) -> int:
+    """Number of passes to trace at once, of those that are left.
 
     Parameters
     ----------
-    left, pixel_count : int
+    left : int
+    size : int
+        Of a pass, in bytes.
     seconds : float
-        That a sample takes, 0 if the clock did not advance; inf for unknown.
+        That a pass takes, 0 if the clock did not advance; inf for unknown.
     interval : float
         See `checkpoint_seconds`.
     """
     most = min(SAMPLES_SECONDS, interval) / max(seconds, 1e-9)
-    fitting = SAMPLES_BYTES // (pixel_count * _LIGHT_BYTES)
-    return max(1, min(left, fitting, int(most)))
+    return max(1, min(left, SAMPLES_BYTES // size, int(most)))
 
 
 def trace_sample(
@@ -384,10 +415,9 @@ def trace_sample(
     aovs : AovBuffers or None
         Of its first hits, if layers are rendered.
     """
-    rows = range(context.height) if rows is None else rows
-    aovs = AovBuffers.empty(context.width * len(rows)) if context.layers else None
-    light = _trace_bands(renderer, context, range(sample, sample + 1), rows, progress, aovs)
-    return light[0], aovs
+    numbers = range(sample, sample + 1)
+    light, seen = trace_samples(renderer, context, numbers, progress, rows)
+    return light[0], seen[0]
 
 
 def trace_samples(
@@ -395,8 +425,9 @@ def trace_samples(
     context: RenderContext,
     samples: range,
     progress: Progress | None = None,
-) -> NDArray[np.float32]:
-    """Trace samples of every pixel on all threads, without layers.
+    rows: range | None = None,
+) -> tuple[NDArray[np.float32], list[AovBuffers | None]]:
+    """Trace samples of every pixel, or of some rows, on all threads.
 
     Parameters
     ----------
@@ -406,13 +437,50 @@ def trace_samples(
         Their numbers.
     progress : callable, optional
         Called with (paths done, paths).
+    rows : range, optional
+        Consecutive rows to trace [default: all].
 
     Returns
     -------
-    ndarray of shape (S, H * W, 3), float32
+    light : ndarray of shape (S, R * W, 3), float32
         Linear RGB of each sample.
+    aovs : list of AovBuffers or None
+        Of each sample's first hits, if layers are rendered.
     """
-    return _trace_bands(renderer, context, samples, range(context.height), progress)
+    rows = range(context.height) if rows is None else rows
+    width, height = context.width, len(rows)
+    pixel_count = width * height
+    path_count = len(samples) * pixel_count
+    band_count = -(-height // _rows_per_band(renderer, context, height, len(samples)))
+    light = np.empty((len(samples), pixel_count, 3), np.float32)
+    aovs = [AovBuffers.empty(pixel_count) if context.layers else None for _ in samples]
+
+    def trace_band(number: int, serial: Progress | None = None) -> None:
+        sample, band = divmod(number, band_count)
+        here = rows[height * band // band_count : height * (band + 1) // band_count]
+        first = (here.start - rows.start) * width
+        last = first + len(here) * width
+        seen = aovs[sample]
+        part = None if seen is None else seen.part(first, last)
+        report = part_of(serial, sample * pixel_count + first, path_count)
+        light[sample, first:last] = renderer.trace(context, here, samples[sample], part, report)
+
+    bands = renderer.bands_of(context)
+    if bands is not None and bands.is_serial:
+        for number in range(len(samples) * band_count):
+            trace_band(number, progress)
+        return light, aovs
+
+    def trace(begin: int, end: int) -> None:
+        for number in range(begin, end):
+            trace_band(number)
+
+    report = None
+    if progress is not None:
+        whole = progress
+        report = lambda done, steps: whole(path_count * done // steps, path_count)  # noqa: E731
+    parallel_for(trace, len(samples) * band_count, 1, report)
+    return light, aovs
 
 
 def trace_tiles(
@@ -426,48 +494,6 @@ def trace_tiles(
     path_count = sum(tiles.size_of(unit) for unit in units)
     at_once = _pixels_per_band(renderer, context, path_count)
     return trace_units(renderer, context, units, at_once, progress)
-
-
-def _trace_bands(
-    renderer: Integrator,
-    context: RenderContext,
-    samples: range,
-    rows: range,
-    progress: Progress | None = None,
-    aovs: AovBuffers | None = None,
-) -> NDArray[np.float32]:
-    """Samples of some rows, see `trace_samples`; and the AOVs of a single one."""
-    width, height = context.width, len(rows)
-    pixel_count = width * height
-    path_count = len(samples) * pixel_count
-    band_count = -(-height // _rows_per_band(renderer, context, height, len(samples)))
-    light = np.empty((len(samples), pixel_count, 3), np.float32)
-
-    def trace_band(number: int, serial: Progress | None = None) -> None:
-        sample, band = divmod(number, band_count)
-        here = rows[height * band // band_count : height * (band + 1) // band_count]
-        first = (here.start - rows.start) * width
-        last = first + len(here) * width
-        part = None if aovs is None else aovs.part(first, last)
-        report = part_of(serial, sample * pixel_count + first, path_count)
-        light[sample, first:last] = renderer.trace(context, here, samples[sample], part, report)
-
-    bands = renderer.bands_of(context)
-    if bands is not None and bands.is_serial:
-        for number in range(len(samples) * band_count):
-            trace_band(number, progress)
-        return light
-
-    def trace(begin: int, end: int) -> None:
-        for number in range(begin, end):
-            trace_band(number)
-
-    report = None
-    if progress is not None:
-        whole = progress
-        report = lambda done, steps: whole(path_count * done // steps, path_count)  # noqa: E731
-    parallel_for(trace, len(samples) * band_count, 1, report)
-    return light
 
 
 def _rows_per_band(

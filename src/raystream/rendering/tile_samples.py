@@ -81,15 +81,16 @@ def trace_units(
 def _parts(
     tiles: Tiles, chosen: NDArray[np.int64], width: int, band_pixels: int
 ) -> Iterator[slice]:
-    """Divide ascending tiles into those of bands."""
-    count = max(band_pixels // TILE**2, 1)
+    """Divide ascending tiles into those of bands, of about the same number."""
+    band_count = max(round(len(chosen) * TILE**2 / band_pixels), 1)
     rows = max(MOST_SPAN // (TILE * width), 1)
-    first = 0
-    while first < len(chosen):
-        end_row = int(chosen[first]) // tiles.columns + rows
-        end = min(first + count, int(np.searchsorted(chosen, end_row * tiles.columns)))
-        yield slice(first, end)
-        first = end
+    for band in range(band_count):
+        first, last = (len(chosen) * k // band_count for k in (band, band + 1))
+        while first < last:
+            end_row = int(chosen[first]) // tiles.columns + rows
+            end = min(last, int(np.searchsorted(chosen, end_row * tiles.columns)))
+            yield slice(first, end)
+            first = end
 
 
 def _trace(
