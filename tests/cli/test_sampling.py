@@ -12,6 +12,7 @@ import raystream as rs
 from extras import need
 from raystream.cli import options
 from raystream.cli.sampling import MAX_SAMPLES
+from raystream.rendering.integrator import MOST_SAMPLES
 
 SIZE = ("--size", "16x12")
 
@@ -179,3 +180,4 @@ def test_names_are_those_of_the_library():
     from raystream.rendering.sampling.sampler import KINDS
 
     assert options.SAMPLERS == KINDS
+    assert MAX_SAMPLES == MOST_SAMPLES

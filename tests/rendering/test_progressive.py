@@ -72,6 +72,18 @@ def test_progress_counts_towards_a_time(tracer):
     assert all(total < MOST * PIXELS for done, total in seen if done > PIXELS)
 
 
+def test_limits_without_samples_take_more_than_the_default(tracer):
+    whole = rs.render(tracer, **PICTURE, samples=40)
+    image = rs.render(tracer, **PICTURE, noise=whole.figures["error"])
+    assert image.figures["samples"] > 30
+    with pytest.raises(ValueError, match=r"^samples: .*stratified"):
+        rs.render(tracer, **PICTURE, noise=0.5, sampler="stratified")
+    track = rs.CameraTrack(tracer.scene.camera, [[0, 278, 273, -800], [1, 278, 273, -700]])
+    asked = {"frames": [0], "camera": track, "noise": whole.figures["error"]}
+    ((_, frame),) = rs.render_frames(tracer.scene, **PICTURE, **asked)
+    assert frame.figures["samples"] > 30
+
+
 def test_interrupt_waits_for_a_sample_that_is_being_added(tracer, tmp_path, monkeypatch):
     """Sums with half of a sample would make another image."""
     add_samples = Film.add_samples

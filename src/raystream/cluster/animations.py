@@ -26,9 +26,9 @@ from raystream.cluster.uploader import Uploader, uploader_of
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_size
-from raystream.rendering.frames import frame_seed, split_options, timeline_of
+from raystream.rendering.frames import frame_seed, sample_count_of, split_options, timeline_of
 from raystream.rendering.image import Image
-from raystream.rendering.render import RENDERERS, render
+from raystream.rendering.render import render
 from raystream.scene.animation import Timeline
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion
@@ -109,7 +109,7 @@ def render_frames(
         raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
     width, height = check_size(size)
     of_image, of_tracer = split_options(mode, options)
-    sample_count = RENDERERS[mode].samples(samples)
+    sample_count = sample_count_of(mode, samples, of_image)
     timeline = timeline_of(scene, camera, fps)
     numbers = timeline.chosen(frames)
     if camera is None and not scene.has_own_camera:

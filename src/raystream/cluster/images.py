@@ -111,7 +111,8 @@ def render(
     check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
-    limits = Limits(renderer.samples(samples), noise, time_limit)
+    samples = renderer.samples(samples, noise, time_limit, sampler)
+    limits = Limits(samples, noise, time_limit)
     given = [name for name in (*renderer.options, "preset") if name in options]
     own = renderer.complete({name: options.pop(name) for name in given})
     chosen = renderer.check(own)

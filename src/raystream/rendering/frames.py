@@ -22,10 +22,16 @@ from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
-__all__ = ["frame_seed", "render_frames", "split_options", "timeline_of"]
+__all__ = ["frame_seed", "render_frames", "sample_count_of", "split_options", "timeline_of"]
 
 #: Arguments of `render` for single images only.
 _SINGLE_IMAGE_OPTIONS = ("checkpoint", "on_pass")
+
+
+def sample_count_of(mode: str, samples: int | None, options: Mapping[str, Any]) -> int:
+    """Samples per pixel of each frame, see `Integrator.samples`; options are those of `render`."""
+    limits = {name: options[name] for name in ("noise", "time_limit", "sampler") if name in options}
+    return RENDERERS[mode].samples(samples, **limits)
 
 
 def frame_seed(seed: int, frame: int) -> int:
@@ -109,7 +115,7 @@ def render_frames(
         raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
     width, height = check_size(size)
     image_options, tracer_options = split_options(mode, options)
-    sample_count = RENDERERS[mode].samples(samples)
+    sample_count = sample_count_of(mode, samples, image_options)
     timeline = timeline_of(scene, camera, fps)
     numbers = timeline.chosen(frames)
     if camera is None and not scene.has_own_camera:

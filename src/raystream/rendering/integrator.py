@@ -39,6 +39,7 @@ from raystream.tracer import Tracer
 
 __all__ = [
     "MAX_BOUNCES",
+    "MOST_SAMPLES",
     "Band",
     "Integrator",
     "PathStage",
@@ -54,6 +55,9 @@ __all__ = [
 
 #: Upper bound of the option `max_bounces`.
 MAX_BOUNCES = 1000
+
+#: Samples per pixel, at most, where noise or time end an image and no number is given.
+MOST_SAMPLES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -264,7 +268,7 @@ class Integrator:
     presets : mapping of str to mapping
         Named sets of options.
     default_samples : int
-        Samples per pixel of an image for which none are given.
+        Samples per pixel of an image for which neither they nor other limits are given.
     """
 
     name: str
@@ -293,9 +297,30 @@ class Integrator:
             raise ValueError(f"preset: expected {known}, got {preset!r:.40}")
         return {**self.options, **self.presets[preset], **chosen}
 
-    def samples(self, given: int | None) -> int:
-        """Samples per pixel: those given, checked, or the default; raises ValueError."""
-        return self.default_samples if given is None else check_samples(given)
+    def samples(
+        self,
+        given: int | None,
+        noise: float | None = None,
+        time_limit: float | None = None,
+        sampler: str = "sobol",
+    ) -> int:
+        """Samples per pixel: those given, checked; or `MOST_SAMPLES` with limits; or the default.
+
+        Raises
+        ------
+        ValueError
+            If the number is below 1; or not given to the sampler "stratified", with limits.
+        """
+        if given is not None:
+            return check_samples(given)
+        if noise is None and time_limit is None:
+            return self.default_samples
+        if sampler == "stratified":
+            raise ValueError(
+                "samples: the sampler 'stratified' needs their number with noise or time_limit, "
+                "to divide each pixel into as many parts"
+            )
+        return MOST_SAMPLES
 
     def bands_of(self, context: RenderContext) -> DeviceBands | None:
         """The renderer of its samples on a device; None if the host renders, as for layers."""

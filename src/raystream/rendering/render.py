@@ -73,7 +73,8 @@ def render(
         Width and height in pixels.
     samples : int, optional
         Rays per pixel. One goes through the centre; more reduce aliasing and noise [default: 16
-        for ``"path"`` and ``"kajiya"``, which have noise, else 1].
+        for ``"path"`` and ``"kajiya"``, which have noise, else 1; with `noise` or `time_limit` at
+        most 65,536].
     structure, device
         See `Tracer`; not allowed if `scene` is a tracer.
     **options
@@ -148,7 +149,7 @@ def render(
     check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
-    samples = renderer.samples(samples)
+    samples = renderer.samples(samples, noise, time_limit, sampler)
     limits = Limits(samples, noise, time_limit)
     own = [name for name in (*renderer.options, "preset") if name in options]
     chosen = renderer.check(renderer.complete({name: options.pop(name) for name in own}))
