@@ -158,6 +158,37 @@ def test_transmission_takes_from_what_is_scattered(metallic):
     np.testing.assert_allclose(seen, expected, rtol=2e-4)
 
 
+@pytest.mark.parametrize("mode", ["path", "whitted", "raycast"])
+def test_textures_of_reflectance_and_transmission_are_factors_in_red(mode):
+    """Of both reflectances, as ``specularTexture``, and of what passes, without sRGB."""
+    texels = {"reflectance": (51, 7, 7), "transmission": (153, 7, 7)}
+    textures = {name: rs.Texture(np.array([[texel]], np.uint8)) for name, texel in texels.items()}
+    looks = {"diffuse": tuple(BASE), "roughness": 0.5, "metallic": 0.25}
+    textured = rs.Material(
+        **looks,
+        transmission=tuple(0.5 * BASE),
+        normal_reflectance=(0.5, 0.3, 0.1),
+        grazing_reflectance=0.75,
+        textures=textures,
+    )
+    plain = rs.Material(
+        **looks,
+        transmission=tuple(0.3 * BASE),
+        normal_reflectance=(0.1, 0.06, 0.02),
+        grazing_reflectance=0.15,
+    )
+    lights = [rs.DirectionalLight((-0.3, -1, 0.2)), rs.DirectionalLight((0.2, 1, 0.4))]
+    eye = np.array([-2.0, 0.5, 0.4])  # both reflectances count
+    seen = [
+        rs.render(
+            floor(material, lights, np.zeros((4, 2)), eye), mode, (1, 1), lights="file"
+        ).pixels
+        for material in (textured, plain)
+    ]
+    np.testing.assert_allclose(*seen, rtol=1e-5)
+    assert seen[0].min() > 0.0
+
+
 @pytest.mark.parametrize("metallic", [0.0, 0.4])
 @pytest.mark.parametrize("mode", ["path", "whitted"])
 def test_a_pane_shows_what_is_behind(mode, metallic):

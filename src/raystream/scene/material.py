@@ -48,7 +48,8 @@ class Material:
         Mirror reflectance, for reflected rays.
     transmission : Color
         Transmittance, for refracted rays (MTL ``Tf``, BART ``T``). With `roughness` it is a part
-        of `diffuse`, as in glTF: only the rest is scattered, and metal transmits nothing.
+        of `diffuse`, as in glTF: only the rest is scattered, and metal transmits nothing. Times
+        the red of the texture ``"transmission"``.
     ior : float
         Index of refraction (MTL ``Ni``).
     emission : Color
@@ -60,14 +61,16 @@ class Material:
         glTF's parameters; None if the file has none.
     normal_reflectance : Color
         With `roughness`, reflectance of what is not metal at normal incidence; times the texture
-        ``"specular"`` [default: of an index of refraction of 1.5].
+        ``"specular"``, and the red of ``"reflectance"`` [default: of an index of refraction of
+        1.5].
     grazing_reflectance : float
-        With `roughness`, the same at grazing incidence.
+        With `roughness`, the same at grazing incidence; times the red of ``"reflectance"``.
     double_sided : bool
         False if only the front is visible (glTF); tracing hits both sides.
     textures : mapping of str to Texture
         By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
-        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``, and those of coat and sheen.
+        ``"normal"``, ``"metallic_roughness"``, ``"reflectance"``, ``"transmission"``,
+        ``"occlusion"``, and those of coat and sheen.
         Opacity is read from the alpha channel, or from the luminance where that is missing or 1
         everywhere. Occlusion is not used: rays compute it.
     normal_scale : float

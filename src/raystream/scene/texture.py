@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import Literal
@@ -90,7 +91,7 @@ class Texture:
         self.transform = transform
         self._encoded = source if isinstance(source, bytes) else None
         self._pixels = source if isinstance(source, np.ndarray) else None
-        self._whole: Texture | None = None
+        self._made: tuple[Texture, Callable[[NDArray[np.uint8]], NDArray[np.uint8]]] | None = None
 
     def pixels(self) -> NDArray[np.uint8]:
         """Decode the image; cached.
@@ -114,18 +115,26 @@ class Texture:
 
         The image is read on first use of the channel.
         """
-        channel = Texture(b"", name=self.name, wrap=self.wrap, transform=self.transform)
-        channel._whole = self
-        return channel
+        return self.changed(_alpha_of)
+
+    def changed(self, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Texture:
+        """Return a texture whose pixels are made of this one's on first use.
+
+        Parameters
+        ----------
+        change : callable
+            From pixels of shape (H, W, C) to others, as `pixels` returns them.
+        """
+        made = Texture(b"", name=self.name, wrap=self.wrap, transform=self.transform)
+        made._made = self, change
+        return made
 
     def _decode(self) -> NDArray[np.uint8]:
         from PIL import Image
 
-        if self._whole is not None:
-            whole = self._whole.pixels()
-            if whole.shape[2] == 4:
-                return whole[:, :, 3:]
-            return np.full((*whole.shape[:2], 1), 255, np.uint8)
+        if self._made is not None:
+            whole, change = self._made
+            return change(whole.pixels())
 
         label = str(self.path) if self.path else self.name or "embedded image"
         try:
@@ -149,6 +158,11 @@ class Texture:
 
     def __repr__(self) -> str:
         return f"Texture({self.name!r}, wrap={self.wrap!r})"
+
+
+def _alpha_of(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The alpha channel of an image; 255 without one."""
+    return pixels[:, :, 3:] if pixels.shape[2] == 4 else np.full_like(pixels[:, :, :1], 255)
 
 
 def _check_pixels(pixels: NDArray[np.uint8]) -> None:

@@ -196,14 +196,19 @@ def test_unlit_surfaces_emit_their_colour(tmp_path: Path) -> None:
 
 def test_textures_of_extensions(tmp_path: Path) -> None:
     document = extended(
-        transmission={"transmissionFactor": 1, "transmissionTexture": use(0)},
-        specular={"specularTexture": use(1), "specularColorTexture": use(2)},
+        transmission={"transmissionFactor": 0.5, "transmissionTexture": use(2)},
+        specular={"specularTexture": use(1), "specularColorTexture": use(3)},
     )
-    expected = "left out: 1 of transmission, 1 of the specular factor"
+    _, material = loaded(tmp_path, document)
+    found = {role: texture.pixels()[0, 0].tolist() for role, texture in material.textures.items()}
+    assert found == {"specular": [3, 0, 0, 9], "transmission": [2, 0, 0, 9], "reflectance": [9]}
+    solid = document["extensions"] | extended(volume={"thicknessFactor": 1})["extensions"]
+    expected = "left out: 1 of the specular factor of solids that transmit light by a map"
     with pytest.warns(RaystreamWarning, match=expected) as caught:
-        _, material = loaded(tmp_path, document)
+        _, material = loaded(tmp_path, {"extensions": solid})
     assert len(caught) == 1
-    assert list(material.textures) == ["specular"]
+    assert material.textures["reflectance"].pixels()[0, 0].tolist() == [255 - 1]
+    assert (material.ior, material.grazing_reflectance) == (1.5, 1.0)
 
 
 def test_clear_coats_and_sheen(tmp_path: Path) -> None:

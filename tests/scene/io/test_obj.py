@@ -191,6 +191,36 @@ def test_refraction_and_options(tmp_path: Path) -> None:
     assert (odd.diffuse, odd.shininess, odd.opacity, odd.ior) == ((0.8, 0.8, 0.8), 0, 1, 1)
 
 
+def test_roughness_and_metal_replace_the_highlight(tmp_path: Path) -> None:
+    """As newer programs write them."""
+    rows = np.array([[10, 20], [30, 40]], np.uint8)
+    Image.fromarray(rows).save(tmp_path / "r.png")
+    Image.new("RGB", (1, 1), (7, 8, 9)).save(tmp_path / "m.png")
+    path = tmp_path / "a.mtl"
+    path.write_text(
+        "newmtl car\nillum 3\nKd 1 0 0\nKs .5 .5 .5\nNi 2\nPr .25\nPm .75\nPc .5\nPcr .125\nPs 2\n"
+        "newmtl maps\nmap_Pr r.png\nmap_Pm m.png\nmap_Ks r.png\n"
+        "newmtl metal\nPr .5\nmap_Pm m.png\n"
+        "newmtl glass\nillum 7\nPr 0\nmap_Pr r.png\n"
+    )
+    found = read_mtl(path)
+    car = found["car"]
+    assert (car.roughness, car.metallic) == (0.25, 0.75)
+    assert (car.clearcoat, car.clearcoat_roughness) == (0.5, 0.125)
+    assert (car.specular, car.reflection, car.sheen_color) == ((0, 0, 0), (0, 0, 0), (1, 1, 1))
+    assert car.normal_reflectance == pytest.approx((1 / 9,) * 3)
+    maps = found["maps"]
+    assert (maps.roughness, maps.metallic, list(maps.textures)) == (1, 1, ["metallic_roughness"])
+    assert maps.textures["metallic_roughness"].pixels().tolist() == [
+        [[255, 10, 7], [255, 20, 7]],
+        [[255, 30, 7], [255, 40, 7]],
+    ]
+    assert found["metal"].roughness == 0.5
+    assert found["metal"].textures["metallic_roughness"].pixels().tolist() == [[[255, 255, 7]]]
+    glass = found["glass"]
+    assert (glass.roughness, glass.transmission, dict(glass.textures)) == (None, (1, 1, 1), {})
+
+
 @pytest.mark.parametrize(
     ("statement", "role", "scale"),
     [

@@ -76,6 +76,8 @@ _EMISSION_TEXTURE = np.int32(ROLES.index("emission"))
 _DIFFUSE_TEXTURE = np.int32(ROLES.index("diffuse"))
 _ROUGHNESS_TEXTURE = np.int32(ROLES.index("metallic_roughness"))
 _SPECULAR_TEXTURE = np.int32(ROLES.index("specular"))
+_TRANSMISSION_TEXTURE = np.int32(ROLES.index("transmission"))
+_REFLECTANCE_TEXTURE = np.int32(ROLES.index("reflectance"))
 
 Vector = tuple[float, float, float]
 
@@ -198,8 +200,11 @@ def lobes_at(tables, point, back):
     reflection = color_if(tables, HAS_REFLECTION, point, _REFLECTION)
     transmission = color_if(tables, HAS_TRANSMISSION, point, _TRANSMISSION)
     ior, shininess = point.nx * _NULL + _WHOLE, point.nx * _NULL + _WHOLE
+    plain = tables.textures.plain
     if tables.kinds & HAS_TRANSMISSION:
         ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
+        passed = looked_up(tables, point, _TRANSMISSION_TEXTURE, plain)[0]
+        transmission = scaled(transmission, passed)
     if tables.kinds & HAS_SPECULAR:
         shininess = material_number(tables, material, _SHININESS)
     roughness = point.nx * _NULL - _WHOLE
@@ -208,8 +213,9 @@ def lobes_at(tables, point, back):
     is_rough = roughness >= _NULL
     alpha = roughness * _NULL
     if any_lane(is_rough):
+        gloss = looked_up(tables, point, _REFLECTANCE_TEXTURE, plain)[0]
         rough, rest, mirror, grazing = metal_or_plastic(
-            tables, point, roughness, diffuse, specular, shininess
+            tables, point, roughness, diffuse, scaled(specular, gloss), shininess * gloss
         )
         through = scaled(times(transmission, tint), rest)
         alpha, shininess = select(is_rough, rough, alpha), select(is_rough, grazing, shininess)

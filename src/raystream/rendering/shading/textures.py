@@ -53,6 +53,8 @@ ROLES = (
     "clearcoat_normal",
     "sheen_color",
     "sheen_roughness",
+    "transmission",
+    "reflectance",
 )
 
 _NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
@@ -83,7 +85,7 @@ class TextureTables(NamedTuple):
         Of shape (T, 10), int32: first texel, width, height, bits of what applies (1: clamped, 2:
         transformed), and the six numbers of `Texture.transform`, float32.
     of_material : uint64
-        Of shape (M, 11), int32: each material's texture by role; -1 for none.
+        Of shape (M, 13), int32: each material's texture by role; -1 for none.
     normal_scales : uint64
         Of shape (M, 4), float32: factors of normals' x and y, and of heights; 1 for specular
         materials, 0 for diffuse ones; factors of a clear coat's normals.
@@ -159,6 +161,8 @@ def _is_seen(material: Material, role: str) -> bool:
         return bool(material.clearcoat_normal_scale)
     if role == "specular" and material.roughness is not None:
         return any(material.normal_reflectance)
+    if role == "reflectance":
+        return material.roughness is not None
     return bool(np.any(getattr(material, role)))
 
 

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.gltf_texcoords import Texcoords, shared_texcoords
@@ -96,35 +100,41 @@ def _material(file: GltfFile, entry: Node, reader: TextureReader) -> tuple[Mater
                 "clearcoat_normal": file.child(coat, "clearcoatNormalTexture"),
                 "sheen_color": file.child(sheen, "sheenColorTexture"),
                 "sheen_roughness": file.child(sheen, "sheenRoughnessTexture"),
+                "transmission": _child(file, entry, "transmission", "transmissionTexture"),
+                "reflectance": _child(file, entry, "specular", "specularTexture"),
             }
         )
-        if "sheen_roughness" in textures:
-            textures["sheen_roughness"] = reader.alpha(textures["sheen_roughness"])
-        fields |= {"diffuse": base, **_lit(file, entry, surface, base, reader)}
+        for name in {"sheen_roughness", "reflectance"}.intersection(textures):
+            textures[name] = reader.alpha(textures[name])
+        has_map = "transmission" in textures
+        fields |= {"diffuse": base, **_lit(file, entry, surface, base, has_map)}
         fields |= _layers(file, coat, sheen)
+        if has_map and fields["ior"] != 1.0:
+            if "reflectance" in textures:
+                reader.leave_out("of the specular factor of solids that transmit light by a map")
+            rest = partial(_rest_of, _through(file, entry))
+            textures["reflectance"] = textures["transmission"].changed(rest)
     if color and role in textures and not is_solid:
         textures["opacity"] = reader.alpha(textures[role])
     return Material(textures=textures, **fields), texcoords
 
 
-def _lit(
-    file: GltfFile, entry: Node, surface: Node, base: Color, reader: TextureReader
-) -> dict[str, Any]:
-    """The parameters of a material that reflects, transmits and emits light."""
+def _lit(file: GltfFile, entry: Node, surface: Node, base: Color, has_map: bool) -> dict[str, Any]:
+    """The parameters of a material that reflects, transmits and emits light.
+
+    `has_map` is whether there is a map of transmission.
+    """
     glow = file.extension(entry, "KHR_materials_emissive_strength") or {}
     strength = max(0.0, file.number(glow, "emissiveStrength", 1.0))
     emission = _positive(file.numbers(entry, "emissiveFactor", _BLACK))
     refraction = file.extension(entry, "KHR_materials_ior") or {}
     ior = max(0.0, file.number(refraction, "ior", 1.5))
-    glass = file.extension(entry, "KHR_materials_transmission") or {}
-    through = _share(file.number(glass, "transmissionFactor", 0.0))
+    through = _through(file, entry)
     volume = file.extension(entry, "KHR_materials_volume") or {}
     is_thick = through > 0.0 and file.number(volume, "thicknessFactor", 0.0) > 0.0
-    reader.leave_out("of transmission", file.child(glass, "transmissionTexture"))
-    reader.leave_out("of the specular factor", _child(file, entry, "specular", "specularTexture"))
-    # The surface of a solid reflects by its index of refraction; that of a pane as without
-    # transmission, and no ray is bent.
-    share = 1.0 - through if is_thick else 1.0
+    # The surface of a solid reflects by its index of refraction, as far as it transmits light; that
+    # of a pane as without transmission, and no ray is bent.
+    share = 1.0 - through if is_thick and not has_map else 1.0
     gloss = file.extension(entry, "KHR_materials_specular") or {}
     grazing = share * _share(file.number(gloss, "specularFactor", 1.0))
     tint = _positive(file.numbers(gloss, "specularColorFactor", (1.0, 1.0, 1.0)))
@@ -142,6 +152,18 @@ def _lit(
         "normal_scale": _scale(file, file.child(entry, "normalTexture")),
         "absorption": _absorption(file, volume) if is_thick else _BLACK,
     }
+
+
+def _through(file: GltfFile, entry: Node) -> float:
+    """The factor of transmission."""
+    glass = file.extension(entry, "KHR_materials_transmission") or {}
+    return _share(file.number(glass, "transmissionFactor", 0.0))
+
+
+def _rest_of(through: float, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """What a map of transmission, times a factor, leaves to be reflected."""
+    rest = 255.0 - through * pixels[:, :, :1].astype(np.float64)
+    return np.floor(rest + 0.5).astype(np.uint8)
 
 
 def _layers(file: GltfFile, coat: Node, sheen: Node) -> dict[str, Any]:

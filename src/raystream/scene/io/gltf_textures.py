@@ -59,10 +59,9 @@ class TextureReader:
                 found[role] = texture
         return found, shared
 
-    def leave_out(self, name: str, use: Node) -> None:
-        """Count a ``...Texture`` entry that is not supported, if there is one."""
-        if use:
-            self._left_out[name] += 1
+    def leave_out(self, name: str) -> None:
+        """Count a ``...Texture`` entry that is not supported."""
+        self._left_out[name] += 1
 
     def alpha(self, texture: Texture) -> Texture:
         """Return the alpha channel of a texture; cached."""

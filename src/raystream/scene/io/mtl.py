@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.partial import warn_partial
@@ -28,6 +32,8 @@ _TEXTURE_ROLES = {
     "bump": "bump",
     "map_kn": "normal",
     "norm": "normal",
+    "map_pr": "roughness",
+    "map_pm": "metallic",
 }
 
 #: Texture options and their numbers of words; the last two of ``-o -s -t`` are optional.
@@ -56,6 +62,11 @@ def read_mtl(path: Path) -> dict[str, Material]:
     and a `d` below 1 is part of their refraction, but ``map_d`` is not. Invalid numbers are
     replaced by defaults. Texture options read are ``-clamp``, and ``-bm`` of bump and normal
     maps.
+
+    A material with roughness `Pr` or metal `Pm` (or ``map_Pr``, ``map_Pm``), as newer programs
+    write them, has these in place of `Ks`, `Ns` and the model, and `Ni` sets its reflectance; also
+    read are sheen `Ps`, and the clear coat `Pc` with its roughness `Pcr`. Refracting models ignore
+    them.
 
     Parameters
     ----------
@@ -125,6 +136,12 @@ def _material(
                 maps[role] = texture
                 if role in scales:
                     scales[role] = _multiplier(entries[word], scales[role])
+    pair = maps.pop("roughness", None), maps.pop("metallic", None)
+    rough = {} if refracts else _rough(entries, *pair)
+    if rough:
+        specular, model = default.specular, 0
+        maps = {role: texture for role, texture in maps.items() if role != "specular"}
+        maps |= _metallic_roughness(*pair)
     return Material(
         name=name,
         diffuse=_color(entries.get("kd", ""), default.diffuse),
@@ -138,7 +155,54 @@ def _material(
         textures=maps,
         normal_scale=scales["normal"],
         bump_scale=scales["bump"],
+        **rough,
     )
+
+
+def _rough(entries: dict[str, str], rough: Texture | None, metal: Texture | None) -> dict[str, Any]:
+    """The parameters of a material with roughness and metal, or maps of them; empty for others."""
+    if rough is None and metal is None and not {"pr", "pm"}.intersection(entries):
+        return {}
+    index = _number(entries.get("ni", ""), 1.5)
+    normal = ((index - 1.0) / (index + 1.0)) ** 2 if index > 1.0 else 0.04
+    sheen = _share(entries, "ps", 0.0)
+    return {
+        "roughness": _share(entries, "pr", 0.5 if rough is None else 1.0),
+        "metallic": _share(entries, "pm", 0.0 if metal is None else 1.0),
+        "normal_reflectance": (normal, normal, normal),
+        "clearcoat": _share(entries, "pc", 0.0),
+        "clearcoat_roughness": _share(entries, "pcr", 0.0),
+        "sheen_color": (sheen, sheen, sheen),
+        "sheen_roughness": 0.5,
+    }
+
+
+def _share(entries: dict[str, str], word: str, default: float) -> float:
+    return min(1.0, max(0.0, _number(entries.get(word, ""), default)))
+
+
+def _metallic_roughness(rough: Texture | None, metal: Texture | None) -> dict[str, Texture]:
+    """The two maps as one, as in glTF."""
+    first = metal if rough is None else rough
+    if first is None:
+        return {}
+    return {"metallic_roughness": first.changed(lambda _: _joined(rough, metal))}
+
+
+def _joined(rough: Texture | None, metal: Texture | None) -> NDArray[np.uint8]:
+    """Roughness in green and metal in blue, of maps whose red counts; 255 without a map.
+
+    A map of another size is enlarged or reduced to that of the first by nearest texels.
+    """
+    maps = [None if one is None else one.pixels()[:, :, 0] for one in (rough, metal)]
+    height, width = next(one.shape for one in maps if one is not None)
+    joined = np.full((height, width, 3), 255, np.uint8)
+    for channel, one in enumerate(maps, 1):
+        if one is not None:
+            row = np.arange(height) * one.shape[0] // height
+            column = np.arange(width) * one.shape[1] // width
+            joined[:, :, channel] = one[row[:, None], column]
+    return joined
 
 
 def _opacity(entries: dict[str, str]) -> float:
