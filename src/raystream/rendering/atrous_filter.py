@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.threads import parallel_for
-from raystream.rendering.atrous import STRENGTH, Guides, estimate_rows, filter_rows
+from raystream.rendering.atrous import (
+    MARGIN,
+    STRENGTH,
+    Planes,
+    estimate_rows,
+    filter_rows,
+    padded,
+)
 from raystream.rendering.color import luminance
 from raystream.rendering.guide_layers import finite, guide_layer
 from raystream.rendering.image import Image
@@ -59,8 +66,7 @@ def filter_with_atrous(image: Image, light: NDArray[np.float32]) -> NDArray[np.f
     limited = found * factor[:, :, None]
     for _ in range(2):  # its square could underflow, and infinity times 0 is NaN
         variance *= factor
-    parallel_for(lambda a, b: estimate_rows(a, b, guides, limited, variance), len(light), _ROWS)
-    return albedo * (_filter(guides, limited, variance) - found)
+    return albedo * (_filter(guides, padded(limited, variance), light.shape[1]) - found)
 
 
 def _firefly_factors(
@@ -84,41 +90,42 @@ def _firefly_factors(
 
 
 def _filter(
-    guides: Guides,
-    light: NDArray[np.float32],
-    variance: NDArray[np.float32],
+    guides: NDArray[np.float32], light: NDArray[np.float32], width: int
 ) -> NDArray[np.float32]:
-    sources = light, variance
-    targets = np.empty_like(light), np.empty_like(variance)
-    spare = np.empty_like(light), np.empty_like(variance)
+    """Filter planes of light and its variance, which are overwritten; see `Planes`."""
+    _, height, stride = light.shape
+    filtered = np.zeros_like(light)
+    at = [np.uint64(planes.ctypes.data) for planes in (guides, light, filtered)]
+    planes = Planes(at[0], at[1], at[2], height, stride)
+    parallel_for(lambda a, b: estimate_rows(a, b, planes), height, _ROWS)
     for k in range(_PASSES):
-        run = partial(_filter_rows, 1 << k, guides, sources, targets)
-        parallel_for(run, len(variance), _ROWS)
-        sources, targets = targets, (spare if k == 0 else sources)
-    return sources[0]
+        parallel_for(partial(_filter_rows, 1 << k, planes), height, _ROWS)
+        planes = planes._replace(light=planes.filtered, filtered=planes.light)
+    found = light if _PASSES % 2 == 0 else filtered
+    return found[:3, :, MARGIN : MARGIN + width].transpose(1, 2, 0)
 
 
-def _filter_rows(
-    step: int,
-    guides: Guides,
-    sources: tuple[NDArray[np.float32], NDArray[np.float32]],
-    targets: tuple[NDArray[np.float32], NDArray[np.float32]],
-    begin: int,
-    end: int,
-) -> None:
-    filter_rows(begin, end, step, guides, *sources, *targets)
+def _filter_rows(step: int, planes: Planes, begin: int, end: int) -> None:
+    filter_rows(begin, end, step, planes)
 
 
-def _make_guides(image: Image, albedo: NDArray[np.float32]) -> Guides:
-    """The layers as guides; a missing one is constant, and so has no effect."""
+def _make_guides(image: Image, albedo: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The layers as the planes of guides; a missing one is constant, and so has no effect."""
     normals = finite(guide_layer(image, "normal", 3, 0.0))
     # Means of unit normals are shorter, and 0 where they cancel.
     lengths = np.sqrt(np.einsum("hwk,hwk->hw", normals, normals, dtype=np.float64))
     normals = (normals / np.maximum(lengths, 1e-30)[:, :, None]).astype(np.float32)
     depth = guide_layer(image, "depth", 1, 0.0)
     depth = np.where(np.isfinite(depth), depth, np.float32(np.inf))
-    slopes = np.stack([_slope(depth, 1), _slope(depth, 0)], axis=2)
-    return Guides(normals, depth, slopes, albedo)
+    return padded(
+        normals,
+        (lengths == 0.0).astype(np.float32),
+        depth,
+        _slope(depth, 1),
+        _slope(depth, 0),
+        albedo,
+        np.ones_like(depth),
+    )
 
 
 def _slope(depth: NDArray[np.float32], axis: int) -> NDArray[np.float32]:

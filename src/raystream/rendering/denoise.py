@@ -19,7 +19,7 @@ from raystream.rendering.regional_gain import regional_gain
 __all__ = ["denoise"]
 
 #: Memory per pixel of each filter, as measured with a megapixel: images, layers and buffers.
-_BYTES_PER_PIXEL = {"oidn": 760, "oidn-fast": 760, "atrous": 220}
+_BYTES_PER_PIXEL = {"oidn": 760, "oidn-fast": 760, "atrous": 170}
 
 #: Light is clamped to this, so that sums of squares do not overflow float32.
 _MOST_LIGHT = np.float32(1e15)

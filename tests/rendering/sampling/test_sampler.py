@@ -107,8 +107,9 @@ def draw_both(sampler, pixel, dimension, out):
     for sample in range(len(out)):
         out[sample, 0] = draw(sampler, pixel, sample, dimension)
         out[sample, 1] = draw(sampler, pixel, sample, dimension + 1)
-        pair = draw_pair(sampler, pixel, sample, dimension)
-        out[sample, 2], out[sample, 3] = pair
+        if not dimension & 1:
+            pair = draw_pair(sampler, pixel, sample, dimension)
+            out[sample, 2], out[sample, 3] = pair
 
 
 @pytest.mark.parametrize("dimension", [0, 1, 2, 3, 5001])
@@ -116,7 +117,8 @@ def test_a_pair_is_two_numbers(name, dimension):
     out = np.empty((200, 4), np.float32)
     sampler = Sampler.of(name, 4, 100)
     draw_both(sampler, 77, dimension, out)
-    assert_same_bits(out[:, :2], out[:, 2:])
+    if dimension % 2 == 0:
+        assert_same_bits(out[:, :2], out[:, 2:])
     assert_same_bits(sampler.numbers(77, np.arange(200), dimension, 2), out[:, :2])
 
 

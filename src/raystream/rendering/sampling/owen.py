@@ -132,25 +132,20 @@ def sample_number(seed, pixel, sample, dimension):
 
 @device
 def sample_pair(seed, pixel, sample, dimension):
-    """The numbers of a dimension and the next.
+    """The numbers of an even dimension and the next, which are stratified jointly.
 
     Parameters
     ----------
     seed, pixel, sample, dimension : int
-        See `sample_number`. The dimension should be even: only then are the two stratified jointly.
+        See `sample_number`.
 
     Returns
     -------
     x, y : float32
-        In [0, 1). In an even dimension the first 2**k samples are a (0, k, 2)-net: each
-        rectangle of 2**-i by 2**-(k - i) has one.
+        In [0, 1). The first 2**k samples are a (0, k, 2)-net: each rectangle of 2**-i by
+        2**-(k - i) has one.
     """
     dimension = as_uint32(dimension)
-    if dimension & _1:
-        return (
-            sample_number(seed, pixel, sample, dimension),
-            sample_number(seed, pixel, sample, as_uint32(dimension + _1)),
-        )
     key = stream_key(seed, pixel, dimension >> _2)
     index = _index(sample, dimension, key)
     in_group = as_uint32(dimension & _2)

@@ -36,7 +36,7 @@ def sample_number(seed, pixel, sample, dimension):
 
 @device
 def sample_pair(seed, pixel, sample, dimension):
-    """The numbers of a dimension and the next, two float32; see `sample_number`."""
+    """The numbers of an even dimension and the next, two float32; see `sample_number`."""
     following = as_uint32(as_uint32(dimension) + _1)
     return (
         sample_number(seed, pixel, sample, dimension),

@@ -213,10 +213,9 @@ def draw(sampler, pixel, sample, dimension):
 
 @device
 def draw_pair(sampler, pixel, sample, dimension):
-    """The numbers of a dimension, preferably even, and the next: two float32.
+    """The numbers of an even dimension and the next: two float32, stratified over the square.
 
-    The same as from `draw`, in less than twice the time. Only those of an even dimension and the
-    next are stratified over the square.
+    The same as from `draw`, in less than twice the time.
     """
     if sampler.kind == _SOBOL:
         return owen.sample_pair(sampler.seed, pixel, sample, dimension)
@@ -232,9 +231,10 @@ def draw_lanes(sampler, pixels, samples, dimension):
     if sampler.kind == _SOBOL:
         return owen.sample_number(sampler.seed, pixels, samples, dimension)
     if sampler.kind == _STRATIFIED:
-        numbers = scratch(_ROW)
+        numbers, count = scratch(_ROW), sampler.sample_count
         for i in range(lane_count(pixels)):
-            number = draw(sampler, lane(pixels, i), lane(samples, i), dimension)
+            pixel, sample = lane(pixels, i), lane(samples, i)
+            number = stratified.sample_number(sampler.seed, pixel, sample, dimension, count)
             store(numbers + np.uint64(i) * _WORD, number)
         return load(f32x16, numbers)
     return random.sample_number(sampler.seed, pixels, samples, dimension)
@@ -246,9 +246,10 @@ def draw_pair_lanes(sampler, pixels, samples, dimension):
     if sampler.kind == _SOBOL:
         return owen.sample_pair(sampler.seed, pixels, samples, dimension)
     if sampler.kind == _STRATIFIED:
-        us, vs = scratch(_ROW), scratch(_ROW)
+        us, vs, count = scratch(_ROW), scratch(_ROW), sampler.sample_count
         for i in range(lane_count(pixels)):
-            u, v = draw_pair(sampler, lane(pixels, i), lane(samples, i), dimension)
+            pixel, sample = lane(pixels, i), lane(samples, i)
+            u, v = stratified.sample_pair(sampler.seed, pixel, sample, dimension, count)
             store(us + np.uint64(i) * _WORD, u)
             store(vs + np.uint64(i) * _WORD, v)
         return load(f32x16, us), load(f32x16, vs)

@@ -111,15 +111,5 @@ def sample_number(seed, pixel, sample, dimension, sample_count):
 
 @device
 def sample_pair(seed, pixel, sample, dimension, sample_count):
-    """The numbers of a dimension and the next, two float32; see `sample_number`.
-
-    The dimension should be even: only then do the two share a grid.
-    """
-    dimension = np.uint32(dimension)
-    if dimension & _1:
-        following = np.uint32(dimension + _1)
-        return (
-            sample_number(seed, pixel, sample, dimension, sample_count),
-            sample_number(seed, pixel, sample, following, sample_count),
-        )
-    return _pair(seed, pixel, sample, dimension >> _1, sample_count)
+    """The numbers of an even dimension and the next, two float32; see `sample_number`."""
+    return _pair(seed, pixel, sample, np.uint32(dimension) >> _1, sample_count)
