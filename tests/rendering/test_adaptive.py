@@ -149,6 +149,41 @@ def test_picture_resumed_from_within_a_pass_is_the_same(tracer, whole, tmp_path,
     assert_same_image(render(tracer, **asked), whole)
 
 
+def test_passes_traced_beyond_the_noise_limit_are_dropped(tracer, whole, monkeypatch):
+    traced, trace_tiles = [], progressive.trace_tiles
+
+    def trace(renderer, context, units, progress):
+        made = trace_tiles(renderer, context, units, progress)
+        traced.extend(light for light, _ in made)
+        return made
+
+    monkeypatch.setattr(progressive, "trace_tiles", trace)
+    monkeypatch.setattr(progressive, "_passes_at_once", lambda *_: 1000)  # whole rounds
+    assert_same_image(render(tracer, noise=NOISE, layers="all"), whole)
+    pixel_count = WIDTH * HEIGHT
+    assert sum(map(len, traced)) > whole.layers["samples"].sum() - FIRST_SAMPLES * pixel_count
+
+
+def test_picture_resumed_from_between_passes_of_a_round_is_the_same(
+    tracer, whole, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(progressive, "_passes_at_once", lambda *_: 1000)
+    add, asked = progressive._add, {"noise": NOISE, "layers": "all"}
+    for number in (FIRST_SAMPLES + 2, FIRST_SAMPLES + 7):
+        checkpoint, calls = tmp_path / f"{number}.npz", itertools.count()
+
+        def stop(*arguments, number=number, calls=calls):
+            if next(calls) == number:
+                raise KeyboardInterrupt
+            add(*arguments)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(progressive, "_add", stop)
+            with pytest.raises(KeyboardInterrupt):
+                render(tracer, **asked, checkpoint=checkpoint)
+        assert_same_image(render(tracer, **asked, checkpoint=checkpoint), whole)
+
+
 def test_number_of_samples_alone_means_all_pixels(tracer):
     """The same bits as samples of the whole image that are added one by one."""
     mode = RENDERERS["path"]
@@ -230,6 +265,16 @@ def test_means_are_those_of_equal_tiles(tracer):
 
 
 # Rounds, of samples that are drawn here.
+
+
+def test_steps_of_a_round_have_about_as_many_tiles_each():
+    film = Film(64, 64)
+    film.targets = np.full(64, 2)
+    film.targets[[3, 40]] = 9
+    steps = [len(unit.tiles) for unit in Rounds(film, 100, True).begin()]
+    assert sum(steps) == 62 * 2 + 2 * 9
+    assert len(steps) == 9
+    assert max(steps) <= min(steps) + 1
 
 
 def drawn(film, draw, mean):

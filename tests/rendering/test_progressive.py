@@ -183,7 +183,6 @@ def test_interrupt_keeps_whole_samples_only(tracer, at_once, tmp_path):
 
 @pytest.mark.parametrize("limit", [{"noise": 0.0}, {"time_limit": 1e9}, {"layers": "all"}])
 def test_samples_traced_at_once_end_where_single_ones_do(tracer, at_once, monkeypatch, limit):
-    """What is traced beyond the noise limit is dropped."""
     asked = {**PICTURE, "mode": "path", "samples": 60, **limit}
     if "noise" in limit:
         asked["noise"] = 1.5 * rs.render(tracer, **{**asked, "noise": None}).figures["error"]

@@ -173,15 +173,16 @@ class Rounds:
 
 
 def _units(counts: NDArray[np.int64], targets: NDArray[np.int64]) -> Iterator[Unit]:
-    """The samples that tiles need for their targets, in as few units as these allow.
+    """The samples that tiles need for their targets, in as few units as the neediest tile allows.
 
-    All units have about as many tiles, since small ones take longer per path. What follows
-    depends on the samples left alone, so that a round can be continued anywhere.
+    Units have about equal numbers of tiles, since small ones take longer per path. The next unit
+    depends only on the samples that are missing, so that a round can be continued anywhere.
     """
     counts = counts.copy()
     left = targets - counts
     for units_left in range(int(left.max(initial=0)), 0, -1):
-        order = np.argsort(-left, kind="stable")
+        needy = np.flatnonzero(left)
+        order = needy[np.argsort(-left[needy], kind="stable")]
         needed = int(np.count_nonzero(left == units_left))
         tiles = np.sort(order[: max(needed, -(-int(left.sum()) // units_left))])
         yield Unit(counts[tiles], tiles)

@@ -27,7 +27,15 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.color import LUMINANCE
 
-__all__ = ["LANES", "MARGIN", "STRENGTH", "Planes", "estimate_rows", "filter_rows", "padded"]
+__all__ = [
+    "MARGIN",
+    "STRENGTH",
+    "Planes",
+    "as_planes",
+    "estimate_rows",
+    "filter_rows",
+    "stride_of",
+]
 
 #: Pixels that are filtered at once.
 LANES = 16
@@ -73,7 +81,7 @@ _BYTES = 4
 
 
 class Planes(NamedTuple):
-    """Images as planes of float32 of the same size, see `padded`, by address.
+    """Images as planes of float32 of the same size, see `as_planes`, by address.
 
     Attributes
     ----------
@@ -95,15 +103,16 @@ class Planes(NamedTuple):
     stride: int
 
 
-def padded(*images: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Images of shape (H, W) or (H, W, K) as planes of shape (P, H, stride).
+def stride_of(width: int) -> int:
+    """Columns of the planes of an image: its own, up to the next `LANES`, and the margins."""
+    return 2 * MARGIN + -(-width // LANES) * LANES
 
-    `MARGIN` columns of zeros, and what fills the last `LANES`, are beside the pixels.
-    """
+
+def as_planes(*images: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Images of shape (H, W) or (H, W, K) as planes of shape (P, H, stride), 0 beside them."""
     layers = [image[:, :, None] if image.ndim == 2 else image for image in images]
     height, width = layers[0].shape[:2]
-    stride = 2 * MARGIN + -(-width // LANES) * LANES
-    planes = np.zeros((sum(layer.shape[2] for layer in layers), height, stride), np.float32)
+    planes = np.zeros((sum(one.shape[2] for one in layers), height, stride_of(width)), np.float32)
     first = 0
     for layer in layers:
         end = first + layer.shape[2]
@@ -260,7 +269,7 @@ def _likeness(surface, neighbour, pitch, away, unlike):
     unlike += (red * red + green * green + blue * blue) / (_ALBEDO_SPREAD * _ALBEDO_SPREAD)
     cosine = normal[0] * toward[0] + normal[1] * toward[1] + normal[2] * toward[2]
     cosine += normal[3] * toward[3]
-    # False for NaN too, of infinite slopes, and of infinite depth beside other depths.
+    # False for NaN too, of infinite depth beside other depths.
     is_like = (cosine > _ZERO) & (unlike < _MOST_UNLIKE)
     cosine = minimum(cosine, _ONE)
     for _ in range(_NORMAL_SQUARINGS):

@@ -13,9 +13,9 @@ from raystream.rendering.atrous import (
     MARGIN,
     STRENGTH,
     Planes,
+    as_planes,
     estimate_rows,
     filter_rows,
-    padded,
 )
 from raystream.rendering.color import luminance
 from raystream.rendering.guide_layers import finite, guide_layer
@@ -66,7 +66,7 @@ def filter_with_atrous(image: Image, light: NDArray[np.float32]) -> NDArray[np.f
     limited = found * factor[:, :, None]
     for _ in range(2):  # its square could underflow, and infinity times 0 is NaN
         variance *= factor
-    return albedo * (_filter(guides, padded(limited, variance), light.shape[1]) - found)
+    return albedo * (_filter(guides, as_planes(limited, variance), light.shape[1]) - found)
 
 
 def _firefly_factors(
@@ -117,7 +117,7 @@ def _make_guides(image: Image, albedo: NDArray[np.float32]) -> NDArray[np.float3
     normals = (normals / np.maximum(lengths, 1e-30)[:, :, None]).astype(np.float32)
     depth = guide_layer(image, "depth", 1, 0.0)
     depth = np.where(np.isfinite(depth), depth, np.float32(np.inf))
-    return padded(
+    return as_planes(
         normals,
         (lengths == 0.0).astype(np.float32),
         depth,

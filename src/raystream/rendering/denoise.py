@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
+from raystream.rendering.atrous import stride_of
 from raystream.rendering.atrous_filter import filter_with_atrous
 from raystream.rendering.color import luminance
 from raystream.rendering.guide_layers import finite, guide_layer
@@ -40,7 +41,8 @@ def denoise(image: Image, method: str | None) -> Image:
         known = " or ".join(repr(name) for name in _FILTERS)
         raise ValueError(f"method: expected {known}, got {method!r}")
     width, height = image.size
-    byte_count = width * height * _BYTES_PER_PIXEL[method]
+    columns = stride_of(width) if method == "atrous" else width
+    byte_count = columns * height * _BYTES_PER_PIXEL[method]
     check_memory(byte_count, f"to denoise {width}x{height} pixels would")
     pixels = np.clip(finite(image.pixels), -_MOST_LIGHT, _MOST_LIGHT)
     emission = finite(guide_layer(image, "emission", 3, 0.0))

@@ -101,11 +101,14 @@ class Film:
         count = radiance.shape[-2]
         chosen = self._chosen(pixels, count)
         light = np.ascontiguousarray(radiance, np.float32).reshape(-1, count, 3)
-        numbers = np.arange(chosen.start, chosen.stop) if isinstance(chosen, slice) else chosen
         sums = self._sum, self._squares, self.counts
 
         def add(begin: int, end: int) -> None:
-            dropped = add_light(begin, end, numbers, light, *sums)
+            if isinstance(chosen, slice):
+                numbers = np.arange(chosen.start + begin, chosen.start + end)
+            else:
+                numbers = chosen[begin:end]
+            dropped = add_light(begin, numbers, light, *sums)
             if dropped:
                 with self._lock:
                     self.dropped += dropped

@@ -12,13 +12,14 @@ __all__ = ["add_light"]
 
 
 @kernel
-def add_light(begin, end, pixels, light, sums, squares, counts):
-    """Add samples to pixels begin to end of some, in order, in an eighth of NumPy's time.
+def add_light(begin, pixels, light, sums, squares, counts):
+    """Add samples to some pixels, in order, in an eighth of NumPy's time.
 
     Parameters
     ----------
-    begin, end : int
-    pixels : ndarray of shape (N,), int64
+    begin : int
+        The column of `light` of the first pixel; the others follow.
+    pixels : ndarray of shape (K,), int64
         All different.
     light : ndarray of shape (S, N, 3), float32
         A sample that is not finite in all channels counts as black.
@@ -33,8 +34,10 @@ def add_light(begin, end, pixels, light, sums, squares, counts):
         Number of samples that were not finite.
     """
     dropped = 0
-    for i in range(begin, end):
-        pixel = np.uint64(pixels[i])  # unsigned: Numba need not test for indices from the end
+    for i in range(begin, begin + len(pixels)):
+        pixel = np.uint64(
+            pixels[i - begin]
+        )  # unsigned: Numba need not test for indices from the end
         red, green, blue = sums[pixel, 0], sums[pixel, 1], sums[pixel, 2]
         reds, greens, blues = squares[pixel, 0], squares[pixel, 1], squares[pixel, 2]
         for k in range(len(light)):

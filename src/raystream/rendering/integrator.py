@@ -317,8 +317,8 @@ class Integrator:
             return self.default_samples
         if sampler == "stratified":
             raise ValueError(
-                "samples: the sampler 'stratified' needs their number with noise or time_limit, "
-                "to divide each pixel into as many parts"
+                "samples: give their number, with noise or time_limit too, to the sampler "
+                "'stratified', which divides each pixel into as many parts"
             )
         return MOST_SAMPLES
 

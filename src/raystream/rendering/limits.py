@@ -24,8 +24,8 @@ class Limits:
     noise : float, optional
         Relative error of the image, see `Film.error`; tested from 8 samples on.
     seconds : float, optional
-        A sample of the whole image that has begun is finished, and so is a pass of tiles, which
-        takes about as long. Time before an interruption does not count.
+        Samples that have begun are finished: one of the whole image, or as many as fit into the
+        time that is left. Time before an interruption does not count.
     """
 
     samples: int

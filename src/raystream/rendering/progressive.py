@@ -107,8 +107,9 @@ def render_samples(
         whole passes.
     progress : callable, optional
         Called with (paths done, paths), first with those of the checkpoint. With noise and time
-        limits the total is an estimate until the last call. An exception that it raises ends
-        the rendering.
+        limits the total is an estimate until the last call, which counts the paths of the image
+        only: fewer than the call before if some were beyond the limit. An exception that it raises
+        ends the rendering.
     source : SampleSource, optional
         Traces the samples in place of this process, for example on other machines. If it
         raises `RaystreamError`, the samples so far are saved as after an interruption.
@@ -258,11 +259,11 @@ class _Passes:
             taken = self._take_whole(fewest, progress) if is_whole else self._take_tiles(progress)
             self.ahead.append(taken)
             return
-        count = self._passes_at_once(left, interval)
+        count = self._count_at_once(left, interval)
         begun, done = time.monotonic(), 0
         if is_whole:
             last = FIRST_SAMPLES if self._is_adaptive else self._limits.samples
-            numbers = range(fewest, min(fewest + count, max(last, fewest + 1)))
+            numbers = range(fewest, min(fewest + count, last))
             light, aovs = trace_samples(self._renderer, self._context, numbers, progress)
             done = len(numbers) * len(self._sums.counts)
             if self._limits.only_samples and not self._context.layers:
@@ -279,7 +280,7 @@ class _Passes:
             done = sum(self.tiles.size_of(unit) for unit in units)
         self._seconds_per_path = (time.monotonic() - begun) / done
 
-    def _passes_at_once(self, left: int, interval: float) -> int:
+    def _count_at_once(self, left: int, interval: float) -> int:
         """Number of passes to trace at once, each of about the image's pixels."""
         if self._is_serial:
             return 1

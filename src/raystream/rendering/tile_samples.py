@@ -82,7 +82,7 @@ def _parts(
     tiles: Tiles, chosen: NDArray[np.int64], width: int, band_pixels: int
 ) -> Iterator[slice]:
     """Divide ascending tiles into those of bands, of about the same number."""
-    band_count = max(round(len(chosen) * TILE**2 / band_pixels), 1)
+    band_count = max(round(len(chosen) * TILE**2 / max(band_pixels, TILE**2)), 1)
     rows = max(MOST_SPAN // (TILE * width), 1)
     for band in range(band_count):
         first, last = (len(chosen) * k // band_count for k in (band, band + 1))

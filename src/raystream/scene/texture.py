@@ -123,7 +123,8 @@ class Texture:
         Parameters
         ----------
         change : callable
-            From pixels of shape (H, W, C) to others, as `pixels` returns them.
+            From pixels of shape (H, W, C) to others, as `pixels` returns them. A function that
+            can be pickled: scenes travel to other processes.
         """
         made = Texture(b"", name=self.name, wrap=self.wrap, transform=self.transform)
         made._made = self, change

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from pathlib import Path
 
@@ -215,8 +216,19 @@ def test_roughness_and_metal_replace_the_highlight(tmp_path: Path) -> None:
         [[255, 10, 7], [255, 20, 7]],
         [[255, 30, 7], [255, 40, 7]],
     ]
+    assert pickle.loads(pickle.dumps(maps)).textures["metallic_roughness"].pixels().shape == (
+        2,
+        2,
+        3,
+    )
     assert found["metal"].roughness == 0.5
     assert found["metal"].textures["metallic_roughness"].pixels().tolist() == [[[255, 255, 7]]]
+    (tmp_path / "m.png").write_bytes(b"no image")
+    damaged = read_mtl(path)["maps"].textures["metallic_roughness"]
+    with pytest.warns(RaystreamWarning, match=r"texture left out: .*m\.png"):
+        assert damaged.pixels()[0, 0].tolist() == [255, 10, 0]
+    with pytest.raises(FileFormatError, match=r"m\.png"):
+        read_mtl(path)["metal"].textures["metallic_roughness"].pixels()
     glass = found["glass"]
     assert (glass.roughness, glass.transmission, dict(glass.textures)) == (None, (1, 1, 1), {})
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import decoded, plain_text
@@ -186,15 +189,16 @@ def _metallic_roughness(rough: Texture | None, metal: Texture | None) -> dict[st
     first = metal if rough is None else rough
     if first is None:
         return {}
-    return {"metallic_roughness": first.changed(lambda _: _joined(rough, metal))}
+    return {"metallic_roughness": first.changed(partial(_joined, rough, metal))}
 
 
-def _joined(rough: Texture | None, metal: Texture | None) -> NDArray[np.uint8]:
+def _joined(rough: Texture | None, metal: Texture | None, _: NDArray[Any]) -> NDArray[np.uint8]:
     """Roughness in green and metal in blue, of maps whose red counts; 255 without a map.
 
-    A map of another size is enlarged or reduced to that of the first by nearest texels.
+    A map of another size is enlarged or reduced to that of the first by nearest texels. If one
+    cannot be read, roughness is a half, or metal 0.
     """
-    maps = [None if one is None else one.pixels()[:, :, 0] for one in (rough, metal)]
+    maps = [_red_of(rough, 128, metal is None), _red_of(metal, 0, rough is None)]
     height, width = next(one.shape for one in maps if one is not None)
     joined = np.full((height, width, 3), 255, np.uint8)
     for channel, one in enumerate(maps, 1):
@@ -203,6 +207,19 @@ def _joined(rough: Texture | None, metal: Texture | None) -> NDArray[np.uint8]:
             column = np.arange(width) * one.shape[1] // width
             joined[:, :, channel] = one[row[:, None], column]
     return joined
+
+
+def _red_of(texture: Texture | None, unread: int, is_alone: bool) -> NDArray[np.uint8] | None:
+    """The red of a map; a single texel, with a warning, if one of two cannot be read."""
+    if texture is None:
+        return None
+    try:
+        return texture.pixels()[:, :, 0]
+    except FileFormatError as error:
+        if is_alone:
+            raise
+        warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=2)
+        return np.full((1, 1), unread, np.uint8)
 
 
 def _opacity(entries: dict[str, str]) -> float:
