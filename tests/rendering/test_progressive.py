@@ -14,6 +14,7 @@ from raystream.jit.threads import set_thread_count
 from raystream.rendering import progressive, sample_file
 from raystream.rendering.adaptive import FIRST_SAMPLES
 from raystream.rendering.film import Film
+from raystream.rendering.limits import Limits
 from raystream.structures.bvh import kernel_choice
 
 PIXELS = 16 * 12
@@ -70,6 +71,18 @@ def test_progress_counts_towards_a_time(tracer):
     taken, seen = limited(tracer, time_limit=0.2)
     assert taken < MOST
     assert all(total < MOST * PIXELS for done, total in seen if done > PIXELS)
+
+
+def test_time_ends_an_image_at_the_nearest_sample():
+    film = Film(2, 2)
+    film.add_samples(0, np.ones((4, 3), np.float32))
+    limits = Limits(100, seconds=5.0)
+    assert limits.expected_paths(film, 1.0, np.inf) == 400  # nothing is known yet
+    assert limits.expected_paths(film, 1.0, 0.25) == 4 + 16  # four samples of a second
+    assert limits.expected_paths(film, 4.4, 0.25) == 8
+    assert limits.expected_paths(film, 4.6, 0.25) == 4  # the next would end at 5.6
+    assert limits.expected_paths(film, 5.0, 1e-9) == 4
+    assert Limits(100, seconds=1e-3).expected_paths(Film(2, 2), 9.0, np.inf) == 400  # at least one
 
 
 def test_limits_without_samples_take_more_than_the_default(tracer):

@@ -85,7 +85,7 @@ class SamplingOptions:
         typer.Option(
             metavar="SECONDS",
             callback=options.positive,
-            help="Start no new sample after this many seconds.",
+            help="End at the sample nearest to this many seconds.",
         ),
     ] = None
     max_bounces: Annotated[

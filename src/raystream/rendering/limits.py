@@ -24,8 +24,9 @@ class Limits:
     noise : float, optional
         Relative error of the image, see `Film.error`; tested from 8 samples on.
     seconds : float, optional
-        Samples that have begun are finished: one of the whole image, or as many as fit into the
-        time that is left. Time before an interruption does not count.
+        Whole samples of the image are traced, or passes of tiles, which take about as long: at
+        least one, and as many as end nearest to the limit. Time before an interruption does not
+        count.
     """
 
     samples: int
@@ -42,16 +43,16 @@ class Limits:
         """Whether nothing but the number of samples ends the rendering."""
         return self.noise is None and self.seconds is None
 
-    def expected_paths(self, sums: Film, first: int, seconds: float) -> int:
+    def expected_paths(self, sums: Film, seconds: float, seconds_per_path: float) -> int:
         """Estimate the paths that the image will have; at most those it has once it is complete.
 
         Parameters
         ----------
         sums : Film
-        first : int
-            Number of paths at the start.
         seconds : float
             Since the start.
+        seconds_per_path : float
+            Of the last passes; inf before the first.
         """
         done, fewest = int(sums.counts.sum()), int(sums.counts.min())
         if fewest >= self.samples:
@@ -59,11 +60,13 @@ class Limits:
         most = int(np.maximum(sums.counts, self.samples).sum())
         expected = float(most)
         if self.seconds is not None and done > 0:
-            if seconds >= self.seconds:
+            left = self.seconds - seconds
+            if left <= 0.0:
                 return done
-            if done > first:
-                per_second = (done - first) / max(seconds, 1e-9)
-                expected = min(expected, first + per_second * self.seconds)
+            if math.isfinite(seconds_per_path):
+                if left < 0.5 * seconds_per_path * len(sums.counts):
+                    return done
+                expected = min(expected, done + left / max(seconds_per_path, 1e-12))
         if self.noise is not None and fewest >= FIRST_SAMPLES:
             error = sums.error()
             if error <= self.noise:

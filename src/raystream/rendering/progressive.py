@@ -136,7 +136,6 @@ def render_samples(
         file = checkpoint if isinstance(checkpoint, SampleFile) else SampleFile(checkpoint)
     kept = None if file is None else file.open(renderer, context)
     sums = Film(context.width, context.height) if kept is None else kept
-    first = int(sums.counts.sum())
     started = time.monotonic()
     passes = _Passes(renderer, context, limits, sums, source)
     if file is not None and not passes.tiles.fit(sums):
@@ -149,10 +148,10 @@ def render_samples(
         with ThreadPoolExecutor(1) as adder:
             adder.submit(int).result()  # only a started thread is joined
             while True:
-                if not passes.ahead:  # time does not end what is traced already
-                    now = time.monotonic()
+                now = time.monotonic()
+                elapsed = 0.0 if passes.ahead else now - started  # what is traced is added
                 done = int(sums.counts.sum())
-                expected = limits.expected_paths(sums, first, now - started)
+                expected = limits.expected_paths(sums, elapsed, passes.seconds_per_path)
                 if progress is not None and (done >= expected or not passes.ahead):
                     progress(done, expected)
                 if done >= expected:
@@ -208,6 +207,8 @@ class _Passes:
     bands : DeviceBands or None
     ahead : deque of list
         Passes that are traced and not yet added to the film, in the order to add them.
+    seconds_per_path : float
+        Of the last passes; inf before the first.
     """
 
     def __init__(
@@ -230,7 +231,7 @@ class _Passes:
         self._rounds = Rounds(sums, limits.samples, self._is_adaptive)
         self._round: Iterator[list[Unit]] = iter(())
         self._announced = 0  # first sample of the whole image that the source does not expect
-        self._seconds_per_path = math.inf
+        self.seconds_per_path = math.inf
 
     def start(self) -> None:
         """Begin the image: compile its kernels."""
@@ -255,13 +256,13 @@ class _Passes:
         """
         fewest, most = int(self._sums.counts.min()), int(self._sums.counts.max())
         is_whole = fewest == most and not (self._is_adaptive and fewest >= FIRST_SAMPLES)
+        begun = time.monotonic()
+        count = self._count_at_once(left, interval)
         if self._source is not None:
             taken = self._take_whole(fewest, progress) if is_whole else self._take_tiles(progress)
             self.ahead.append(taken)
-            return
-        count = self._count_at_once(left, interval)
-        begun, done = time.monotonic(), 0
-        if is_whole:
+            done = sum(light.size // 3 for _, light, _ in taken)
+        elif is_whole:
             last = FIRST_SAMPLES if self._is_adaptive else self._limits.samples
             numbers = range(fewest, min(fewest + count, last))
             light, aovs = trace_samples(self._renderer, self._context, numbers, progress)
@@ -278,7 +279,7 @@ class _Passes:
             for each in passes:
                 self.ahead.append([(self.tiles.pixels(u.tiles), *next(traced)) for u in each])
             done = sum(self.tiles.size_of(unit) for unit in units)
-        self._seconds_per_path = (time.monotonic() - begun) / done
+        self.seconds_per_path = (time.monotonic() - begun) / done
 
     def _count_at_once(self, left: int, interval: float) -> int:
         """Number of passes to trace at once, each of about the image's pixels."""
@@ -286,8 +287,8 @@ class _Passes:
             return 1
         pixel_count = len(self._sums.counts)
         size = pixel_count * (_LIGHT_BYTES + (_AOV_BYTES if self._context.layers else 0))
-        seconds = pixel_count * self._seconds_per_path
-        return _passes_at_once(-(-left // pixel_count), size, seconds, interval)
+        seconds = pixel_count * self.seconds_per_path
+        return _passes_at_once(round(left / pixel_count), size, seconds, interval)
 
     def _next_pass(self) -> list[Unit]:
         """The next pass of the round, or of a new one, which a source is told of."""
