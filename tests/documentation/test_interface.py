@@ -40,7 +40,7 @@ LAB_MODULES = ("caches", "cost_model", "walk_page", "walks")
 FOR_ROOMS = {
     "machines": {"Branching", "Observer", "make_machine", "own_options"},
     "rendering.compare": {"compare", "draw_difference"},  # methods of Image
-    "rendering.frames": {"split_options", "timeline_of"},
+    "rendering.frames": {"sample_count_of", "split_options", "timeline_of"},
 }
 
 #: All top-level names; other names are imported from their modules.
