@@ -15,9 +15,9 @@ import numpy as np
 import raystream as rs
 from raystream.machines.records import RayState
 from raystream.rendering.integrator import make_context
-from raystream.rendering.progressive import trace_sample
 from raystream.rendering.ray_loops import MultipassBands
 from raystream.rendering.render import RENDERERS
+from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 
 SIZE = 256

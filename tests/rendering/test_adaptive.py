@@ -11,12 +11,12 @@ import raystream as rs
 from conftest import assert_same_bits
 from raystream.core.errors import FileFormatError
 from raystream.jit.threads import set_thread_count
-from raystream.rendering import progressive
+from raystream.rendering import progressive, sample_bands
 from raystream.rendering.adaptive import FIRST_SAMPLES, GROWTH, LEAST_SHARE, TILE, Rounds, Tiles
 from raystream.rendering.film import Film
 from raystream.rendering.integrator import make_context
-from raystream.rendering.progressive import trace_sample
 from raystream.rendering.render import RENDERERS
+from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 from z_test import assert_zero
 
@@ -87,7 +87,7 @@ def test_noise_takes_fewer_paths_than_everywhere_alike(tracer, whole):
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_and_bands_change_no_bit(tracer, whole, threads, monkeypatch):
-    monkeypatch.setattr(progressive, "LEAST_BAND", 512)
+    monkeypatch.setattr(sample_bands, "LEAST_BAND", 512)
     set_thread_count(threads)
     try:
         assert_same_image(render(tracer, noise=NOISE, layers="all"), whole)

@@ -9,7 +9,7 @@ import pytest
 
 import raystream as rs
 from meshes import icosphere
-from raystream.rendering import progressive
+from raystream.rendering import sample_bands
 
 NAMES = ("depth", "normal", "albedo", "prim_id")
 
@@ -130,7 +130,7 @@ def test_emission_is_what_is_seen_of_lamps_and_the_background():
 def test_layers_do_not_depend_on_threads_and_bands(monkeypatch):
     scene = rs.load("cornell")
     whole = rs.render(scene, "vis", (40, 31), 3, layers="all")
-    monkeypatch.setattr(progressive, "MOST_BAND", 100)
+    monkeypatch.setattr(sample_bands, "MOST_BAND", 100)
     for threads in (1, 3):
         try:
             rs.set_thread_count(threads)

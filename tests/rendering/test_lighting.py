@@ -12,8 +12,8 @@ from meshes import icosphere
 from raystream.core.errors import FileFormatError
 from raystream.rendering.integrator import make_context
 from raystream.rendering.lighting import ADDED, LEAST_LIGHT, LIGHTS, added_light, needs_light
-from raystream.rendering.progressive import trace_sample
 from raystream.rendering.render import RENDERERS
+from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 
 pytestmark = pytest.mark.filterwarnings("ignore:the scene's own lights")

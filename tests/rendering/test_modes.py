@@ -7,7 +7,7 @@ import pytest
 
 import raystream as rs
 from meshes import cube
-from raystream.rendering import progressive
+from raystream.rendering import sample_bands
 from raystream.rendering.integrator import Integrator
 from raystream.rendering.sampling.sampler import Sampler
 
@@ -337,8 +337,8 @@ def test_pictures_do_not_depend_on_bands(mode, monkeypatch):
         return trace(renderer, context, rows, *others)
 
     monkeypatch.setattr(Integrator, "trace", spy)
-    monkeypatch.setattr(progressive, "MOST_RAYS", 64)
-    monkeypatch.setattr(progressive, "MOST_BAND", 64)
+    monkeypatch.setattr(sample_bands, "MOST_RAYS", 64)
+    monkeypatch.setattr(sample_bands, "MOST_BAND", 64)
     image = rs.render(scene, mode, size=(16, 12), samples=2, lights="file")
     np.testing.assert_array_equal(image.pixels, whole)
     assert max(counted) == {"ao": 1, "whitted": 2, "path": 4}[mode]

@@ -7,8 +7,8 @@ import pytest
 
 import raystream as rs
 from raystream.rendering.integrator import make_context
-from raystream.rendering.progressive import trace_sample
 from raystream.rendering.render import RENDERERS
+from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 
 ONE = Sampler.of("sobol", 0, 1)

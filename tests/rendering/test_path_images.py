@@ -184,7 +184,7 @@ def test_seeds_agree_and_spread_as_estimated(sampler, truth):
 
 @pytest.mark.parametrize("sampler", ["sobol", "stratified", "random"])
 def test_threads_do_not_show(sampler, monkeypatch):
-    monkeypatch.setattr("raystream.rendering.progressive.LEAST_BAND", 64)
+    monkeypatch.setattr("raystream.rendering.sample_bands.LEAST_BAND", 64)
     scene = room(GLASS, SKY)
     pictures = []
     for threads in (1, 2, 3):

@@ -5,16 +5,17 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import raystream as rs
 from raystream.jit.threads import set_thread_count
-from raystream.rendering import progressive, sample_file
+from raystream.rendering import adaptive, progressive, sample_bands, sample_file
 from raystream.rendering.adaptive import FIRST_SAMPLES
 from raystream.rendering.film import Film
-from raystream.rendering.limits import Limits
+from raystream.rendering.limits import Limits, Pace
 from raystream.structures.bvh import kernel_choice
 
 PIXELS = 16 * 12
@@ -77,12 +78,49 @@ def test_time_ends_an_image_at_the_nearest_sample():
     film = Film(2, 2)
     film.add_samples(0, np.ones((4, 3), np.float32))
     limits = Limits(100, seconds=5.0)
-    assert limits.expected_paths(film, 1.0, np.inf) == 400  # nothing is known yet
-    assert limits.expected_paths(film, 1.0, 0.25) == 4 + 16  # four samples of a second
-    assert limits.expected_paths(film, 4.4, 0.25) == 8
-    assert limits.expected_paths(film, 4.6, 0.25) == 4  # the next would end at 5.6
-    assert limits.expected_paths(film, 5.0, 1e-9) == 4
-    assert Limits(100, seconds=1e-3).expected_paths(Film(2, 2), 9.0, np.inf) == 400  # at least one
+    assert limits.expected_paths(film, Pace(4, 1.0, np.inf)) == 400  # nothing is known yet
+    assert limits.expected_paths(film, Pace(0, 1.0, np.inf)) == 4 + 16  # four samples of a second
+    assert limits.expected_paths(film, Pace(0, 3.0, 0.25)) == 4 + 8  # the start took two
+    assert limits.expected_paths(film, Pace(0, 4.4, 0.25)) == 8
+    assert limits.expected_paths(film, Pace(0, 4.6, 0.25)) == 4  # the next would end at 5.6
+    assert limits.expected_paths(film, Pace(0, 4.6, np.inf)) == 8
+    assert limits.expected_paths(film, Pace(0, 5.0, 1e-9)) == 4
+    assert limits.expected_paths(film, None) == 400
+    assert Limits(100, seconds=1e-3).expected_paths(Film(2, 2), Pace(0, 9.0, np.inf)) == 400
+
+
+@pytest.mark.parametrize(
+    ("limit", "taken"),
+    [
+        (0.5, 1),  # the first takes a second
+        (3.4, 3),
+        (3.6, 4),
+        (20.0, 20),
+    ],
+)
+@pytest.mark.parametrize("hitch", [0.0, 50.0])
+def test_time_drops_nothing_that_is_traced(tracer, monkeypatch, limit, taken, hitch):
+    """By a clock that only samples advance, one second each, and by a hitch after the first."""
+    now, trace_samples = [0.0], progressive.trace_samples
+    traced = []
+
+    def trace(renderer, context, samples, progress):
+        traced.extend(samples)
+        now[0] += len(samples) + (hitch if 1 in samples else 0.0)
+        return trace_samples(renderer, context, samples, progress)
+
+    monkeypatch.setattr(progressive, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(progressive, "trace_samples", trace)
+    monkeypatch.setattr(progressive, "SAMPLES_SECONDS", 4.0)
+    monkeypatch.setattr(adaptive, "FIRST_SAMPLES", 100)
+    monkeypatch.setattr(progressive, "FIRST_SAMPLES", 100)
+    image = rs.render(tracer, **PICTURE, time_limit=limit)
+    assert image.figures["samples"] == len(traced)
+    assert traced == [*range(len(traced))]
+    if not hitch or taken == 1:
+        assert len(traced) == taken
+    else:
+        assert 1 < len(traced) <= 5
 
 
 def test_limits_without_samples_take_more_than_the_default(tracer):
@@ -141,7 +179,7 @@ def at_once(monkeypatch):
 def test_samples_at_once_give_the_bits_of_one_by_one(tracer, at_once, monkeypatch, count):
     many = {"mode": "path", "size": (50, 40), "samples": 6}
     monkeypatch.setattr(progressive, "SAMPLES_BYTES", 1)
-    monkeypatch.setattr(progressive, "LEAST_BAND", 256)
+    monkeypatch.setattr(sample_bands, "LEAST_BAND", 256)
     set_thread_count(count)
     try:
         singly = rs.render(tracer, **many)

@@ -256,11 +256,11 @@ def test_a_tracer_brings_its_own_structure():
 @pytest.mark.parametrize("size", [(1, 1), (3, 700), (700, 3), (300, 301)])
 def test_bands_and_threads_do_not_show(size, monkeypatch):
     scene = rs.load("cornell")
-    monkeypatch.setattr("raystream.rendering.progressive.LEAST_BAND", 1 << 30)
-    monkeypatch.setattr("raystream.rendering.progressive.MOST_BAND", 1 << 30)
+    monkeypatch.setattr("raystream.rendering.sample_bands.LEAST_BAND", 1 << 30)
+    monkeypatch.setattr("raystream.rendering.sample_bands.MOST_BAND", 1 << 30)
     whole = rs.render(scene, size=size, samples=3).pixels
     assert whole.any() or size == (1, 1)
-    monkeypatch.setattr("raystream.rendering.progressive.MOST_BAND", 1000)
+    monkeypatch.setattr("raystream.rendering.sample_bands.MOST_BAND", 1000)
     for threads in (1, 3):
         try:
             rs.set_thread_count(threads)

@@ -10,8 +10,8 @@ import pytest
 import raystream as rs
 from raystream.rendering.integrator import make_context
 from raystream.rendering.lighting import ADDED, needs_light
-from raystream.rendering.progressive import trace_sample
 from raystream.rendering.render import RENDERERS
+from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.tone import auto_exposure
 

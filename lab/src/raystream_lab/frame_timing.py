@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from raystream.rendering.integrator import RenderContext, make_context
-from raystream.rendering.progressive import trace_sample
 from raystream.rendering.render import RENDERERS, render
+from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer

@@ -21,8 +21,8 @@ from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
 from raystream.rendering.adaptive import Tiles, Unit
 from raystream.rendering.integrator import RenderContext, make_context
-from raystream.rendering.progressive import Sampled, trace_sample, trace_tiles
 from raystream.rendering.render import RENDERERS
+from raystream.rendering.sample_bands import Sampled, trace_sample, trace_tiles
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers
 from raystream.rendering.view_light import lit

@@ -35,9 +35,8 @@ def add_light(begin, pixels, light, sums, squares, counts):
     """
     dropped = 0
     for i in range(begin, begin + len(pixels)):
-        pixel = np.uint64(
-            pixels[i - begin]
-        )  # unsigned: Numba need not test for indices from the end
+        # Unsigned: Numba need not test for indices from the end.
+        pixel = np.uint64(pixels[i - begin])
         red, green, blue = sums[pixel, 0], sums[pixel, 1], sums[pixel, 2]
         reds, greens, blues = squares[pixel, 0], squares[pixel, 1], squares[pixel, 2]
         for k in range(len(light)):

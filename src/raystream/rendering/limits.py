@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from raystream.rendering.adaptive import FIRST_SAMPLES
 from raystream.rendering.film import Film
 
-__all__ = ["Limits"]
+__all__ = ["Limits", "Pace"]
+
+
+class Pace(NamedTuple):
+    """How fast an image is rendered.
+
+    Attributes
+    ----------
+    first : int
+        Number of paths at the start.
+    seconds : float
+        Since the start.
+    seconds_per_path : float
+        Of a pass; inf for unknown.
+    """
+
+    first: int
+    seconds: float
+    seconds_per_path: float
 
 
 @dataclass(frozen=True)
@@ -25,8 +44,8 @@ class Limits:
         Relative error of the image, see `Film.error`; tested from 8 samples on.
     seconds : float, optional
         Whole samples of the image are traced, or passes of tiles, which take about as long: at
-        least one, and as many as end nearest to the limit. Time before an interruption does not
-        count.
+        least one in all, and as many as end nearest to the limit. Samples of a cluster or of a
+        multipass machine that have begun are finished. Time before an interruption does not count.
     """
 
     samples: int
@@ -43,30 +62,29 @@ class Limits:
         """Whether nothing but the number of samples ends the rendering."""
         return self.noise is None and self.seconds is None
 
-    def expected_paths(self, sums: Film, seconds: float, seconds_per_path: float) -> int:
+    def expected_paths(self, sums: Film, pace: Pace | None) -> int:
         """Estimate the paths that the image will have; at most those it has once it is complete.
 
         Parameters
         ----------
         sums : Film
-        seconds : float
-            Since the start.
-        seconds_per_path : float
-            Of the last passes; inf before the first.
+        pace : Pace, optional
+            None while time does not matter: only the other limits are tested.
         """
         done, fewest = int(sums.counts.sum()), int(sums.counts.min())
         if fewest >= self.samples:
             return done
         most = int(np.maximum(sums.counts, self.samples).sum())
         expected = float(most)
-        if self.seconds is not None and done > 0:
-            left = self.seconds - seconds
-            if left <= 0.0:
+        if self.seconds is not None and pace is not None and done > 0:
+            left = self.seconds - pace.seconds
+            is_known = math.isfinite(pace.seconds_per_path)
+            if left <= (0.5 * pace.seconds_per_path * len(sums.counts) if is_known else 0.0):
                 return done
-            if math.isfinite(seconds_per_path):
-                if left < 0.5 * seconds_per_path * len(sums.counts):
-                    return done
-                expected = min(expected, done + left / max(seconds_per_path, 1e-12))
+            if done > pace.first:
+                mean = pace.seconds / (done - pace.first)
+                rate = pace.seconds_per_path if is_known else mean
+                expected = min(expected, done + left / max(rate, 1e-12))
         if self.noise is not None and fewest >= FIRST_SAMPLES:
             error = sums.error()
             if error <= self.noise:

@@ -16,33 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamError
-from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
+from raystream.jit.threads import Progress, part_of
 from raystream.rendering.adaptive import FIRST_SAMPLES, Rounds, Tiles, Unit
 from raystream.rendering.film import Film
 from raystream.rendering.image import Image
 from raystream.rendering.integrator import Integrator, RenderContext
-from raystream.rendering.limits import Limits
+from raystream.rendering.limits import Limits, Pace
+from raystream.rendering.sample_bands import Sampled, rows_per_band, trace_samples, trace_tiles
 from raystream.rendering.sample_file import SampleFile
 from raystream.rendering.shading.aovs import AovBuffers
-from raystream.rendering.tile_samples import Sampled, trace_units
 from raystream.structures.bvh.kernel_choice import SMALL_BATCH
 
-__all__ = [
-    "SampleSource",
-    "Sampled",
-    "checkpoint_seconds",
-    "render_samples",
-    "trace_sample",
-    "trace_samples",
-    "trace_tiles",
-]
-
-#: Pixels of a band: enough for streams of rays to be worth sorting, few enough for the threads
-#: to finish together. Memory is about 300 bytes per pixel.
-LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
-
-#: Most rays that a band of more than one row may spawn at once: 110 MB.
-MOST_RAYS = 1 << 21
+__all__ = ["SampleSource", "checkpoint_seconds", "render_samples"]
 
 #: Most samples that are traced at once, so that threads need not wait for each other after each:
 #: half a second of them, since an interrupt discards them, and 64 MB of their light and layers.
@@ -108,8 +93,8 @@ def render_samples(
     progress : callable, optional
         Called with (paths done, paths), first with those of the checkpoint. With noise and time
         limits the total is an estimate until the last call, which counts the paths of the image
-        only: fewer than the call before if some were beyond the limit. An exception that it raises
-        ends the rendering.
+        only: fewer than the call before if some were beyond the noise limit. An exception that it
+        raises ends the rendering.
     source : SampleSource, optional
         Traces the samples in place of this process, for example on other machines. If it
         raises `RaystreamError`, the samples so far are saved as after an interruption.
@@ -136,6 +121,7 @@ def render_samples(
         file = checkpoint if isinstance(checkpoint, SampleFile) else SampleFile(checkpoint)
     kept = None if file is None else file.open(renderer, context)
     sums = Film(context.width, context.height) if kept is None else kept
+    first = int(sums.counts.sum())
     started = time.monotonic()
     passes = _Passes(renderer, context, limits, sums, source)
     if file is not None and not passes.tiles.fit(sums):
@@ -149,9 +135,10 @@ def render_samples(
             adder.submit(int).result()  # only a started thread is joined
             while True:
                 now = time.monotonic()
-                elapsed = 0.0 if passes.ahead else now - started  # what is traced is added
                 done = int(sums.counts.sum())
-                expected = limits.expected_paths(sums, elapsed, passes.seconds_per_path)
+                # Time ends an image, but what is traced is added.
+                pace = None if passes.ahead else Pace(first, now - started, passes.seconds_per_path)
+                expected = limits.expected_paths(sums, pace)
                 if progress is not None and (done >= expected or not passes.ahead):
                     progress(done, expected)
                 if done >= expected:
@@ -165,7 +152,7 @@ def render_samples(
                 if not passes.ahead:
                     left = expected - done
                     passes.trace(left, interval, _within(progress, done, expected))
-                adder.submit(_add, sums, context.layers, passes.ahead.popleft()).result()
+                passes.add(adder)
     except (KeyboardInterrupt, RaystreamError):
         if file is not None and sums.counts.any():
             file.save(sums)
@@ -208,7 +195,8 @@ class _Passes:
     ahead : deque of list
         Passes that are traced and not yet added to the film, in the order to add them.
     seconds_per_path : float
-        Of the last passes; inf before the first.
+        The least so far, for a start or a disturbance does not count; inf before the first passes,
+        and where others may have traced them before they were asked for, or compile meanwhile.
     """
 
     def __init__(
@@ -232,6 +220,7 @@ class _Passes:
         self._round: Iterator[list[Unit]] = iter(())
         self._announced = 0  # first sample of the whole image that the source does not expect
         self.seconds_per_path = math.inf
+        self._paths, self._seconds = 0, 0.0  # of the passes ahead, and to trace and add them
 
     def start(self) -> None:
         """Begin the image: compile its kernels."""
@@ -279,7 +268,16 @@ class _Passes:
             for each in passes:
                 self.ahead.append([(self.tiles.pixels(u.tiles), *next(traced)) for u in each])
             done = sum(self.tiles.size_of(unit) for unit in units)
-        self.seconds_per_path = (time.monotonic() - begun) / done
+        self._paths, self._seconds = done, time.monotonic() - begun
+
+    def add(self, adder: ThreadPoolExecutor) -> None:
+        """Add the next of the passes ahead to the film, on another thread."""
+        begun = time.monotonic()
+        adder.submit(_add, self._sums, self._context.layers, self.ahead.popleft()).result()
+        self._seconds += time.monotonic() - begun
+        is_measured = self._source is None and not self._is_serial
+        if is_measured and not self.ahead and self._paths >= len(self._sums.counts):
+            self.seconds_per_path = min(self.seconds_per_path, self._seconds / self._paths)
 
     def _count_at_once(self, left: int, interval: float) -> int:
         """Number of passes to trace at once, each of about the image's pixels."""
@@ -345,7 +343,7 @@ def _compile(renderer: Integrator, context: RenderContext, sample: int) -> None:
     count = 1
     if context.width * context.height > SMALL_BATCH:
         count = SMALL_BATCH // context.width + 1
-    rows = range(min(count, _rows_per_band(renderer, context, context.height)))
+    rows = range(min(count, rows_per_band(renderer, context, context.height)))
     aovs = AovBuffers.empty(len(rows) * context.width) if context.layers else None
     renderer.trace(context, rows, sample, aovs)
 
@@ -388,133 +386,6 @@ def _passes_at_once(left: int, size: int, seconds: float, interval: float) -> in
     """
     most = min(SAMPLES_SECONDS, interval) / max(seconds, 1e-9)
     return max(1, min(left, SAMPLES_BYTES // size, int(most)))
-
-
-def trace_sample(
-    renderer: Integrator,
-    context: RenderContext,
-    sample: int,
-    progress: Progress | None = None,
-    rows: range | None = None,
-) -> Sampled:
-    """Trace one sample of every pixel, or of some rows, on all threads.
-
-    Parameters
-    ----------
-    renderer : Integrator
-    context : RenderContext
-    sample : int
-        Its number.
-    progress : callable, optional
-        Called with (pixels done, pixels).
-    rows : range, optional
-        Consecutive rows to trace [default: all].
-
-    Returns
-    -------
-    light : ndarray of shape (R * W, 3), float32
-        Linear RGB of the R rows.
-    aovs : AovBuffers or None
-        Of its first hits, if layers are rendered.
-    """
-    numbers = range(sample, sample + 1)
-    light, seen = trace_samples(renderer, context, numbers, progress, rows)
-    return light[0], seen[0]
-
-
-def trace_samples(
-    renderer: Integrator,
-    context: RenderContext,
-    samples: range,
-    progress: Progress | None = None,
-    rows: range | None = None,
-) -> tuple[NDArray[np.float32], list[AovBuffers | None]]:
-    """Trace samples of every pixel, or of some rows, on all threads.
-
-    Parameters
-    ----------
-    renderer : Integrator
-    context : RenderContext
-    samples : range
-        Their numbers.
-    progress : callable, optional
-        Called with (paths done, paths).
-    rows : range, optional
-        Consecutive rows to trace [default: all].
-
-    Returns
-    -------
-    light : ndarray of shape (S, R * W, 3), float32
-        Linear RGB of each sample.
-    aovs : list of AovBuffers or None
-        Of each sample's first hits, if layers are rendered.
-    """
-    rows = range(context.height) if rows is None else rows
-    width, height = context.width, len(rows)
-    pixel_count = width * height
-    path_count = len(samples) * pixel_count
-    band_count = -(-height // _rows_per_band(renderer, context, height, len(samples)))
-    light = np.empty((len(samples), pixel_count, 3), np.float32)
-    aovs = [AovBuffers.empty(pixel_count) if context.layers else None for _ in samples]
-
-    def trace_band(number: int, serial: Progress | None = None) -> None:
-        sample, band = divmod(number, band_count)
-        here = rows[height * band // band_count : height * (band + 1) // band_count]
-        first = (here.start - rows.start) * width
-        last = first + len(here) * width
-        seen = aovs[sample]
-        part = None if seen is None else seen.part(first, last)
-        report = part_of(serial, sample * pixel_count + first, path_count)
-        light[sample, first:last] = renderer.trace(context, here, samples[sample], part, report)
-
-    bands = renderer.bands_of(context)
-    if bands is not None and bands.is_serial:
-        for number in range(len(samples) * band_count):
-            trace_band(number, progress)
-        return light, aovs
-
-    def trace(begin: int, end: int) -> None:
-        for number in range(begin, end):
-            trace_band(number)
-
-    report = None
-    if progress is not None:
-        whole = progress
-        report = lambda done, steps: whole(path_count * done // steps, path_count)  # noqa: E731
-    parallel_for(trace, len(samples) * band_count, 1, report)
-    return light, aovs
-
-
-def trace_tiles(
-    renderer: Integrator,
-    context: RenderContext,
-    units: Sequence[Unit],
-    progress: Progress | None = None,
-) -> list[Sampled]:
-    """Trace samples of tiles on all threads; see `trace_units`."""
-    tiles = Tiles(context.width, context.height)
-    path_count = sum(tiles.size_of(unit) for unit in units)
-    at_once = _pixels_per_band(renderer, context, path_count)
-    return trace_units(renderer, context, units, at_once, progress)
-
-
-def _rows_per_band(
-    renderer: Integrator, context: RenderContext, rows: int, samples: int = 1
-) -> int:
-    """Number of rows in a band, for some samples of an image of `rows` rows."""
-    bands = renderer.bands_of(context)
-    if bands is not None:
-        pixels = bands.pixels_at_once(renderer.stages, max(renderer.rays_per_pixel(context), 1))
-    else:
-        pixels = _pixels_per_band(renderer, context, context.width * rows * samples)
-    return max(1, pixels // context.width)
-
-
-def _pixels_per_band(renderer: Integrator, context: RenderContext, paths: int) -> int:
-    """Number of pixels that a thread traces at once on the host, of `paths` in total."""
-    share = -(-paths // (4 * thread_count()))
-    per_pixel = max(renderer.rays_per_pixel(context), 1)
-    return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
 
 
 def _add(sums: Film, layers: Sequence[str], traced: Sequence[_Traced]) -> None:

@@ -104,8 +104,8 @@ def render(
         samples than others, at most `samples` per pixel; see `adaptive.Rounds`. Devices other
         than the CPU, and the multipass machine, give all pixels the same number.
     sampler : {"sobol", "stratified", "random"}
-        The random number generator of samples. "stratified" needs `samples` with `noise` or
-        `time_limit`.
+        The random number generator of samples. With `noise` or `time_limit`, "stratified" needs
+        `samples`, too.
     layers : list of {"depth", "normal", "albedo", "prim_id", "emission"}, or "all", optional
         Extra layers (AOVs), beside ``variance`` and ``samples``: values at the first hits of the
         pixels' samples, averaged, or of the first sample for ``prim_id``. Depth is the distance

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from raystream.jit.threads import Progress
 from raystream.rendering.film import Film
 from raystream.rendering.integrator import Integrator, RenderContext
-from raystream.rendering.progressive import trace_sample
+from raystream.rendering.sample_bands import trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.viewer.adaptive_resolution import Cost, slice_rows
 from raystream.viewer.messages import Message

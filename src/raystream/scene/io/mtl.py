@@ -189,18 +189,21 @@ def _metallic_roughness(rough: Texture | None, metal: Texture | None) -> dict[st
     first = metal if rough is None else rough
     if first is None:
         return {}
-    return {"metallic_roughness": first.changed(partial(_joined, rough, metal))}
+    unread = Texture(np.zeros((1, 1, 3), np.uint8), name=first.name, wrap=first.wrap)
+    return {"metallic_roughness": unread.changed(partial(_joined, rough, metal))}
 
 
 def _joined(rough: Texture | None, metal: Texture | None, _: NDArray[Any]) -> NDArray[np.uint8]:
     """Roughness in green and metal in blue, of maps whose red counts; 255 without a map.
 
-    A map of another size is enlarged or reduced to that of the first by nearest texels. If one
-    cannot be read, roughness is a half, or metal 0.
+    A map of another size is enlarged or reduced to that of the first by nearest texels. Where the
+    map of metal cannot be read, there is no metal.
     """
-    maps = [_red_of(rough, 128, metal is None), _red_of(metal, 0, rough is None)]
-    height, width = next(one.shape for one in maps if one is not None)
+    maps = [_red_of(rough), _red_of(metal)]
+    height, width = next((one.shape for one in maps if one is not None), (1, 1))
     joined = np.full((height, width, 3), 255, np.uint8)
+    if metal is not None:
+        joined[:, :, 2] = 0
     for channel, one in enumerate(maps, 1):
         if one is not None:
             row = np.arange(height) * one.shape[0] // height
@@ -209,17 +212,15 @@ def _joined(rough: Texture | None, metal: Texture | None, _: NDArray[Any]) -> ND
     return joined
 
 
-def _red_of(texture: Texture | None, unread: int, is_alone: bool) -> NDArray[np.uint8] | None:
-    """The red of a map; a single texel, with a warning, if one of two cannot be read."""
+def _red_of(texture: Texture | None) -> NDArray[np.uint8] | None:
+    """The red of a map; None without one, and, with a warning, if it cannot be read."""
     if texture is None:
         return None
     try:
         return texture.pixels()[:, :, 0]
     except FileFormatError as error:
-        if is_alone:
-            raise
         warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=2)
-        return np.full((1, 1), unread, np.uint8)
+        return None
 
 
 def _opacity(entries: dict[str, str]) -> float:
