@@ -19,9 +19,6 @@ import raystream as rs
 
 REFERENCE_SAMPLES = 1024
 
-#: More samples than the time allows.
-MOST = 1 << 16
-
 #: Measures, all of linear RGB: mean of relative errors, of absolute ones up to 1, and roots of
 #: means of squares, of light up to 1, and of all light.
 MEASURES = {
@@ -41,7 +38,7 @@ def rendered(tracer, size, **options):
 
 def ratios(tracer, size, seconds, seed, reference):
     """Adaptive over equal sampling: samples per second, then each measure's error."""
-    adaptive, took = rendered(tracer, size, samples=MOST, time_limit=seconds, seed=seed)
+    adaptive, took = rendered(tracer, size, time_limit=seconds, seed=seed)
     _, some = rendered(tracer, size, samples=16, seed=seed)
     samples = max(1, round(16 * took / some))
     even, took_even = rendered(tracer, size, samples=samples, seed=seed)
