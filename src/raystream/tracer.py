@@ -14,7 +14,7 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
-from raystream.machines.devices import device_of
+from raystream.machines.answers import all_hits, nearest_hits
 from raystream.machines.ray_cast import RayCaster
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records
@@ -120,13 +120,7 @@ class Tracer(RayCaster):
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
         configuration = self._configure(structure, device, machine, counters, options)
-        built = device_of(self.device).build(
-            configuration.structure,
-            scene.triangles,
-            progress=progress,
-            device=configuration.device_options,
-        )
-        self._set(scene, built)
+        self._set(scene, self._built(configuration, scene.triangles, progress))
 
     def first_hit(
         self,
@@ -186,14 +180,8 @@ class Tracer(RayCaster):
         if isinstance(rays, RayArrays):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
             return found
-        sink, shape = self._answer(query, rays, progress), rays.shape
-        t, u, v, prim_id = sink.hits
-        status, sectors = sink.status, sink.sectors
-        if len(shape) != 1:
-            t, u, v = t.reshape(shape), u.reshape(shape), v.reshape(shape)
-            prim_id, status = prim_id.reshape(shape), status.reshape(shape)
-            sectors = None if sectors is None else sectors.reshape(shape)
-        return Hits(t, u, v, prim_id, status, self.structure.triangles, sectors)
+        sink = self._answer(query, rays, progress)
+        return nearest_hits(sink, rays.shape, self.structure.triangles)
 
     def any_hit(
         self,
@@ -331,8 +319,7 @@ class Tracer(RayCaster):
             found: MultiHits = self._backend.answer_on_device(query, rays, progress)
             return found
         sink = self._answer(query, rays, progress)
-        status = sink.status.reshape(rays.shape)
-        return MultiHits(sink.splits, *sink.hits, status, self.structure.triangles)
+        return all_hits(sink, rays.shape, self.structure.triangles)
 
     def trace(
         self,
@@ -412,6 +399,7 @@ class Tracer(RayCaster):
         check_order(order)
         query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
         rays = self._rays(origins, directions, t_min, t_max)
+        self._check_plain("trace")
         if isinstance(rays, RayArrays):
             changed: NDArray[Any] | None
             changed = self._backend.answer_on_device(query, rays, progress, payload)
@@ -472,6 +460,7 @@ class Tracer(RayCaster):
             if limit == UNLIMITED and not surfaces:
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
+        self._check_plain("on_hit, skip_prim_ids")
         triangles = self.structure.triangles
         if isinstance(rays, RayArrays):
             chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)

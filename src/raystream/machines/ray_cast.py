@@ -80,10 +80,11 @@ class RayCaster(TracedScene):
         if self._cast is None:
             hits = self.first_hit(origin, direction, t_min=t_min, t_max=t_max)
             columns = hits.t.item(), hits.u.item(), hits.v.item(), hits.prim_id.item()
-            status = hits.status.item()
+            instance_id, status = hits.instance_id.item(), hits.status.item()
         else:
             columns, status = self._cast(*origin, *direction, t_min, t_max)
-        hit = RayHit.of(columns, self.structure.triangles)
+            instance_id = None
+        hit = RayHit.of(columns, self.structure.triangles, instance_id)
         if status:
             hit.status = RayStatus(status)
         return hit

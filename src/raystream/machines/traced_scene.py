@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import operator
+import time
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
@@ -13,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
+from raystream.core.errors import RaystreamError
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
@@ -73,6 +76,29 @@ class TracedScene:
         self._counts = bool(counters)
         return configuration
 
+    def _built(
+        self, configuration: Configuration, triangles: Any, progress: Progress | None
+    ) -> Structure:
+        """Build the structure of triangles.
+
+        Raises
+        ------
+        ValueError
+            If there are instances, and the structure, device or machine does not support them.
+        """
+        has_instances = isinstance(triangles, InstancedTriangles)
+        if has_instances and (self.device, self.machine) != ("cpu", "branching"):
+            raise ValueError(
+                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
+                "with machine='branching' supports them"
+            )
+        return device_of(self.device).build(
+            configuration.structure,
+            triangles,
+            progress=progress,
+            device=configuration.device_options,
+        )
+
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
         self.structure = structure
@@ -131,8 +157,9 @@ class TracedScene:
 
     def update(
         self,
-        vertices: Any,
+        vertices: Any = None,
         *,
+        transforms: Any = None,
         max_cost_growth: float = 1.5,
         progress: Progress | None = None,
     ) -> UpdateReport:
@@ -146,6 +173,10 @@ class TracedScene:
             scene with the same faces, such as `Scene.at` returns: its lights, materials, normals
             and camera are used, too. If all its meshes are the same objects as before, nothing
             is done, and the report's costs are nan.
+        transforms : array_like of shape (K, 3, 4), real, optional
+            In place of `vertices`, for a scene with instances: where they are now, see
+            `Scene.instances`. The objects stay as they are: only the tree over the instances is
+            rebuilt. A scene that `Scene.with_transforms` returned does the same.
         max_cost_growth : float
             Refitting a tree to moved triangles is much faster than building it, but the refitted
             tree is slower to traverse the further neighbours move apart. It is rebuilt when the
@@ -191,6 +222,12 @@ class TracedScene:
         if not max_cost_growth >= 0.0:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
+        if (vertices is None) == (transforms is None):
+            raise ValueError("update: expected either vertices or transforms")
+        if transforms is not None:
+            vertices = scene.with_transforms(transforms)
+        if scene.placements is not None:
+            return self._update_instances(vertices)
         if isinstance(vertices, Scene):
             meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
             if all(map(operator.is_, scene.meshes, meshes)):
@@ -204,6 +241,27 @@ class TracedScene:
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
         self._set(scene.moved(meshes, triangles), structure)
         return report
+
+    def _update_instances(self, scene: Any) -> UpdateReport:
+        """Place the instances as in another scene of the same objects."""
+        old: Any = self.structure
+        triangles: Any = scene.triangles if isinstance(scene, Scene) else None
+        if not isinstance(triangles, InstancedTriangles):
+            raise ValueError(
+                "vertices: a scene with instances moves by transforms=, or to another scene that "
+                "`with_transforms` of its scene returned"
+            )
+        if not all(map(operator.is_, triangles.objects, old.triangles.objects)):
+            raise ValueError("vertices: the scene has other objects than this tracer's")
+        started = time.perf_counter()
+        self._set(scene, old.moved(triangles))
+        return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
+
+    def _check_plain(self, what: str) -> None:
+        """Raise an error if the scene has instances: `what` is not supported there."""
+        triangles: Any = self.structure.triangles
+        if isinstance(triangles, InstancedTriangles):
+            raise RaystreamError(f"{what}: {NOT_INSTANCED}")
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the built structure and its triangles to a file.

@@ -1,0 +1,62 @@
+"""Objects and instances as kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.jit.views import view
+from raystream.kernels.ray import SceneFrame
+from raystream.structures.base import Structure
+
+__all__ = ["InstanceRecord", "ObjectRecord", "instance_records", "object_records"]
+
+#: World to object space: ``linear @ point + shift``; the object, and the number of its first
+#: triangle in this instance.
+_INSTANCE = np.dtype(
+    [("linear", "f8", (3, 3)), ("shift", "f8", 3), ("object_id", "u4"), ("first_id", "i4")]
+)
+InstanceRecord = view(_INSTANCE)
+
+#: The arrays of an object's structure, 0 for those of another kind; and its `SceneFrame`. By these
+#: names, a view serves as both.
+_TREES = ("nodes", "leaves", "references", "corners", "triangle_count")
+_OBJECT = np.dtype(
+    [
+        *((name, "u8") for name in _TREES),
+        ("center", "f8", 3),
+        ("scale", "f8"),
+        ("inverse_scale", "f8"),
+        ("low", "f4", 3),
+        ("high", "f4", 3),
+        ("max_coordinate", "f4"),
+        ("unused", "V4"),
+    ]
+)
+ObjectRecord = view(_OBJECT)
+
+
+def object_records(structures: Sequence[Structure]) -> NDArray[np.void]:
+    """The records of objects; the caller keeps the structures alive."""
+    records = np.zeros(len(structures), _OBJECT)
+    for record, structure in zip(records, structures, strict=True):
+        addresses = structure.arrays._asdict()
+        for name in _TREES:
+            record[name] = addresses.get(name, 0)
+        for name, value in SceneFrame.of(structure.triangles)._asdict().items():
+            record[name] = value
+    return records
+
+
+def instance_records(triangles: InstancedTriangles, order: NDArray[np.integer]) -> NDArray[np.void]:
+    """The records of some instances, in an order."""
+    records = np.zeros(len(order), _INSTANCE)
+    instances = triangles.instances
+    inverses = instances.inverses[order]
+    records["linear"], records["shift"] = inverses[:, :, :3], inverses[:, :, 3]
+    records["object_id"] = instances.object_ids[order]
+    records["first_id"] = triangles.first_ids[order]
+    return records
