@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from raystream.scene.material import Material
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
+    from raystream.scene.sensor_track import SensorTrack
     from raystream.scene.texture import Texture
     from raystream.structures.brute.options import Brute
     from raystream.structures.bvh.options import Bvh
@@ -93,6 +94,7 @@ _HOMES = {
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
     "Scene": "scene.scene",
+    "SensorTrack": "scene.sensor_track",
     "SpotLight": "scene.lights",
     "StructureOptions": "structures.registry",
     "Texture": "scene.texture",
@@ -144,6 +146,7 @@ __all__ = [
     "RaystreamError",
     "RaystreamWarning",
     "Scene",
+    "SensorTrack",
     "SpotLight",
     "StructureOptions",
     "Texture",
