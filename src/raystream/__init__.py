@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from raystream.core.ray_hit import RayHit
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
+    from raystream.physics import sweep_patterns
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "cluster": "cluster",
     "streams": "streams",
+    "sweep_patterns": "physics.sweep_patterns",
     "textures": "scene.textures",
 }
 
@@ -164,6 +166,7 @@ __all__ = [
     "render_frames",
     "set_thread_count",
     "streams",
+    "sweep_patterns",
     "textures",
     "thickness",
     "thread_count",
