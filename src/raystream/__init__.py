@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
+    from raystream.physics.sweeps import lidar_sweep
     from raystream.programs.decisions import Decision
     from raystream.ray_files.query import query_zarr
     from raystream.rendering.frames import render_frames
@@ -105,6 +106,7 @@ _HOMES = {
     "daylight": "scene.daylight",
     "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
+    "lidar_sweep": "physics.sweeps",
     "load": "scene.load",
     "query_zarr": "ray_files.query",
     "register_structure": "structures.registry",
@@ -159,6 +161,7 @@ __all__ = [
     "daylight",
     "heatmap",
     "lidar_returns",
+    "lidar_sweep",
     "load",
     "query_zarr",
     "register_structure",

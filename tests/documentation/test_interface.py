@@ -23,6 +23,7 @@ MODULES = (
     "physics.attenuation",
     "physics.lidar",
     "physics.sweep_patterns",
+    "physics.sweeps",
     "programs",
     "rendering.render",
     "rendering.compare",
@@ -53,7 +54,7 @@ NAMES = """
     heatmap lidar_returns load query_zarr render render_frames set_thread_count streams textures
     thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
     register_structure Cpu Cuda Graphics Branching Compute Multipass
-    SensorTrack sweep_patterns
+    SensorTrack lidar_sweep sweep_patterns
 """
 
 
