@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from raystream.core.ray_hit import RayHit
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
+    from raystream.physics import sweep_patterns
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
+    from raystream.physics.sweeps import lidar_sweep
     from raystream.programs.decisions import Decision
     from raystream.ray_files.query import query_zarr
     from raystream.rendering.frames import render_frames
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
     from raystream.scene.material import Material
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
+    from raystream.scene.sensor_track import SensorTrack
     from raystream.scene.texture import Texture
     from raystream.structures.brute.options import Brute
     from raystream.structures.bvh.options import Bvh
@@ -57,6 +60,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "cluster": "cluster",
     "streams": "streams",
+    "sweep_patterns": "physics.sweep_patterns",
     "textures": "scene.textures",
 }
 
@@ -93,6 +97,7 @@ _HOMES = {
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
     "Scene": "scene.scene",
+    "SensorTrack": "scene.sensor_track",
     "SpotLight": "scene.lights",
     "StructureOptions": "structures.registry",
     "Texture": "scene.texture",
@@ -101,6 +106,7 @@ _HOMES = {
     "daylight": "scene.daylight",
     "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
+    "lidar_sweep": "physics.sweeps",
     "load": "scene.load",
     "query_zarr": "ray_files.query",
     "register_structure": "structures.registry",
@@ -144,6 +150,7 @@ __all__ = [
     "RaystreamError",
     "RaystreamWarning",
     "Scene",
+    "SensorTrack",
     "SpotLight",
     "StructureOptions",
     "Texture",
@@ -154,6 +161,7 @@ __all__ = [
     "daylight",
     "heatmap",
     "lidar_returns",
+    "lidar_sweep",
     "load",
     "query_zarr",
     "register_structure",
@@ -161,6 +169,7 @@ __all__ = [
     "render_frames",
     "set_thread_count",
     "streams",
+    "sweep_patterns",
     "textures",
     "thickness",
     "thread_count",
