@@ -38,8 +38,7 @@ def spinning(
     """Make the pattern of a head that spins about the y axis, clockwise seen from above.
 
     One revolution. It starts ahead, and fires all channels once in each column; the head turns
-    on meanwhile. For an Ouster, give the ``beam_altitude_angles`` and ``beam_azimuth_angles`` that
-    it reports as `elevations` and `azimuth_offsets`; all channels of a column have one time.
+    on meanwhile.
 
     Parameters
     ----------
@@ -104,7 +103,7 @@ def vlp16(rate: float = 10.0) -> SweepPattern:
     Parameters
     ----------
     rate : float
-        Revolutions per second; the sensor's is 5 to 20.
+        Revolutions per second.
 
     Returns
     -------
@@ -137,7 +136,7 @@ def vlp32c(rate: float = 10.0) -> SweepPattern:
     Parameters
     ----------
     rate : float
-        Revolutions per second; the sensor's is 5 to 20.
+        Revolutions per second.
 
     Returns
     -------
@@ -147,7 +146,7 @@ def vlp32c(rate: float = 10.0) -> SweepPattern:
     References
     ----------
     Velodyne LiDAR, "VLP-32C User Manual", 63-9325 Rev. C, table 9-6 (angles); firing times as in
-    the driver ``ros-drivers/velodyne``, after the manual.
+    and azimuth offsets as in the driver ``ros-drivers/velodyne``.
     """
     return _sensor(VLP32C, rate)
 
@@ -161,7 +160,7 @@ def vls128(rate: float = 10.0) -> SweepPattern:
     Parameters
     ----------
     rate : float
-        Revolutions per second; the sensor's is 5 to 20.
+        Revolutions per second.
 
     Returns
     -------
