@@ -132,6 +132,7 @@ class Tracer(RayCaster):
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         near: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> Hits:
         """Find the nearest triangle along each ray.
@@ -153,6 +154,8 @@ class Tracer(RayCaster):
         near : array_like that broadcasts to S, int, optional
             Where rays start, for a graph: `Hits.sectors` of the hits that they leave; -1 where it
             is unknown. It changes no answer: the search begins there instead of at a bin.
+        worlds : array_like that broadcasts to S, int, optional
+            In a scene whose instances are in worlds: the world of each ray; see `Scene.instances`.
         progress : callable, optional
             Called with (rays done, rays).
 
@@ -175,7 +178,7 @@ class Tracer(RayCaster):
         -----
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
         query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
@@ -193,13 +196,14 @@ class Tracer(RayCaster):
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         near: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.bool_]:
         """Find whether anything blocks each ray; cheaper than the nearest hit.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, near, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, near, worlds, progress
             See `first_hit`.
 
         Returns
@@ -213,7 +217,7 @@ class Tracer(RayCaster):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
         query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             seen: NDArray[np.bool_] = self._backend.answer_on_device(query, rays, progress)
@@ -230,13 +234,14 @@ class Tracer(RayCaster):
         crossings: Crossings = "triangles",
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.int64]:
         """Count the hits along each ray.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds, progress
             See `first_hit`.
         crossings : {"triangles", "surfaces"}
             What a ray exactly through an edge or a vertex hits: every triangle there; or one
@@ -254,7 +259,7 @@ class Tracer(RayCaster):
             As `first_hit`, or if `crossings` is unknown.
         """
         surfaces = counts_surfaces(crossings)
-        rays = self._rays(origins, directions, t_min, t_max)
+        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
         if isinstance(rays, RayArrays):
             counts: NDArray[np.int64] = self._backend.answer_on_device(query, rays, progress)
@@ -272,13 +277,14 @@ class Tracer(RayCaster):
         crossings: Crossings = "triangles",
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> MultiHits:
         """Find all hits of each ray, or the nearest few, by increasing distance.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds
             See `first_hit`.
         max_hits : int, optional
             Keep the nearest `max_hits` of each ray [default: all].
@@ -313,7 +319,7 @@ class Tracer(RayCaster):
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
-        rays = self._rays(origins, directions, t_min, t_max)
+        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
         if isinstance(rays, RayArrays):
             found: MultiHits = self._backend.answer_on_device(query, rays, progress)

@@ -229,6 +229,92 @@ def test_update_moves_instances() -> None:
     assert_same_bits(tracer.first_hit(**rays).t, before.t)
 
 
+def test_rays_meet_the_instances_of_their_world() -> None:
+    rng = np.random.default_rng(21)
+    count, world_count = 300, 20
+    transforms = random_transforms(rng, count, 6.0)
+    ids = rng.integers(0, len(objects()), count)
+    # Worlds of one instance, of hundreds, and without any; some instances are in all worlds.
+    worlds = np.minimum(rng.geometric(0.3, count) - 1, world_count - 1)
+    worlds[rng.random(count) < 0.02] = -1
+    worlds[worlds == 5] = 6
+    worlds[0] = world_count - 1
+    scene = rs.Scene.instances(objects(), transforms, ids, worlds=worlds)
+    rays = random_rays(22, 3000, 6.0)
+    of_rays = rng.integers(-1, world_count, 3000)
+    for structure in STRUCTURES:
+        tracer = rs.Tracer(scene, structure)
+        hits = tracer.first_hit(**rays, worlds=of_rays)
+        seen = tracer.any_hit(**rays, worlds=of_rays)
+        many = tracer.multi_hit(**rays, worlds=of_rays)
+        counts = tracer.count_hits(**rays, worlds=of_rays)
+        for world in range(-1, world_count):
+            chosen = np.flatnonzero((worlds == world) | (worlds == -1))
+            asked = np.flatnonzero(of_rays == world)
+            alone = rs.Scene.instances(objects(), transforms[chosen], ids[chosen])
+            one = rs.Tracer(alone, "brute")
+            own = {name: values[asked] for name, values in rays.items()}
+            expected = one.first_hit(**own)
+            found = hits[asked]
+            for name in ("t", "u", "v", "prim_id"):
+                assert_same_bits(getattr(found, name), getattr(expected, name))
+            numbers = np.append(chosen, -1)[expected.instance_id]
+            np.testing.assert_array_equal(found.instance_id, numbers)
+            assert_same_bits(seen[asked], expected.is_hit)
+            assert_same_bits(counts[asked], one.count_hits(**own))
+            all_of = one.multi_hit(**own)
+            rows = np.isin(many.ray_id, asked)
+            assert_same_bits(many.t[rows], all_of.t)
+            np.testing.assert_array_equal(many.instance_id[rows], chosen[all_of.instance_id])
+
+
+def test_many_small_worlds_are_built_at_once() -> None:
+    rng = np.random.default_rng(23)
+    worlds = np.repeat(np.arange(4000), 9)
+    transforms = random_transforms(rng, len(worlds), 3.0)
+    scene = rs.Scene.instances(objects()[2], transforms, worlds=worlds)
+    tracer = rs.Tracer(scene)
+    rays = random_rays(24, 4000, 3.0)
+    hits = tracer.first_hit(**rays, worlds=np.arange(4000))
+    assert hits.is_hit.mean() > 0.3
+    assert_same_bits(worlds[hits.instance_id[hits.is_hit]], np.flatnonzero(hits.is_hit))
+    brute = rs.Tracer(scene, "brute")
+    some = {name: values[:40] for name, values in rays.items()}
+    expected = brute.first_hit(**some, worlds=np.arange(40))
+    assert_same_bits(hits[:40].t, expected.t)
+    assert_same_bits(hits[:40].instance_id, expected.instance_id)
+
+
+def test_bad_worlds_are_named() -> None:
+    one, eye = objects()[2], np.eye(3, 4)
+    ray = ([0.0, 0, 5], [0.0, 0, -1])
+    for worlds, message in (([-2], "worlds: expected -1 or more, got -2"), ([2**30], "less than")):
+        with pytest.raises(ValueError, match=message):
+            rs.Scene.instances(one, [eye], worlds=worlds)
+    with pytest.raises(TypeError, match="worlds: expected integers"):
+        rs.Scene.instances(one, [eye], worlds=[0.5])
+    scene = rs.Scene.instances(one, [eye, eye], worlds=[0, 1])
+    tracer = rs.Tracer(scene)
+    with pytest.raises(ValueError, match="worlds: expected the world of each ray, 0 to 1"):
+        tracer.first_hit(*ray)
+    with pytest.raises(ValueError, match="worlds: expected the world of each ray"):
+        tracer.cast(*ray)
+    with pytest.raises(ValueError, match="worlds: expected -1 to 1"):
+        tracer.any_hit(*ray, worlds=2)
+    with pytest.raises(ValueError, match="worlds: shape"):
+        tracer.any_hit(*ray, worlds=[0, 1])
+    with pytest.raises(TypeError, match="worlds: expected integers"):
+        tracer.any_hit(*ray, worlds=0.5)
+    with pytest.raises(ValueError, match="worlds: expected None"):
+        rs.Tracer(one).first_hit(*ray, worlds=0)
+    with pytest.raises(ValueError, match="instances are in worlds"):
+        scene.flattened()
+    with pytest.raises(ValueError, match="whose instances are in worlds"):
+        rs.Scene.instances(scene, [eye])
+    moved = scene.with_transforms(np.tile(eye, (2, 1, 1)) + [0, 0, 0, 1.0])
+    assert moved.placements.world_count == 2
+
+
 def test_one_ray_copies_and_counters() -> None:
     scene, rays = random_scene(16, 30), random_rays(17, 100)
     tracer = rs.Tracer(scene)

@@ -11,6 +11,9 @@ from raystream.core.rays import as_host_array, as_real_array
 
 __all__ = ["Instances", "inverse_transforms"]
 
+#: Worlds take memory each, even if they are empty.
+MAX_WORLDS = 1 << 24
+
 #: Numbers of a transform beyond this would leave float64 in products.
 MAX_NUMBER = 2.0**200
 
@@ -27,10 +30,15 @@ class Instances:
     transforms : array_like of shape (K, 3, 4), real
         Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``.
         Mirroring, shear and scales that differ by axis are allowed.
+    worlds : array_like of shape (K,), int, optional
+        The world of each instance, from 0; -1 for one that is in all worlds.
 
     Attributes
     ----------
     object_ids : ndarray of shape (K,), int32
+    worlds : ndarray of shape (K,), int32, or None
+    world_count : int
+        0 without worlds.
     transforms, inverses : ndarray of shape (K, 3, 4), float64
         Object to world space, and world to object space.
 
@@ -42,13 +50,15 @@ class Instances:
         If the numbers are not real, or the ids no integers.
     """
 
-    __slots__ = ("inverses", "object_ids", "transforms")
+    __slots__ = ("inverses", "object_ids", "transforms", "world_count", "worlds")
 
     object_ids: NDArray[np.int32]
     transforms: NDArray[np.float64]
     inverses: NDArray[np.float64]
+    worlds: NDArray[np.int32] | None
+    world_count: int
 
-    def __init__(self, object_ids: Any, transforms: Any) -> None:
+    def __init__(self, object_ids: Any, transforms: Any, worlds: Any = None) -> None:
         matrices = as_real_array("transforms", transforms).astype(np.float64)
         if matrices.size == 0:
             matrices = matrices.reshape(-1, 3, 4)
@@ -61,15 +71,16 @@ class Instances:
         if not is_sound.all():
             bad = int(np.argmin(is_sound.all(axis=(1, 2))))
             raise ValueError(f"transforms: that of instance {bad} is not finite, or beyond 2**200")
-        ids = as_host_array("object_ids", object_ids)
-        if ids.dtype.kind not in "iu" and ids.size:
-            raise TypeError(f"object_ids: expected integers, got {ids.dtype}")
-        if ids.shape != (len(matrices),):
-            raise ValueError(
-                f"object_ids: expected one for each of {len(matrices):,} transforms, "
-                f"got shape {ids.shape}"
-            )
-        self.object_ids = np.array(ids, np.int32)
+        self.object_ids = _per_instance("object_ids", object_ids, len(matrices))
+        self.worlds, self.world_count = None, 0
+        if worlds is not None:
+            self.worlds = _per_instance("worlds", worlds, len(matrices))
+            if self.worlds.min(initial=0) < -1:
+                raise ValueError(f"worlds: expected -1 or more, got {self.worlds.min()}")
+            self.world_count = int(self.worlds.max(initial=-1)) + 1
+            if self.world_count > MAX_WORLDS:
+                raise ValueError(f"worlds: expected less than {MAX_WORLDS:,}")
+            self.worlds.flags.writeable = False
         self.transforms = matrices
         self.inverses = inverse_transforms(matrices)
         for array in (self.object_ids, self.transforms, self.inverses):
@@ -86,16 +97,28 @@ class Instances:
         moved = np.asarray(transforms)
         if len(moved) != len(self):
             raise ValueError(f"transforms: expected {len(self):,}, as before, got {len(moved):,}")
-        return Instances(self.object_ids, transforms)
+        return Instances(self.object_ids, transforms, self.worlds)
 
     def __len__(self) -> int:
         return len(self.object_ids)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Instances, (self.object_ids, self.transforms)
+        return Instances, (self.object_ids, self.transforms, self.worlds)
 
     def __repr__(self) -> str:
         return f"Instances({len(self):,} of {len(np.unique(self.object_ids)):,} objects)"
+
+
+def _per_instance(name: str, values: Any, count: int) -> NDArray[np.int32]:
+    """One integer for each instance."""
+    array = as_host_array(name, values)
+    if array.dtype.kind not in "iu" and array.size:
+        raise TypeError(f"{name}: expected integers, got {array.dtype}")
+    if array.shape != (count,):
+        raise ValueError(
+            f"{name}: expected one for each of {count:,} transforms, got shape {array.shape}"
+        )
+    return np.array(array, np.int32)
 
 
 def inverse_transforms(transforms: NDArray[np.float64]) -> NDArray[np.float64]:

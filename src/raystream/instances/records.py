@@ -12,14 +12,35 @@ from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import Structure
 
-__all__ = ["InstanceRecord", "ObjectRecord", "instance_records", "object_records"]
+__all__ = [
+    "INSTANCE_BYTES",
+    "TREE",
+    "InstanceRecord",
+    "ObjectRecord",
+    "TreeRecord",
+    "instance_records",
+    "object_records",
+]
 
-#: World to object space: ``linear @ point + shift``; the object, and the number of its first
-#: triangle in this instance.
+#: World to object space: ``linear @ point + shift``; the object, the number of its first triangle
+#: in this instance, and its world, 0 if there are none.
 _INSTANCE = np.dtype(
-    [("linear", "f8", (3, 3)), ("shift", "f8", 3), ("object_id", "u4"), ("first_id", "i4")]
+    [
+        ("linear", "f8", (3, 3)),
+        ("shift", "f8", 3),
+        ("object_id", "u4"),
+        ("first_id", "i4"),
+        ("world", "i4"),
+        ("unused", "V4"),
+    ]
 )
 InstanceRecord = view(_INSTANCE)
+INSTANCE_BYTES = _INSTANCE.itemsize
+
+#: A tree over instances: addresses of its first node, 0 for an empty tree, and of the record of its
+#: first leaf.
+TREE = np.dtype([("nodes", "u8"), ("leaves", "u8")])
+TreeRecord = view(TREE)
 
 #: The arrays of an object's structure, 0 for those of another kind; and its `SceneFrame`. By these
 #: names, a view serves as both.
@@ -59,4 +80,6 @@ def instance_records(triangles: InstancedTriangles, order: NDArray[np.integer]) 
     records["linear"], records["shift"] = inverses[:, :, :3], inverses[:, :, 3]
     records["object_id"] = instances.object_ids[order]
     records["first_id"] = triangles.first_ids[order]
+    if instances.worlds is not None:
+        records["world"] = instances.worlds[order]
     return records

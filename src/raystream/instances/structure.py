@@ -11,11 +11,18 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.query import Query
+from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.instances.records import instance_records, object_records
+from raystream.instances.records import (
+    INSTANCE_BYTES,
+    TREE,
+    instance_records,
+    object_records,
+)
 from raystream.instances.top import (
     FAR_UNIT,
-    build_top,
+    TopTrees,
     condition_numbers,
     world_frame,
 )
@@ -27,17 +34,19 @@ from raystream.instances.traversal import (
     traverse_top,
 )
 from raystream.jit.threads import Progress, part_of
+from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
+from raystream.structures.bvh.layout import NODE_BYTES
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.registry import StructureOptions
 
 __all__ = ["InstancedBrute", "InstancedBvh", "InstancedStructure", "build_instanced"]
 
-_NO_NODES = np.zeros(0, np.float32)
+_NO_NODES = np.zeros((0, 64), np.float32)
 
 
 class InstancedStructure(Structure):
@@ -67,17 +76,27 @@ class InstancedStructure(Structure):
         conditions = condition_numbers(triangles)
         boxes = world_frame(triangles, conditions)
         self.frame = SceneFrame.of(boxes)
-        nodes, order = self._arranged(boxes)
+        trees = self._trees(boxes)
+        order = trees.order
+        leaves = instance_records(triangles, order)
         self._memory = {
-            "nodes": nodes,
-            "leaves": instance_records(triangles, order),
+            "nodes": trees.nodes,
+            "leaves": leaves,
             "objects": object_records(self.objects),
+            "trees": _tree_records(trees, leaves),
         }
         at = {n: np.uint64(a.ctypes.data if len(a) else 0) for n, a in self._memory.items()}
+        shared = at["trees"] + np.uint64((len(self._memory["trees"]) - 1) * TREE.itemsize)
         worst = conditions[order].max(initial=1.0)
         far_unit = np.float32(FAR_UNIT * worst / float(PAD))
         self._addresses = TopAddresses(
-            at["nodes"], at["leaves"], at["objects"], np.uint64(len(order)), far_unit
+            at["trees"],
+            shared,
+            at["leaves"],
+            at["objects"],
+            np.uint64(len(order)),
+            np.uint64(0),
+            far_unit,
         )
         self.report = BuildReport(
             seconds=time.perf_counter() - started + sum(one.report.seconds for one in self.objects),
@@ -85,9 +104,21 @@ class InstancedStructure(Structure):
             + sum(one.report.byte_count for one in self.objects),
         )
 
-    def _arranged(self, boxes: Triangles) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """The nodes of the tree over the boxes, and the instances in the order of its leaves."""
-        return _NO_NODES, boxes.prim_ids
+    def _trees(self, boxes: Triangles) -> TopTrees:
+        """The trees over the boxes."""
+        ends = np.array([[0, 0, 0], [0, len(boxes.prim_ids), len(boxes.prim_ids)]])
+        return TopTrees(_NO_NODES, boxes.prim_ids, *ends)
+
+    def arrays_for(
+        self,
+        query: Query,  # noqa: ARG002
+        rays: RayBatch,
+        sink: Sink,  # noqa: ARG002
+    ) -> TopAddresses:
+        """The view for rays that have worlds."""
+        if rays.worlds is None:
+            return self._addresses
+        return self._addresses._replace(worlds=np.uint64(rays.worlds.ctypes.data))
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
@@ -133,9 +164,8 @@ class InstancedBvh(InstancedStructure):
     traverse = staticmethod(traverse_top)
     stack_bytes = 2 * STACK_BYTES
 
-    def _arranged(self, boxes: Triangles) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        tree, order = build_top(boxes)
-        return tree.nodes, order
+    def _trees(self, boxes: Triangles) -> TopTrees:
+        return TopTrees.of(boxes, self.triangles.instances)
 
 
 class InstancedBrute(InstancedStructure):
@@ -147,6 +177,16 @@ class InstancedBrute(InstancedStructure):
         """Fewer rays on larger scenes, so that a call stays short."""
         numbers = self.triangles.first_ids[-1] + len(self.triangles.instances)
         return max(1, min(4096, (1 << 23) // max(1, int(numbers))))
+
+
+def _tree_records(trees: TopTrees, leaves: NDArray[np.void]) -> NDArray[np.void]:
+    """The record of each world's tree, and that of all worlds."""
+    records = np.zeros(len(trees.first_nodes) - 1, TREE)
+    has_nodes = np.diff(trees.first_nodes) > 0
+    records["nodes"] = trees.nodes.ctypes.data + NODE_BYTES * trees.first_nodes[:-1]
+    records["nodes"][~has_nodes] = 0
+    records["leaves"] = leaves.ctypes.data + INSTANCE_BYTES * trees.first_leaves[:-1]
+    return records
 
 
 def build_instanced(

@@ -7,15 +7,20 @@ by, so that the tree leaves out no instance in which the ray finds a hit.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.instances import Instances
 from raystream.core.triangles import Triangles, local_frame
+from raystream.instances.grouped_trees import grouped_trees
+from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.build import build_arrays
-from raystream.structures.bvh.layout import BvhArrays
+from raystream.structures.bvh.layout import NODE_FLOATS
 
-__all__ = ["FAR_UNIT", "build_top", "condition_numbers", "world_frame"]
+__all__ = ["FAR_UNIT", "TopTrees", "condition_numbers", "world_frame"]
 
 #: In object space a hit is within the padding of its triangle's box: `kernels.ray.PAD` of the sum
 #: of the object's and the origin's largest coordinates, where the origin's is at most
@@ -89,15 +94,52 @@ def world_frame(triangles: InstancedTriangles, conditions: NDArray[np.float64]) 
     return Triangles.from_solid(corners, splits, center, scale, ~is_empty, 0, bounds)
 
 
-def build_top(boxes: Triangles) -> tuple[BvhArrays, NDArray[np.int32]]:
-    """Build the tree over the boxes of `world_frame`.
+class TopTrees(NamedTuple):
+    """Trees over the boxes of instances, whose leaves have one instance each.
 
-    Returns
-    -------
-    tree : BvhArrays
-        Each leaf has one block, with one instance.
-    order : ndarray of shape (B,), int32
-        The instance of each block.
+    Attributes
+    ----------
+    nodes : ndarray of shape (M, 64), float32
+    order : ndarray of shape (N,), int32
+        The instance of each leaf.
+    first_nodes, first_leaves : ndarray of shape (W + 2,), int64
+        Where the trees of the worlds begin, and the last one: that of all worlds. There is one
+        world without any.
     """
-    tree = build_arrays(boxes, "balanced", 1)
-    return tree, np.ascontiguousarray(tree.prim_ids[:, 0])
+
+    nodes: NDArray[np.float32]
+    order: NDArray[np.int32]
+    first_nodes: NDArray[np.int64]
+    first_leaves: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, boxes: Triangles, instances: Instances) -> TopTrees:
+        """Build the trees over the boxes of `world_frame`."""
+        if instances.worlds is None:
+            tree = build_arrays(boxes, "balanced", 1)
+            order = np.ascontiguousarray(tree.prim_ids[:, 0])
+            ends = np.array([[0, len(tree.nodes)], [0, len(order)]])[:, [0, 1, 1]]
+            return cls(tree.nodes, order, *ends)
+        count, held = instances.world_count, boxes.prim_ids
+        inside = held[instances.worlds[held] >= 0]
+        shared = held[instances.worlds[held] < 0]
+        corners, worlds = boxes.corners, instances.worlds[inside].astype(np.int64)
+        grouped = grouped_trees(corners[inside, 0], corners[inside, 1], worlds, count)
+        common = build_arrays(_some(boxes, shared), "balanced", 1)
+        nodes = aligned_array(len(grouped.nodes) + len(common.nodes), NODE_FLOATS)
+        nodes[: len(grouped.nodes)], nodes[len(grouped.nodes) :] = grouped.nodes, common.nodes
+        order = np.concatenate([inside[grouped.order], shared[common.prim_ids[:, 0]]])
+        return cls(
+            nodes,
+            order.astype(np.int32),
+            np.append(grouped.first_nodes, len(nodes)),
+            np.append(grouped.first_leaves, len(order)),
+        )
+
+
+def _some(boxes: Triangles, chosen: NDArray[np.int32]) -> Triangles:
+    """A store of some of the boxes, in the same frame."""
+    splits, solid = np.array([0, len(chosen)], np.int64), np.ones(len(chosen), np.bool_)
+    return Triangles.from_solid(
+        boxes.corners[chosen], splits, boxes.center, boxes.scale, solid, 0, boxes.bounds
+    )

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.rays import RayStatus
-from raystream.instances.records import InstanceRecord, ObjectRecord
+from raystream.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import store
+from raystream.jit.simd import load, store
 from raystream.kernels.queries import Searches
 from raystream.kernels.ray import LocalRay, prepare_ray
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
@@ -33,7 +33,7 @@ from raystream.structures.bvh.traversal import traverse as traverse_bvh
 
 __all__ = ["STACK_BYTES", "TopAddresses", "instance_searches", "traverse_all", "traverse_top"]
 
-_STACK = np.uint64(STACK_BYTES)
+_STACK, _TREE = np.uint64(STACK_BYTES), np.uint64(TREE.itemsize)
 _NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)
 _LEAF_SHIFT = np.int32(3)
 _NO_ID = np.int32(0)
@@ -50,21 +50,27 @@ class TopAddresses(NamedTuple):
 
     Attributes
     ----------
-    nodes, leaves : uint64
-        Addresses of the tree's first node, and of the first `InstanceRecord`, one for each block.
-    objects : uint64
-        Address of the first `ObjectRecord`.
+    trees : uint64
+        Address of a `TreeRecord` for each world; at least one.
+    shared : uint64
+        Address of the tree of the instances in all worlds.
+    leaves, objects : uint64
+        Addresses of the first `InstanceRecord` and the first `ObjectRecord`.
     instance_count : uint64
         Instances that can be hit.
+    worlds : uint64
+        Address of the rays' worlds, int32; 0 if there are none.
     far_unit : float32
         The boxes' additional padding, as a fraction of the ray's largest world coordinate, in
         units of `kernels.ray.PAD`.
     """
 
-    nodes: np.uint64
+    trees: np.uint64
+    shared: np.uint64
     leaves: np.uint64
     objects: np.uint64
     instance_count: np.uint64
+    worlds: np.uint64
     far_unit: np.float32
 
 
@@ -82,13 +88,28 @@ class WorldRay(NamedTuple):
     is_valid: bool
 
 
+class _RayScene(NamedTuple):
+    """The instances that one ray may hit, with the numbers of the ray.
+
+    Attributes
+    ----------
+    top : TopAddresses
+    world : int32
+        Of the ray; -1 meets the instances in all worlds only.
+    ray : WorldRay
+    """
+
+    top: TopAddresses
+    world: np.int32
+    ray: WorldRay
+
+
 class _RayTree(NamedTuple):
-    """`TopAddresses` for one ray, with the numbers of the ray."""
+    """One of the trees that a ray traverses; by the names that `tree_traversal` reads."""
 
     nodes: np.uint64
     leaves: np.uint64
     objects: np.uint64
-    instance_count: np.uint64
     ray: WorldRay
 
 
@@ -144,18 +165,37 @@ def _search_leaf(tree, child, line, search, stack):  # noqa: ARG001
     return _search_bvh(tree, index, search, stack + _STACK)
 
 
-#: Traverse the tree of instances of BVHs.
-traverse_top = device(tree_traversal(_search_leaf))
+_traverse_tree = device(tree_traversal(_search_leaf))
 
 
 @device
-def traverse_all(tree, ray, search, stack):  # noqa: ARG001
-    """Search all instances, without a tree, by brute force."""
-    if tree.ray.is_valid:
-        for index in range(tree.instance_count):
-            search = _search_brute(tree, index, search, stack)
-            if is_full(search):
-                break
+def traverse_top(scene, ray, search, stack):
+    """Search the instances of BVHs: those of the ray's world, then those of all worlds."""
+    top = scene.top
+    for k in range(_TWO):
+        if k == _NONE and scene.world < _NO_ID:
+            continue
+        at = top.trees + np.uint64(scene.world) * _TREE if k == _NONE else top.shared
+        tree = TreeRecord(at)
+        one = _RayTree(tree.nodes, tree.leaves, top.objects, scene.ray)
+        search = _traverse_tree(one, ray, search, stack)
+        if is_full(search):
+            break
+    return search
+
+
+@device
+def traverse_all(scene, ray, search, stack):  # noqa: ARG001
+    """Search all instances of the ray's world, without a tree, by brute force."""
+    if scene.ray.is_valid:
+        top = scene.top
+        tree = _RayTree(_NONE, top.leaves, top.objects, scene.ray)
+        for index in range(top.instance_count):
+            world = InstanceRecord(top.leaves, index).world
+            if world == scene.world or world < _NO_ID:
+                search = _search_brute(tree, index, search, stack)
+                if is_full(search):
+                    break
     return search
 
 
@@ -169,7 +209,7 @@ def instance_searches(traverse) -> Searches:
     """Make the searches of a ray with a traversal of instances; see `kernels.queries.searches`."""
 
     @device
-    def of_numbers(numbers, scene, goal):
+    def of_world(numbers, world, scene, goal):
         ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
         top, frame = scene.arrays, scene.frame
         ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
@@ -196,9 +236,8 @@ def instance_searches(traverse) -> Searches:
             None,
             InstanceRay(ray.t_scale, ray.t_offset, _NO_ID),
         )
-        world = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
-        tree = _RayTree(top.nodes, top.leaves, top.objects, top.instance_count, world)
-        found = traverse(tree, local, search, scene.stack)
+        whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
+        found = traverse(_RayScene(top, world, whole), local, search, scene.stack)
         status = _VALID if is_valid else _INVALID
         return found, _world_ray(ray, status)
 
@@ -207,10 +246,17 @@ def instance_searches(traverse) -> Searches:
         ox, oy, oz = load_origin(scene.source, i)
         dx, dy, dz = load_direction(scene.source, i)
         t_min, t_max = load_limits(scene.source, i)
+        world, worlds = _NO_ID, scene.arrays.worlds
+        if worlds != _NONE:
+            world = load(np.int32, worlds + (i << _TWO))
         numbers = ox, oy, oz, dx, dy, dz, t_min, t_max
-        search, ray = of_numbers(numbers, scene, goal)
+        search, ray = of_world(numbers, world, scene, goal)
         _note_status(scene.status, i, ray.status)
         return search, ray
+
+    @device
+    def of_numbers(numbers, scene, goal):
+        return of_world(numbers, _NO_ID, scene, goal)
 
     return Searches(of_batch, of_numbers)
 

@@ -25,7 +25,8 @@ class RayCaster(TracedScene):
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         super()._set(scene, structure)
         # Holds addresses of this structure: made with each new one.
-        self._cast = None if self._needs_queries() else self._backend.caster()
+        needs_queries = self._needs_queries() or self._world_count
+        self._cast = None if needs_queries else self._backend.caster()
 
     @abstractmethod
     def _needs_queries(self) -> bool:

@@ -39,7 +39,23 @@ if TYPE_CHECKING:
 __all__ = ["TracedScene"]
 
 #: Attributes that belong to the structure in place, or to the latest query.
-_TRANSIENT = ("_backend", "_cast", "_latest")
+_TRANSIENT = ("_backend", "_cast", "_latest", "_world_count")
+
+
+def flat_ids(name: str, values: Any, count: int, shape: tuple[int, ...]) -> NDArray[np.int32]:
+    """One number for each ray, -1 to count - 1, as a flat array."""
+    ids = np.asarray(values)
+    if ids.dtype.kind not in "iu":
+        raise TypeError(f"{name}: expected integers, got {ids.dtype}")
+    if ids.size and not (ids.min() >= -1 and ids.max() < count):
+        raise ValueError(f"{name}: expected -1 to {count - 1:,}")
+    try:
+        ids = np.broadcast_to(ids, shape)
+    except ValueError:
+        raise ValueError(
+            f"{name}: shape {ids.shape} does not broadcast to the rays' {shape}"
+        ) from None
+    return np.ascontiguousarray(ids, np.int32).reshape(-1)
 
 
 class TracedScene:
@@ -59,6 +75,7 @@ class TracedScene:
     _backend: Backend
     _machine_options: Mapping[str, Any]
     _counts: bool
+    _world_count: int
     _latest: RayCounters | None
 
     def _configure(
@@ -102,6 +119,9 @@ class TracedScene:
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
         self.structure = structure
+        placed: Any = structure.triangles
+        is_placed = isinstance(placed, InstancedTriangles)
+        self._world_count = placed.instances.world_count if is_placed else 0
         self._latest = None
         self._backend = device_of(self.device).machines.make(
             self.machine, structure, self._machine_options
@@ -356,7 +376,13 @@ class TracedScene:
         return tracer
 
     def _rays(
-        self, origins: Any, directions: Any, t_min: Any, t_max: Any, near: Any = None
+        self,
+        origins: Any,
+        directions: Any,
+        t_min: Any,
+        t_max: Any,
+        near: Any = None,
+        worlds: Any = None,
     ) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""
         if self._backend.capabilities.device_arrays and not self._counts:
@@ -364,11 +390,27 @@ class TracedScene:
             if arrays.is_on_gpu():
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")
+                if worlds is not None:
+                    raise ValueError("worlds: expected None for rays on a GPU")
                 return arrays
         rays = RayBatch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
+        if worlds is not None or self._world_count:
+            rays.worlds = self._checked_worlds(worlds, rays.shape)
         return rays
+
+    def _checked_worlds(self, worlds: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
+        """`worlds` of `Tracer.first_hit`, flat."""
+        count = self._world_count
+        if not count:
+            raise ValueError("worlds: expected None: the scene has no worlds; see Scene.instances")
+        if worlds is None:
+            raise ValueError(
+                f"worlds: expected the world of each ray, 0 to {count - 1:,}, or -1 for none: the "
+                "scene's instances are in worlds"
+            )
+        return flat_ids("worlds", worlds, count, shape)
 
     def _checked_sectors(self, near: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
         """`near` of `Tracer.first_hit`, flat."""
@@ -379,18 +421,7 @@ class TracedScene:
                 "near: expected None, since only structure='graph' on the CPU's branching machine "
                 "knows sectors"
             )
-        sectors = np.asarray(near)
-        if sectors.dtype.kind not in "iu":
-            raise TypeError(f"near: expected integers, got {sectors.dtype}")
-        if sectors.size and not (sectors.min() >= -1 and sectors.max() < count):
-            raise ValueError(f"near: expected -1 to {count - 1:,}")
-        try:
-            sectors = np.broadcast_to(sectors, shape)
-        except ValueError:
-            raise ValueError(
-                f"near: shape {sectors.shape} does not broadcast to the rays' {shape}"
-            ) from None
-        return np.ascontiguousarray(sectors, np.int32).reshape(-1)
+        return flat_ids("near", near, count, shape)
 
     def _answer(
         self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None

@@ -29,6 +29,7 @@ class InstancedScene:
         transforms: Any,
         object_ids: Any = None,
         *,
+        worlds: Any = None,
         materials: Sequence[Material] = (),
         **parts: Any,
     ) -> Self:
@@ -47,6 +48,10 @@ class InstancedScene:
             in float64. They may mirror, shear, and scale by axis.
         object_ids : array_like of shape (K,), int, optional
             The object of each instance [default: the only object].
+        worlds : array_like of shape (K,), int, optional
+            The world of each instance, from 0, or -1 for one that is in all worlds. Queries then
+            take the world of each ray, which meets no instance of another one: thousands of
+            copies of a small scene, in different states, answer one batch.
         materials : sequence of Material, optional
             Of objects that are meshes. Those of scenes follow.
         **parts
@@ -93,7 +98,7 @@ class InstancedScene:
         >>> hits.instance_id.tolist(), hits.prim_id[0] == hits.prim_id[1]
         ([50, 51], np.True_)
         """
-        made = Objects.of(objects, transforms, object_ids, materials)
+        made = Objects.of(objects, (object_ids, transforms, worlds), materials)
         scene = cls(made.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
         scene._geometry = InstancedGeometry(made.meshes, made.mesh_counts, made.instances)
         return scene
@@ -139,12 +144,16 @@ class InstancedScene:
 
         Raises
         ------
+        ValueError
+            If the instances are in worlds.
         MemoryError
             If it does not fit into memory.
         """
         geometry = self._geometry
         if not isinstance(geometry, InstancedGeometry):
             return self
+        if geometry.instances.worlds is not None:
+            raise ValueError("flattened: the instances are in worlds, which may overlap")
         return self._with(_geometry=Geometry(placed_meshes(geometry)))
 
     def _with(self, **fields: Any) -> Self:

@@ -88,11 +88,10 @@ class Objects(NamedTuple):
     def of(
         cls,
         objects: Mesh | Scene | Iterable[Mesh | Scene],
-        transforms: Any,
-        object_ids: Any,
+        placed: tuple[Any, Any, Any],
         materials: Sequence[Material],
     ) -> Objects:
-        """Put objects together.
+        """Put objects together; `placed` are object_ids, transforms and worlds.
 
         Raises
         ------
@@ -105,13 +104,15 @@ class Objects(NamedTuple):
         for index, one in enumerate(given):
             if not isinstance(one, Mesh | Scene):
                 raise TypeError(f"objects[{index}]: expected a Mesh or Scene, got {type(one)}")
+        object_ids, transforms, worlds = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
-        found = cls([], [], list(materials), Instances(ids, matrices))
+        found = cls([], [], list(materials), Instances(ids, matrices, worlds))
         # Each object is one after another's; one that is a scene of instances is several.
         below = [found._add(one) for one in given]
         if all(inner is None for _, inner in below):
             firsts = np.array([first for first, _ in below], np.int32)
-            instances = Instances(firsts[ids], matrices) if len(ids) else found.instances
+            outer = found.instances
+            instances = Instances(firsts[ids], matrices, outer.worlds) if len(ids) else outer
         else:
             instances = _flattened_instances(found.instances, below)
         if not found.materials:
@@ -133,6 +134,8 @@ class Objects(NamedTuple):
         )
         geometry = one.geometry
         if isinstance(geometry, InstancedGeometry):
+            if geometry.instances.worlds is not None:
+                raise ValueError("objects: one is a scene whose instances are in worlds")
             self.mesh_counts.extend(geometry.mesh_counts)
             return first, geometry.instances
         self.mesh_counts.append(len(one.meshes))
@@ -178,7 +181,8 @@ def _flattened_instances(
         linear = np.einsum("aij,bjk->abik", mine[:, :, :3], inner.transforms)
         linear[..., 3] += mine[:, None, :, 3]
         matrices[to] = linear.reshape(-1, 3, 4)
-    return Instances(ids, matrices)
+    worlds = None if outer.worlds is None else np.repeat(outer.worlds, counts)
+    return Instances(ids, matrices, worlds)
 
 
 def placed_meshes(geometry: InstancedGeometry) -> Iterator[Mesh]:
