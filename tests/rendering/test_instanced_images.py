@@ -112,6 +112,20 @@ def test_frames_move_instances(scenes) -> None:
     np.testing.assert_array_equal(after, rs.render(moved, "vis", SIZE).pixels)
 
 
+def test_animations_move_instances(scenes, tmp_path) -> None:
+    scene, _ = scenes
+    transforms = scene.placements.transforms
+    shift = np.zeros((24, 3, 4))
+    shift[:23, 1, 3] = 1.0
+    moving = rs.Animation(lambda t: scene.with_transforms(transforms + t * shift), (0.0, 2.0), 1.0)
+    animated = scene.replace(animation=moving)
+    np.testing.assert_array_equal(animated.at(2.0).placements.transforms, transforms + 2.0 * shift)
+    frames = list(rs.render_frames(animated, "vis", size=SIZE))
+    assert len(frames) == 2
+    last = rs.render(scene.with_transforms(transforms + shift), "vis", SIZE)
+    np.testing.assert_array_equal(frames[-1][1].pixels, last.pixels)
+
+
 def test_cut_outs_are_refused() -> None:
     leaf = rs.Scene(textured_cube().meshes, materials=[rs.Material(opacity=0.5), rs.Material()])
     with pytest.raises(rs.RaystreamError, match=r"not opaque: .*scene.flattened\(\)"):

@@ -76,10 +76,6 @@ class InstancedTriangles:
                 f"{MAX_TRIANGLES:,}"
             )
 
-    def moved(self, instances: Instances) -> InstancedTriangles:
-        """The same objects, with their instances elsewhere."""
-        return InstancedTriangles(self.objects, instances, self.mesh_splits, self.attributes)
-
     def __len__(self) -> int:
         return int(self.first_prims[-1])
 

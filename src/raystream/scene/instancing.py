@@ -48,6 +48,8 @@ class InstancedGeometry(Geometry):
     ) -> None:
         super().__init__(meshes)
         self.mesh_counts, self.instances = tuple(mesh_counts), instances
+        # Shared by all scenes with these objects, wherever their instances are.
+        self._objects = [Geometry(self.meshes[first:end]) for first, end in self.mesh_ranges]
 
     @property
     def mesh_ranges(self) -> list[tuple[int, int]]:
@@ -57,10 +59,7 @@ class InstancedGeometry(Geometry):
     @cached_property
     def triangles(self) -> Any:
         """The triangles of the objects, each in a frame of its own, and their instances."""
-        objects = [Geometry(self.meshes[first:end]).triangles for first, end in self.mesh_ranges]
-        return self._with_instances(objects)
-
-    def _with_instances(self, objects: Sequence[Triangles]) -> InstancedTriangles:
+        objects = [one.triangles for one in self._objects]
         splits = np.cumsum([0, *(mesh.triangle_count for mesh in self.meshes)], dtype=np.int64)
         return InstancedTriangles(objects, self.instances, splits, self.attributes)
 
@@ -68,11 +67,9 @@ class InstancedGeometry(Geometry):
         return self.triangles.some(_SEEN)
 
     def moved(self, instances: Instances) -> InstancedGeometry:
-        """The same objects, with instances elsewhere; triangles that were made are shared."""
+        """The same objects, whose triangles are shared, with instances elsewhere."""
         moved = InstancedGeometry(self.meshes, self.mesh_counts, instances)
-        moved.attributes = self.attributes
-        if "triangles" in vars(self):
-            moved.triangles = self.triangles.moved(instances)
+        moved.attributes, moved._objects = self.attributes, self._objects
         return moved
 
 

@@ -408,7 +408,8 @@ class Scene(InstancedScene):
         if self._animation is not None:
             posed = self._animation.at(time)
             scene._materials, scene._lights = posed.materials, posed.lights
-            if not _are_same(posed.meshes, self.meshes):
+            is_same = _are_same(posed.meshes, self.meshes)
+            if not is_same or posed.placements is not self.placements:
                 scene._geometry = posed._geometry
         return scene
 
