@@ -32,6 +32,8 @@ ROOMS = (
     "ray_files",
     "cluster",
     "viewer",
+    "torch",
+    "jax",
     "bench",
     "cli",
 )
@@ -45,6 +47,8 @@ RESERVED = {
     "llvmlite": {"jit"},
     "numba_cuda": {"jit"},
     "wgpu": {"graphics"},
+    "torch": {"torch"},
+    "jax": {"jax"},
 }
 
 #: The stream programming model knows nothing of rays: of the rooms before it, only these.

@@ -1,0 +1,64 @@
+"""Derivatives of crossings by central differences, with another formula than raystream's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import raystream as rs
+
+__all__ = ["crossing", "differences", "hits_of", "open_mesh", "relative_error"]
+
+
+def crossing(origin, direction, corners):
+    """t, u, v and the point, shape (6,), float64, of one ray and the plane of one triangle.
+
+    By linear equations: first + u (second - first) + v (third - first) = origin + t direction.
+    """
+    first, second, third = np.asarray(corners, np.float64)
+    matrix = np.stack([-np.asarray(direction, np.float64), second - first, third - first], axis=1)
+    t, u, v = np.linalg.solve(matrix, np.asarray(origin, np.float64) - first)
+    return np.array([t, u, v, *(first + u * (second - first) + v * (third - first))])
+
+
+def differences(origin, direction, corners):
+    """Derivatives of `crossing`, shape (6, 15): by origin, direction and the corners in turn."""
+    inputs = np.concatenate([np.ravel(one) for one in (origin, direction, corners)]).astype(float)
+
+    def at(values):
+        return crossing(values[:3], values[3:6], values[6:].reshape(3, 3))
+
+    columns = []
+    for k in range(15):
+        step = np.zeros(15)
+        step[k] = 1e-6 * max(1.0, abs(inputs[k]))
+        columns.append((at(inputs + step) - at(inputs - step)) / (2 * step[k]))
+    return np.stack(columns, axis=1)
+
+
+def relative_error(found, expected):
+    """Largest difference within each row, of the row's largest number."""
+    scale = np.abs(expected).max(axis=-1, keepdims=True)
+    return float((np.abs(found - expected) / np.maximum(scale, 1e-300)).max())
+
+
+def open_mesh(seed=0, count=40):
+    """A scene of two meshes of random triangles, and its vertices, (V, 3), float64."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for part in (count // 2, count - count // 2):
+        centers = rng.uniform(-1, 1, (part, 1, 3))
+        vertices = (centers + rng.uniform(-0.7, 0.7, (part, 3, 3))).reshape(-1, 3)
+        parts.append(rs.Mesh(vertices, np.arange(3 * part).reshape(-1, 3)))
+    return rs.Scene(parts), np.concatenate([part.vertices for part in parts])
+
+
+def hits_of(scene, count=60, seed=1):
+    """Origins and directions, (count, 3) float64, of which most hit, and not at a grazing angle."""
+    rng = np.random.default_rng(seed)
+    origins = rng.uniform(-3, 3, (8 * count, 3))
+    directions = rng.uniform(-0.7, 0.7, origins.shape) - origins
+    hits = rs.Tracer(scene, "brute").first_hit(origins, directions)
+    with np.errstate(invalid="ignore"):
+        slope = np.abs((hits.normals * directions).sum(axis=1)) / np.linalg.norm(directions, axis=1)
+    kept = np.flatnonzero(~(slope < 0.1))[:count]  # misses, whose normals are NaN, stay
+    return origins[kept], directions[kept]
