@@ -15,6 +15,7 @@ except ModuleNotFoundError as error:
 
 
 def main():
+    """Start near the sensor, and follow the slopes of its distances."""
     tracer = JaxTracer(rs.Tracer(rs.load("cornell")))
 
     # A sensor in the box measures the distance to the walls in 24 directions, in millimetres.

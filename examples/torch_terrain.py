@@ -22,6 +22,7 @@ def grid(heights):
 
 
 def main():
+    """Start with a plane, and follow the gradients of its heights."""
     corner = (np.arange(SIZE - 1)[:, None] * SIZE + np.arange(SIZE - 1)).reshape(-1, 1)
     faces = (corner + np.array([0, 1, SIZE + 1, 0, SIZE + 1, SIZE])).reshape(-1, 3)
 

@@ -1,7 +1,8 @@
 """Optional packages: tests that need a missing one skip and say how to install it.
 
 `[test]` has none of them, `[dev]` all but the lab, which is a distribution of its own, and those
-that are too large for each run of CI (`LARGE`). Two variables of the environment let CI run the tests that skipped, once it has installed the rest:
+that are too large for each run of CI (`LARGE`). Two variables of the environment let CI run the
+tests that skipped, once it has installed the rest:
 
 - ``RAYSTREAM_TEST_SKIPPED=FILE`` writes their ids to a file that pytest takes as ``@FILE``;
 - ``RAYSTREAM_TEST_EXTRAS=1`` makes a missing package a failure.

@@ -208,7 +208,7 @@ def jacobian(tracer, vertices, origins, directions):
     return np.concatenate([np.reshape(one, (*one.shape[:2], -1)) for one in found], -1), hits, rows
 
 
-def test_derivatives_agree_with_finite_differences(mesh, tracer, rays):
+def test_derivatives_agree_with_finite_differences(mesh, tracer, rays, record_property):
     found, hits, rows = jacobian(tracer, mesh[1], *rays)
     is_hit = np.asarray(hits.prim_id) >= 0
     assert 30 < is_hit.sum() < len(is_hit)
@@ -217,13 +217,13 @@ def test_derivatives_agree_with_finite_differences(mesh, tracer, rays):
         expected = differences(rays[0][k], rays[1][k], mesh[1][rows[k]])
         # Slopes go through the tracer's float32 t, u and v: so does the tolerance.
         worst = max(worst, relative_error(found[k], expected))
-    print(f"{is_hit.sum()} hits, largest relative error {worst:.1e}")
+    record_property("largest relative error", worst)
     assert worst < 1e-4
     assert not found[~is_hit].any()  # misses: zeros, not NaN
 
 
 def test_derivatives_are_those_of_rays_that_are_traced_again(rays, mesh, tracer):
-    """Not of a formula: t of the tracer itself, at moved origins, where the triangle is the same."""
+    """Against t of the tracer itself, at moved origins, where the triangle is the same."""
     origins, directions = rays
     slope = jax.vmap(jax.grad(lambda o, d: tracer.first_hit(o, d).t))(origins, directions)
     way = np.random.default_rng(5).normal(size=origins.shape)
@@ -258,16 +258,22 @@ def test_all_transformations_agree(mesh, tracer, rays):
         np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-7)
         np.testing.assert_allclose(a, c, rtol=1e-5, atol=1e-7)
     for argument in (0, 1):  # with and without vertices
-        for given in (vertices, None):
-            first = jax.grad(lambda x, g=given, n=argument: depth(
-                *(x if m == n else point[m] for m in (0, 1)), g
-            ))
+        for moved in (vertices, None):
+            first = jax.grad(
+                lambda x, g=moved, n=argument: depth(
+                    *(x if m == n else point[m] for m in (0, 1)), g
+                )
+            )
             second = jax.jit(jax.jacfwd(first))(point[argument])
             step = 1e-4
-            expected = np.stack([
-                (first(point[argument] + step * e) - first(point[argument] - step * e)) / (2 * step)
-                for e in np.eye(3)
-            ], axis=1)
+            expected = np.stack(
+                [
+                    (first(point[argument] + step * e) - first(point[argument] - step * e))
+                    / (2 * step)
+                    for e in np.eye(3)
+                ],
+                axis=1,
+            )
             np.testing.assert_allclose(second, expected, rtol=1e-3, atol=1e-3)
 
 

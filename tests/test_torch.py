@@ -133,6 +133,7 @@ def test_vmap_is_a_loop_in_one_batch(tracer, axes, shapes, monkeypatch):
     assert len(calls) == 1
 
 
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated")  # PyTorch's own compiler does
 @pytest.mark.parametrize("requires", [False, True])
 def test_compiled_functions_have_no_graph_breaks(mesh, tracer, rays, requires):
     origins, directions = tensors(rays)
@@ -190,7 +191,7 @@ def test_operators_do_not_keep_tracers(mesh):
     assert torch.ops.raystream.corners(number, corner).shape == (1, 3, 3)
     del tracer
     gc.collect()
-    with pytest.raises(RuntimeError, match="tracer: the TorchTracer .* has been deleted"):
+    with pytest.raises(RuntimeError, match=r"tracer: the TorchTracer .* has been deleted"):
         torch.ops.raystream.corners(number, corner)
 
 
@@ -248,7 +249,7 @@ def jacobian(tracer, vertices, origins, directions):
     return found, hits, rows
 
 
-def test_gradients_agree_with_finite_differences(mesh, tracer, rays):
+def test_gradients_agree_with_finite_differences(mesh, tracer, rays, record_property):
     found, hits, rows = jacobian(tracer, mesh[1], *rays)
     is_hit = hits.prim_id.numpy() >= 0
     assert 30 < is_hit.sum() < len(is_hit)
@@ -256,7 +257,7 @@ def test_gradients_agree_with_finite_differences(mesh, tracer, rays):
     for k in np.flatnonzero(is_hit):
         expected = differences(rays[0][k], rays[1][k], mesh[1][rows[k]])
         worst = max(worst, relative_error(found[k], expected))
-    print(f"{is_hit.sum()} hits, largest relative error {worst:.1e}")
+    record_property("largest relative error", worst)
     assert worst < 1e-4
     assert not found[~is_hit].any()  # misses: zeros, not NaN
 
@@ -268,7 +269,7 @@ def test_gradients_of_several_hits_are_those_of_each(mesh, tracer, rays):
     seen = first.prim_id >= 0
     assert torch.equal(many.prim_id[:, 0], first.prim_id)
     for a, b in zip(
-        torch.autograd.grad(many.t[:, 0][seen].sum(), (origins, directions)),
+        torch.autograd.grad(many.t[:, 0][seen].sum(), (origins, directions), retain_graph=True),
         torch.autograd.grad(first.t[seen].sum(), (origins, directions)),
         strict=True,
     ):
@@ -291,14 +292,15 @@ def test_second_derivatives(tracer, rays):
         t = tracer.first_hit(origins[k], direction).t
         return torch.autograd.grad(t, direction, create_graph=True)[0]
 
-    found = torch.stack([
-        torch.autograd.grad(slope(direction)[n], direction)[0] for n in range(3)
-    ])
+    found = torch.stack([torch.autograd.grad(slope(direction)[n], direction)[0] for n in range(3)])
     step = 1e-4
-    expected = torch.stack([
-        (slope(direction + step * e) - slope(direction - step * e)).detach() / (2 * step)
-        for e in torch.eye(3, dtype=torch.float64)
-    ], dim=1)
+    expected = torch.stack(
+        [
+            (slope(direction + step * e) - slope(direction - step * e)).detach() / (2 * step)
+            for e in torch.eye(3, dtype=torch.float64)
+        ],
+        dim=1,
+    )
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
 
 
@@ -316,9 +318,9 @@ def test_meshes_may_be_separate_tensors(mesh, tracer, rays):
     whole = torch.from_numpy(mesh[1].copy()).requires_grad_()
     origins, directions = tensors(rays)
     grads = []
-    for vertices, given in ((parts, parts), (whole, [whole])):
+    for vertices, leaves in ((parts, parts), (whole, [whole])):
         hits = tracer.first_hit(origins, directions, vertices=vertices)
-        grads.append(torch.cat(torch.autograd.grad(hits.u.sum(), given)))
+        grads.append(torch.cat(torch.autograd.grad(hits.u.sum(), leaves)))
     assert grads[0].any()
     torch.testing.assert_close(*grads)
 
@@ -424,6 +426,9 @@ def test_a_plain_tracer_says_what_traces_with_gradients(tracer):
         tracer.tracer.first_hit(torch.zeros(3, requires_grad=True), [0, 0, 1])
 
 
-def test_tensors_that_hold_no_numbers_are_named(tracer):
-    with pytest.raises((TypeError, NotImplementedError), match="meta|origins"):
-        tracer.first_hit(torch.zeros(3, device="meta"), torch.ones(3))
+def test_tensors_without_numbers_have_results_without(tracer):
+    with torch.device("meta"):
+        hits = tracer.multi_hit(torch.zeros(4, 1, 3), torch.ones(5, 3), max_hits=2)
+    assert hits.t.device.type == "meta"
+    assert hits.prim_id.shape == (4, 5, 2)
+    assert [one.dtype for one in hits] == [torch.float32] * 3 + [torch.int32]

@@ -59,6 +59,8 @@ def cupy(monkeypatch):
     module = types.ModuleType("cupy")
 
     class ndarray:  # noqa: N801
+        shape = ()
+
         def __init__(self, values):
             self.values = np.asarray(values)
             self.shape = self.values.shape

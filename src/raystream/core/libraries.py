@@ -44,7 +44,7 @@ class _Labelled(Library):
 
     def __init__(self, rays: Any) -> None:
         super().__init__(type(rays))
-        self._rays = rays
+        self._rays: Any = rays
 
     def of_rays(self, array: Any) -> Any:
         """An array with the names that the rays have for its axes, if their shapes agree."""
@@ -56,7 +56,7 @@ class _Labelled(Library):
             same = array.shape == rays.shape
             names = (*names, rays.dims[-1] if same else "component")
         known = {name: one for name, one in rays.coords.items() if set(one.dims) <= set(names)}
-        return self._convert(array, coords=known, dims=names)
+        return type(rays)(array, coords=known, dims=names)
 
 
 def _to_torch(array: Any) -> Any:

@@ -21,9 +21,15 @@ Columns = tuple[Any, Any, Any, Any]
 # ---- On the host, with NumPy.
 
 
-def _host(arrays: tuple[Any, ...]) -> dict[str, NDArray[Any]]:
-    names = ("origins", "directions", "t_min", "t_max")
-    return dict(zip(names, map(np.asarray, arrays), strict=True))
+def _host(arrays: tuple[Any, ...]) -> dict[str, Any]:
+    origins, directions, t_min, t_max = map(np.asarray, arrays)
+    # Of a batch in which only limits differ, they give the rays their shape.
+    shape = np.broadcast_shapes(
+        origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape
+    )
+    if shape != np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1]):
+        origins = np.broadcast_to(origins, (*shape, 3))
+    return {"origins": origins, "directions": directions, "t_min": t_min, "t_max": t_max}
 
 
 def _first_on_host(tracer: Tracer, *rays: Any) -> tuple[NDArray[Any], ...]:
@@ -135,8 +141,8 @@ def _derivatives(tracer: Tracer, found: Columns, primals: Any, tangents: Any, lo
 
     def crossing(origins: Any, directions: Any, vertices: Any) -> Any:
         corners = _corners(tracer, prim_id, vertices)
-        rays = (_float(lone(one)) for one in (origins, directions))
-        t, u, v = replay(jnp, *rays, corners, prim_id >= 0)
+        origins, directions = _float(lone(origins)), _float(lone(directions))
+        t, u, v = replay(jnp, origins, directions, corners, prim_id >= 0)
         return t.astype(jnp.float32), u.astype(jnp.float32), v.astype(jnp.float32)
 
     (rays, vertices), (ray_tangents, vertex_tangents) = primals, tangents

@@ -44,6 +44,7 @@ def leading_shape(origins: Tensor, directions: Tensor) -> Sequence[int]:
             f"{tuple(directions.shape)} do not broadcast against each other"
         ) from None
 
+
 _RAYS = "Tensor origins, Tensor directions, Tensor t_min, Tensor t_max"
 
 
@@ -73,9 +74,7 @@ def _first_hit(
     return _columns(_tracer(tracer).first_hit(origins, directions, t_min=t_min, t_max=t_max))
 
 
-def _any_hit(
-    tracer: int, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor
-) -> Any:
+def _any_hit(tracer: int, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor) -> Any:
     return _tracer(tracer).any_hit(origins, directions, t_min=t_min, t_max=t_max)
 
 
@@ -190,7 +189,9 @@ def _define() -> None:
         "count_hits",
         f"(int tracer, {_RAYS}, bool surfaces) -> Tensor",
         _count_hits,
-        lambda tracer, o, d, t_min, t_max, surfaces: o.new_empty(leading_shape(o, d), dtype=torch.int64),
+        lambda tracer, o, d, t_min, t_max, surfaces: o.new_empty(
+            leading_shape(o, d), dtype=torch.int64
+        ),
         _one_batch(lambda *rays: ops.count_hits(*rays), 1),
     )
     _operator(

@@ -23,6 +23,7 @@ _REAL = frozenset(
     + (torch.int32, torch.int16, torch.int8, torch.uint64, torch.uint32, torch.uint16, torch.uint8)
 )
 
+
 class TorchHits(NamedTuple):
     """Hits in tensors of the rays' shape S, or S + (max_hits,): ``t``, ``u``, ``v``, ``prim_id``.
 
@@ -239,11 +240,11 @@ class TorchTracer:
         corners = self._corners(hits.prim_id, given)
         origins, directions = (one.double() for one in rays[:2])
         crossing = replay(torch, origins, directions, corners, hits.prim_id >= 0)
-        columns = [
+        t, u, v = (
             _WithGradientOf.apply(value, one.to(value.dtype))
             for value, one in zip(hits[:3], crossing, strict=True)
-        ]
-        return TorchHits(*columns, hits.prim_id)
+        )
+        return TorchHits(t, u, v, hits.prim_id)
 
     def _corners(self, prim_id: Tensor, vertices: Tensor | Sequence[Tensor] | None) -> Tensor:
         """The hit triangles' corners, shape S + (3, 3), float64."""
