@@ -18,11 +18,12 @@ def main():
     """Start near the sensor, and follow the slopes of its distances."""
     tracer = JaxTracer(rs.Tracer(rs.load("cornell")))
 
-    # A sensor in the box measures the distance to the walls in 24 directions, in millimetres.
-    angles = np.linspace(-0.9, 0.9, 24)
-    directions = jnp.asarray(
-        np.stack([np.sin(angles), 0.4 * np.cos(5 * angles), np.cos(angles)], axis=1)
-    )
+    # A sensor in the box measures distances to the walls and the ceiling, above the two blocks, in
+    # 24 directions, in millimetres.
+    angles = np.linspace(-1.2, 1.2, 24)
+    heights = 0.35 + 0.3 * np.cos(7 * angles)
+    directions = np.stack([np.sin(angles), heights, np.cos(angles)], axis=1)
+    directions = jnp.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
     place = jnp.array([250.0, 330.0, 60.0])
     noise = 0.5 * np.random.default_rng(0).normal(size=len(angles))
     measured = tracer.first_hit(place, directions).t + noise
@@ -40,7 +41,7 @@ def main():
 
     guess = jnp.array([280.0, 300.0, 100.0])
     print(f"first guess: {float(jnp.linalg.norm(guess - place)):.1f} mm off")
-    for number in range(8):
+    for number in range(6):
         guess = step(guess)
         print(f"step {number + 1}: {float(jnp.linalg.norm(guess - place)):.2f} mm off")
     assert float(jnp.linalg.norm(guess - place)) < 2.0

@@ -56,7 +56,7 @@ def assert_same_hits(found, expected):
 
 
 @given(scenes_and_rays(), st.sampled_from(["f2", "f4", "f8", "i4"]), st.booleans(), st.booleans())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_answers_have_the_tracer_s_bits(case, dtype, compiles, batches):
     vertices, faces, origins, directions = case
     plain = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute")
@@ -208,7 +208,7 @@ def jacobian(tracer, vertices, origins, directions):
     return np.concatenate([np.reshape(one, (*one.shape[:2], -1)) for one in found], -1), hits, rows
 
 
-def test_derivatives_agree_with_finite_differences(mesh, tracer, rays, record_property):
+def test_derivatives_agree_with_finite_differences(mesh, tracer, rays):
     found, hits, rows = jacobian(tracer, mesh[1], *rays)
     is_hit = np.asarray(hits.prim_id) >= 0
     assert 30 < is_hit.sum() < len(is_hit)
@@ -217,7 +217,6 @@ def test_derivatives_agree_with_finite_differences(mesh, tracer, rays, record_pr
         expected = differences(rays[0][k], rays[1][k], mesh[1][rows[k]])
         # Slopes go through the tracer's float32 t, u and v: so does the tolerance.
         worst = max(worst, relative_error(found[k], expected))
-    record_property("largest relative error", worst)
     assert worst < 1e-4
     assert not found[~is_hit].any()  # misses: zeros, not NaN
 
@@ -225,7 +224,7 @@ def test_derivatives_agree_with_finite_differences(mesh, tracer, rays, record_pr
 def test_derivatives_are_those_of_rays_that_are_traced_again(rays, mesh, tracer):
     """Against t of the tracer itself, at moved origins, where the triangle is the same."""
     origins, directions = rays
-    slope = jax.vmap(jax.grad(lambda o, d: tracer.first_hit(o, d).t))(origins, directions)
+    slope = jax.jit(jax.vmap(jax.grad(lambda o, d: tracer.first_hit(o, d).t)))(*rays)
     way = np.random.default_rng(5).normal(size=origins.shape)
     step = 2.0**-9
     ahead, behind = (
@@ -251,30 +250,19 @@ def test_all_transformations_agree(mesh, tracer, rays):
     hits = tracer.tracer.first_hit(*rays)
     k = int(np.flatnonzero(hits.prim_id >= 0)[0])
     point = jnp.asarray(rays[0][k]), jnp.asarray(rays[1][k]), vertices
-    reverse = jax.grad(depth, argnums=(0, 1, 2))(*point)
-    forward = jax.jacfwd(depth, argnums=(0, 1, 2))(*point)
-    several = jax.grad(depths, argnums=(0, 1, 2))(*point)
+    by_all = {"argnums": (0, 1, 2)}
+    reverse = jax.jit(jax.grad(depth, **by_all))(*point)
+    forward = jax.jit(jax.jacfwd(depth, **by_all))(*point)
+    several = jax.jit(jax.grad(depths, **by_all))(*point)
     for a, b, c in zip(reverse, forward, several, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-7)
         np.testing.assert_allclose(a, c, rtol=1e-5, atol=1e-7)
-    for argument in (0, 1):  # with and without vertices
-        for moved in (vertices, None):
-            first = jax.grad(
-                lambda x, g=moved, n=argument: depth(
-                    *(x if m == n else point[m] for m in (0, 1)), g
-                )
-            )
-            second = jax.jit(jax.jacfwd(first))(point[argument])
-            step = 1e-4
-            expected = np.stack(
-                [
-                    (first(point[argument] + step * e) - first(point[argument] - step * e))
-                    / (2 * step)
-                    for e in np.eye(3)
-                ],
-                axis=1,
-            )
-            np.testing.assert_allclose(second, expected, rtol=1e-3, atol=1e-3)
+    for moved in (vertices, None):  # with and without
+        slope = jax.jit(jax.grad(lambda d, v=moved: depth(point[0], d, v)))
+        second = jax.jit(jax.jacfwd(slope))(point[1])
+        steps = 1e-4 * np.eye(3)
+        expected = [(slope(point[1] + one) - slope(point[1] - one)) / 2e-4 for one in steps]
+        np.testing.assert_allclose(second, np.stack(expected, axis=1), rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("bad", [0.0, math.nan, math.inf])
@@ -295,13 +283,16 @@ def test_rays_that_miss_have_zeros(tracer, bad):
 
 
 def test_single_precision_is_what_jax_has_by_default(mesh, tracer, rays):
+    def depth(origin, direction):
+        return tracer.first_hit(origin, direction).t
+
     with jax.enable_x64(False):
         origins, directions = (jnp.asarray(one) for one in rays)
         assert origins.dtype == jnp.float32
         hits = tracer.first_hit(origins, directions)
-        slope = jax.vmap(jax.grad(lambda o, d: tracer.first_hit(o, d).t))(origins, directions)
+        slope = jax.jit(jax.vmap(jax.grad(depth)))(origins, directions)
         assert slope.dtype == tracer.positions(hits).dtype == jnp.float32
-    exact = jax.vmap(jax.grad(lambda o, d: tracer.first_hit(o, d).t))(*map(jnp.asarray, rays))
+    exact = jax.jit(jax.vmap(jax.grad(depth)))(*map(jnp.asarray, rays))
     is_hit = np.asarray(hits.prim_id) >= 0
     assert relative_error(np.asarray(slope)[is_hit], np.asarray(exact)[is_hit]) < 1e-3
 
@@ -369,7 +360,7 @@ def test_other_bad_input_is_named(tracer):
 
 
 def test_a_plain_tracer_says_what_traces_inside_jit(tracer):
-    with pytest.raises(TypeError, match=r"origins: .*use raystream.jax.JaxTracer"):
+    with pytest.raises(TypeError, match=r"(?s)origins: .*use raystream.jax.JaxTracer"):
         jax.jit(lambda o: tracer.tracer.first_hit(o, [0, 0, 1]).t)(np.zeros(3))
 
 

@@ -75,7 +75,7 @@ class JaxTracer:
     >>> origin = jnp.array([278.0, 273.0, -800.0])
     >>> t, slope = jax.jit(jax.value_and_grad(depth))(origin)
     >>> round(float(t), 1), [round(float(one), 3) for one in slope]
-    (1092.0, [0.304, 0.0, -1.0])
+    (1092.0, [-0.31, 0.0, -1.0])
     """
 
     def __init__(self, tracer: Tracer) -> None:

@@ -78,7 +78,7 @@ class TorchTracer:
     >>> hits = tracer.first_hit(origins, torch.tensor([0.0, 0.0, 1.0]))
     >>> hits.t.backward()
     >>> round(hits.t.item(), 1), [round(one, 3) for one in origins.grad.tolist()]
-    (1092.0, [0.304, 0.0, -1.0])
+    (1092.0, [-0.31, 0.0, -1.0])
     """
 
     def __init__(self, tracer: Tracer) -> None:
