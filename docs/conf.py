@@ -46,8 +46,8 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_extra_path = ["extra"]  # a ray's walk, as the lab wrote it
 
-# Not in [dev]; its classes are described without it.
-autodoc_mock_imports = [] if find_spec("torch") else ["torch"]
+# Classes for them are described where they are missing, too: PyTorch is not in [dev].
+autodoc_mock_imports = [name for name in ("jax", "torch") if not find_spec(name)]
 
 add_module_names = False
 autodoc_member_order = "bysource"

@@ -9,30 +9,35 @@ import raystream as rs
 __all__ = ["crossing", "differences", "hits_of", "open_mesh", "relative_error"]
 
 
-def crossing(origin, direction, corners):
-    """t, u, v and the point, shape (6,), float64, of one ray and the plane of one triangle.
+def crossing(origins, directions, corners):
+    """t, u, v and the point, shape S + (6,), float64, of rays and the planes of triangles.
 
     By linear equations: first + u (second - first) + v (third - first) = origin + t direction.
     """
-    first, second, third = np.asarray(corners, np.float64)
-    matrix = np.stack([-np.asarray(direction, np.float64), second - first, third - first], axis=1)
-    t, u, v = np.linalg.solve(matrix, np.asarray(origin, np.float64) - first)
-    return np.array([t, u, v, *(first + u * (second - first) + v * (third - first))])
+    first, second, third = np.moveaxis(np.asarray(corners, np.float64), -2, 0)
+    edges = second - first, third - first
+    matrix = np.stack([-np.asarray(directions, np.float64), *edges], axis=-1)
+    offset = np.asarray(origins, np.float64) - first
+    weights = np.linalg.solve(matrix, offset[..., None])[..., 0]
+    points = first + weights[..., 1:2] * edges[0] + weights[..., 2:] * edges[1]
+    return np.concatenate([weights, points], axis=-1)
 
 
-def differences(origin, direction, corners):
-    """Derivatives of `crossing`, shape (6, 15): by origin, direction and the corners in turn."""
-    inputs = np.concatenate([np.ravel(one) for one in (origin, direction, corners)]).astype(float)
+def differences(origins, directions, corners):
+    """Derivatives of `crossing`, shape S + (6, 15): by origin, direction and corners in turn."""
+    shape = np.shape(origins)[:-1]
+    parts = [np.reshape(one, (*shape, -1)) for one in (origins, directions, corners)]
+    inputs = np.concatenate(parts, axis=-1).astype(float)
 
     def at(values):
-        return crossing(values[:3], values[3:6], values[6:].reshape(3, 3))
+        return crossing(values[..., :3], values[..., 3:6], values[..., 6:].reshape(*shape, 3, 3))
 
     columns = []
     for k in range(15):
         step = np.zeros(15)
-        step[k] = 1e-6 * max(1.0, abs(inputs[k]))
-        columns.append((at(inputs + step) - at(inputs - step)) / (2 * step[k]))
-    return np.stack(columns, axis=1)
+        step[k] = 1e-6
+        columns.append((at(inputs + step) - at(inputs - step)) / 2e-6)
+    return np.stack(columns, axis=-1)
 
 
 def relative_error(found, expected):

@@ -157,7 +157,7 @@ def test_compiled_functions_follow_updates():
 
 
 def test_many_rays_in_compiled_code(tracer):
-    directions = np.random.default_rng(0).normal(size=(300_000, 3))
+    directions = np.random.default_rng(0).normal(size=(1_000_000, 3))
     found = jax.jit(lambda d: tracer.first_hit(jnp.zeros(3), d * 1.0))(directions)
     assert_same_hits(found, tracer.tracer.first_hit(np.zeros(3), directions))
 
@@ -208,16 +208,13 @@ def jacobian(tracer, vertices, origins, directions):
     return np.concatenate([np.reshape(one, (*one.shape[:2], -1)) for one in found], -1), hits, rows
 
 
-def test_derivatives_agree_with_finite_differences(mesh, tracer, rays):
+def test_derivatives_agree_with_finite_differences(mesh, tracer):
+    rays = hits_of(mesh[0], 1000)
     found, hits, rows = jacobian(tracer, mesh[1], *rays)
     is_hit = np.asarray(hits.prim_id) >= 0
-    assert 30 < is_hit.sum() < len(is_hit)
-    worst = 0.0
-    for k in np.flatnonzero(is_hit):
-        expected = differences(rays[0][k], rays[1][k], mesh[1][rows[k]])
-        # Slopes go through the tracer's float32 t, u and v: so does the tolerance.
-        worst = max(worst, relative_error(found[k], expected))
-    assert worst < 1e-4
+    assert 600 < is_hit.sum() < len(is_hit)
+    origins, directions, corners = (one[is_hit] for one in (*rays, mesh[1][rows]))
+    assert relative_error(found[is_hit], differences(origins, directions, corners)) < 1e-4
     assert not found[~is_hit].any()  # misses: zeros, not NaN
 
 

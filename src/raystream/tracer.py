@@ -74,8 +74,8 @@ class Tracer(RayCaster):
     Every query takes rays of any leading shape S: `origins` and `directions` of shape
     S + (3,), which broadcast against each other, of any real dtype, as NumPy arrays or
     anything that converts to one without leaving the CPU (DLPack, ``__array_interface__``).
-    Arrays of PyTorch, JAX, CuPy and xarray are answered in arrays of the same library, without a
-    copy: `raystream.core.library_hits.LibraryHits`.
+    Arrays of PyTorch, JAX, CuPy and xarray are answered in arrays of the same library, see
+    `raystream.core.library_hits.LibraryHits`.
     World space, scene units; directions need not be unit length, and t counts in their
     lengths. `t_min` and `t_max` are numbers or arrays that broadcast to S; the interval is
     closed, and rounded to float32. A ray with a NaN, infinite or zero direction is not an error:

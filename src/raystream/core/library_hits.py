@@ -45,8 +45,8 @@ class _LibraryColumns:
 class LibraryHits(_LibraryColumns):
     """The nearest hit of each ray, in arrays of the library that the rays came from.
 
-    What a query returns for rays of PyTorch, JAX, CuPy and xarray. Arrays share memory with those
-    of `host`, and are made when they are first read.
+    What a query returns for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when they are
+    first read, and share memory with those of `host`, except where JAX copies them.
 
     Attributes
     ----------

@@ -24,9 +24,7 @@ Columns = tuple[Any, Any, Any, Any]
 def _host(arrays: tuple[Any, ...]) -> dict[str, Any]:
     origins, directions, t_min, t_max = map(np.asarray, arrays)
     # Of a batch in which only limits differ, they give the rays their shape.
-    shape = np.broadcast_shapes(
-        origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape
-    )
+    shape = np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape)
     if shape != np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1]):
         origins = np.broadcast_to(origins, (*shape, 3))
     return {"origins": origins, "directions": directions, "t_min": t_min, "t_max": t_max}

@@ -29,7 +29,6 @@ class JaxHits(NamedTuple):
     prim_id: jax.Array
 
 
-@jax.tree_util.register_static
 class JaxTracer:
     """A tracer whose queries run inside ``jit``, ``vmap`` and ``grad``.
 
@@ -218,6 +217,9 @@ class JaxTracer:
 
     def __repr__(self) -> str:
         return f"JaxTracer({self.tracer!r})"
+
+
+jax.tree_util.register_static(JaxTracer)
 
 
 def _rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> tuple[jax.Array, ...]:
