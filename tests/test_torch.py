@@ -16,7 +16,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from extras import need
 from gradients import differences, hits_of, open_mesh, relative_error
-from raystream.core.replay import pad
+from raystream.core.padded_hits import pad
 from strategies import scenes_and_rays
 
 need("torch")

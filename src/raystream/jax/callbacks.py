@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.replay import corners_of, pad, points_at, replay
+from raystream.core.crossing import corners_of, inverse_rows, points_at
+from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
 __all__ = ["any_hit", "count_hits", "first_hit", "multi_hit", "points"]
@@ -134,19 +135,27 @@ def _multi_hit_derivatives(
 
 
 def _derivatives(tracer: Tracer, found: Columns, primals: Any, tangents: Any, lone: Any) -> Any:
-    """Derivatives of t, u and v, with the hit triangles held fixed."""
-    prim_id = found[3]
-
-    def crossing(origins: Any, directions: Any, vertices: Any) -> Any:
-        corners = _corners(tracer, prim_id, vertices)
-        origins, directions = _float(lone(origins)), _float(lone(directions))
-        t, u, v = replay(jnp, origins, directions, corners, prim_id >= 0)
-        return t.astype(jnp.float32), u.astype(jnp.float32), v.astype(jnp.float32)
-
+    """Derivatives of t, u and v, with the hit triangles held fixed: see `core.crossing`."""
+    t, u, v, prim_id = found
+    is_hit = prim_id >= 0
     (rays, vertices), (ray_tangents, vertex_tangents) = primals, tangents
-    inputs, directions = (*rays[:2], vertices), (*ray_tangents[:2], vertex_tangents)
-    _, slopes = jax.jvp(crossing, inputs, directions)
-    return (*slopes, np.zeros(prim_id.shape, jax.dtypes.float0))
+    corners = _corners(tracer, prim_id, vertices)
+    rows = inverse_rows(jnp, _float(lone(rays[1])), corners, is_hit)
+    t = jnp.where(is_hit, t, 0.0)
+    change: Any = 0.0
+    for scale, tangent in zip((1.0, t[..., None]), ray_tangents[:2], strict=True):
+        if tangent.dtype != jax.dtypes.float0:  # of integers
+            change = change + scale * _float(lone(tangent))
+    if vertices is not None:
+        ids = _vertex_ids(tracer, len(vertices), prim_id)
+        weights = jnp.stack((1.0 - u - v, u, v), axis=-1)
+        change = change - (weights[..., None] * _float(vertex_tangents)[ids]).sum(axis=-2)
+    change = jnp.broadcast_to(change, (*prim_id.shape, 3))
+    slopes = [
+        sum(row[k] * jnp.where(is_hit, change[..., k], 0.0) for k in range(3)) for row in rows
+    ]
+    floats = tuple(jnp.asarray(one, jnp.float32) for one in slopes)
+    return (*floats, np.zeros(prim_id.shape, jax.dtypes.float0))
 
 
 def _float(array: Any) -> Any:

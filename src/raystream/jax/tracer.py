@@ -57,7 +57,7 @@ class JaxTracer:
 
     ``t``, ``u`` and ``v`` have derivatives with respect to `origins`, `directions` and `vertices`,
     forward and reverse, of any order: those of the crossing of the ray with the triangle that it
-    hit, held fixed, by Möller and Trumbore's formulas in the arrays' precision. They are
+    hit, held fixed, in the arrays' precision. They are
     exact as long as the ray hits that triangle. **They say nothing of visibility**: where a ray
     passes from one triangle to another, over an edge or a silhouette, the answer jumps, and the
     derivative does not know of it. Misses have none: they contribute zeros, never NaN.

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from raystream.core.replay import corners_of, pad
+from raystream.core.crossing import corners_of
+from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
 __all__ = ["leading_shape", "register"]

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from raystream.core.crossing import inverse_rows, points_at
 from raystream.core.query import counts_surfaces
-from raystream.core.replay import points_at, replay
 from raystream.torch.operators import leading_shape, register
 from raystream.tracer import Tracer
 
@@ -61,12 +61,11 @@ class TorchTracer:
     batch. No memory is needed for pairs of rays and triangles.
 
     If `origins`, `directions` or `vertices` require gradients, ``t``, ``u`` and ``v`` have those of
-    the crossing of the ray with the triangle that it hit, held fixed: the derivatives of
-    Möller and Trumbore's formulas, evaluated in float64. They are exact as long as the ray hits
-    that triangle. **They say nothing of visibility**: where a ray passes from one triangle to
-    another, over an edge or a silhouette, the answer jumps, and the gradient does not know of it.
-    Misses have none: they contribute zeros, never NaN. Reverse mode, any number of times;
-    forward mode is not supported.
+    the crossing of the ray with the triangle that it hit, held fixed, evaluated in float64. They
+    are exact as long as the ray hits that triangle. **They say nothing of visibility**: where a ray
+    passes from one triangle to another, over an edge or a silhouette, the answer jumps, and the
+    gradient does not know of it. Misses have none: they contribute zeros, never NaN. Reverse mode,
+    any number of times; forward mode is not supported.
 
     Examples
     --------
@@ -238,12 +237,9 @@ class TorchTracer:
         if not (torch.is_grad_enabled() and any(one.requires_grad for one in inputs)):
             return hits
         corners = self._corners(hits.prim_id, given)
-        origins, directions = (one.double() for one in rays[:2])
-        crossing = replay(torch, origins, directions, corners, hits.prim_id >= 0)
-        t, u, v = (
-            _WithGradientOf.apply(value, one.to(value.dtype))
-            for value, one in zip(hits[:3], crossing, strict=True)
-        )
+        shape = (*hits.t.shape, 3)
+        vectors = (one.double().expand(shape) for one in rays[:2])
+        t, u, v = _Crossing.apply(*hits[:3], hits.prim_id >= 0, *vectors, corners)
         return TorchHits(t, u, v, hits.prim_id)
 
     def _corners(self, prim_id: Tensor, vertices: Tensor | Sequence[Tensor] | None) -> Tensor:
@@ -311,19 +307,34 @@ def _joined(vertices: Tensor | Sequence[Tensor] | None) -> Tensor | None:
     return given
 
 
-class _WithGradientOf(torch.autograd.Function):
-    """The first argument, differentiated as the second: the tracer's bits, a formula's slopes."""
+class _Crossing(torch.autograd.Function):
+    """t, u and v of hits as functions of rays and corners; see `raystream.core.crossing`.
+
+    Applied to t, u, v, is_hit, origins, directions and corners.
+    """
 
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(value: Tensor, _: Tensor) -> Tensor:
-        return value.clone()
+    def forward(t: Tensor, u: Tensor, v: Tensor, *_: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        return t.clone(), u.clone(), v.clone()
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        """Nothing is needed for the gradient."""
+        _, _, _, is_hit, _, directions, corners = inputs
+        ctx.save_for_backward(is_hit, directions, corners, *output)
 
     @staticmethod
-    def backward(_: Any, gradient: Tensor) -> tuple[None, Tensor]:
-        return None, gradient
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        # In differentiable operations, so that there are derivatives of any order.
+        is_hit, directions, corners, t, u, v = ctx.saved_tensors
+        rows = inverse_rows(torch, directions, corners, is_hit)
+        by_t, by_u, by_v = (torch.where(is_hit, one, 0.0).double() for one in gradients)
+        slopes = [by_t * rows[0][k] + by_u * rows[1][k] + by_v * rows[2][k] for k in range(3)]
+        by_origin = torch.stack(slopes, dim=-1)
+        by_direction = torch.where(is_hit, t, 0.0)[..., None] * by_origin
+        by_corners = None
+        if ctx.needs_input_grad[-1]:
+            weights = torch.stack((1.0 - u.double() - v, u.double(), v.double()), dim=-1)
+            by_corners = -weights[..., None] * by_origin[..., None, :]
+        return None, None, None, None, by_origin, by_direction, by_corners
