@@ -6,7 +6,7 @@ import numpy as np
 
 import raystream as rs
 
-__all__ = ["crossing", "differences", "hits_of", "open_mesh", "relative_error"]
+__all__ = ["check_slopes", "crossing", "differences", "hits_of", "open_mesh", "relative_error"]
 
 
 def crossing(origins, directions, corners):
@@ -38,6 +38,32 @@ def differences(origins, directions, corners):
         step[k] = 1e-6
         columns.append((at(inputs + step) - at(inputs - step)) / 2e-6)
     return np.stack(columns, axis=-1)
+
+
+def check_slopes(corners, directions, hits, by_origin, by_direction):
+    """Compare slopes of t, u and v with the inverse of a matrix, where that is well-conditioned.
+
+    Parameters
+    ----------
+    corners : ndarray of shape (N, 3, 3)
+        Of the triangles hit.
+    directions : ndarray of shape (N, 3)
+    hits : Hits
+    by_origin, by_direction : ndarray of shape (N, 3, 3)
+        Slopes of t, u and v by three coordinates.
+    """
+    assert np.isfinite(by_origin).all()
+    assert np.isfinite(by_direction).all()
+    is_hit = np.asarray(hits.prim_id) >= 0
+    assert not by_origin[~is_hit].any()
+    assert not by_direction[~is_hit].any()
+    for k in np.flatnonzero(is_hit):
+        first, second, third = corners[k].astype(float)
+        matrix = np.stack([-directions[k].astype(float), second - first, third - first], axis=1)
+        if np.linalg.cond(matrix / np.abs(matrix).max(axis=0)) < 1e5:
+            expected = np.linalg.inv(matrix)
+            assert relative_error(by_origin[k], expected) < 1e-5
+            assert relative_error(by_direction[k], float(hits.t[k]) * expected) < 1e-5
 
 
 def relative_error(found, expected):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import raystream as rs
 from conftest import assert_same_bits
 from extras import need
-from gradients import differences, hits_of, open_mesh, relative_error
+from gradients import check_slopes, differences, hits_of, open_mesh, relative_error
 from raystream.core.padded_hits import pad
 from strategies import scenes_and_rays
 
@@ -216,6 +216,39 @@ def test_derivatives_agree_with_finite_differences(mesh, tracer):
     origins, directions, corners = (one[is_hit] for one in (*rays, mesh[1][rows]))
     assert relative_error(found[is_hit], differences(origins, directions, corners)) < 1e-4
     assert not found[~is_hit].any()  # misses: zeros, not NaN
+
+
+@given(scenes_and_rays(), st.booleans())
+@settings(max_examples=15, deadline=None)
+def test_derivatives_are_finite_and_right_for_any_scene(case, is_single):
+    vertices, faces, *rays = case
+    plain = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute")
+    with np.errstate(over="ignore"):
+        rays = [one.astype(np.float32 if is_single else np.float64) for one in rays]
+
+    def ask(origin, direction):
+        return jnp.stack(JaxTracer(plain).first_hit(origin, direction)[:3])
+
+    slopes = jax.jit(jax.vmap(jax.jacfwd(ask, argnums=(0, 1))))(*rays)
+    triangles = plain.structure.triangles
+    hits = plain.first_hit(*rays)
+    corners = (
+        triangles.corners[np.maximum(hits.prim_id, 0)] / triangles.scale
+        if len(faces)
+        else np.zeros((len(rays[0]), 3, 3))
+    )
+    check_slopes(corners, rays[1], hits, *map(np.asarray, slopes))
+
+
+def test_integers_are_rays_without_derivatives():
+    tracer = JaxTracer(rs.Tracer(rs.load("cornell")))
+
+    def slope(dtype):
+        origin = np.array([278, 273, -800], dtype)
+        return jax.grad(lambda d: tracer.first_hit(origin, d).t)(np.array([0.1, 0.02, 1.0]))
+
+    np.testing.assert_array_equal(slope(np.int32), slope(np.float64))
+    assert slope(np.int32).any()
 
 
 def test_derivatives_are_those_of_rays_that_are_traced_again(rays, mesh, tracer):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import raystream as rs
 from conftest import assert_same_bits
 from extras import need
-from gradients import differences, hits_of, open_mesh, relative_error
+from gradients import check_slopes, differences, hits_of, open_mesh, relative_error
 from raystream.core.padded_hits import pad
 from strategies import scenes_and_rays
 
@@ -276,6 +276,26 @@ def test_gradients_of_many_rays_agree_with_finite_differences(mesh, tracer):
         slopes = torch.autograd.grad(one[is_hit].sum(), given, retain_graph=True)
         found = torch.cat(slopes, -1).numpy()[is_hit]
         assert relative_error(found, expected[:, k, :6]) < 1e-4
+
+
+@given(scenes_and_rays())
+@settings(max_examples=60, deadline=None)
+def test_gradients_are_finite_and_right_for_any_scene(case):
+    vertices, faces, *rays = case
+    plain = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute")
+    inputs = [torch.from_numpy(one.copy()).requires_grad_() for one in rays]
+    hits = TorchTracer(plain).first_hit(*inputs)
+    slopes = [torch.autograd.grad(one.sum(), inputs, retain_graph=True) for one in hits[:3]]
+    by_origin, by_direction = (
+        np.stack([slope[n].numpy() for slope in slopes], axis=1) for n in range(2)
+    )
+    triangles = plain.structure.triangles
+    corners = (
+        triangles.corners[np.maximum(hits.prim_id.numpy(), 0)] / triangles.scale
+        if len(faces)
+        else np.zeros((len(rays[0]), 3, 3))
+    )
+    check_slopes(corners, rays[1], plain.first_hit(*rays), by_origin, by_direction)
 
 
 def test_gradients_of_several_hits_are_those_of_each(mesh, tracer, rays):

@@ -59,9 +59,11 @@ def inverse_rows(
     volume = -sum(a * b for a, b in zip(direction, normal, strict=True))
     is_sound = is_hit & (volume != 0.0)
     inverse = where(is_sound, 1.0 / where(is_sound, volume, 1.0), 0.0)
-    rows = normal, _cross(direction, along_v), _cross(along_u, direction)
-    t, u, v = ((x * inverse, y * inverse, z * inverse) for x, y, z in rows)
-    return t, u, v
+    by_t, by_u, by_v = (
+        tuple(_finite(library, one * inverse) for one in row)
+        for row in (normal, _cross(direction, along_v), _cross(along_u, direction))
+    )
+    return by_t, by_u, by_v
 
 
 def points_at(library: Any, corners: Any, u: Any, v: Any, is_hit: Any) -> Vector:
@@ -90,6 +92,11 @@ def points_at(library: Any, corners: Any, u: Any, v: Any, is_hit: Any) -> Vector
 
 def _components(where: Any, is_hit: Any, vectors: Any, instead: tuple[float, ...]) -> list[Any]:
     return [where(is_hit, vectors[..., k], instead[k]) for k in range(3)]
+
+
+def _finite(library: Any, values: Any) -> Any:
+    """0 for what overflows: rays that all but lie in the triangle's plane."""
+    return library.where(library.isfinite(values), values, 0.0)
 
 
 def _cross(a: Any, b: Any) -> Vector:
