@@ -33,6 +33,8 @@ ROOMS = (
     "ray_files",
     "cluster",
     "viewer",
+    "torch",
+    "jax",
     "bench",
     "cli",
 )
@@ -46,6 +48,8 @@ RESERVED = {
     "llvmlite": {"jit"},
     "numba_cuda": {"jit"},
     "wgpu": {"graphics"},
+    "torch": {"torch"},
+    "jax": {"jax"},
 }
 
 #: The stream programming model knows nothing of rays: of the rooms before it, only these.

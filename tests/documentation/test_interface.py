@@ -19,6 +19,7 @@ MODULES = (
     "cuda.streams",
     "graphics",
     "graphics.streams",
+    "jax",
     "machines",
     "physics.attenuation",
     "physics.lidar",
@@ -34,6 +35,7 @@ MODULES = (
     "scene.textures",
     "stepper",
     "streams",
+    "torch",
 )
 
 #: Those of the lab.
