@@ -412,7 +412,7 @@ class Tracer(RayCaster):
         check_order(order)
         query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
         rays = self._rays(origins, directions, t_min, t_max)
-        self._check_plain("trace")
+        self.check_plain("trace")
         if isinstance(rays, RayArrays):
             changed: NDArray[Any] | None
             changed = self._backend.answer_on_device(query, rays, progress, payload)
@@ -473,7 +473,7 @@ class Tracer(RayCaster):
             if limit == UNLIMITED and not surfaces:
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
-        self._check_plain("on_hit, skip_prim_ids")
+        self.check_plain("on_hit, skip_prim_ids")
         triangles = self.structure.triangles
         if isinstance(rays, RayArrays):
             chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)

@@ -9,7 +9,7 @@ from raystream.core.libraries import Library, as_index, library_of
 
 __all__ = ["LibraryHits", "LibraryMultiHits", "in_library"]
 
-_DERIVED = ("mesh_id", "mesh_prim_id", "material_id", "positions", "normals")
+_DERIVED = ("instance_id", "mesh_id", "mesh_prim_id", "material_id", "positions", "normals")
 _SHADING = ("shading_normals", "texcoords")
 _COLUMNS = ("t", "u", "v", "prim_id", *_DERIVED, *_SHADING)
 
@@ -52,7 +52,7 @@ class LibraryHits(_LibraryColumns):
     ----------
     t, u, v, prim_id, status, sectors
         See `Hits`: of shape S, where the rays are.
-    mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
+    instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
         See `Hits`. Not of rays on a GPU: `host` has them.
 
     Notes
@@ -103,7 +103,7 @@ class LibraryMultiHits(_LibraryColumns):
     ----------
     ray_splits, t, u, v, prim_id, status
         See `MultiHits`.
-    counts, ray_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
+    counts, ray_id, instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
         See `MultiHits`. Not of rays on a GPU: `host` has them.
     """  # noqa: E501 - numpydoc wants the names in one line
 

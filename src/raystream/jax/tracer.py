@@ -80,6 +80,7 @@ class JaxTracer:
     def __init__(self, tracer: Tracer) -> None:
         if not isinstance(tracer, Tracer):
             raise TypeError(f"tracer: expected a Tracer, got {type(tracer).__name__}")
+        tracer.check_plain("raystream.jax")
         self.tracer = tracer
 
     def first_hit(

@@ -83,6 +83,7 @@ class TorchTracer:
     def __init__(self, tracer: Tracer) -> None:
         if not isinstance(tracer, Tracer):
             raise TypeError(f"tracer: expected a Tracer, got {type(tracer).__name__}")
+        tracer.check_plain("raystream.torch")
         self.tracer = tracer
         self._number = register(tracer)
 
