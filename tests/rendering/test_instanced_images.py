@@ -132,6 +132,32 @@ def test_cut_outs_are_refused() -> None:
         rs.render(rs.Scene.instances(leaf, [np.eye(3, 4)]), size=(8, 8))
 
 
+def test_rays_leave_objects_far_from_their_origin() -> None:
+    """Coordinates in object space may be much larger than in the scene."""
+    rng = np.random.default_rng(8)
+    lines = np.linspace(0.0, 1000.0, 41)
+    x, z = np.meshgrid(lines, lines, indexing="ij")
+    y = 1500.0 + 20.0 * np.sin(x / 70.0) * np.cos(z / 50.0)
+    corners = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    at = (np.arange(40)[:, None] * 41 + np.arange(40)).reshape(-1, 1)
+    faces = np.concatenate([at + [0, 1, 41], at + [1, 42, 41]])
+    shift = np.eye(3, 4)
+    shift[:, 3] = (-500.0, -1500.0, -500.0)
+    turned = shift.copy()
+    turned[:, :3] = random_rotation(rng)
+    turned[:, 3] = -turned[:, :3] @ [500.0, 1500.0, 500.0]
+    for transform in (shift, turned):
+        scene = rs.Scene.instances(rs.Mesh(corners, faces), [transform])
+        up = transform[:, :3] @ [0.0, 1.0, 0.0]
+        for away in (4.0, 400.0):
+            eye = transform[:, :3] @ [500.0, 1520.0 + away, 500.0] + transform[:, 3]
+            camera = rs.Camera(tuple(eye), tuple(eye - up), up=tuple(transform[:, :3] @ [1, 0, 0]))
+            tracer = rs.Tracer(scene)
+            image = rs.render(tracer, "ao", (32, 32), samples=1, camera=camera, distance=0.01)
+            # No surface is within a centimetre of another: nothing occludes.
+            assert image.pixels.mean() == pytest.approx(1.0, abs=1e-3)
+
+
 def test_emissive_objects_glow() -> None:
     lamp = rs.Scene([rs.Mesh(*cube())], materials=[rs.Material(emission=(3.0, 2.0, 1.0))])
     scene = rs.Scene.instances(lamp, [np.eye(3, 4)])

@@ -108,14 +108,18 @@ def test_hard_cases_agree_wherever_they_are_placed(name) -> None:
 
 @st.composite
 def instances_and_rays(draw):
-    """A mesh, up to five transforms of any size, two of them equal, and rays at its vertices."""
+    """A mesh, up to five transforms of any size, two of them equal, and rays at its vertices.
+
+    Some are thin: one axis is scaled by a thousandth or a millionth.
+    """
     (vertices, faces), scale, offset = draw(meshes())
     count = draw(st.integers(1, 5))
     rng = np.random.default_rng(draw(st.integers(0, 2**16)))
     sizes = draw(st.lists(st.sampled_from([1.0, 1e-6, 1e6, -1.0]), min_size=count, max_size=count))
     transforms = random_transforms(rng, count, abs(scale))
     linear = np.eye(3) if draw(st.booleans()) else transforms[:, :, :3].copy()
-    transforms[:, :, :3] = linear * np.array(sizes)[:, None, None]
+    thin = draw(st.sampled_from([1.0, 1e-3, 1e-6]))
+    transforms[:, :, :3] = linear * np.array(sizes)[:, None, None] * [1.0, thin, 1.0]
     transforms[-1] = transforms[0]
     rows = st.lists(COORDINATES, min_size=3, max_size=3)
     origins = np.array(draw(st.lists(rows, min_size=4, max_size=4))) * scale + offset
@@ -415,7 +419,9 @@ def test_bad_instances_are_named() -> None:
     with pytest.raises(ValueError, match="has no instances"):
         one.with_transforms([eye])
     scene = rs.Scene.instances(one, [eye])
-    with pytest.raises(ValueError, match="expected 1, as before, got 2"):
+    with pytest.raises(
+        ValueError, match=r"expected shape \(1, 3, 4\), one for each instance as before"
+    ):
         scene.with_transforms([eye, eye])
     with pytest.raises(ValueError, match="meshes: a scene with instances keeps them"):
         scene.replace(meshes=one.meshes * 2)
@@ -445,6 +451,95 @@ def test_what_is_not_supported_says_so() -> None:
     ):
         with pytest.raises(rs.RaystreamError, match=r"scene.flattened\(\)"):
             ask()
+
+
+@pytest.mark.parametrize("thinness", [1e-3, 1e-6, 1e-8])
+def test_needles_and_plates_agree(thinness) -> None:
+    """Transforms that nearly flatten their objects, turned before and after."""
+    rng = np.random.default_rng(31)
+    transforms = np.zeros((12, 3, 4))
+    for transform in transforms:
+        scales = np.where(rng.random(3) < 0.5, 1.0, thinness)
+        turns = instanced.random_rotation(rng), instanced.random_rotation(rng)
+        transform[:, :3] = turns[0] @ np.diag(scales) @ turns[1]
+        transform[:, 3] = rng.uniform(-2.0, 2.0, 3)
+        product = transform[:, :3] @ Instances([0], [transform]).inverses[0, :, :3]
+        assert np.abs(product - np.eye(3)).max() < 1e-15 / thinness + 1e-12
+    scene = rs.Scene.instances(objects()[2], transforms)
+    rays = random_rays(32, 4000, 2.0)
+    # To points of the instances, which rays at random hardly meet.
+    points = moved(np.eye(3, 4), rng.uniform(-0.5, 0.5, (4000, 3)))
+    chosen = rng.integers(0, 12, 4000)
+    aims = np.einsum("kij,kj->ki", transforms[chosen, :, :3], points) + transforms[chosen, :, 3]
+    rays["directions"] = aims - rays["origins"]
+    assert assert_agrees(scene, [objects()[2]], rays) > 1000
+    tracer = rs.Tracer(scene)
+    hits = tracer.first_hit(rays["origins"], rays["directions"])
+    hits = hits[hits.is_hit]
+    again = tracer.multi_hit(*hits.spawn(rng.normal(size=(len(hits.t), 3))))
+    rows = again.ray_id
+    is_same = again.prim_id == hits.prim_id[rows]
+    assert not (is_same & (again.instance_id == hits.instance_id[rows])).any()
+
+
+def test_far_and_tiny_scenes_do_not_overflow() -> None:
+    triangle = scene_of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    plain = rs.Tracer(triangle)
+    for scale, distance in ((1.0, 1e39), (1e-30, 1e9), (1e-30, 1e11), (1e30, 1e39)):
+        scene = rs.Scene.instances(triangle, [np.eye(3, 4) * scale])
+        ray = ([0.2 * scale, 0.2 * scale, distance], [0.0, 0.0, -1.0])
+        for structure in STRUCTURES:
+            hit = rs.Tracer(scene, structure).first_hit(*ray)
+            expected = plain.first_hit([0.2, 0.2, distance / scale], [0.0, 0.0, -1.0 / scale])
+            assert_same_bits(hit.t, expected.t)
+
+
+def test_distances_that_are_reported_as_one() -> None:
+    """So short, long or denormal that they round to the same number: the ids decide."""
+    one = objects()[2]
+    places = np.tile(np.eye(3, 4), (6, 1, 1))
+    places[:, 2, 3] = [0.0, 1.0, 2.0, -1.0, 3.0, -2.0]
+    scene = rs.Scene.instances(one, places)
+    ray = {"origins": np.array([[0.2, 0.3, 9.0]])}
+    limits = {"t_min": np.zeros(1, np.float32), "t_max": np.full(1, np.inf, np.float32)}
+    for length in (1e50, 1e38, 1e-39, 1e-44, 1e-60):
+        direction = np.array([[0.0, 0.0, -length]])
+        assert_agrees(scene, [one], {**ray, "directions": direction, **limits})
+
+
+def test_no_hits_have_attributes() -> None:
+    tracer = rs.Tracer(random_scene(33, 4))
+    none = tracer.first_hit(np.zeros((0, 3)), np.zeros((0, 3)))
+    away = tracer.multi_hit([[1e5, 0.0, 0.0]], [1.0, 0.0, 0.0])
+    for hits in (none, away):
+        for name in ("positions", "normals", "shading_normals", "texcoords", "material_id"):
+            assert len(getattr(hits, name)) == 0
+    assert len(none.spawn(np.zeros((0, 3)))[0]) == 0
+
+
+def test_scenes_with_the_same_objects_are_updates() -> None:
+    one, other = objects()[2], objects()[0]
+    poses = [random_transforms(np.random.default_rng(k), 3) for k in range(3)]
+    first = rs.Scene.instances(one, poses[0])
+    frames = [first.with_transforms(pose) for pose in poses]  # before triangles are made
+    tracer = rs.Tracer(first)
+    for frame in (*frames, rs.Scene.instances(one, poses[1])):
+        tracer.update(frame)
+        assert tracer.scene.placements is frame.placements
+    with pytest.raises(ValueError, match="other objects"):
+        tracer.update(rs.Scene.instances([one, other], poses[0], [0, 0, 0]))
+    with pytest.raises(ValueError, match="the scene has instances"):
+        rs.Tracer(one).update(first)
+    twin = copy.copy(tracer)
+    assert twin.structure.objects[0] is tracer.structure.objects[0]
+
+
+def test_materials_of_meshes_are_given() -> None:
+    red = rs.Scene(objects()[2].meshes, materials=[rs.Material("red")])
+    scene = rs.Scene.instances([rs.Mesh(*cube()), red], [np.eye(3, 4)] * 2, [0, 1])
+    assert [material.name for material in scene.materials] == [rs.Material().name, "red"]
+    with pytest.raises(ValueError, match="materials: mesh '' uses material 1, but 1 are given"):
+        rs.Scene.instances([rs.Mesh(*cube(), material_ids=1), red], [np.eye(3, 4)], [0])
 
 
 def test_inverses_are_accurate() -> None:

@@ -323,5 +323,12 @@ class MultiHits(RayRows, _HitColumns):
         self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
         self._triangles, self._instance_id = triangles, instance_id
 
+    def part(self, rows: slice) -> MultiHits:
+        """Some consecutive rows, as those of one ray without a status."""
+        ids = None if self._instance_id is None else self._instance_id[rows]
+        columns = self.t[rows], self.u[rows], self.v[rows], self.prim_id[rows]
+        splits = np.array([0, len(columns[0])])
+        return MultiHits(splits, *columns, np.zeros(1, np.uint8), self._triangles, ids)
+
     def __repr__(self) -> str:
         return f"MultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

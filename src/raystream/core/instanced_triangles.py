@@ -76,6 +76,10 @@ class InstancedTriangles:
                 f"{MAX_TRIANGLES:,}"
             )
 
+    def moved(self, instances: Instances) -> InstancedTriangles:
+        """The same objects, with instances elsewhere."""
+        return InstancedTriangles(self.objects, instances, self.mesh_splits, self.attributes)
+
     def __len__(self) -> int:
         return int(self.first_prims[-1])
 
@@ -155,7 +159,7 @@ class InstancedTriangles:
         tables = held.object_ids.nbytes + held.transforms.nbytes + held.inverses.nbytes
         return sum(one.byte_count for one in self.objects) + tables
 
-    @property
+    @cached_property
     def world_bounds(self) -> NDArray[np.float64]:
         """The box around the instances' boxes, shape (2, 3), float64; zeros if all are empty."""
         low, high, is_empty = self.boxes()
@@ -232,7 +236,7 @@ class InstancedTriangles:
         instance_id : ndarray of shape S, int32
         """
         ids = instance_id.reshape(-1)
-        local = points.reshape(len(ids), -1, 3)
+        local = points.reshape(len(ids), points.size // max(1, 3 * len(ids)), 3)
         world = np.full(local.shape, np.nan)
         for k, rows in self._by_object(instance_id):
             matrices = self.instances.transforms[ids[rows]]

@@ -11,6 +11,12 @@ from raystream.core.rays import as_host_array, as_real_array
 
 __all__ = ["Instances", "inverse_transforms"]
 
+#: Beyond this condition number a transform counts as singular.
+MAX_CONDITION = 1e9
+
+#: The adjugate loses digits where the determinant of a scaled matrix is below this.
+_SMALL_DETERMINANT = 1e-2
+
 #: Worlds take memory each, even if they are empty.
 MAX_WORLDS = 1 << 24
 
@@ -94,10 +100,14 @@ class Instances:
         ValueError, TypeError
             If the number of transforms differs, and as `Instances`.
         """
-        moved = np.asarray(transforms)
-        if len(moved) != len(self):
-            raise ValueError(f"transforms: expected {len(self):,}, as before, got {len(moved):,}")
-        return Instances(self.object_ids, transforms, self.worlds)
+        moved = as_real_array("transforms", transforms)
+        moved = moved[None] if moved.shape == (3, 4) else moved
+        if moved.ndim != 3 or len(moved) != len(self):
+            raise ValueError(
+                f"transforms: expected shape ({len(self)}, 3, 4), one for each instance as before, "
+                f"got {moved.shape}"
+            )
+        return Instances(self.object_ids, moved, self.worlds)
 
     def __len__(self) -> int:
         return len(self.object_ids)
@@ -118,6 +128,8 @@ def _per_instance(name: str, values: Any, count: int) -> NDArray[np.int32]:
         raise ValueError(
             f"{name}: expected one for each of {count:,} transforms, got shape {array.shape}"
         )
+    if array.size and not (array.min() >= -(2**31) and array.max() < 2**31):
+        raise ValueError(f"{name}: {array.max()} is no number of one")
     return np.array(array, np.int32)
 
 
@@ -125,35 +137,56 @@ def inverse_transforms(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
     """Invert affine transforms of shape (K, 3, 4).
 
     By the adjugate of each matrix, scaled so that its largest number is in [1, 2): nothing
-    overflows, and scaling is exact. `numpy.linalg.inv` takes several times as long.
+    overflows, and scaling is exact. `numpy.linalg.inv`, by elimination, takes several times as
+    long; it is right to within the condition number where the determinant is small.
 
     Raises
     ------
     ValueError
-        If one is singular, or its inverse is not finite in float64.
+        If one is singular or nearly so: beyond a condition number of `MAX_CONDITION`; or its
+        inverse has numbers beyond 2**200.
     """
     # By columns of the table: along short axes NumPy takes ten times as long.
     table = np.ascontiguousarray(transforms.reshape(-1, 12).T).reshape(3, 4, -1)
     linear, shift = table[:, :3], table[:, 3]
     largest = np.abs(linear.reshape(9, -1)).max(axis=0, initial=0.0)
     exponents = np.frexp(largest)[1] - 1
-    a, b, c = np.ldexp(linear, -exponents)
+    scaled = np.ldexp(linear, -exponents)
+    a, b, c = scaled
     inverses = np.empty_like(table)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         columns = _cross(b, c), _cross(c, a), _cross(a, b)
         determinant = _dot(a, columns[0])
         for k, column in enumerate(columns):
-            inverses[:, k] = np.ldexp(column / determinant, -exponents)
+            inverses[:, k] = column / determinant
+        for k in np.flatnonzero(np.abs(determinant) < _SMALL_DETERMINANT).tolist():
+            inverses[:, :3, k] = _inverse(scaled[:, :, k])
+        condition = _norm(scaled) * _norm(inverses[:, :3])
+        inverses[:, :3] = np.ldexp(inverses[:, :3], -exponents)
         for row in inverses:
             row[3] = -_dot(row[:3], shift)
-    is_sound = np.isfinite(inverses.reshape(12, -1)).all(axis=0)
+        is_sound = np.abs(inverses.reshape(12, -1)).max(axis=0, initial=0.0) <= MAX_NUMBER
+        is_sound &= condition <= MAX_CONDITION
     if not is_sound.all():
         bad = int(np.argmin(is_sound))
         raise ValueError(
-            f"transforms: that of instance {bad} is singular: it flattens its object; leave the "
-            "instance out, or give it a small thickness"
+            f"transforms: that of instance {bad} is singular or nearly so: it flattens its object; "
+            "leave the instance out, or give it more than 1e-9 of its width"
         )
     return np.ascontiguousarray(inverses.reshape(12, -1).T).reshape(-1, 3, 4)
+
+
+def _inverse(matrix: NDArray[np.float64]) -> Any:
+    try:
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.full((3, 3), np.nan)
+
+
+def _norm(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest sum of a row's absolute numbers, of matrices of shape (3, 3, K)."""
+    norm: NDArray[np.float64] = np.abs(table).sum(axis=1).max(axis=0)
+    return norm
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

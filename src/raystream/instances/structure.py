@@ -88,7 +88,7 @@ class InstancedStructure(Structure):
         at = {n: np.uint64(a.ctypes.data if len(a) else 0) for n, a in self._memory.items()}
         shared = at["trees"] + np.uint64((len(self._memory["trees"]) - 1) * TREE.itemsize)
         worst = conditions[order].max(initial=1.0)
-        far_unit = np.float32(FAR_UNIT * worst / float(PAD))
+        far_unit = np.float64(FAR_UNIT * worst / float(PAD))
         self._addresses = TopAddresses(
             at["trees"],
             shared,
@@ -149,8 +149,12 @@ class InstancedStructure(Structure):
         raise RaystreamError(f"load: {NOT_INSTANCED}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the objects; addresses are those of the copy's own arrays."""
+        """Pickle the objects; addresses are those of the copy's own arrays."""
         return type(self), (self.triangles, self.objects, self.options)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> InstancedStructure:
+        """A copy that shares the objects, which never change."""
+        return type(self)(self.triangles, self.objects, self.options)
 
     def quality(self) -> dict[str, float]:
         """Numbers of objects and instances."""

@@ -15,8 +15,8 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import load, store
-from raystream.kernels.queries import Searches
+from raystream.jit.simd import load
+from raystream.kernels.queries import Searches, note_status
 from raystream.kernels.ray import LocalRay, prepare_ray
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
 from raystream.kernels.search import (
@@ -25,7 +25,6 @@ from raystream.kernels.search import (
     enter_instance,
     is_full,
     leave_instance,
-    world_t_far,
 )
 from raystream.structures.brute.traversal import traverse as traverse_brute
 from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
@@ -44,6 +43,10 @@ _VALID, _INVALID = np.uint8(RayStatus.VALID), np.uint8(RayStatus.INVALID)
 #: stay within float64.
 _MAX_LENGTH = 2.0**500
 
+#: Padding of this many units of `kernels.ray.PAD` holds all of any local frame, whose coordinates
+#: are below 2**40; and slab distances stay finite.
+_MOST_FAR = 2.0**60
+
 
 class TopAddresses(NamedTuple):
     """The instances of a scene; the caller keeps the arrays alive.
@@ -60,7 +63,7 @@ class TopAddresses(NamedTuple):
         Instances that can be hit.
     worlds : uint64
         Address of the rays' worlds, int32; 0 if there are none.
-    far_unit : float32
+    far_unit : float64
         The boxes' additional padding, as a fraction of the ray's largest world coordinate, in
         units of `kernels.ray.PAD`.
     """
@@ -71,7 +74,7 @@ class TopAddresses(NamedTuple):
     objects: np.uint64
     instance_count: np.uint64
     worlds: np.uint64
-    far_unit: np.float32
+    far_unit: np.float64
 
 
 class WorldRay(NamedTuple):
@@ -119,7 +122,7 @@ def _product(row, x, y, z):
 
 
 @device
-def _object_ray(instance, ray, t_far, object_):
+def _object_ray(instance, ray, object_):
     """The ray in the local frame of an instance's object."""
     ax = instance.linear[_NONE]
     ay = instance.linear[_ONE]
@@ -133,7 +136,7 @@ def _object_ray(instance, ray, t_far, object_):
         _product(ay, ray.dx, ray.dy, ray.dz),
         _product(az, ray.dx, ray.dy, ray.dz),
         ray.t_min,
-        t_far,
+        ray.t_max,
         object_,
     )
 
@@ -144,12 +147,11 @@ def _instance_search(traverse):
     def search_instance(tree, index, search, stack):
         instance = InstanceRecord(tree.leaves, index)
         object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
-        t_far = world_t_far(search, tree.ray.t_max)
-        ray = _object_ray(instance, tree.ray, t_far, object_)
-        if not (ray.t_min <= ray.t_max):
+        ray = _object_ray(instance, tree.ray, object_)
+        inner = enter_instance(search, ray, instance.first_id)
+        if not (inner.t_min <= inner.t_far):
             return search
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, object_.max_coordinate)
-        inner = enter_instance(search, ray, instance.first_id)
         return leave_instance(search, traverse(object_, local, inner, stack))
 
     return search_instance
@@ -199,12 +201,6 @@ def traverse_all(scene, ray, search, stack):  # noqa: ARG001
     return search
 
 
-@device
-def _note_status(at, i, status):
-    if at is not None and status != _VALID:
-        store(at + i, status)
-
-
 def instance_searches(traverse) -> Searches:
     """Make the searches of a ray with a traversal of instances; see `kernels.queries.searches`."""
 
@@ -215,7 +211,8 @@ def instance_searches(traverse) -> Searches:
         ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
         length = max(abs(dx), abs(dy), abs(dz))
         is_valid = ray.status == _VALID and 1.0 / _MAX_LENGTH <= length <= _MAX_LENGTH
-        reach = np.float32(max(abs(ox), abs(oy), abs(oz)) * frame.scale)
+        reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
+        far = np.float32(min(top.far_unit * reach, _MOST_FAR))
         local = prepare_ray(
             ray.ox,
             ray.oy,
@@ -223,7 +220,7 @@ def instance_searches(traverse) -> Searches:
             ray.dx,
             ray.dy,
             ray.dz,
-            frame.max_coordinate + top.far_unit * reach,
+            frame.max_coordinate + far,
         )
         search = begin_search(
             ray.t_min,
@@ -251,7 +248,7 @@ def instance_searches(traverse) -> Searches:
             world = load(np.int32, worlds + (i << _TWO))
         numbers = ox, oy, oz, dx, dy, dz, t_min, t_max
         search, ray = of_world(numbers, world, scene, goal)
-        _note_status(scene.status, i, ray.status)
+        note_status(scene.status, i, ray.status)
         return search, ray
 
     @device

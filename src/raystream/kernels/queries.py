@@ -30,6 +30,7 @@ __all__ = [
     "Wanted",
     "finish_first",
     "finish_rows",
+    "note_status",
     "output_of",
     "ray_queries",
     "ray_search",
@@ -89,7 +90,8 @@ def _ray_filter(filter_, i, ray):
 
 
 @device
-def _note_status(at, i, status):
+def note_status(at, i, status):
+    """Write the status of ray i if it is not valid; `at` is None for no statuses."""
     if at is not None and status != _VALID:
         store(at + i, status)
 
@@ -151,7 +153,7 @@ def searches(traverse: Callable[..., Any]) -> Searches:
     @device
     def of_batch(i, scene, goal):
         ray = load_ray(scene.source, i, scene.frame)
-        _note_status(scene.status, i, ray.status)
+        note_status(scene.status, i, ray.status)
         filter_ = _ray_filter(scene.filter, i, ray)
         return search_local(ray, scene, goal, filter_), ray
 

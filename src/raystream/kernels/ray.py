@@ -57,6 +57,10 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _LARGEST = np.float32(np.finfo(np.float32).max)
 
+#: Below this, reported distances may have lost bits; and their smallest step.
+_ROUNDED = np.float32(2.0**-125)
+_LEAST = 2.0**-149
+
 
 class SceneFrame(NamedTuple):
     """The local frame of a scene, see `core.triangles.Triangles`.
@@ -169,7 +173,12 @@ def _local_limit(t, t_scale, t_offset, toward):
 
 @device
 def local_limit(t, t_scale, t_offset):
-    """The farthest local distance that is reported as t or less."""
+    """A local distance beyond which all are reported as more than t."""
+    if t >= _LARGEST:
+        return _INF
+    if abs(t) < _ROUNDED:  # many local distances are reported as the same one
+        beyond = (np.float64(t) + _LEAST - t_offset) / t_scale
+        return next_float_up(np.float32(beyond))
     if t_offset == 0.0:
         exact = np.float32(np.float64(t) / t_scale)
         if np.float64(exact) * t_scale == np.float64(t):

@@ -38,7 +38,6 @@ __all__ = [
     "put_hit",
     "sort_hits",
     "wants_any",
-    "world_t_far",
 ]
 
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
@@ -313,16 +312,16 @@ def _offer_within(instance, search, t, u, v, prim_id):
     world = world_t(t, instance.t_scale, instance.t_offset)
     number = np.int32(prim_id + instance.first_id)
     found = _offer_to(search.hits, search, world, u, v, number)
-    return _changed(search, found.hit_count, _object_t_far(search.hits, instance, search, found))
+    return _changed(search, found.hit_count, _limited(search.hits, instance, search.t_far, found))
 
 
 @device
-def _object_t_far(hits, instance, search, found):
-    """The farthest t in object space whose world t is not beyond the hits kept."""
-    if hits is None or found.hit_count != search.capacity:
-        return search.t_far
+def _limited(hits, instance, t_far, search):
+    """The farthest t in object space that the hits kept leave of an interval up to t_far."""
+    if hits is None or search.hit_count != search.capacity:
+        return t_far
     farthest = _t_of(hits, search.first_row)
-    return min(search.t_far, local_limit(farthest, instance.t_scale, instance.t_offset))
+    return min(t_far, local_limit(farthest, instance.t_scale, instance.t_offset))
 
 
 @device
@@ -333,7 +332,7 @@ def enter_instance(search, ray, first_id):
     ----------
     search : Search
     ray : LocalRay
-        The ray in object space, with the search's interval.
+        The ray in object space, with its own interval.
     first_id : int32
         See `InstanceRay`.
 
@@ -341,9 +340,10 @@ def enter_instance(search, ray, first_id):
     -------
     Search
     """
+    instance = InstanceRay(ray.t_scale, ray.t_offset, first_id)
     return Search(
         ray.t_min,
-        ray.t_max,
+        _limited(search.hits, instance, ray.t_max, search),
         search.hit_count,
         search.capacity,
         search.hits,
@@ -351,28 +351,15 @@ def enter_instance(search, ray, first_id):
         search.surfaces,
         search.counters,
         search.filter,
-        InstanceRay(ray.t_scale, ray.t_offset, first_id),
+        instance,
     )
 
 
 @device
 def leave_instance(search, inner):
     """The search of the instances, with the results of the search in one of them."""
-    t_far = _object_t_far(search.hits, search.instance, search, inner)
+    t_far = _limited(search.hits, search.instance, search.t_far, inner)
     return _changed(search, inner.hit_count, t_far)
-
-
-@device
-def _farthest_kept(hits, search, t_max):
-    if hits is None or search.hit_count != search.capacity:
-        return t_max
-    return _t_of(hits, search.first_row)
-
-
-@device
-def world_t_far(search, t_max):
-    """The world t beyond which a search of instances wants no hit; `t_max` is the ray's limit."""
-    return _farthest_kept(search.hits, search, t_max)
 
 
 @device

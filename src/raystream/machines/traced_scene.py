@@ -103,12 +103,7 @@ class TracedScene:
         ValueError
             If there are instances, and the structure, device or machine does not support them.
         """
-        has_instances = isinstance(triangles, InstancedTriangles)
-        if has_instances and (self.device, self.machine) != ("cpu", "branching"):
-            raise ValueError(
-                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
-                "with machine='branching' supports them"
-            )
+        self._check_instances(triangles)
         return device_of(self.device).build(
             configuration.structure,
             triangles,
@@ -116,7 +111,16 @@ class TracedScene:
             device=configuration.device_options,
         )
 
+    def _check_instances(self, triangles: Any) -> None:
+        is_supported = (self.device, self.machine) == ("cpu", "branching")
+        if isinstance(triangles, InstancedTriangles) and not is_supported:
+            raise ValueError(
+                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
+                "with machine='branching' supports them"
+            )
+
     def _set(self, scene: Scene | None, structure: Structure) -> None:
+        self._check_instances(structure.triangles)
         self._scene = scene
         self.structure = structure
         placed: Any = structure.triangles
@@ -248,6 +252,8 @@ class TracedScene:
             vertices = scene.with_transforms(transforms)
         if scene.placements is not None:
             return self._update_instances(vertices)
+        if isinstance(vertices, Scene) and vertices.placements is not None:
+            raise ValueError("vertices: the scene has instances, and this tracer's has none")
         if isinstance(vertices, Scene):
             meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
             if all(map(operator.is_, scene.meshes, meshes)):
@@ -265,16 +271,15 @@ class TracedScene:
     def _update_instances(self, scene: Any) -> UpdateReport:
         """Place the instances as in another scene of the same objects."""
         old: Any = self.structure
-        triangles: Any = scene.triangles if isinstance(scene, Scene) else None
-        if not isinstance(triangles, InstancedTriangles):
+        if not isinstance(scene, Scene) or scene.placements is None:
             raise ValueError(
                 "vertices: a scene with instances moves by transforms=, or to another scene that "
                 "`with_transforms` of its scene returned"
             )
-        if not all(map(operator.is_, triangles.objects, old.triangles.objects)):
+        if not scene.has_objects_of(self.scene):
             raise ValueError("vertices: the scene has other objects than this tracer's")
         started = time.perf_counter()
-        self._set(scene, old.moved(triangles))
+        self._set(scene, old.moved(old.triangles.moved(scene.placements)))
         return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
 
     def check_plain(self, what: str) -> None:
@@ -304,6 +309,7 @@ class TracedScene:
         OSError
             If it cannot be written.
         """
+        self.check_plain("save")
         save_structure(path, self.structure)
 
     @classmethod
@@ -441,11 +447,15 @@ class TracedScene:
 
     def __repr__(self) -> str:
         triangle_count = len(self.structure.triangles)
+        placed: Any = self.structure.triangles
+        instances = ""
+        if isinstance(placed, InstancedTriangles):
+            instances = f", {len(placed.instances):,} instances"
         device = "" if self.device == "cpu" else f", device={self.device!r}"
         is_default = self.machine == device_of(self.device).machines.names[0]
         machine = "" if is_default else f", machine={self.machine!r}"
         return (
-            f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r}"
+            f"Tracer({triangle_count:,} triangles{instances}, structure={self.structure.name!r}"
             f"{device}{machine})"
         )
 

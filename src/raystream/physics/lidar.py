@@ -143,6 +143,7 @@ def lidar_returns(
     >>> glass.ranges.round().astype(int).tolist(), glass.return_number.tolist()
     ([1092, 1138, 1359], [1, 2, 3])
     """
+    tracer.check_plain("lidar_returns")
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)

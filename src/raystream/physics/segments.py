@@ -103,6 +103,7 @@ def thickness(
     """
     if ends not in ("report", "clip"):
         raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
+    tracer.check_plain("thickness")
     batch = RayBatch(origins, directions, t_min, t_max)
     worker = _Worker(tracer, batch, ends == "clip")
     splits = np.zeros(len(batch) + 1, np.int64)

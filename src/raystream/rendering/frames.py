@@ -179,7 +179,11 @@ def _moved(
     options: Mapping[str, Any],
 ) -> Tracer:
     """The tracer, updated to another frame's scene, or a new one if the meshes differ."""
-    if tracer is None or not have_same_faces(tracer.scene.meshes, scene.meshes):
+    if (
+        tracer is None
+        or not have_same_faces(tracer.scene.meshes, scene.meshes)
+        or not scene.has_objects_of(tracer.scene)
+    ):
         return Tracer(scene, structure, device, **options)
     tracer.update(scene)
     return tracer

@@ -8,19 +8,36 @@ crossings are ignored.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.physics.attenuation import attenuation
 from raystream.physics.segments import thickness
 from raystream.rendering.arguments import check_number
 from raystream.rendering.integrator import Band, Integrator, PathStream
+from raystream.rendering.shading.streams import Paths
 from raystream.rendering.shading.transparency import composite_hits
 from raystream.rendering.surfaces import tables_at
 
 __all__ = ["XRAY"]
+
+
+#: Hits in instances whose triangles are copied at once.
+_PLACED_HITS = 1 << 18
+
+
+def _blocks(splits: NDArray[np.int64], most: int) -> Iterator[tuple[slice, slice]]:
+    """Consecutive rays with about this many hits, and the rows of their hits."""
+    first, count = 0, len(splits) - 1
+    while first < count:
+        wanted = int(splits[first]) + most
+        end = max(first + 1, int(np.searchsorted(splits, wanted, side="right")) - 1)
+        end = min(end, count)
+        yield slice(first, end), slice(int(splits[first]), int(splits[end]))
+        first = end
 
 
 def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
@@ -30,17 +47,21 @@ def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
         # A surface counts once at an edge, not once per triangle.
         rays = paths.origins, paths.directions
         hits = context.tracer.multi_hit(*rays, crossings="surfaces", on_hit=context.filter(*rays))
-        tables, (_, *columns), _kept = tables_at(context, hits)
-        composite_hits(
-            paths,
-            hits.ray_splits,
-            tuple(columns),
-            tables,
-            context.options["opacity"],
-            context.punctual,
-            band.first_pixel,
-            band.radiance,
-        )
+        # With instances, the tables of the hits take ten times the memory of the hits.
+        most = len(hits.t) if context.objects is None else _PLACED_HITS
+        for some, rows in _blocks(hits.ray_splits, most):
+            part = hits if context.objects is None else hits.part(rows)
+            tables, (_, *columns), _kept = tables_at(context, part)
+            composite_hits(
+                Paths._make(column[some] for column in paths),
+                hits.ray_splits[some.start : some.stop + 1] - rows.start,
+                tuple(columns),
+                tables,
+                context.options["opacity"],
+                context.punctual,
+                band.first_pixel,
+                band.radiance,
+            )
     else:
         directions = paths.directions.astype(np.float64)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)

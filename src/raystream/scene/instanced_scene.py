@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
@@ -68,8 +69,9 @@ class InstancedScene:
         Raises
         ------
         ValueError
-            If a shape is wrong, there is no such object, or a transform is singular or not finite;
-            or if there are 2**31 triangles or more in all instances.
+            If a shape is wrong, there is no such object, a transform is not finite, or singular or
+            nearly so (a condition number beyond 1e9). A tracer raises it for 2**31 triangles or
+            more in all instances.
         TypeError
             If an object is neither a mesh nor a scene, or the numbers are of the wrong kind.
         MemoryError
@@ -114,6 +116,14 @@ class InstancedScene:
         """The instances: ``object_ids``, ``transforms`` and ``inverses``; None without any."""
         geometry = self._geometry
         return geometry.instances if isinstance(geometry, InstancedGeometry) else None
+
+    def has_objects_of(self, other: InstancedScene) -> bool:
+        """Whether two scenes have instances of the same objects, or neither has instances."""
+        own, others = self._geometry, other._geometry
+        if not (isinstance(own, InstancedGeometry) and isinstance(others, InstancedGeometry)):
+            return type(own) is type(others)
+        is_same = own.mesh_counts == others.mesh_counts
+        return is_same and all(map(operator.is_, own.meshes, others.meshes))
 
     def with_transforms(self, transforms: Any) -> Self:
         """Copy the scene with its instances elsewhere; the objects are shared.

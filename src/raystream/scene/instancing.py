@@ -107,9 +107,12 @@ class Objects(NamedTuple):
                 )
         object_ids, transforms, worlds = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
-        found = cls([], [], list(materials), Instances(ids, matrices, worlds))
+        known = list(materials)
+        if not known and not all(hasattr(one, "geometry") for one in given):
+            known = [Material()]  # of the objects that are meshes
+        found = cls([], [], known, Instances(ids, matrices, worlds))
         # Each object is one after another's; one that is a scene of instances is several.
-        below = [found._add(one) for one in given]
+        below = [found._add(one, len(known)) for one in given]
         if all(inner is None for _, inner in below):
             firsts = np.array([first for first, _ in below], np.int32)
             outer = found.instances
@@ -120,11 +123,21 @@ class Objects(NamedTuple):
             found.materials.append(Material())
         return found._replace(instances=instances)
 
-    def _add(self, one: Any) -> tuple[int, Instances | None]:
-        """Add an object; returns its number, or its first one and the instances of them."""
+    def _add(self, one: Any, given_count: int) -> tuple[int, Instances | None]:
+        """Add an object; returns its number, or its first one and the instances of them.
+
+        `given_count` materials are those of meshes.
+        """
         first = len(self.mesh_counts)
         if not hasattr(one, "geometry"):
             parts = [one] if isinstance(one, Mesh) else one
+            for mesh in parts:
+                most = int(mesh.material_ids.max(initial=-1))
+                if most >= given_count:
+                    raise ValueError(
+                        f"materials: mesh {mesh.name!r} uses material {most}, but {given_count} "
+                        "are given"
+                    )
             self.meshes.extend(parts)
             self.mesh_counts.append(len(parts))
             return first, None
@@ -211,9 +224,11 @@ def _placed(mesh: Mesh, matrix: NDArray[np.float64], inverse: NDArray[np.float64
     vertices = mesh.vertices.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3]
     normals = None
     if mesh.normals is not None:
-        normals = mesh.normals.astype(np.float64) @ inverse[:, :3]
+        turned = inverse[:, :3] / np.abs(inverse[:, :3]).max()
+        normals = mesh.normals.astype(np.float64) @ turned
     faces = mesh.faces
-    if np.linalg.det(matrix[:, :3]) < 0.0:  # a mirror image: the front side stays in front
+    linear = matrix[:, :3] / np.abs(matrix[:, :3]).max()
+    if np.linalg.det(linear) < 0.0:  # a mirror image: the front side stays in front
         faces = faces[:, [0, 2, 1]]
     return Mesh(
         vertices,

@@ -302,7 +302,8 @@ class Scene(InstancedScene):
     @property
     def has_lights(self) -> bool:
         """Whether the scene has lights, or surfaces that emit light."""
-        return bool(self.lights) or bool(self.area_lights)
+        glows = self.placements is not None and any(one.emits for one in self.materials)
+        return bool(self.lights) or bool(self.area_lights) or glows
 
     @property
     def has_own_camera(self) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import parallel_for
 from raystream.rendering.shading.tables import SceneArrays, SceneTables
@@ -39,6 +40,9 @@ class ObjectTables(NamedTuple):
     to_normal : ndarray of shape (K, 3, 3), float32
         The same for normals, of any length.
     is_mirrored : ndarray of shape (K,), bool
+    lengths : ndarray of shape (K, 3), float64
+        The most by which `to_scene` stretches; and the object's largest coordinate, and the length
+        of the terms that `to_scene`'s inverse adds up, both in the object's local frame.
     faces, normals, texcoords, colors : ndarray
         See `VertexAttributes`; without rows if no mesh has them.
     tangents : ndarray of shape (2, V, 3), float32
@@ -50,6 +54,7 @@ class ObjectTables(NamedTuple):
     to_scene: NDArray[np.float64]
     to_normal: NDArray[np.float32]
     is_mirrored: NDArray[np.bool_]
+    lengths: NDArray[np.float64]
     faces: NDArray[np.int32]
     normals: NDArray[np.float32]
     texcoords: NDArray[np.float32]
@@ -83,6 +88,7 @@ class ObjectTables(NamedTuple):
             to_scene,
             np.ascontiguousarray(turned / sizes, np.float32),
             np.linalg.det(linear / np.abs(linear).max(axis=(1, 2), keepdims=True)) < 0.0,
+            _lengths(triangles, to_scene),
             vertices.faces,
             _NO_ROWS if vertices.normals is None else vertices.normals,
             none if vertices.texcoords is None else vertices.texcoords,
@@ -90,6 +96,11 @@ class ObjectTables(NamedTuple):
             np.zeros((2, 0, 3), np.float32) if tangents is None else tangents,
             tables.material_ids,
         )
+
+
+def _lengths(triangles: InstancedTriangles, to_scene: NDArray[np.float64]) -> NDArray[np.float64]:
+    reaches = triangles.reaches_at(np.arange(len(to_scene), dtype=np.int32))
+    return np.stack([np.linalg.norm(to_scene[:, :, :3], axis=(1, 2)), *reaches], axis=1)
 
 
 class _Placed(NamedTuple):
@@ -104,6 +115,7 @@ class _Placed(NamedTuple):
     colors: NDArray[np.float32]
     tangents: NDArray[np.float32]
     material_ids: NDArray[np.int32]
+    offsets: NDArray[np.float32]
 
     @classmethod
     def empty(cls, count: int, objects: ObjectTables) -> _Placed:
@@ -122,6 +134,7 @@ class _Placed(NamedTuple):
             rows(objects.colors, 3 * count, 3),
             rows(objects.tangents, 2, 3 * count, 3),
             np.zeros(count, np.int32),
+            np.zeros(count, np.float32),
         )
 
 
@@ -165,6 +178,7 @@ def placed_tables(
         tangents=address_of(tangents[0]),
         mirrored_tangents=address_of(tangents[1]),
         material_ids=address_of(placed.material_ids),
+        offsets=address_of(placed.offsets),
     )
     return changed, (hits.t, placed.u, placed.v, placed.prim_id), (placed, faces, found)
 
@@ -182,6 +196,24 @@ def _place_vector(matrix, values, at, out, to):
         out[to, axis] = _dot(matrix[axis], x, y, z)
 
 
+@device
+def _offset(corners, prim, lengths):
+    """The offset of rays that leave a triangle in object space, as long as it is in the scene.
+
+    See `core.spawn`. Rays are tested in object space, where coordinates may be larger.
+    """
+    extent, reach = 0.0, 0.0
+    for axis in range(3):
+        a = np.float64(corners[prim, 0, axis])
+        b = np.float64(corners[prim, 1, axis])
+        c = np.float64(corners[prim, 2, axis])
+        extent = max(extent, max(a, b, c) - min(a, b, c))
+        reach = max(reach, abs(a), abs(b), abs(c))
+    stretch, most, far = lengths[0], lengths[1], lengths[2]
+    rounding = UNIT * min(EXTENT_UNITS * extent + REACH_UNITS * reach, MOST_UNITS * (most + reach))
+    return np.float32(stretch * (rounding + WORLD_UNIT * far))
+
+
 @kernel
 def _place(begin, end, hits, objects, placed):
     """Copy the triangles of hits begin to end.
@@ -197,6 +229,7 @@ def _place(begin, end, hits, objects, placed):
             continue
         placed.prim_id[i] = i
         placed.material_ids[i] = objects.material_ids[prim]
+        placed.offsets[i] = _offset(objects.corners, prim, objects.lengths[instance])
         matrix, is_mirrored = objects.to_scene[instance], objects.is_mirrored[instance]
         placed.u[i] = vs[i] if is_mirrored else us[i]
         placed.v[i] = us[i] if is_mirrored else vs[i]

@@ -181,6 +181,8 @@ def _base_point(tables, prim, u, v, dx, dy, dz):
     if tables.colors != _NONE:
         red, green, blue = attribute_vector(tables.colors, vertices, u, v)
     offset = offset_at(tables, extent, largest(absolute(x), absolute(y), absolute(z)))
+    if tables.offsets != _NONE:
+        offset = offset + widen(gather(np.float32, tables.offsets, prim))
     # A normal that faces away, as near silhouettes, would reflect into the surface.
     is_away = nx * dx + ny * dy + nz * dz >= _NULL
     facing = chosen(is_away, (gx, gy, gz), (nx, ny, nz))

@@ -94,6 +94,9 @@ class SceneTables(NamedTuple):
         Of shape (V, 3), float32: linear RGB, 1 where a mesh has none.
     material_ids : uint64
         Of shape (F,), int32.
+    offsets : uint64
+        Of shape (F,), float32, local frame: what is added to the distance from a triangle at which
+        rays that leave it start; 0 for nothing. Instances need it, see `placed_tables`.
     materials : uint64
         Of shape (M, 28), float32. See `Column`; colours are three numbers. Roughness and
         metallic are -1 if a material has none; it has no clear coat and no sheen then. Otherwise
@@ -118,6 +121,7 @@ class SceneTables(NamedTuple):
     mirrored_tangents: np.uint64
     colors: np.uint64
     material_ids: np.uint64
+    offsets: np.uint64
     materials: np.uint64
     sheen_albedos: np.uint64
     kinds: int
@@ -175,6 +179,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, SceneArrays]:
         address_of(mirrored),
         address_of(vertices.colors),
         address_of(material_ids),
+        np.uint64(0),
         address_of(materials),
         address_of(sheen),
         _kinds_of(scene.materials),
