@@ -53,7 +53,7 @@ def open3d(vertices, faces, threads):
     return query
 
 
-def warp(vertices, faces, threads):
+def warp(vertices, faces, threads):  # noqa: ARG001 - the CPU's kernels have one
     import warp as wp
 
     wp.config.quiet = True
@@ -91,7 +91,7 @@ def warp(vertices, faces, threads):
     return query
 
 
-def trimesh(vertices, faces, threads):
+def trimesh(vertices, faces, threads):  # noqa: ARG001
     import trimesh as tm
 
     mesh = tm.Trimesh(vertices, faces, process=False)
@@ -99,7 +99,7 @@ def trimesh(vertices, faces, threads):
     return lambda points: finder.on_surface(points)[1]
 
 
-def fcpw(vertices, faces, threads):
+def fcpw(vertices, faces, threads):  # noqa: ARG001
     import fcpw as package
 
     scene = package.scene_3D()

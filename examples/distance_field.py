@@ -8,7 +8,7 @@ import numpy as np
 
 import raystream as rs
 
-# A ball of 5,120 triangles: an octahedron would do, but has flat sides.
+# A ball of 5,120 triangles: the sides of an icosahedron, divided.
 golden = (1 + 5**0.5) / 2
 ring = [(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)]
 vertices = np.array([np.roll(p, k) for k in range(3) for p in ring], float)
@@ -42,5 +42,7 @@ field = rs.Tracer(ball).signed_distance(grid)
 exact = np.linalg.norm(grid, axis=-1) - 1.0
 print(f"{ball.triangle_count:,} triangles, {field.size:,} points")
 print(f"largest difference from a sphere's: {np.abs(field - exact).max():.4f}")
-print(f"volume inside: {(field < 0).mean() * 3.0**3:.3f}, of a sphere: {4 / 3 * np.pi:.3f}")
+print(
+    f"volume inside: {(field < 0).sum() * (line[1] - line[0]) ** 3:.3f}, of a sphere: {4 / 3 * np.pi:.3f}"
+)
 assert np.abs(field - exact).max() < 0.003

@@ -6,36 +6,31 @@ from fractions import Fraction
 
 import numpy as np
 
-#: Errors of raystream's distances and of the oracle's, in units of the distance and the
-#: triangle's size together. raystream states 2**-48; the oracle solves 2 x 2 systems.
-TOLERANCE = 2.0**-40
+#: Errors of raystream's distances, in units of the distance and the triangle's size together:
+#: 2**-48 as stated, and as much again for the oracle's.
+TOLERANCE = 2.0**-47
 
 
 def distances(points, corners):
-    """Distances of (N, 3) points from (F, 3, 3) triangles, shape (N, F).
+    """Distances of (N, 3) points from (F, 3, 3) triangles, shape (N, F), in long double.
 
-    By minimising a quadratic form: barycentrics of the projection if they are in range, else the
-    nearest of three clamped segments.
+    The height over the plane where the point is within the three planes through the edges that
+    are perpendicular to it, else the nearest of three clamped segments.
     """
-    points, corners = np.asarray(points, np.float64), np.asarray(corners, np.float64)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    e, f = b - a, c - a
-    ee, ef, ff = (np.einsum("fk,fk->f", p, q) for p, q in ((e, e), (e, f), (f, f)))
-    off = points[:, None] - a
-    oe, of = np.einsum("nfk,fk->nf", off, e), np.einsum("nfk,fk->nf", off, f)
-    determinant = ee * ff - ef * ef
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = (ff * oe - ef * of) / determinant, (ee * of - ef * oe) / determinant
-    inside = (u >= 0) & (v >= 0) & (u + v <= 1)
-    foot = a + u[..., None] * e + v[..., None] * f
-    best = np.where(inside, np.linalg.norm(points[:, None] - foot, axis=-1), np.inf)
-    for p, q in ((a, b), (b, c), (c, a)):
-        along = q - p
-        t = np.einsum("nfk,fk->nf", points[:, None] - p, along)
-        t = np.clip(t / np.einsum("fk,fk->f", along, along), 0.0, 1.0)
-        gap = np.linalg.norm(points[:, None] - (p + t[..., None] * along), axis=-1)
-        best = np.minimum(best, gap)
-    return best
+    points, corners = np.asarray(points, np.longdouble), np.asarray(corners, np.longdouble)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.sqrt((normal**2).sum(axis=-1))[:, None]
+    inside, best = True, np.inf
+    for k in range(3):
+        start = corners[:, k]
+        along = corners[:, (k + 1) % 3] - start
+        off = points[:, None] - start
+        inside = inside & (np.einsum("nfk,fk->nf", off, np.cross(normal, along)) >= 0)
+        t = np.einsum("nfk,fk->nf", off, along) / (along**2).sum(axis=-1)
+        gap = off - np.clip(t, 0, 1)[..., None] * along
+        best = np.minimum(best, np.sqrt((gap**2).sum(axis=-1)))
+    height = np.abs(np.einsum("nfk,fk->nf", points[:, None] - corners[:, 0], normal))
+    return np.where(inside, np.minimum(height, best), best).astype(np.float64)
 
 
 def _minus(p, q):
@@ -95,7 +90,7 @@ def check_nearest(tracer, points, found, rows_at_once=1 << 20):
     for first in range(0, len(local), step):
         rows = slice(first, first + step)
         expected = distances(local[rows], corners)
-        tolerance = TOLERANCE * (expected + size + np.abs(local[rows]).max(axis=1)[:, None])
+        tolerance = TOLERANCE * (expected + size)
         n = np.arange(len(expected))
         assert (ids[places[rows]] == prim_id[rows]).all()
         chosen = expected[n, places[rows]]

@@ -1,4 +1,4 @@
-"""Closest points: against rationals and a float64 oracle, and the same bits from both structures."""
+"""Closest points: against rationals and an oracle, and the same bits from both structures."""
 
 from __future__ import annotations
 
@@ -166,10 +166,10 @@ def test_bvh_has_the_bits_of_brute_force(drawn, k):
     nearest, rows = bvh.closest_point(points), bvh.closest_points(points, k)
     np.testing.assert_array_equal(nearest.distance, rows.distance[:, 0])
     np.testing.assert_array_equal(nearest.prim_id, rows.prim_id[:, 0])
-    order = np.lexsort((rows.prim_id, rows.distance), axis=-1)
-    finite = np.isfinite(rows.distance)
-    assert (np.diff(np.where(finite, rows.distance, np.inf), axis=-1)[finite[:, 1:]] >= 0).all()
-    assert len(order) == len(points)
+    assert (rows.distance[:, :-1] <= rows.distance[:, 1:]).all()
+    is_tie = (rows.distance[:, :-1] == rows.distance[:, 1:]) & rows.is_found[:, 1:]
+    # Squares that differ may have equal roots.
+    assert (rows.prim_id[:, :-1] != rows.prim_id[:, 1:])[is_tie].all()
     if len(local_scene(bvh)[1]):
         check_nearest(bvh, points, nearest)
 
@@ -228,7 +228,7 @@ def test_boxes_of_the_same_depth_are_told_apart_from_afar():
         found = bvh.closest_point(points * factor)
         assert_same_bits(found, brute.closest_point(points * factor))
         gap = np.linalg.norm(points * factor, axis=1)
-        np.testing.assert_allclose(found.distance, gap, rtol=4 / factor + 1e-12)
+        np.testing.assert_allclose(found.distance, gap, rtol=1e-12, atol=5)
 
 
 def test_cube_by_hand():

@@ -43,8 +43,8 @@ class NearestSearch(NamedTuple):
     Attributes
     ----------
     rows : uint64
-        Address of `capacity` rows, of which `count` are used, in order.
-    capacity, count : uint64
+        Address of `capacity` rows, of which `found_count` are used, in order.
+    capacity, found_count : uint64
     limit : float64
         Squared distance beyond which no triangle is wanted.
     limit_id : int32
@@ -53,7 +53,7 @@ class NearestSearch(NamedTuple):
 
     rows: np.uint64
     capacity: np.uint64
-    count: np.uint64
+    found_count: np.uint64
     limit: np.float64
     limit_id: np.int32
 
@@ -92,12 +92,12 @@ def offer_nearest(search, squared, prim_id, place, stride):
     -------
     NearestSearch
     """
-    at = search.count
+    at = search.found_count
     while at != _NONE and not _is_before(NearestRow(search.rows, at - _ONE), squared, prim_id):
         at -= _ONE
-    if at != search.count and NearestRow(search.rows, at).prim_id == prim_id:
+    if at != search.found_count and NearestRow(search.rows, at).prim_id == prim_id:
         return search
-    count = min(search.count + _ONE, search.capacity)
+    count = min(search.found_count + _ONE, search.capacity)
     move = count - _ONE
     while move != at:
         source, target = NearestRow(search.rows, move - _ONE), NearestRow(search.rows, move)

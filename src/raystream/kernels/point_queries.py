@@ -190,7 +190,7 @@ def point_queries(find: Callable[..., Any], stack_bytes: int) -> Callable[..., N
                 search = begin_nearest(rows, wanted, within * within * _SLACK + _TINY)
                 search = offer_again(search, point, others, known)
                 search = find(arrays, frame, point, search, stack)
-                found = search.count
+                found = search.found_count
                 known = found
                 rows, others = others, rows
             for k in range(wanted):

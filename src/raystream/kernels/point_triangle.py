@@ -219,7 +219,7 @@ def foot_on_triangle(point, a, b, c):
     Foot
         Exactly a vertex, or with a weight of exactly 0 on an edge, where that is nearest.
     """
-    at, on, face, along, areas = _features(point, a, b, c)
+    at, on, _, along, areas = _features(point, a, b, c)
     least = squared_distance(point, a, b, c)
     if at[0] == least:
         return _at(a, b, c, (_ONE, _ZERO, _ZERO), least)

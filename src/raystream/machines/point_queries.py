@@ -119,7 +119,7 @@ class PointQueries(RayCaster):
         >>> import raystream as rs
         >>> tracer = rs.Tracer(rs.load("cornell"))
         >>> tracer.closest_points([278.0, 273.0, 280.0], 3).prim_id.tolist()
-        [32, 33, 30]
+        [30, 23, 28]
         """
         count = operator.index(k)
         if count < 1:
@@ -286,7 +286,7 @@ class PointQueries(RayCaster):
     def _nearest(
         self, points: Any, k: int | None, max_distance: Any, progress: Progress | None
     ) -> ClosestPoints:
-        """The nearest triangle of each point, or with `k` so many in a further dimension."""
+        """The nearest triangle of each point, or the nearest `k` in a further dimension."""
         kernel = self._point_loop()
         given = _points_of(points)
         shape = given.shape[:-1]
