@@ -42,7 +42,6 @@ field = rs.Tracer(ball).signed_distance(grid)
 exact = np.linalg.norm(grid, axis=-1) - 1.0
 print(f"{ball.triangle_count:,} triangles, {field.size:,} points")
 print(f"largest difference from a sphere's: {np.abs(field - exact).max():.4f}")
-print(
-    f"volume inside: {(field < 0).sum() * (line[1] - line[0]) ** 3:.3f}, of a sphere: {4 / 3 * np.pi:.3f}"
-)
+volume = (field < 0).sum() * (line[1] - line[0]) ** 3
+print(f"volume inside: {volume:.3f}, of a sphere: {4 / 3 * np.pi:.3f}")
 assert np.abs(field - exact).max() < 0.003
