@@ -244,6 +244,27 @@ def test_rays_through_vertices_and_edges(direction):
         np.testing.assert_array_equal(tracer.contains(points)[clear], radius[clear] < 0.98)
 
 
+@pytest.mark.parametrize("wrong", range(3))
+def test_winding_numbers_decide_where_rays_disagree(wrong):
+    class Leaky(rs.Tracer):
+        """One of the three rays misses a surface."""
+
+        def count_hits(self, origins, directions, **options):
+            missed = np.array_equal(directions, np.float32(_DIRECTIONS[wrong]))
+            return super().count_hits(origins, directions, **options) + missed
+
+    vertices, faces = dented_sphere(2)
+    scene = rs.Scene.from_arrays(vertices, faces)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    points = np.random.default_rng(13).uniform(low, high, (500, 3))
+    expected = rs.Tracer(scene).contains(points)
+    assert 50 < expected.sum() < 450
+    seen = []
+    found = Leaky(scene).contains(points, progress=lambda *steps: seen.append(steps))
+    np.testing.assert_array_equal(found, expected)
+    assert seen == sorted(seen)
+
+
 def test_parts_of_one_surface():
     """A cube of six open meshes is closed."""
     vertices, faces = cube()
