@@ -293,9 +293,13 @@ class PointQueries(RayCaster):
         limits = _limits_of(max_distance, shape)
         source = PointSource(np.ascontiguousarray(given.reshape(-1, 3), np.float64), limits)
         count, capacity = len(source.points), 1 if k is None else k
-        remedy = "give fewer points or a smaller k"
+        per_call = self._points_per_call(count)
         rows = count * capacity
-        check_memory(rows * _ROW_BYTES, f"{rows:,} nearest triangles would", remedy)
+        check_memory(
+            rows * _ROW_BYTES + thread_count() * work_bytes(per_call, capacity),
+            f"{rows:,} nearest triangles would",
+            "give fewer points or a smaller k",
+        )
         out = NearestArrays.empty(count, capacity)
         structure = self.structure
         shared = source, structure.frame, structure.arrays, np.int64(capacity)
@@ -304,7 +308,7 @@ class PointQueries(RayCaster):
             work = np.empty(work_bytes(end - begin, capacity), np.uint8)
             kernel(begin, end, *shared, work, out)
 
-        parallel_for(body, count, self._points_per_call(count), progress)
+        parallel_for(body, count, per_call, progress)
         wide = shape if k is None else (*shape, k)
         return ClosestPoints(
             out.distance.reshape(wide),

@@ -241,7 +241,8 @@ def fma(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
         return x(*given), generate_scalar
     vector = common(*given)
     if vector is None or not vector.is_float:
-        refuse("fma", "float vectors of one type and numbers of its lanes' type", *given)
+        wanted = "float vectors of one type and numbers of its lanes' type, or numbers of one type"
+        refuse("fma", wanted, *given)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         values = as_vectors(context, builder, vector, signature.args, arguments)
