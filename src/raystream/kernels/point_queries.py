@@ -38,6 +38,12 @@ _ZERO = np.float32(0.0)
 _FARTHEST = 2.0**200
 _FARTHEST_LOCAL = 2.0**240
 
+#: Points that are further from the origin than this many times the scene's largest coordinate are
+#: moved that near for the search: float64 would not tell triangles apart there, and each would
+#: have to be compared. Distances change their order by this by less than the rounding, 2**-53 of
+#: them: the sphere around a point differs by that much from a plane, within the scene.
+_NEAREST_FAR = 2.0**26
+
 #: Fewer points are not sorted.
 _LEAST_SORTED = np.uint64(64)
 
@@ -118,6 +124,23 @@ def _local(source, i, frame):
 
 
 @device
+def _moved(point, frame):
+    """The point to search for, and whether it is another one; see `_NEAREST_FAR`."""
+    reach = max(max(abs(point[0]), abs(point[1])), abs(point[2]))
+    most = _NEAREST_FAR * np.float64(frame.max_coordinate)
+    if reach <= most:
+        return point, False
+    share = most / reach
+    return (point[0] * share, point[1] * share, point[2] * share), True
+
+
+@device
+def _length(p, q):
+    x, y, z = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@device
 def _write_missing(out, row):
     out.distance[row] = np.inf
     out.positions[row, 0] = np.nan
@@ -129,14 +152,36 @@ def _write_missing(out, row):
 
 
 @device
-def _write_found(out, row, found, point, limit, frame):
-    """Write the triangle of a row, if it is within the limit."""
+def _write_found(out, row, found, points, least, limit, frame):
+    """Write the triangle of a row, if it is within the limit.
+
+    Parameters
+    ----------
+    out : NearestArrays
+    row : uint64
+    found : NearestRow
+    points : tuple
+        The point, the one that was searched for, and whether they differ.
+    least : float64
+        Distance of the row before.
+    limit : float64
+    frame : SceneFrame
+
+    Returns
+    -------
+    float64
+        The distance.
+    """
+    point, moved, is_moved = points
     a, b, c = corners_at(found.place, found.stride)
-    foot = foot_on_triangle(point, a, b, c)
+    foot = foot_on_triangle(moved, a, b, c)
     distance = math.sqrt(foot.squared) * frame.inverse_scale
+    if is_moved:
+        distance = _length(point, (foot.x, foot.y, foot.z)) * frame.inverse_scale
+        distance = max(distance, least)
     if not distance <= limit:
         _write_missing(out, row)
-        return
+        return np.inf
     out.distance[row] = distance
     out.positions[row, 0] = foot.x * frame.inverse_scale + frame.center[0]
     out.positions[row, 1] = foot.y * frame.inverse_scale + frame.center[1]
@@ -144,6 +189,7 @@ def _write_found(out, row, found, point, limit, frame):
     out.u[row] = np.float32(foot.u)
     out.v[row] = np.float32(foot.v)
     out.prim_id[row] = found.prim_id
+    return distance
 
 
 def point_queries(find: Callable[..., Any], stack_bytes: int) -> Callable[..., None]:
@@ -183,20 +229,22 @@ def point_queries(find: Callable[..., Any], stack_bytes: int) -> Callable[..., N
                 i = first + np.uint64(load(np.uint32, order + (number << _WORD)))
             limit = source.limits[i if len(source.limits) > 1 else _NONE]
             point, status = _local(source, i, frame)
+            moved, is_moved = _moved(point, frame)
             out.status[i] = status
             found = _NONE
             if status == _VALID:
-                within = limit * frame.scale
+                within = np.inf if is_moved else limit * frame.scale
                 search = begin_nearest(rows, wanted, within * within * _SLACK + _TINY)
-                search = offer_again(search, point, others, known)
-                search = find(arrays, frame, point, search, stack)
+                search = offer_again(search, moved, others, known)
+                search = find(arrays, frame, moved, search, stack)
                 found = search.found_count
                 known = found
                 rows, others = others, rows
+            points, distance = (point, moved, is_moved), 0.0
             for k in range(wanted):
                 if k < found:
-                    row = NearestRow(others, k)
-                    _write_found(out, i * wanted + k, row, point, limit, frame)
+                    row, at = NearestRow(others, k), i * wanted + k
+                    distance = _write_found(out, at, row, points, distance, limit, frame)
                 else:
                     _write_missing(out, i * wanted + k)
 

@@ -58,10 +58,15 @@ _MOST = np.float32(np.finfo(np.float32).max)
 _FAR = np.float64(64.0)
 
 #: Squared distances of boxes are reduced by these, a factor and, for numbers that vanish, a
-#: difference: more than their rounding, which is below 6 * 2**-24 of them.
+#: difference: more than their own rounding, which is below 6 * 2**-24 of them, and that of the
+#: triangles' distances, as far as it is in proportion to the distance: 2**-48.
 _SHRINK = np.float32(1.0 - 2.0**-20)
 _LOSS = np.float32(-(2.0**-140))
-_SHRINK64 = np.float64(1.0 - 2.0**-20)
+_SHRINK64 = np.float64(1.0 - 2.0**-44)
+
+#: The rounding of triangles' distances is also in proportion to the triangle's size: boxes are
+#: grown by more than that, in units of the scene's largest coordinate.
+_GROW = 2.0**-45
 
 #: Bytes of half the stack, for the deepest tree.
 _HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
@@ -120,8 +125,12 @@ def _above(x):
 def _near(point, frame):
     """A point as the test of boxes takes it: numbers below and above, and whether it is far."""
     x, y, z = point
-    is_far = max(max(abs(x), abs(y)), abs(z)) > _FAR * np.float64(frame.max_coordinate)
-    return (_below(x), _below(y), _below(z)), (_above(x), _above(y), _above(z)), is_far
+    reach = np.float64(frame.max_coordinate)
+    is_far = max(max(abs(x), abs(y)), abs(z)) > _FAR * reach
+    grow = _GROW * reach
+    below = _below(x - grow), _below(y - grow), _below(z - grow)
+    above = _above(x + grow), _above(y + grow), _above(z + grow)
+    return below, above, is_far
 
 
 @device
