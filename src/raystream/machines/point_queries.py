@@ -22,7 +22,7 @@ from raystream.structures.registry import form_of, names_with
 __all__ = ["PointQueries"]
 
 #: Most points of a call: sorted together, the more the nearer to each other.
-_POINTS_PER_CALL = 1 << 13
+_POINTS_PER_CALL = 1 << 14
 
 #: A row of the result.
 _ROW_BYTES = 8 + 24 + 4 + 4 + 4
