@@ -66,7 +66,8 @@ ERRORS = {
     "f32x8()": "f32x8",
     # functions
     "fma(x, 1.0, x)": "fma takes float vectors of one type .*, not f32x8, float64, f32x8",
-    "fma(1.0, 1.0, 1.0)": "fma takes float vectors",
+    "fma(1.0, number, 1.0)": "fma takes float vectors",
+    "fma(1, 1, 1)": "fma takes float vectors",
     "fma(i32x8(1), i32x8(1), i32x8(1))": "fma takes float vectors",
     "minimum(x, 1.0)": "minimum takes vectors or numbers of one type",
     "maximum(x < x, x < x)": "maximum takes vectors or numbers of one type",

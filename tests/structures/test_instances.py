@@ -448,6 +448,9 @@ def test_what_is_not_supported_says_so() -> None:
         lambda: tracer.save("instances.npz"),
         lambda: rs.thickness(tracer, *ray),
         lambda: rs.lidar_returns(tracer, *ray),
+        lambda: tracer.closest_point([0.0, 0, 5]),
+        lambda: tracer.contains([0.0, 0, 5]),
+        lambda: tracer.winding_number([0.0, 0, 5]),
     ):
         with pytest.raises(rs.RaystreamError, match=r"scene.flattened\(\)"):
             ask()
