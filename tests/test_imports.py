@@ -33,6 +33,7 @@ ROOMS = (
     "cluster",
     "viewer",
     "bench",
+    "adapters",
     "cli",
 )
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
+    from raystream.physics.terrain import terrain
     from raystream.programs.decisions import Decision
     from raystream.ray_files.query import query_zarr
     from raystream.rendering.frames import render_frames
@@ -107,6 +108,7 @@ _HOMES = {
     "render": "rendering.render",
     "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",
+    "terrain": "physics.terrain",
     "thickness": "physics.segments",
     "thread_count": "jit.threads",
     "view": "viewer.notebook",
@@ -161,6 +163,7 @@ __all__ = [
     "render_frames",
     "set_thread_count",
     "streams",
+    "terrain",
     "textures",
     "thickness",
     "thread_count",

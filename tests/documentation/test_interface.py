@@ -15,6 +15,8 @@ PAGE = (REPOSITORY / "docs" / "api.rst").read_text(encoding="utf-8")
 
 #: Modules whose names are for users, beside the package's own.
 MODULES = (
+    "adapters.open3d",
+    "adapters.trimesh",
     "cluster",
     "cuda.streams",
     "graphics",
@@ -22,6 +24,7 @@ MODULES = (
     "machines",
     "physics.attenuation",
     "physics.lidar",
+    "physics.terrain",
     "programs",
     "rendering.render",
     "rendering.compare",
@@ -50,7 +53,7 @@ NAMES = """
     RaystreamWarning Scene SpotLight Texture Tracer __version__ attenuation cluster daylight
     heatmap lidar_returns load query_zarr render render_frames set_thread_count streams textures
     thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
-    register_structure Cpu Cuda Graphics Branching Compute Multipass
+    register_structure Cpu Cuda Graphics Branching Compute Multipass terrain
 """
 
 
