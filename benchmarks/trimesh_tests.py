@@ -8,9 +8,9 @@ into a temporary folder. It has the tests, but neither the module `generic` that
 their models: these come from a checkout of trimesh's repository, which is cloned from GitHub if
 none is given. Each test runs twice, with trimesh's intersectors and with the adapter; the classes
 `ray_pyembree.RayMeshIntersector` and `ray_triangle.RayMeshIntersector` are replaced before the
-tests are imported. Tests that do not pass with the adapter are listed with the reason; one without
-a reason, or with one that no longer applies, makes the exit status 1. So does a run in which the
-adapter was never called.
+tests are imported. Tests that pass with trimesh's intersectors and not with the adapter are listed
+with the reason; one without a reason, or with one that no longer applies, makes the exit status 1.
+So does a run in which the adapter was never called.
 
 The tests need more packages than ours: pip install trimesh embreex rtree scipy networkx shapely
 manifold3d pytest.
@@ -31,7 +31,7 @@ from pathlib import Path
 #: Files of tests that cast rays.
 PATTERNS = ("test_ray*.py", "test_proximity.py", "test_mutate.py", "test_thickness.py")
 
-#: Tests that do not pass with the adapter, and why.
+#: Tests that do not pass with the adapter, and the fault of trimesh's that they test.
 EXPLAINED: dict[str, str] = {}
 
 
@@ -93,13 +93,17 @@ def compare(folder):
         results[who] = json.loads(lines[-1])
     tests, calls = results["adapter"]["tests"], results["adapter"]["calls"]
     print(f"trimesh {version('trimesh')}, tests in {folder}\n")
-    print(f"{'test':70} {'trimesh':>9} {'adapter':>9}")
+    print(f"{'test':75} {'trimesh':>8} {'adapter':>8}")
     for name, (outcome, _) in tests.items():
         own = results["trimesh"]["tests"].get(name, ["", ""])[0]
-        print(f"{name:70} {own:>9} {outcome:>9}")
+        print(f"{name:75} {own:>8} {outcome:>8}")
     counts = collections.Counter(outcome for outcome, _ in tests.values())
     print(f"\nwith the adapter: {dict(counts)}; its methods were called: {calls}")
     failed = {name for name, (outcome, _) in tests.items() if outcome == "failed"}
+    both = {name for name in failed if results["trimesh"]["tests"].get(name, [""])[0] == "failed"}
+    for name in sorted(both):
+        print(f"\n{name} fails with trimesh's intersectors, too:\n    {last_line(tests[name][1])}")
+    failed -= both
     for name in sorted(failed):
         print(f"\n{name}: {EXPLAINED.get(name, 'NOT EXPLAINED')}\n{tests[name][1]}")
     stale = set(EXPLAINED) & set(tests) - failed
@@ -110,6 +114,12 @@ def compare(folder):
         print(f"\n{name} was skipped: {text}")
     is_right = counts["passed"] and calls and not stale and failed <= set(EXPLAINED)
     return 0 if is_right else 1
+
+
+def last_line(text):
+    """The error of a test: the last line that pytest marks with E."""
+    errors = [line[1:].strip() for line in text.splitlines() if line.startswith("E ")]
+    return errors[-1] if errors else text
 
 
 def run(folder, who):
