@@ -90,6 +90,8 @@ class RayMeshIntersector:
     """
 
     mesh: Any
+    _built: _Built | None
+    _lock: threading.Lock
 
     def __init__(
         self, geometry: Any = None, scale_to_box: bool = True, *, mesh: Any = None, **options: Any
@@ -304,7 +306,7 @@ class RayMeshIntersector:
         return Tracer(Scene.from_arrays(vertices, faces), **self._options)
 
     def _reset(self) -> None:
-        self._built: _Built | None = None
+        self._built = None
         self._lock = threading.Lock()
 
     def __getstate__(self) -> dict[str, Any]:

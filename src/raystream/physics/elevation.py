@@ -97,7 +97,7 @@ def elevation_of(dem: Any, place: Georeference, nodata: float | None) -> Elevati
         nodata = labels.attrs.get("_FillValue") if nodata is None else nodata
         dem = labels.values
     if isinstance(dem, np.ma.MaskedArray):
-        dem = dem.astype(np.float64).filled(np.nan)
+        dem = np.ma.filled(dem.astype(np.float64), np.nan)
     heights = as_real_array("dem", dem).astype(np.float64)
     if heights.ndim != 2 or min(heights.shape) < 2:
         raise ValueError(f"dem: expected shape (H, W), at least (2, 2), got {heights.shape}")

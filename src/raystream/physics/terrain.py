@@ -129,9 +129,11 @@ class Terrain:
             cells = np.flatnonzero(np.isfinite(self.heights[rows]))
             targets, vertices = self._centers(rows, cells)
             targets[:, 2] += target_height
-            is_near = np.linalg.norm(targets - eye, axis=1) <= max_distance
-            cells, targets, vertices = cells[is_near], targets[is_near], vertices[is_near]
-            visible[rows].reshape(-1)[cells] = self._is_clear(eye, targets - eye, vertices)
+            sight = targets - eye
+            if max_distance < math.inf:
+                is_near = np.linalg.norm(sight, axis=1) <= max_distance
+                cells, sight, vertices = cells[is_near], sight[is_near], vertices[is_near]
+            visible[rows].reshape(-1)[cells] = self._is_clear(eye, sight, vertices)
         return self._elevation.labelled(visible, "viewshed")
 
     def hillshade(
@@ -235,7 +237,9 @@ class Terrain:
         faces = self.scene.meshes[0].faces
         is_clear = ~hits.is_hit
         rows = np.flatnonzero(hits.is_hit)
-        is_clear[rows] = (faces[hits.prim_id[rows]] == vertices[rows, None]).any(axis=1)
+        a, b, c = faces[hits.prim_id[rows]].T
+        ends = vertices[rows]
+        is_clear[rows] = (a == ends) | (b == ends) | (c == ends)
         return is_clear
 
     def _bands(self, progress: Progress | None) -> Iterator[slice]:

@@ -40,8 +40,8 @@ def triangulated(elevation: Elevation) -> tuple[NDArray[np.float64], NDArray[np.
     is_upward = (elevation.x[1] > elevation.x[0]) == (elevation.y[1] > elevation.y[0])
     if not is_upward:
         faces[..., 1:] = faces[..., :0:-1].copy()
-    faces = faces.reshape(-1, 3)
+    rows = faces.reshape(-1, 3)
     is_known = np.isfinite(heights).reshape(-1)
     if not is_known.all():
-        faces = faces[is_known[faces].all(axis=1)]
-    return vertices.reshape(-1, 3), faces
+        rows = rows[is_known[rows].all(axis=1)]
+    return vertices.reshape(-1, 3), rows
