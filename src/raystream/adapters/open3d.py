@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.adapters.open3d_arrays import as_rays, ids_of, mesh_arrays, results_like
 from raystream.adapters.open3d_cameras import matrices_of_view, pinhole_rays
+from raystream.adapters.plane_points import unit_normals
 from raystream.core.hits import Hits, MultiHits
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -84,6 +85,7 @@ class RaycastingScene:
         self._options = {"device": name if name == "cpu" else device, **options}
         self._meshes: list[Mesh] = []
         self._built: Tracer | None = None
+        self._normals: NDArray[np.float32] | None = None
         self._lock = threading.Lock()
 
     def add_triangles(
@@ -118,7 +120,7 @@ class RaycastingScene:
         vertices, faces = mesh_arrays(vertex_positions, triangle_indices)
         with self._lock:
             self._meshes.append(Mesh(vertices, faces))
-            self._built = None
+            self._built = self._normals = None
             return len(self._meshes) - 1
 
     def cast_rays(self, rays: Any, nthreads: int = 0) -> dict[str, Any]:
@@ -146,13 +148,12 @@ class RaycastingScene:
             If the rays are not real numbers of shape (..., 6).
         """
         operator.index(nthreads)
-        hits = self._tracer().first_hit(*as_rays(rays))
-        normals = np.where(hits.is_hit[..., None], hits.normals, np.float32(0.0))
+        tracer = self._tracer()
+        hits = tracer.first_hit(*as_rays(rays))
+        columns = _columns(hits, len(self._meshes))
+        columns["primitive_normals"] = self._normals_of(tracer)[hits.prim_id]
         like = results_like(rays)
-        return {
-            name: like(column)
-            for name, column in (_columns(hits) | {"primitive_normals": normals}).items()
-        }
+        return {name: like(column) for name, column in columns.items()}
 
     def test_occlusions(
         self, rays: Any, tnear: float = 0.0, tfar: float = np.inf, nthreads: int = 0
@@ -237,7 +238,7 @@ class RaycastingScene:
         like = results_like(rays)
         wide = np.uint32 if len(many.t) <= self.INVALID_ID else np.int64
         rows = {"ray_splits": many.ray_splits.astype(wide), "ray_ids": many.ray_id.astype(wide)}
-        columns = rows | _columns(many)
+        columns = rows | _columns(many, len(self._meshes))
         return {name: like(column) for name, column in columns.items()}
 
     @staticmethod
@@ -293,6 +294,13 @@ class RaycastingScene:
                 self._built = Tracer(Scene(self._meshes), **self._options)
             return self._built
 
+    def _normals_of(self, tracer: Tracer) -> NDArray[np.float32]:
+        """Unit normals of all triangles, and a row of zeros, which -1 stands for."""
+        with self._lock:
+            if self._normals is None or len(self._normals) != len(tracer.structure.triangles) + 1:
+                self._normals = unit_normals(tracer.structure.triangles.corners)
+            return self._normals
+
     def __repr__(self) -> str:
         count = sum(len(mesh.faces) for mesh in self._meshes)
         return f"RaycastingScene({len(self._meshes):,} meshes, {count:,} triangles)"
@@ -302,11 +310,17 @@ def _has_matrices(args: tuple[Any, ...], kwargs: dict[str, Any]) -> bool:
     return "intrinsic_matrix" in kwargs or (bool(args) and np.ndim(args[0]) == 2)
 
 
-def _columns(hits: Hits | MultiHits) -> dict[str, NDArray[Any]]:
+def _columns(hits: Hits | MultiHits, mesh_count: int) -> dict[str, NDArray[Any]]:
     """The columns that nearest hits and all hits share."""
+    if mesh_count == 1:
+        geometry_ids, primitive_ids = np.minimum(hits.prim_id, 0), hits.prim_id
+    else:
+        geometry_ids, primitive_ids = hits.mesh_id, hits.mesh_prim_id
+    weights = np.empty((*hits.t.shape, 2), np.float32)
+    weights[..., 0], weights[..., 1] = hits.u, hits.v
     return {
         "t_hit": hits.t,
-        "geometry_ids": ids_of(hits.mesh_id),
-        "primitive_ids": ids_of(hits.mesh_prim_id),
-        "primitive_uvs": np.stack([hits.u, hits.v], axis=-1),
+        "geometry_ids": ids_of(geometry_ids),
+        "primitive_ids": ids_of(primitive_ids),
+        "primitive_uvs": weights,
     }

@@ -40,7 +40,7 @@ def _as_tensor(array: NDArray[Any]) -> Any:
 
 
 def _as_tensor_like(array: NDArray[Any]) -> TensorLike:
-    return array.view(TensorLike)
+    return np.asarray(array).view(TensorLike)
 
 
 def host_array(name: str, values: Any) -> NDArray[Any]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.adapters.plane_points import in_planes
+from raystream.adapters.plane_points import plane_points
 from raystream.core.rays import as_real_array
 from raystream.core.triangles import local_frame
 from raystream.scene.scene import Scene
@@ -191,10 +191,10 @@ class RayMeshIntersector:
         if not return_locations:
             return index_tri, index_ray
         triangles = tracer.structure.triangles
-        locations = in_planes(
-            found.positions,
-            (origins[index_ray], directions[index_ray]),
+        locations = plane_points(
             np.asarray(self.mesh.vertices)[np.asarray(self.mesh.faces)[index_tri]],
+            (found.u, found.v),
+            (origins[index_ray], directions[index_ray]),
             float(triangles.max_coordinate) / triangles.scale,
         )
         return index_tri, index_ray, locations
