@@ -108,11 +108,19 @@ def test_locations_are_on_rays_and_planes(sphere, ray):
 
 
 def test_a_ray_almost_in_the_plane_stays_on_the_triangle():
-    square = mesh_of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-    origins = np.array([[-1.0, 0.3, 1e-9]])
-    directions = np.array([[1.0, 0.0, -7e-10]])  # in float64 it meets the plane at x = 0.43
-    locations, _, _ = RayMeshIntersector(square).intersects_location(origins, directions)
-    assert ((locations >= -1e-6) & (locations <= 1 + 1e-6)).all()
+    """There float64's plane is far from the triangle's in float32, along the ray."""
+    rng = np.random.default_rng(0)
+    axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ axes.T + 0.3
+    square = mesh_of(corners, [[0, 1, 2], [0, 2, 3]])
+    count = 5000
+    beside = np.column_stack([rng.uniform(-3, 3, (count, 2)), np.zeros(count)])
+    along = np.column_stack([rng.normal(size=(count, 2)), rng.normal(size=count) * 1e-8])
+    origins = (beside - 3 * along) @ axes.T + 0.3  # some only seem to hit, in float32
+    locations, ray, _ = RayMeshIntersector(square).intersects_location(origins, along @ axes.T)
+    assert len(ray) > 500
+    inside = (locations - 0.3) @ axes
+    assert np.abs(inside).max() < 1 + 1e-5
 
 
 def test_crossings_of_a_closed_mesh_are_counted_once():
@@ -251,6 +259,14 @@ def test_points_whose_ray_passes_vertices_are_found_inside():
     clear = np.abs(depth) > 1e-5
     assert clear.sum() > 500
     assert (ours.contains_points(points) == (depth < 0))[clear].all()
+
+
+def test_a_ray_exactly_through_vertices_counts_them_once():
+    tip = 2 * _INSIDE[0].astype(np.float32).astype(float)
+    side, front = np.cross(tip, [1.0, 0, 0]), np.cross(tip, [0, 1.0, 0])
+    vertices = [tip, -tip, side, -side, front, -front]
+    faces = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    assert RayMeshIntersector(mesh_of(vertices, faces)).contains_points([[0, 0, 0]]).all()
 
 
 def test_a_cavity_is_outside():

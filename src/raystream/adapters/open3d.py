@@ -120,7 +120,7 @@ class RaycastingScene:
         vertices, faces = mesh_arrays(vertex_positions, triangle_indices)
         with self._lock:
             self._meshes.append(Mesh(vertices, faces))
-            self._built = self._normals = None
+            self._built = None
             return len(self._meshes) - 1
 
     def cast_rays(self, rays: Any, nthreads: int = 0) -> dict[str, Any]:
