@@ -18,6 +18,7 @@ from raystream._version import __version__
 if TYPE_CHECKING:
     from raystream import cluster, streams
     from raystream.core.choices import Branching, Compute, Cpu, Cuda, Graphics, Multipass
+    from raystream.core.closest_points import ClosestPoints
     from raystream.core.errors import FileFormatError, RaystreamError, RaystreamWarning
     from raystream.core.hits import Hits, MultiHits
     from raystream.core.ray_hit import RayHit
@@ -71,6 +72,7 @@ _HOMES = {
     "Bvh": "structures.bvh.options",
     "Camera": "scene.camera",
     "CameraTrack": "scene.camera_track",
+    "ClosestPoints": "core.closest_points",
     "Compute": "core.choices",
     "Cpu": "core.choices",
     "Cuda": "core.choices",
@@ -123,6 +125,7 @@ __all__ = [
     "Bvh",
     "Camera",
     "CameraTrack",
+    "ClosestPoints",
     "Compute",
     "Cpu",
     "Cuda",

@@ -48,11 +48,11 @@ FOR_ROOMS = {
 
 #: All top-level names; other names are imported from their modules.
 NAMES = """
-    Animation Camera CameraTrack Decision DirectionalLight EnvironmentLight FileFormatError Hits
-    Image MODES Material Mesh MultiHits PointLight RayHit RayStatus RaystreamError
-    RaystreamWarning Scene SpotLight Texture Tracer __version__ attenuation cluster daylight
-    heatmap lidar_returns load query_zarr render render_frames set_thread_count streams textures
-    thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
+    Animation Camera CameraTrack ClosestPoints Decision DirectionalLight EnvironmentLight
+    FileFormatError Hits Image MODES Material Mesh MultiHits PointLight RayHit RayStatus
+    RaystreamError RaystreamWarning Scene SpotLight Texture Tracer __version__ attenuation cluster
+    daylight heatmap lidar_returns load query_zarr render render_frames set_thread_count streams
+    textures thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
     register_structure Cpu Cuda Graphics Branching Compute Multipass terrain
 """
 

@@ -253,5 +253,6 @@ def test_fma_of_numbers():
     def run(x, y, z):
         return simd.fma(x, y, z)
 
-    eps = np.float32(2**-23)
-    assert run(1 + eps, 1 + eps, -(1 + 2 * eps)) == eps * eps
+    for eps in (np.float32(2**-23), np.float64(2.0**-52)):
+        one = type(eps)(1)
+        assert run(one + eps, one + eps, -(one + 2 * eps)) == eps * eps

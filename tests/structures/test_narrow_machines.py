@@ -75,6 +75,11 @@ def answers():
             for batch_name, rays in batches(np.random.default_rng(4)):
                 for column, array in columns(tracer, rays):
                     note(f"{scene_name}, {kernel}, {batch_name}: {column}", array)
+        points = np.random.default_rng(5).normal(size=(2000, 3)) * 2
+        near = rs.Tracer(scene).closest_points(points, 3)
+        for column in ("distance", "positions", "u", "v", "prim_id"):
+            note(f"{scene_name}, points: {column}", getattr(near, column))
+        note(f"{scene_name}, points: winding", rs.Tracer(scene).winding_number(points))
     return found
 
 

@@ -12,10 +12,10 @@ from raystream.core.rays import as_real_array
 from raystream.core.spawn import spawn_origins
 from raystream.core.triangles import Triangles
 
-__all__ = ["Hits", "MultiHits"]
+__all__ = ["HitColumns", "Hits", "MultiHits"]
 
 
-class _HitColumns:
+class HitColumns:
     """Columns of hits of one shape, and attributes derived from them."""
 
     #: Distance along the ray in direction lengths, float32. A miss has inf.
@@ -186,7 +186,7 @@ class _HitColumns:
         return self._triangles.to_world(local), array
 
 
-class Hits(_HitColumns):
+class Hits(HitColumns):
     """The nearest hit of each ray, in the rays' leading shape S.
 
     Attributes
@@ -268,7 +268,7 @@ class RayRows:
         return np.repeat(np.arange(len(self.ray_splits) - 1), np.diff(self.ray_splits))
 
 
-class MultiHits(RayRows, _HitColumns):
+class MultiHits(RayRows, HitColumns):
     """All hits of each ray, by increasing distance, as rows delimited by `ray_splits`.
 
     Attributes

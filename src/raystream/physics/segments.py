@@ -13,6 +13,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
+from raystream.kernels.solids import Solids, solids_of
 from raystream.physics.pairing import (
     NO_ROW,
     Crossings,
@@ -22,7 +23,6 @@ from raystream.physics.pairing import (
     classify_crossings,
     pair_crossings,
 )
-from raystream.physics.solids import Solids, solids_of
 from raystream.physics.thickness import Segments, Thickness, Unpaired, direction_lengths
 from raystream.tracer import Tracer
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from raystream.core.hits import RayRows
 from raystream.core.memory import check_memory
 from raystream.core.rays import RayBatch, RayStatus
-from raystream.physics.solids import Solids
+from raystream.kernels.solids import Solids
 
 __all__ = ["Grouping", "Segments", "Thickness", "Unpaired", "UnpairedKind", "direction_lengths"]
 
@@ -113,7 +113,7 @@ class Thickness(RayRows):
         self.unpaired_prim_id, self.unpaired_mesh_id = unpaired.prim_id, unpaired.mesh_id
         self.unpaired_kind = unpaired.kind
         self.status = status
-        self.mesh_is_closed, self.mesh_is_flipped = solids
+        self.mesh_is_closed, self.mesh_is_flipped = solids.is_closed, solids.is_flipped
         self.mesh_names, self.material_names = tuple(names[0]), tuple(names[1])
 
     @cached_property

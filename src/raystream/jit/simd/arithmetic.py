@@ -229,14 +229,16 @@ def _llvm_name(base: str, vector: VectorType) -> str:
 
 @intrinsic
 def fma(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
-    """``x * y + z`` of float vectors or float32 numbers, rounded once (IEEE 754)."""
+    """``x * y + z`` of float vectors or numbers of one type, rounded once (IEEE 754)."""
     given = (x, y, z)
-    if all(type_ == types.float32 for type_ in given):
+    number = one_lane(x) if x == y == z else None
+    if number is not None and number.is_float:
+        result = llvm_type(number).element
 
         def generate_scalar(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return call_intrinsic(builder, "llvm.fma.f32", ir.FloatType(), arguments)
+            return call_intrinsic(builder, f"llvm.fma.{number.kind}", result, arguments)
 
-        return types.float32(*given), generate_scalar
+        return x(*given), generate_scalar
     vector = common(*given)
     if vector is None or not vector.is_float:
         refuse("fma", "float vectors of one type and numbers of its lanes' type", *given)

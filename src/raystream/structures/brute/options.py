@@ -21,6 +21,7 @@ class Brute(StructureOptions):
     name = "brute"
     structure = "raystream.structures.brute.structure:BruteStructure"
     forms: ClassVar = {
+        "nearest": "raystream.structures.brute.nearest:find_nearest",
         "multipass": "raystream.machines.steps.brute:steps",
         "graphics": "raystream.graphics.structures.brute:shader_structure",
         "graphics multipass": "raystream.graphics.multipass.kernels.brute:kernels",

@@ -41,6 +41,7 @@ class Bvh(StructureOptions):
     name = "bvh"
     structure = "raystream.structures.bvh.structure:BvhStructure"
     forms: ClassVar = {
+        "nearest": "raystream.structures.bvh.nearest:find_nearest",
         "multipass": "raystream.machines.steps.bvh:steps",
         "cuda kernels": "raystream.cuda.bvh.kernels",
         "cuda build": "raystream.cuda.builders.bvh:build_bvh",

@@ -7,7 +7,7 @@ import pytest
 
 import raystream as rs
 from meshes import cube, dented_sphere, grid_floor, icosphere, soup
-from raystream.physics.solids import solids_of
+from raystream.kernels.solids import solids_of
 from solid_meshes import box_mesh, joined
 
 

@@ -1,0 +1,140 @@
+"""The order in which points are searched for: along a Morton curve, so that neighbours follow.
+
+The triangle nearest to the previous point is near the next one, too: a good limit from the start,
+and the nodes that the search visits are in the cache.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import load, store
+
+__all__ = ["ORDER_WORDS", "WORDS_PER_POINT", "order_points"]
+
+#: Bits of a key along each axis; two passes sort 22 bits.
+_SIDE_BITS = 7
+_DIGIT_BITS = np.uint64(11)
+_DIGITS = np.uint64(1 << 11)
+_DIGIT_MASK = np.uint64((1 << 11) - 1)
+
+#: uint32 that `order_points` needs for each point, and besides.
+WORDS_PER_POINT = 3
+ORDER_WORDS = 2 * (1 << 11)
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # four bytes, as a shift
+_LAST_CELL = 2.0**_SIDE_BITS - 1.0
+
+#: Coordinates beyond this do not count: points there may be in any order.
+_FARTHEST = 2.0**200
+
+
+@device
+def _spread(cell):
+    """Move bit i of a number below 1024 to bit 3 i."""
+    cell = (cell | (cell << np.uint64(16))) & np.uint64(0x030000FF)
+    cell = (cell | (cell << np.uint64(8))) & np.uint64(0x0300F00F)
+    cell = (cell | (cell << np.uint64(4))) & np.uint64(0x030C30C3)
+    return (cell | (cell << np.uint64(2))) & np.uint64(0x09249249)
+
+
+@device
+def _cell(x, low, scale):
+    inside = (x - low) * scale
+    # NaN becomes 0.
+    return np.uint64(min(inside, _LAST_CELL)) if inside > 0.0 else _NONE
+
+
+@device
+def _widened(x, low, high):
+    """The interval with a number, unless that is too far away or NaN."""
+    if abs(x) <= _FARTHEST:
+        return min(low, x), max(high, x)
+    return low, high
+
+
+@device
+def _bounds(points, begin, end):
+    low_x, low_y, low_z = _FARTHEST, _FARTHEST, _FARTHEST
+    high_x, high_y, high_z = -_FARTHEST, -_FARTHEST, -_FARTHEST
+    for i in range(begin, end):
+        low_x, high_x = _widened(points[i, 0], low_x, high_x)
+        low_y, high_y = _widened(points[i, 1], low_y, high_y)
+        low_z, high_z = _widened(points[i, 2], low_z, high_z)
+    size = max(max(high_x - low_x, high_y - low_y), high_z - low_z)
+    return (low_x, low_y, low_z), ((_LAST_CELL + 1.0) / size if size > 0.0 else 0.0)
+
+
+@device
+def order_points(points, begin, end, words):
+    """Sort points begin to end by their cell, cells along a Morton curve.
+
+    Parameters
+    ----------
+    points : ndarray of shape (N, 3), float64
+    begin, end : uint64
+    words : uint64
+        Address of ``WORDS_PER_POINT * (end - begin) + ORDER_WORDS`` uint32.
+
+    Returns
+    -------
+    uint64
+        Address of ``end - begin`` uint32: the points less `begin`, in order.
+    """
+    count = end - begin
+    keys, numbers = words, words + (count << _WORD)
+    sorted_ = numbers + (count << _WORD)
+    places = sorted_ + (count << _WORD)
+    seconds = places + (_DIGITS << _WORD)
+    for k in range(_DIGITS + _DIGITS):
+        store(places + (k << _WORD), np.uint32(0))
+    low, scale = _bounds(points, begin, end)
+    for k in range(count):
+        i = begin + k
+        key = (
+            _spread(_cell(points[i, 0], low[0], scale))
+            | (_spread(_cell(points[i, 1], low[1], scale)) << _ONE)
+            | (_spread(_cell(points[i, 2], low[2], scale)) << (_ONE + _ONE))
+        )
+        store(keys + (k << _WORD), np.uint32(key))
+        _count(places, key & _DIGIT_MASK)
+        _count(seconds, key >> _DIGIT_BITS)
+    _add_up(places)
+    _add_up(seconds)
+    for k in range(count):
+        key = np.uint64(load(np.uint32, keys + (k << _WORD)))
+        store(numbers + (_take(places, key & _DIGIT_MASK) << _WORD), np.uint32(k))
+    for k in range(count):
+        number = load(np.uint32, numbers + (k << _WORD))
+        key = np.uint64(load(np.uint32, keys + (np.uint64(number) << _WORD)))
+        store(sorted_ + (_take(seconds, key >> _DIGIT_BITS) << _WORD), number)
+    return sorted_
+
+
+@device
+def _count(counts, digit):
+    at = counts + (digit << _WORD)
+    store(at, np.uint32(load(np.uint32, at) + np.uint32(1)))
+
+
+@device
+def _add_up(counts):
+    """Replace the number of points of each digit by the place of its first one."""
+    place = np.uint32(0)
+    for k in range(_DIGITS):
+        at = counts + (k << _WORD)
+        here = load(np.uint32, at)
+        store(at, place)
+        place = np.uint32(place + here)
+
+
+@device
+def _take(places, digit):
+    """The next place of a digit."""
+    at = places + (digit << _WORD)
+    place = load(np.uint32, at)
+    store(at, np.uint32(place + np.uint32(1)))
+    return np.uint64(place)

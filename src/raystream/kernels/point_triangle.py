@@ -1,0 +1,240 @@
+"""The distance from a point to a triangle in float64: the definition that every structure shares.
+
+A triangle has seven features: its face, three edges and three vertices. Each that the point
+projects onto gives a candidate, and the least is the distance, so that no case depends on a sign
+that rounding can turn: a wrong one costs no more than the rounding itself. Triangles that share an
+edge or a vertex compute its distance from the same numbers in an order that does not depend on the
+triangle, so the distances have equal bits, and the lowest prim_id can win.
+
+The corners are float32 in the scene's local frame, the point is float64 in the same frame.
+Differences of corners are exact but for extreme ratios, and the normal is within a few roundings,
+which needles need. Each function takes numbers, or vectors for triangles side by side, with the
+same bits; nothing else here may be fused, or reordered.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import absolute, fma, minimum, select
+
+__all__ = ["Foot", "foot_on_triangle", "squared_distance"]
+
+_ZERO = np.float64(0.0)
+_QUARTER = np.float64(0.25)
+_HALF = np.float64(0.5)
+_ONE = np.float64(1.0)
+_INF = np.float64(np.inf)
+
+
+class _Features(NamedTuple):
+    """Squared distances to the features of a triangle; inf for those that are not projected onto.
+
+    Attributes
+    ----------
+    vertices, edges : triple of float64
+        Of a, b, c; and of ab, bc, ca without their ends.
+    face : float64
+        Without its edges.
+    along : triple of float64
+        Places on the edges, from -1 at their first to 1 at their second end.
+    weights : triple of float64
+        Areas opposite to a, b, c, to a common scale.
+    """
+
+    vertices: tuple[object, object, object]
+    edges: tuple[object, object, object]
+    face: object
+    along: tuple[object, object, object]
+    weights: tuple[object, object, object]
+
+
+class Foot(NamedTuple):
+    """The point of a triangle nearest to another point.
+
+    Attributes
+    ----------
+    squared : float64
+        Squared distance, as `squared_distance` has it.
+    x, y, z : float64
+    u, v : float64
+        Weights of vertices 1 and 2.
+    """
+
+    squared: float
+    x: float
+    y: float
+    z: float
+    u: float
+    v: float
+
+
+@device
+def _difference(p, q):
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+@device
+def _dot(p, q):
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@device
+def _cross(p, q):
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@device
+def _products(a, b, c, d):
+    """``a * b - c * d``, within two roundings of itself however the products cancel.
+
+    Jeannerod, Louvet and Muller, "Further analysis of Kahan's algorithm for the accurate
+    computation of 2 x 2 determinants", Mathematics of Computation 82, 2013.
+    """
+    product = c * d
+    error = fma(-c, d, product)
+    return fma(a, b, -product) + error
+
+
+@device
+def _normal(p, q):
+    """The cross product, accurate also of vectors that are almost parallel, as a needle's sides."""
+    return (
+        _products(p[1], q[2], p[2], q[1]),
+        _products(p[2], q[0], p[0], q[2]),
+        _products(p[0], q[1], p[1], q[0]),
+    )
+
+
+@device
+def _edge(to_p, to_q, edge):
+    """Squared distance to the inside of an edge pq, and the place on it.
+
+    Parameters
+    ----------
+    to_p, to_q : triple of float64
+        From its ends to the point.
+    edge : triple of float64
+        From p to q.
+
+    Notes
+    -----
+    Twice the vector from the middle to the point is ``to_p + to_q``. Exchanging the ends changes
+    no more than signs.
+    """
+    twice = to_p[0] + to_q[0], to_p[1] + to_q[1], to_p[2] + to_q[2]
+    product, length = _dot(twice, edge), _dot(edge, edge)
+    along = product / length
+    off = twice[0] - along * edge[0], twice[1] - along * edge[1], twice[2] - along * edge[2]
+    return select(absolute(product) < length, _QUARTER * _dot(off, off), _INF), along
+
+
+@device
+def _features(point, a, b, c):
+    to_a, to_b, to_c = _difference(point, a), _difference(point, b), _difference(point, c)
+    ab, bc, ca = _difference(b, a), _difference(c, b), _difference(a, c)
+    at_a, at_b, at_c = _dot(to_a, to_a), _dot(to_b, to_b), _dot(to_c, to_c)
+    on_ab, along_ab = _edge(to_a, to_b, ab)
+    on_bc, along_bc = _edge(to_b, to_c, bc)
+    on_ca, along_ca = _edge(to_c, to_a, ca)
+    # The plane is measured from the nearest vertex, the one with the least rounding.
+    normal = _normal(ca, ab)
+    b_is_nearer = at_b < at_a
+    c_is_nearest = at_c < minimum(at_a, at_b)
+    height = _dot(
+        normal,
+        (
+            select(c_is_nearest, to_c[0], select(b_is_nearer, to_b[0], to_a[0])),
+            select(c_is_nearest, to_c[1], select(b_is_nearer, to_b[1], to_a[1])),
+            select(c_is_nearest, to_c[2], select(b_is_nearer, to_b[2], to_a[2])),
+        ),
+    )
+    from_a, from_b = _cross(to_a, normal), _cross(to_b, normal)
+    of_a, of_b, of_c = _dot(bc, from_b), _dot(ca, from_a), _dot(ab, from_a)
+    is_inside = (of_a > _ZERO) & (of_b > _ZERO) & (of_c > _ZERO)
+    face = select(is_inside, height * height / _dot(normal, normal), _INF)
+    return _Features(
+        (at_a, at_b, at_c),
+        (on_ab, on_bc, on_ca),
+        face,
+        (along_ab, along_bc, along_ca),
+        (of_a, of_b, of_c),
+    )
+
+
+@device
+def squared_distance(point, a, b, c):
+    """Squared distance from a point to a triangle, or to several side by side.
+
+    Parameters
+    ----------
+    point : triple of float64
+    a, b, c : triple of float64, or of float64 vectors
+        The corners.
+
+    Returns
+    -------
+    float64, or float64 vector
+        NaN where a corner is NaN.
+    """
+    at, on, face, _, _ = _features(point, a, b, c)
+    nearest = minimum(face, minimum(on[0], minimum(on[1], on[2])))
+    # In this order a triangle with a NaN has NaN.
+    return minimum(nearest, minimum(at[0], minimum(at[1], at[2])))
+
+
+@device
+def _at(a, b, c, weights, squared):
+    """The foot with these weights of a, b and c."""
+    of_a, of_b, of_c = weights
+    return Foot(
+        squared,
+        of_a * a[0] + of_b * b[0] + of_c * c[0],
+        of_a * a[1] + of_b * b[1] + of_c * c[1],
+        of_a * a[2] + of_b * b[2] + of_c * c[2],
+        of_b,
+        of_c,
+    )
+
+
+@device
+def _between(along):
+    """Weights of an edge's ends at a place on it."""
+    return _HALF * (_ONE - along), _HALF * (_ONE + along)
+
+
+@device
+def foot_on_triangle(point, a, b, c):
+    """The point of a triangle nearest to another point.
+
+    Parameters
+    ----------
+    point, a, b, c : triple of float64
+
+    Returns
+    -------
+    Foot
+        Exactly a vertex, or with a weight of exactly 0 on an edge, where that is nearest.
+    """
+    at, on, _, along, areas = _features(point, a, b, c)
+    least = squared_distance(point, a, b, c)
+    if at[0] == least:
+        return _at(a, b, c, (_ONE, _ZERO, _ZERO), least)
+    if at[1] == least:
+        return _at(a, b, c, (_ZERO, _ONE, _ZERO), least)
+    if at[2] == least:
+        return _at(a, b, c, (_ZERO, _ZERO, _ONE), least)
+    if on[0] == least:
+        p, q = _between(along[0])
+        return _at(a, b, c, (p, q, _ZERO), least)
+    if on[1] == least:
+        p, q = _between(along[1])
+        return _at(a, b, c, (_ZERO, p, q), least)
+    if on[2] == least:
+        p, q = _between(along[2])
+        return _at(a, b, c, (q, _ZERO, p), least)
+    total = areas[0] + areas[1] + areas[2]
+    return _at(a, b, c, (areas[0] / total, areas[1] / total, areas[2] / total), least)

@@ -1,0 +1,359 @@
+"""PointQueries: the queries of a `Tracer` for points rather than rays."""
+
+from __future__ import annotations
+
+import operator
+from abc import abstractmethod
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.closest_points import ClosestPoints
+from raystream.core.memory import check_memory
+from raystream.core.rays import as_real_array
+from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.kernels.point_queries import NearestArrays, PointSource, work_bytes
+from raystream.machines.inside import InsideTest, share_of, winding_of
+from raystream.machines.ray_cast import RayCaster
+from raystream.structures.base import RAYS_PER_CALL
+from raystream.structures.registry import form_of, names_with
+
+__all__ = ["PointQueries"]
+
+#: Most points of a call: sorted together, the more the nearer to each other.
+_POINTS_PER_CALL = 1 << 13
+
+#: A row of the result.
+_ROW_BYTES = 8 + 24 + 4 + 4 + 4
+
+
+class PointQueries(RayCaster):
+    """The queries of a `Tracer` for points; the others take rays."""
+
+    def closest_point(
+        self, points: Any, *, max_distance: Any = np.inf, progress: Progress | None = None
+    ) -> ClosestPoints:
+        """Find the nearest point of the scene's triangles to each point.
+
+        Parameters
+        ----------
+        points : array_like of shape S + (3,), real
+            World space.
+        max_distance : float or array_like that broadcasts to S
+            Greatest distance, inclusive, in world units; at least 0.
+        progress : callable, optional
+            Called with (points done, points).
+
+        Returns
+        -------
+        ClosestPoints
+            ``distance`` of shape S and ``positions`` of shape S + (3,), float64; ``u``, ``v`` and
+            ``prim_id`` of shape S. A point without a triangle within `max_distance`, or with a
+            coordinate that is NaN or infinite, has ``distance = inf`` and ``prim_id = -1``.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, `max_distance` is negative or NaN, or the tracer's structure,
+            device or machine does not support the query: ``structure="bvh"`` and ``"brute"`` on
+            the CPU's branching machine do.
+        TypeError
+            If an array does not hold real numbers.
+        MemoryError
+            If the results do not fit into memory.
+
+        Notes
+        -----
+        The distance is computed in float64, between the point and the triangles' float32
+        coordinates in the scene's local frame: its error is below 2**-48 of the distance and the
+        triangle's size together [1]_. Both structures give the same bits. Equal distances, before
+        the square root: the lowest prim_id wins; triangles that share an edge or a vertex have
+        equal distances to points nearest to it, bit for bit. Degenerate triangles, and those with
+        a NaN or infinite vertex, count as little as they do for rays: the nearest point is never
+        on them.
+
+        References
+        ----------
+        .. [1] ``docs/decisions/0049-closest-point.rst``.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> scene = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        >>> near = rs.Tracer(scene).closest_point([[0.25, 0.25, 2], [3, 0, 0]])
+        >>> near.distance.tolist(), near.positions.tolist()
+        ([2.0, 2.0], [[0.25, 0.25, 0.0], [1.0, 0.0, 0.0]])
+        """
+        return self._nearest(points, None, max_distance, progress)
+
+    def closest_points(
+        self, points: Any, k: int, *, max_distance: Any = np.inf, progress: Progress | None = None
+    ) -> ClosestPoints:
+        """Find the `k` nearest triangles to each point, and their nearest points.
+
+        Parameters
+        ----------
+        points, max_distance, progress
+            See `closest_point`.
+        k : int
+            Triangles per point, at least 1.
+
+        Returns
+        -------
+        ClosestPoints
+            Arrays of shape S + (k,), by increasing distance, then prim_id. Rows without a triangle
+            within `max_distance` come last, with ``distance = inf`` and ``prim_id = -1``.
+
+        Raises
+        ------
+        ValueError, TypeError, MemoryError
+            As `closest_point`, or if `k` is not an integer above 0.
+
+        Notes
+        -----
+        The time of a point grows with `k`, and for large `k` with its square.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> tracer = rs.Tracer(rs.load("cornell"))
+        >>> tracer.closest_points([278.0, 273.0, 280.0], 3).prim_id.tolist()
+        [30, 23, 28]
+        """
+        count = operator.index(k)
+        if count < 1:
+            raise ValueError(f"k: expected a number of triangles >= 1, got {k}")
+        return self._nearest(points, count, max_distance, progress)
+
+    def signed_distance(
+        self,
+        points: Any,
+        *,
+        max_distance: Any = np.inf,
+        method: Literal["rays", "winding"] = "rays",
+        progress: Progress | None = None,
+    ) -> NDArray[np.float64]:
+        """Find the distance of each point from the surface, negative inside.
+
+        Parameters
+        ----------
+        points, max_distance
+            See `closest_point`.
+        method : {"rays", "winding"}
+            How to tell the inside; see `contains`.
+        progress : callable, optional
+            Called with (steps done, steps).
+
+        Returns
+        -------
+        ndarray of shape S, float64
+            World units: `ClosestPoints.distance`, negative where `contains` is true. Infinite
+            beyond `max_distance`, NaN for points with a coordinate that is NaN or infinite.
+
+        Raises
+        ------
+        ValueError, TypeError, MemoryError
+            See `closest_point` and `contains`.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> corners = [[x, y, z] for x in (0, 2) for y in (0, 2) for z in (0, 2)]
+        >>> sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4],
+        ...     [1, 5, 7, 3]]
+        >>> faces = [half for a, b, c, d in sides for half in ([a, b, c], [a, c, d])]
+        >>> box = rs.Tracer(rs.Scene.from_arrays(corners, faces))
+        >>> box.signed_distance([[1, 1, 1.5], [1, 1, 5]]).tolist()
+        [-0.5, 3.0]
+        """
+        test = InsideTest(self, method)  # first: it may refuse
+        total = 5  # of the progress: the distance counts as one part, the inside as four
+        nearest = self._nearest(points, None, max_distance, share_of(progress, 0, 1, total))
+        inside = test.inside(_points_of(points), share_of(progress, 1, 4, total))
+        distance = nearest.distance.reshape(-1)
+        distance[inside] *= -1.0
+        distance[nearest.status.reshape(-1) != 0] = np.nan
+        return distance.reshape(nearest.status.shape)
+
+    def contains(
+        self,
+        points: Any,
+        *,
+        method: Literal["rays", "winding"] = "rays",
+        progress: Progress | None = None,
+    ) -> NDArray[np.bool_]:
+        """Find which points lie inside the surface.
+
+        Parameters
+        ----------
+        points : array_like of shape S + (3,), real
+            World space.
+        method : {"rays", "winding"}
+            Count the crossings of three rays in different directions with a closed surface; where
+            they disagree, the winding number decides. Or use winding numbers for all points, which
+            suits open surfaces, too: inside is where they are above 1/2 or below -1/2.
+        progress : callable, optional
+            Called with (steps done, steps).
+
+        Returns
+        -------
+        ndarray of shape S, bool
+            False for points with a coordinate that is NaN or infinite.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit; if `method` is unknown; or if it is ``"rays"``, and the scene's
+            surface is not closed: then the parity of crossings means nothing.
+        TypeError
+            If the points are not real numbers.
+
+        Notes
+        -----
+        On every structure, device and machine. The surface is that of all meshes together, and it
+        is closed if its triangles traverse each edge as often in one direction as in the other.
+        With ``"rays"``, a point within two closed meshes at once is outside, as it is within none
+        or all of several nested ones by turns; with ``"winding"`` it is inside, if their faces
+        have the same orientation.
+
+        Rays begin at the points rounded to float32 in the scene's local frame: a point that is
+        nearer to the surface than that, or on it, may be on either side.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> spheres = rs.Tracer(rs.load("spheres"))
+        >>> spheres.contains([[0.0, 0.0, 0.0]], method="winding").shape
+        (1,)
+        """
+        test = InsideTest(self, method)
+        given = _points_of(points)
+        return test.inside(given, progress).reshape(given.shape[:-1])
+
+    def winding_number(
+        self, points: Any, *, progress: Progress | None = None
+    ) -> NDArray[np.float64]:
+        """Compute how often the surface surrounds each point.
+
+        Parameters
+        ----------
+        points : array_like of shape S + (3,), real
+            World space.
+        progress : callable, optional
+            Called with (points done, points).
+
+        Returns
+        -------
+        ndarray of shape S, float64
+            The generalised winding number [1]_: the sum of the triangles' signed solid angles
+            divided by 4 pi. Of a closed surface with outward normals it is 1 inside and 0 outside,
+            within rounding; of an open one something between. NaN for points with a coordinate
+            that is NaN or infinite.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the points are not real numbers of shape S + (3,).
+
+        Notes
+        -----
+        Exact but for rounding, and no hierarchy: each point takes time proportional to the number
+        of triangles, about 3 ns each on one core.
+
+        References
+        ----------
+        .. [1] Jacobson, Kavan and Sorkine-Hornung, "Robust Inside-Outside Segmentation using
+           Generalized Winding Numbers", ACM Transactions on Graphics 32(4), 2013.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> triangle = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        >>> rs.Tracer(triangle).winding_number([0.0, 0.0, -1e-9]).round(3).item()
+        0.125
+        """
+        given = _points_of(points)
+        numbers = winding_of(self.structure.triangles, given.reshape(-1, 3), progress)
+        return numbers.reshape(given.shape[:-1])
+
+    @abstractmethod
+    def count_hits(
+        self, origins: Any, directions: Any, *, crossings: Any = ..., progress: Any = None
+    ) -> NDArray[np.int64]:
+        """See `Tracer.count_hits`."""
+
+    def _nearest(
+        self, points: Any, k: int | None, max_distance: Any, progress: Progress | None
+    ) -> ClosestPoints:
+        """The nearest triangle of each point, or the nearest `k` in a further dimension."""
+        kernel = self._point_loop()
+        given = _points_of(points)
+        shape = given.shape[:-1]
+        limits = _limits_of(max_distance, shape)
+        source = PointSource(np.ascontiguousarray(given.reshape(-1, 3), np.float64), limits)
+        count, capacity = len(source.points), 1 if k is None else k
+        remedy = "give fewer points or a smaller k"
+        rows = count * capacity
+        check_memory(rows * _ROW_BYTES, f"{rows:,} nearest triangles would", remedy)
+        out = NearestArrays.empty(count, capacity)
+        structure = self.structure
+        shared = source, structure.frame, structure.arrays, np.int64(capacity)
+
+        def body(begin: int, end: int) -> None:
+            work = np.empty(work_bytes(end - begin, capacity), np.uint8)
+            kernel(begin, end, *shared, work, out)
+
+        parallel_for(body, count, self._points_per_call(count), progress)
+        wide = shape if k is None else (*shape, k)
+        return ClosestPoints(
+            out.distance.reshape(wide),
+            out.positions.reshape(*wide, 3),
+            (out.u.reshape(wide), out.v.reshape(wide)),
+            out.prim_id.reshape(wide),
+            out.status.reshape(shape),
+            structure.triangles,
+        )
+
+    def _point_loop(self) -> Any:
+        """The structure's loop over points."""
+        loop = form_of(self.structure.name, "nearest")
+        if loop is None or self.device != "cpu" or self.machine != "branching":
+            names = " or ".join(f"structure={name!r}" for name in names_with("nearest"))
+            raise ValueError(
+                f"closest points are not supported by structure={self.structure.name!r}, "
+                f"device={self.device!r}, machine={self.machine!r}; use {names} with "
+                "device='cpu' and machine='branching'"
+            )
+        return loop
+
+    def _points_per_call(self, count: int) -> int:
+        per_call = self.structure.rays_per_call()
+        # Fewer than the default: the structure is slow, and a point takes longer than a ray.
+        most = _POINTS_PER_CALL if per_call >= RAYS_PER_CALL else max(per_call // 8, 1)
+        return min(most, max(256, -(-count // (4 * thread_count()))))
+
+
+def _points_of(points: Any) -> NDArray[Any]:
+    """Points of shape (..., 3)."""
+    array = as_real_array("points", points)
+    if array.ndim == 1 and array.size == 0:
+        array = array.reshape(0, 3)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise ValueError(f"points: expected shape (..., 3), got {array.shape}")
+    return array
+
+
+def _limits_of(max_distance: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Greatest distances, of shape (N,), or (1,) for one that all points have."""
+    array = as_real_array("max_distance", max_distance).astype(np.float64)
+    if not (array >= 0.0).all():
+        raise ValueError("max_distance: expected numbers >= 0, got a negative one or NaN")
+    if array.ndim == 0:
+        return array.reshape(1)
+    try:
+        return np.ascontiguousarray(np.broadcast_to(array, shape).reshape(-1))
+    except ValueError:
+        raise ValueError(
+            f"max_distance: shape {array.shape} does not broadcast to the points' shape {shape}"
+        ) from None

@@ -1,0 +1,34 @@
+"""The nearest triangles of a point by brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import load
+from raystream.kernels.leaf_block import TRIANGLE_BYTES
+from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
+from raystream.kernels.point_queries import point_queries
+from raystream.kernels.point_triangle import squared_distance
+
+__all__ = ["find_nearest"]
+
+_WORD = np.uint64(2)  # four bytes, as a shift
+_STRIDE = np.int32(4)
+
+
+@device
+def _find(tree, frame, point, search, stack):
+    """Test every triangle; see `kernels.point_queries.point_queries` for the arguments."""
+    for k in range(tree.triangle_count):
+        prim_id = load(np.int32, tree.references + (k << _WORD))
+        place = tree.corners + np.uint64(prim_id) * TRIANGLE_BYTES
+        a, b, c = corners_at(place, _STRIDE)
+        squared = squared_distance(point, a, b, c)
+        if is_wanted(search, squared, prim_id):
+            search = offer_nearest(search, squared, prim_id, place, _STRIDE)
+    return search
+
+
+#: The loop over points.
+find_nearest = point_queries(_find, 8)

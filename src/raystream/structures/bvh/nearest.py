@@ -1,0 +1,191 @@
+"""The nearest triangles of a point in the wide tree.
+
+The boxes of a node's eight children are tested at once, in float32, with bounds of the rounding: a
+box is left out only if its distance exceeds the limit for sure. The children within are visited by
+increasing distance. The triangles of a leaf block are tested at once, in float64, by the function
+that defines the distance, so the answers have the bits of brute force.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    count_trailing_zeros,
+    f32x4,
+    f32x8,
+    f64x8,
+    float_as_bits,
+    fma,
+    i32x8,
+    lane_numbers,
+    load,
+    mask_bits,
+    maximum,
+    minimum,
+    narrow,
+    next_float_up,
+    scratch,
+    store,
+    widen,
+)
+from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
+from raystream.kernels.nearest import is_wanted, offer_nearest
+from raystream.kernels.point_queries import point_queries
+from raystream.kernels.point_triangle import squared_distance
+from raystream.structures.bvh.layout import STACK_SIZE
+from raystream.structures.bvh.node_layout import CHILDREN, LANE, NODE, Node
+from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
+from raystream.structures.bvh.traversal import STACK_BYTES
+
+__all__ = ["find_nearest"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # four bytes, as a shift
+_DOUBLE = np.uint64(3)  # eight bytes, as a shift
+_STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
+_KEY_BITS = np.int32(~7)
+_ZERO = np.float32(0.0)
+_ZERO64 = np.float64(0.0)
+
+#: Below infinity, the distance of absent children.
+_MOST = np.float32(np.finfo(np.float32).max)
+
+#: Points further from the origin than this many times the scene's largest coordinate: in float32
+#: the rounding of the point would be too much of the differences between boxes.
+_FAR = np.float64(64.0)
+
+#: Squared distances of boxes are reduced by these, a factor and, for numbers that vanish, a
+#: difference: more than their rounding, which is below 6 * 2**-24 of them.
+_SHRINK = np.float32(1.0 - 2.0**-20)
+_LOSS = np.float32(-(2.0**-140))
+_SHRINK64 = np.float64(1.0 - 2.0**-20)
+
+#: Bytes of half the stack, for the deepest tree.
+_HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
+
+#: The rows of a node's planes.
+_LOW_X, _HIGH_X, _LOW_Y, _HIGH_Y, _LOW_Z, _HIGH_Z = map(np.uint64, range(6))
+
+
+@device
+def _gap(low, high, below, above):
+    """How far a point between `below` and `above` is at least from intervals, in float32."""
+    return maximum(maximum(low - above, below - high), f32x8(_ZERO))
+
+
+@device
+def _far_gap(low, high, x):
+    return maximum(maximum(widen(low) - x, x - widen(high)), f64x8(_ZERO64))
+
+
+@device
+def _keys(distances):
+    """Sort keys of children, see `steps.enter`."""
+    return (float_as_bits(distances) & _KEY_BITS) | lane_numbers(i32x8)
+
+
+@device
+def _enter(planes, point, near, search, limit):
+    """Find the boxes within the limit; see `steps.enter` for the results."""
+    below, above, is_far = near
+    if is_far:
+        x = _far_gap(planes[_LOW_X], planes[_HIGH_X], point[0])
+        y = _far_gap(planes[_LOW_Y], planes[_HIGH_Y], point[1])
+        z = _far_gap(planes[_LOW_Z], planes[_HIGH_Z], point[2])
+        squared = (x * x + y * y + z * z) * _SHRINK64
+        return _keys(minimum(narrow(squared), f32x8(_MOST))), squared <= search.limit
+    x = _gap(planes[_LOW_X], planes[_HIGH_X], below[0], above[0])
+    y = _gap(planes[_LOW_Y], planes[_HIGH_Y], below[1], above[1])
+    z = _gap(planes[_LOW_Z], planes[_HIGH_Z], below[2], above[2])
+    distances = maximum(fma(x * x + y * y + z * z, _SHRINK, _LOSS), f32x8(_ZERO))
+    return _keys(distances), distances <= limit
+
+
+@device
+def _below(x):
+    """A float32 below a float64."""
+    return -next_float_up(np.float32(-x))
+
+
+@device
+def _above(x):
+    """A float32 above a float64."""
+    return next_float_up(np.float32(x))
+
+
+@device
+def _near(point, frame):
+    """A point as the test of boxes takes it: numbers below and above, and whether it is far."""
+    x, y, z = point
+    is_far = max(max(abs(x), abs(y)), abs(z)) > _FAR * np.float64(frame.max_coordinate)
+    return (_below(x), _below(y), _below(z)), (_above(x), _above(y), _above(z)), is_far
+
+
+@device
+def _limit(search):
+    """The search's limit in float32, not below it."""
+    return min(_above(search.limit), _MOST)
+
+
+@device
+def _corner(at):
+    x, y, z = load(f32x4, at), load(f32x4, at + AXIS), load(f32x4, at + (AXIS + AXIS))
+    return widen(x), widen(y), widen(z)
+
+
+@device
+def _offer_block(block, point, search, lanes):
+    """Offer the triangles of a leaf block."""
+    a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
+    squared = squared_distance(point, a, b, c)
+    bits = mask_bits(squared <= search.limit)
+    if bits != _NONE:
+        store(lanes, squared)
+        while bits != _NONE:
+            lane = count_trailing_zeros(bits)
+            bits &= bits - _ONE
+            of_lane = load(np.float64, lanes + (lane << _DOUBLE))
+            place = block + (lane << _WORD)
+            prim_id = load(np.int32, place + PRIM_IDS)
+            if is_wanted(search, of_lane, prim_id):
+                search = offer_nearest(search, of_lane, prim_id, place, _STRIDE)
+    return search
+
+
+@device
+def _find(tree, frame, point, search, stack):
+    """Search the tree; see `kernels.point_queries.point_queries` for the arguments."""
+    lanes = scratch(64)
+    near = _near(point, frame)
+    limit = _limit(search)
+    top = begin(tree, _ZERO, limit, stack, _HALF)
+    found, child, top = next_entry(stack, _HALF, top, limit)
+    while found:
+        if is_leaf(child):
+            block, end = leaf_blocks(tree, child)
+            while block != end:
+                search = _offer_block(block, point, search, lanes)
+                block += BLOCK
+            limit = _limit(search)
+        else:
+            node = tree.nodes + np.uint64(child) * NODE
+            keys, entered = _enter(Node(node).planes, point, near, search, limit)
+            bits = mask_bits(entered)
+            if bits != _NONE:
+                if bits & (bits - _ONE) == _NONE:
+                    at = node + CHILDREN + (count_trailing_zeros(bits) << _WORD)
+                    child = load(np.int32, at)
+                    continue
+                top = push(node, keys, entered, False, stack, _HALF, top)
+                top -= LANE  # the last one is within the limit
+                child = load(np.int32, stack + _HALF + top)
+                continue
+        found, child, top = next_entry(stack, _HALF, top, limit)
+    return search
+
+
+#: The loop over points.
+find_nearest = point_queries(_find, STACK_BYTES)
