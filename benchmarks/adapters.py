@@ -110,6 +110,13 @@ def open3d_pair(vertices, faces, origins, directions):
             lambda name=name: getattr(theirs, name)(rays),
             lambda name=name: getattr(ours, name)(rays),
         )
+    points = tensor(origins[: len(origins) // 4].astype(np.float32))
+    for name in ("compute_closest_points", "compute_signed_distance"):
+        yield (
+            f"Open3D {name}",
+            lambda name=name: getattr(theirs, name)(points),
+            lambda name=name: getattr(ours, name)(points),
+        )
 
 
 def edges():

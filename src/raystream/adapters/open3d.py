@@ -1,4 +1,4 @@
-"""Open3D's ray queries: `RaycastingScene`, with NumPy arrays or Open3D's tensors."""
+"""Open3D's queries: `RaycastingScene`, with NumPy arrays or Open3D's tensors."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.adapters.open3d_arrays import as_rays, ids_of, mesh_arrays, results_like
+from raystream.adapters.open3d_arrays import as_rays, hit_columns, mesh_arrays, results_like
 from raystream.adapters.open3d_cameras import matrices_of_view, pinhole_rays
+from raystream.adapters.open3d_points import PointMethods
 from raystream.adapters.plane_points import unit_normals
-from raystream.core.hits import Hits, MultiHits
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -25,8 +25,8 @@ _PINHOLE = (
 )
 
 
-class RaycastingScene:
-    """Open3D's ray queries, answered by a `Tracer`.
+class RaycastingScene(PointMethods):
+    """Open3D's queries of rays and points, answered by a `Tracer`.
 
     It takes the place of ``open3d.t.geometry.RaycastingScene``: the same methods, arguments and
     dictionaries. Open3D need not be installed.
@@ -60,9 +60,8 @@ class RaycastingScene:
     - A ray through an edge or a vertex hits all triangles there, never none; of equally near ones
       `cast_rays` gives the first that was added.
     - All distances in [tnear, tfar] count, both ends included.
-
-    The closest-point methods (``compute_closest_points``, ``compute_distance``,
-    ``compute_signed_distance``, ``compute_occupancy``) are missing.
+    - Distances of points are computed in float64, and inside tests count crossings that are right
+      at edges and vertices, so that ``nsamples=1`` is enough for closed meshes.
 
     Examples
     --------
@@ -150,7 +149,7 @@ class RaycastingScene:
         operator.index(nthreads)
         tracer = self._tracer()
         hits = tracer.first_hit(*as_rays(rays))
-        columns = _columns(hits, len(self._meshes))
+        columns = {"t_hit": hits.t, **hit_columns(hits, len(self._meshes))}
         columns["primitive_normals"] = self._normals_of(tracer)[hits.prim_id]
         like = results_like(rays)
         return {name: like(column) for name, column in columns.items()}
@@ -238,7 +237,7 @@ class RaycastingScene:
         like = results_like(rays)
         wide = np.uint32 if len(many.t) <= self.INVALID_ID else np.int64
         rows = {"ray_splits": many.ray_splits.astype(wide), "ray_ids": many.ray_id.astype(wide)}
-        columns = rows | _columns(many, len(self._meshes))
+        columns = rows | {"t_hit": many.t} | hit_columns(many, len(self._meshes))
         return {name: like(column) for name, column in columns.items()}
 
     @staticmethod
@@ -308,19 +307,3 @@ class RaycastingScene:
 
 def _has_matrices(args: tuple[Any, ...], kwargs: dict[str, Any]) -> bool:
     return "intrinsic_matrix" in kwargs or (bool(args) and np.ndim(args[0]) == 2)
-
-
-def _columns(hits: Hits | MultiHits, mesh_count: int) -> dict[str, NDArray[Any]]:
-    """The columns that nearest hits and all hits share."""
-    if mesh_count == 1:
-        geometry_ids, primitive_ids = np.minimum(hits.prim_id, 0), hits.prim_id
-    else:
-        geometry_ids, primitive_ids = hits.mesh_id, hits.mesh_prim_id
-    weights = np.empty((*hits.t.shape, 2), np.float32)
-    weights[..., 0], weights[..., 1] = hits.u, hits.v
-    return {
-        "t_hit": hits.t,
-        "geometry_ids": ids_of(geometry_ids),
-        "primitive_ids": ids_of(primitive_ids),
-        "primitive_uvs": weights,
-    }

@@ -9,9 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hits import HitColumns
 from raystream.core.rays import as_host_array, as_real_array
 
-__all__ = ["TensorLike", "as_rays", "ids_of", "is_tensor", "mesh_arrays", "results_like"]
+__all__ = [
+    "TensorLike",
+    "as_points",
+    "as_rays",
+    "hit_columns",
+    "is_tensor",
+    "mesh_arrays",
+    "results_like",
+]
 
 
 class TensorLike(np.ndarray[Any, Any]):
@@ -62,6 +71,20 @@ def as_rays(rays: Any) -> tuple[NDArray[Any], NDArray[Any]]:
     return array[..., :3], array[..., 3:]
 
 
+def as_points(query_points: Any) -> NDArray[Any]:
+    """Points of shape (..., 3).
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shape is another, or the values are not real numbers.
+    """
+    array = as_real_array("query_points", host_array("query_points", query_points))
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise ValueError(f"query_points: expected shape (..., 3), got {array.shape}")
+    return array
+
+
 def ids_of(ids: NDArray[np.int32]) -> NDArray[np.uint32]:
     """Numbers as uint32: -1, a miss, becomes ``INVALID_ID``."""
     return ids.view(np.uint32)
@@ -87,3 +110,18 @@ def mesh_arrays(positions: Any, indices: Any) -> tuple[NDArray[Any], NDArray[Any
                 f"triangle_indices; got {type(mesh).__name__} alone"
             )
     return host_array("vertex_positions", positions), host_array("triangle_indices", indices)
+
+
+def hit_columns(hits: HitColumns, mesh_count: int) -> dict[str, NDArray[Any]]:
+    """Triangles and weights, of hits or of closest points."""
+    if mesh_count == 1:
+        geometry_ids, primitive_ids = np.minimum(hits.prim_id, 0), hits.prim_id
+    else:
+        geometry_ids, primitive_ids = hits.mesh_id, hits.mesh_prim_id
+    weights = np.empty((*hits.u.shape, 2), np.float32)
+    weights[..., 0], weights[..., 1] = hits.u, hits.v
+    return {
+        "geometry_ids": ids_of(geometry_ids),
+        "primitive_ids": ids_of(primitive_ids),
+        "primitive_uvs": weights,
+    }
