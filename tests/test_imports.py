@@ -36,6 +36,7 @@ ROOMS = (
     "torch",
     "jax",
     "bench",
+    "adapters",
     "cli",
 )
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
     from raystream.physics.sweeps import lidar_sweep
+    from raystream.physics.terrain import terrain
     from raystream.programs.decisions import Decision
     from raystream.ray_files.query import query_zarr
     from raystream.rendering.frames import render_frames
@@ -115,6 +116,7 @@ _HOMES = {
     "render": "rendering.render",
     "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",
+    "terrain": "physics.terrain",
     "thickness": "physics.segments",
     "thread_count": "jit.threads",
     "view": "viewer.notebook",
@@ -173,6 +175,7 @@ __all__ = [
     "set_thread_count",
     "streams",
     "sweep_patterns",
+    "terrain",
     "textures",
     "thickness",
     "thread_count",

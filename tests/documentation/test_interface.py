@@ -15,6 +15,8 @@ PAGE = (REPOSITORY / "docs" / "api.rst").read_text(encoding="utf-8")
 
 #: Modules whose names are for users, beside the package's own.
 MODULES = (
+    "adapters.open3d",
+    "adapters.trimesh",
     "cluster",
     "cuda.streams",
     "graphics",
@@ -25,6 +27,7 @@ MODULES = (
     "physics.lidar",
     "physics.sweep_patterns",
     "physics.sweeps",
+    "physics.terrain",
     "programs",
     "rendering.render",
     "rendering.compare",
@@ -56,7 +59,7 @@ NAMES = """
     daylight heatmap lidar_returns load query_zarr render render_frames set_thread_count streams
     textures thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
     register_structure Cpu Cuda Graphics Branching Compute Multipass
-    SensorTrack lidar_sweep sweep_patterns
+    SensorTrack lidar_sweep sweep_patterns terrain
 """
 
 

@@ -1,1 +1,1 @@
-"""Applications of ordered hits: thickness, attenuation, LiDAR returns."""
+"""Applications of ordered hits: thickness, attenuation, LiDAR returns, terrain."""

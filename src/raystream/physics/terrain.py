@@ -1,0 +1,339 @@
+"""Terrain: elevation rasters as scenes, their viewsheds and hillshades."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from raystream.core.memory import check_memory
+from raystream.core.rays import as_number, as_real_array
+from raystream.jit.threads import Progress
+from raystream.physics.elevation import Elevation, Georeference, elevation_of
+from raystream.physics.hillshade import brightness, direction_to_sun
+from raystream.physics.terrain_mesh import triangulated
+from raystream.scene.mesh import Mesh
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = ["BYTES_PER_CELL", "Terrain", "terrain"]
+
+#: Most memory that a cell takes while the structure is built, with the arrays of the mesh.
+BYTES_PER_CELL = 600
+
+#: Cells per band: bounds the memory of all but the results.
+_CELLS_PER_BAND = 1 << 18
+
+#: Least height of an eye, as part of the terrain's size, that float32 tells from the ground.
+_LEAST_HEIGHT = 2.0**-20
+
+
+class Terrain:
+    """An elevation raster as a scene; made by `terrain`.
+
+    Attributes
+    ----------
+    tracer : Tracer
+        For other queries of the terrain; ``tracer.scene`` is the scene, of one mesh.
+    heights : ndarray of shape (H, W), float64
+        At the centres of the cells; NaN where there is no data.
+    x, y : ndarray of shape (W,) and (H,), float64
+        Coordinates of columns and of rows.
+    """
+
+    def __init__(self, elevation: Elevation, tracer: Tracer) -> None:
+        self._elevation = elevation
+        self.tracer = tracer
+        self.heights, self.x, self.y = elevation[:3]
+        low, high = tracer.scene.bounds
+        self._size = float((high - low).max())
+
+    @property
+    def scene(self) -> Scene:
+        """The scene: z is up."""
+        return self.tracer.scene
+
+    def elevation(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Heights of the ground between the cells' centres.
+
+        Parameters
+        ----------
+        x, y : array_like of shapes that broadcast, real
+
+        Returns
+        -------
+        ndarray of that shape, float64
+            On the triangles; NaN outside the raster, and where there is no data.
+        """
+        columns, rows = as_real_array("x", x), as_real_array("y", y)
+        try:
+            points = np.broadcast_arrays(columns.astype(np.float64), rows.astype(np.float64))
+        except ValueError:
+            raise ValueError(
+                f"x, y: shapes {columns.shape} and {rows.shape} do not broadcast against each other"
+            ) from None
+        return self._elevation.at(*points)
+
+    def viewshed(
+        self,
+        observer: Any,
+        height: float,
+        *,
+        target_height: float = 0.0,
+        max_distance: float = math.inf,
+        progress: Progress | None = None,
+    ) -> Any:
+        """Find the cells that an observer sees.
+
+        Parameters
+        ----------
+        observer : array_like of shape (2,), real
+            x and y of the observer, on ground with data.
+        height : float
+            Of the eye above the ground there, more than 0.
+        target_height : float
+            Of what is looked at above the ground, in each cell.
+        max_distance : float
+            From the eye to what is looked at; farther cells are not visible.
+        progress : callable, optional
+            Called with (rows done, rows).
+
+        Returns
+        -------
+        ndarray of shape (H, W), bool, or DataArray
+            Whether the line from the eye to the centre of each cell is clear: no triangle is in
+            the way but those around that cell. False where there is no data. A DataArray, named
+            "viewshed", if the terrain was made of one.
+
+        Raises
+        ------
+        ValueError
+            If there is no ground at the observer, `height` is not above 0 (or too small for
+            float32, see Notes), or `target_height` or `max_distance` is negative or NaN.
+
+        Notes
+        -----
+        The ground is made of flat triangles, lines are straight, and the Earth is flat: for its
+        curvature, lower the heights by distance**2 / (2 * radius) beforehand. Lines that clear the
+        ground by less than 2**-20 of the terrain's size (1 cm in 10 km) may be reported either
+        way. Rays are traced in bands of rows, which bounds the memory.
+        """
+        eye = self._eye(observer, height)
+        target_height = _at_least("target_height", target_height, 0.0)
+        max_distance = _at_least("max_distance", max_distance, 0.0)
+        visible = np.zeros(self.heights.shape, np.bool_)
+        for rows in self._bands(progress):
+            cells = np.flatnonzero(np.isfinite(self.heights[rows]))
+            targets, vertices = self._centers(rows, cells)
+            targets[:, 2] += target_height
+            sight = targets - eye
+            if max_distance < math.inf:
+                is_near = np.linalg.norm(sight, axis=1) <= max_distance
+                cells, sight, vertices = cells[is_near], sight[is_near], vertices[is_near]
+            visible[rows].reshape(-1)[cells] = self._is_clear(eye, sight, vertices)
+        return self._elevation.labelled(visible, "viewshed")
+
+    def hillshade(
+        self,
+        azimuth: float = 315.0,
+        altitude: float = 45.0,
+        *,
+        shadows: bool = False,
+        progress: Progress | None = None,
+    ) -> Any:
+        """Shade the ground in sunlight.
+
+        Parameters
+        ----------
+        azimuth : float
+            Of the sun, degrees clockwise from north, the direction of increasing y.
+        altitude : float
+            Of the sun, degrees above the horizon, more than 0 and at most 90.
+        shadows : bool
+            Trace rays, and shade what lies in the shadow of other ground.
+        progress : callable, optional
+            Called with (rows done, rows).
+
+        Returns
+        -------
+        ndarray of shape (H, W), float32, or DataArray
+            Cosine of the angle between the sun and the ground's normal, 0 to 1; 0 where the ground
+            faces away or, with `shadows`, in shadow; NaN where there is no data, or no neighbour in
+            the row or in the column. A DataArray, named "hillshade", if the terrain was made of
+            one.
+
+        Raises
+        ------
+        ValueError
+            If `azimuth` is not finite, or `altitude` is out of range.
+
+        Notes
+        -----
+        Slopes are those of the parabola through a cell and its neighbours in the row, and in the
+        column; of a line, at the border and beside cells without data.
+        """
+        azimuth, altitude = as_number("azimuth", azimuth), as_number("altitude", altitude)
+        if not math.isfinite(azimuth):
+            raise ValueError(f"azimuth: expected a finite number, got {azimuth}")
+        if not 0.0 < altitude <= 90.0:
+            raise ValueError(f"altitude: expected more than 0 and at most 90, got {altitude}")
+        sun = direction_to_sun(azimuth, altitude)
+        shade = np.empty(self.heights.shape, np.float32)
+        for rows in self._bands(progress):
+            shade[rows] = brightness(self._elevation, rows, sun)
+            if not shadows:
+                continue
+            cells = np.flatnonzero(shade[rows] > 0.0)
+            targets, vertices = self._centers(rows, cells)
+            reach = 4.0 * self._size * sun  # leaves the scene's box
+            is_lit = self._is_clear(targets + reach, -reach, vertices)
+            shade[rows].reshape(-1)[cells[~is_lit]] = 0.0
+        return self._elevation.labelled(shade, "hillshade")
+
+    def _eye(self, observer: Any, height: float) -> NDArray[np.float64]:
+        place = as_real_array("observer", observer).astype(np.float64)
+        if place.shape != (2,):
+            raise ValueError(f"observer: expected x and y, got shape {place.shape}")
+        ground = float(self._elevation.at(*place[:, None])[0])
+        if math.isnan(ground):
+            raise ValueError(
+                f"observer: no ground at ({place[0]:g}, {place[1]:g}); x is from "
+                f"{self.x.min():g} to {self.x.max():g}, y from {self.y.min():g} to "
+                f"{self.y.max():g}, without cells that have no data"
+            )
+        least = _LEAST_HEIGHT * self._size
+        height = as_number("height", height)
+        if not least < height < math.inf:
+            raise ValueError(
+                f"height: expected a finite number above {least:.3g} (2**-20 of the terrain's "
+                f"size), got {height}"
+            )
+        return np.array([*place, ground + height])
+
+    def _centers(
+        self, rows: slice, cells: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        """Points on the ground at cells of a band, and their numbers among the vertices."""
+        row, column = np.divmod(cells, len(self.x))
+        row += rows.start
+        points = np.stack([self.x[column], self.y[row], self.heights[row, column]], axis=1)
+        return points, row * len(self.x) + column
+
+    def _is_clear(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        vertices: NDArray[np.intp],
+    ) -> NDArray[np.bool_]:
+        """Whether rays reach their ends, at or above these vertices, before other triangles.
+
+        The triangles around a vertex are never in the way: they lie below a line that begins above
+        the ground and ends above the vertex, and only rounding makes it hit them before it ends.
+        """
+        hits = self.tracer.first_hit(origins, directions, t_max=1.0)
+        faces = self.scene.meshes[0].faces
+        is_clear = ~hits.is_hit
+        rows = np.flatnonzero(hits.is_hit)
+        a, b, c = faces[hits.prim_id[rows]].T
+        ends = vertices[rows]
+        is_clear[rows] = (a == ends) | (b == ends) | (c == ends)
+        return is_clear
+
+    def _bands(self, progress: Progress | None) -> Iterator[slice]:
+        row_count, column_count = self.heights.shape
+        size = max(1, _CELLS_PER_BAND // column_count)
+        for first in range(0, row_count, size):
+            rows = slice(first, min(first + size, row_count))
+            yield rows
+            if progress:
+                progress(rows.stop, row_count)
+
+    def __repr__(self) -> str:
+        row_count, column_count = self.heights.shape
+        triangle_count = self.scene.triangle_count
+        return f"Terrain({row_count:,} x {column_count:,} cells, {triangle_count:,} triangles)"
+
+
+def terrain(
+    dem: Any,
+    *,
+    spacing: Any = None,
+    transform: Any = None,
+    nodata: float | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Terrain:
+    """Make a scene of an elevation raster.
+
+    Parameters
+    ----------
+    dem : array_like of shape (H, W), real, or xarray.DataArray
+        Heights at the centres of cells, at least 2 x 2. NaN, or masked, where there is no data.
+        Of a DataArray the last dimension is x; its coordinates are used, if it has any, and
+        ``attrs["_FillValue"]``.
+    spacing : float or array_like of shape (2,), optional
+        Distance between columns, and between rows; negative if rows run from north to south. The
+        first cell's centre is at (0, 0) [default: 1].
+    transform : sequence of 6 or 9 numbers, optional
+        In place of `spacing`, as rasterio's ``Affine`` (a, b, c, d, e, f): the corner of column i
+        and row j is at x = a i + c, y = e j + f. Rotated rasters (b or d not 0) are not supported.
+    nodata : float, optional
+        A height that stands for no data.
+    progress : callable, optional
+        Called with (triangles done, triangles) during a long build.
+    **options
+        Of the `Tracer`, such as ``structure`` and ``device``.
+
+    Returns
+    -------
+    Terrain
+
+    Raises
+    ------
+    ValueError
+        If `dem` has another shape, infinite heights, or dimensions in degrees (heights are not); or
+        if coordinates do not increase or decrease throughout.
+    TypeError
+        If `dem` does not hold real numbers.
+    MemoryError
+        If the terrain needs more memory than is free: at most 600 bytes for each cell.
+
+    Notes
+    -----
+    Each square of four neighbouring centres is two triangles, split from the corner of the lower
+    row and column number to the opposite one; triangles share vertices, so that no ray slips
+    between them. Triangles with a corner without data are left out: such cells are holes. Results
+    are those of this surface: nothing is known of the ground between the centres.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import raystream as rs
+    >>> heights = np.zeros((5, 9))
+    >>> heights[:, 4] = 3.0  # a wall
+    >>> ground = rs.terrain(heights, spacing=10.0)
+    >>> ground.viewshed((0.0, 20.0), height=2.0)[2].astype(int).tolist()
+    [1, 1, 1, 1, 1, 0, 0, 0, 0]
+    """
+    elevation = elevation_of(dem, Georeference(spacing, transform), nodata)
+    cell_count = elevation.heights.size
+    check_memory(
+        BYTES_PER_CELL * cell_count,
+        f"dem: a terrain of {cell_count:,} cells would",
+        "use fewer cells, as in dem[::2, ::2]",
+    )
+    vertices, faces = triangulated(elevation)
+    if not len(faces):
+        raise ValueError("dem: no square of four neighbouring cells has data for a triangle")
+    scene = Scene([Mesh(vertices, faces, name="terrain")], up=(0.0, 0.0, 1.0), name="terrain")
+    return Terrain(elevation, Tracer(scene, progress=progress, **options))
+
+
+def _at_least(name: str, value: float, low: float) -> float:
+    number = as_number(name, value)
+    if not number >= low:
+        raise ValueError(f"{name}: expected a number >= {low:g}, got {number}")
+    return number
