@@ -30,6 +30,7 @@ ROOMS = (
     "graphics",
     "stepper",
     "ray_files",
+    "line_of_sight",
     "cluster",
     "viewer",
     "bench",

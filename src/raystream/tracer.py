@@ -15,7 +15,7 @@ from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfa
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
 from raystream.machines.devices import device_of
-from raystream.machines.ray_cast import RayCaster
+from raystream.machines.memory_needed import MemoryEstimator
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records
 from raystream.programs.trace import Order, check_order
@@ -28,7 +28,7 @@ __all__ = ["Crossings", "Tracer"]
 _PLAIN = [Query(kind) for kind in Kind]
 
 
-class Tracer(RayCaster):
+class Tracer(MemoryEstimator):
     """Traces rays against a scene.
 
     Parameters

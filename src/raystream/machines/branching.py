@@ -25,6 +25,9 @@ __all__ = ["Branching"]
 #: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
 
+#: Bytes of a thread's buffers for all hits of some rays.
+_BUFFER_BYTES = 4 << 20
+
 
 class HitRows(NamedTuple):
     """Buffers for `RayQueries.collect_hits`."""
@@ -76,6 +79,20 @@ class Branching(Backend):
             hits = HitAccumulator(len(rays))
             self._visit(query, rays, Sink(sink.status, visitor=hits.take), progress)
             sink.put(*hits.whole())
+
+    def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
+        """See `Backend.working_bytes`.
+
+        Notes
+        -----
+        Rays that are sorted or in tiles take a few bytes each. All hits are collected in buffers,
+        one for each thread, copied, and copied again.
+        """
+        if kind is Kind.MULTI_HIT:
+            buffers = thread_count() * _BUFFER_BYTES
+            return 32 * ray_count + 16 * hit_count + buffers
+        sorted_ray = 24 if kind is Kind.FIRST_HIT else 8
+        return sorted_ray * min(ray_count, 1 << 18) + 2 * ray_count + thread_count() * (1 << 18)
 
     def caster(self) -> Callable[..., Any]:
         """The structure's search of one ray; see `Backend.caster`."""
