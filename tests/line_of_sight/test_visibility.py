@@ -112,7 +112,7 @@ def test_forms_are_the_same_matrix(soup_tracer, points, monkeypatch):
 
 def test_equal_points_are_traced_half(soup_tracer, rng, monkeypatch):
     monkeypatch.setattr(visibility, "MOST_TILE", 600)
-    points, steps = rng.random((300, 3)), []
+    points, steps = rng.random((120, 3)), []
     seen = rs.visibility(
         soup_tracer, points, progress=lambda done, total: steps.append((done, total))
     )
@@ -122,7 +122,7 @@ def test_equal_points_are_traced_half(soup_tracer, rng, monkeypatch):
     done, totals = zip(*steps, strict=True)
     assert list(done) == sorted(done)
     assert set(totals) == {done[-1]}
-    assert done[-1] < 0.55 * 300**2
+    assert done[-1] <= 0.6 * 120**2
     monkeypatch.undo()
     np.testing.assert_array_equal(rs.visibility(soup_tracer, points), seen)
 
@@ -205,14 +205,16 @@ def test_surface_points_agree_with_float64(rng):
     """A solid that is not convex: moved ends in float64, with offsets that are not ours."""
     mesh = dented_sphere(2)
     tracer = tracer_of(mesh)
-    points = random_points(tracer, 120, rng)
+    points = random_points(tracer, 60, rng)
     normals = points.normals.astype(float)
     delta = points.positions[None] - points.positions[:, None]
     side = np.sign(np.einsum("nk,nmk->nm", normals, delta))
     moved = points.positions[:, None] + 3e-5 * side[..., None] * normals[:, None]
     starts, stops = moved.reshape(-1, 3), moved.transpose(1, 0, 2).reshape(-1, 3)
-    apart = ~np.eye(120, dtype=bool).ravel()
-    verdict = judge(*mesh, starts[apart], (stops - starts)[apart], np.zeros(14280), np.ones(14280))
+    apart = (points.prim_id != points.prim_id[:, None]).ravel()
+    count = np.count_nonzero(apart)
+    ends = np.zeros(count), np.ones(count)
+    verdict = judge(*mesh, starts[apart], (stops - starts)[apart], *ends)
     hidden = verdict.sure.any(axis=1)
     seen = ~(verdict.sure | verdict.doubt).any(axis=1)
     found = rs.visibility(tracer, points).ravel()[apart]
@@ -225,7 +227,9 @@ def test_surface_points_agree_with_float64(rng):
 
 def test_points_of_one_plane_see_each_other_along_its_front():
     """Two triangles of a wall, and points that are on the edge between them."""
-    wall = rs.Scene.from_arrays([[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]], [[0, 1, 2], [0, 2, 3]])
+    wall = rs.Scene.from_arrays(
+        [[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]], [[0, 1, 2], [0, 2, 3]]
+    )
     tracer = rs.Tracer(wall)
     points = rs.surface_points(tracer, [0, 0, 1, 1], [0.2, 0.5, 0.3, 0.5], [0.2, 0.5, 0.3, 0.0])
     assert rs.visibility(tracer, points).all()
@@ -250,7 +254,7 @@ def test_vertices_skip_their_triangles():
     assert rs.visibility(tracer, vertices, vertices, skip_a=ids, skip_b=ids).all()
     one_side = rs.visibility(tracer, vertices, [[0.5, 0.5, 0.5], [2, 2, 2]], skip_a=ids)
     assert one_side[:, 0].all()
-    assert one_side[:, 1].tolist() == [False] * 7 + [True]
+    assert one_side[:, 1].tolist() == [False] + [True] * 7
 
 
 @pytest.mark.parametrize("form", ["dense", "bits", "sparse"])
@@ -268,7 +272,9 @@ def test_invalid_points_see_nothing(form, soup_tracer):
 
 
 def test_a_degenerate_triangle_has_no_points():
-    scene = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]])
+    scene = rs.Scene.from_arrays(
+        [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]]
+    )
     tracer = rs.Tracer(scene)
     points = rs.surface_points(tracer, [0, 1])
     assert rs.visibility(tracer, points).tolist() == [[False, False], [False, True]]
@@ -305,12 +311,12 @@ def test_memory_is_bounded(form, soup_tracer, rng):
 def test_too_little_memory_is_refused_with_numbers(soup_tracer, rng, monkeypatch):
     points = rng.random((5000, 3))
     monkeypatch.setattr(rs.Tracer, "any_hit", lambda *_, **__: pytest.fail("traced"))
-    with pytest.raises(MemoryError, match=r"5,000 x 5,000 points take 0\.025 GB.*0\.01 GB max_memory"):
+    with pytest.raises(MemoryError, match=r"5,000 x 5,000 points take 0\.025 GB.*allows 0\.010 GB"):
         rs.visibility(soup_tracer, points, max_memory=10_000_000)
-    with pytest.raises(MemoryError, match=r"form='bits' \(0\.00313 GB\)"):
+    with pytest.raises(MemoryError, match=r"form='bits' \(0\.003 GB\)"):
         rs.visibility(soup_tracer, points, max_memory=10_000_000)
     with pytest.raises(MemoryError, match="are free"):
-        rs.visibility(soup_tracer, np.zeros((10_000_000, 3)), form="bits")
+        rs.visibility(soup_tracer, np.zeros((2_000_000, 3)), form="bits")
 
 
 def test_sparse_results_stop_at_the_limit(soup_tracer, rng, monkeypatch):
@@ -341,9 +347,7 @@ def test_interrupted_results_resume(form, is_half, soup_tracer, points, tmp_path
 
     for limit in (0.0, 0.3, 0.6):
         with pytest.raises(KeyboardInterrupt):
-            rs.visibility(
-                soup_tracer, *pair, form=form, out=path, progress=stop_after(limit)
-            )
+            rs.visibility(soup_tracer, *pair, form=form, out=path, progress=stop_after(limit))
     found = rs.visibility(
         soup_tracer, *pair, form=form, out=path, progress=lambda done, _: traced.append(done)
     )
@@ -364,7 +368,7 @@ def test_files_are_not_mixed(soup_tracer, points, tmp_path):
     before = path.read_bytes()
     other = tracer_of(soup(60, seed=1))
     for tracer, pair, options, named in (
-        (soup_tracer, (b, a), {}, "points_digest, shape"),
+        (soup_tracer, (b, a), {}, "block, points_digest, shape"),
         (soup_tracer, (a + 1e-9, b), {}, "points_digest"),
         (other, (a, b), {}, "scene_digest"),
         (soup_tracer, (a, b), {"form": "bits"}, "form"),
@@ -446,7 +450,7 @@ def test_surface_points_are_on_their_triangles(soup_tracer):
     corners = soup_tracer.structure.triangles.corners.astype(float)
     points = rs.surface_points(soup_tracer, np.arange(60))
     np.testing.assert_allclose(points.positions, corners.mean(axis=1), atol=1e-6)
-    some = rs.surface_points(soup_tracer, [[3, -1], [5, 3]], [[1.0, 9.0], [0.0, 0.0]])
+    some = rs.surface_points(soup_tracer, [[3, -1], [5, 3]], [[1.0, 9.0], [0.0, 0.0]], 0.0)
     assert some.is_hit.tolist() == [[True, False], [True, True]]
     np.testing.assert_array_equal(some.positions[0, 0], corners[3, 1])
     assert np.isnan(some.positions[0, 1]).all()

@@ -16,7 +16,6 @@ from raystream.core.hits import Hits
 from raystream.core.rays import as_host_array, as_real_array
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.core.triangles import MAX_COORDINATE, Triangles
-from raystream.kernels.ray import FAR
 from raystream.tracer import Tracer
 
 __all__ = ["EndPoints", "end_points", "is_clear", "leaving_distance", "planes_of"]
@@ -183,10 +182,19 @@ def is_clear(
     shape = delta.shape[:-1]
     is_same = ~delta.any(axis=-1)
     clear = np.broadcast_to(starts.is_valid & stops.is_valid, shape).copy()
+    # Only the end of a long segment is traced: further from the stop there is no scene, and t is
+    # rounded in proportion to its length.
+    length = np.abs(delta).max(axis=-1) * frame.scale
+    longest = 2.0 * (stops.reach + float(frame.max_coordinate))
     origins: NDArray[np.float64] = np.broadcast_to(starts.positions, delta.shape)
     directions = delta
+    if (length > longest).any():
+        with np.errstate(divide="ignore", invalid="ignore"):
+            directions = delta * np.fmin(longest / length, 1.0)[..., None]
+        is_cut = (length > longest)[..., None]
+        origins = np.where(is_cut, stops.positions - directions, origins)
+        length = np.minimum(length, longest)
     if starts.normals is not None or stops.normals is not None:
-        length = np.minimum(np.abs(delta).max(axis=-1) * frame.scale, _longest(frame))
         if starts.normals is not None and starts.extents is not None:
             distance = leaving_distance(frame, starts.extents, starts.reach) / frame.scale
             side = _side(starts.normals, delta, distance, front_only, clear)
@@ -194,7 +202,7 @@ def is_clear(
             origins, directions = origins + offset, directions - offset
         if stops.normals is not None and stops.extents is not None:
             units = FAR_UNITS * (length + stops.extents)
-            units += REACH_UNITS * (np.minimum(starts.reach, _longest(frame)) + stops.reach)
+            units += REACH_UNITS * (np.minimum(starts.reach, stops.reach + length) + stops.reach)
             distance = (UNIT * units + _world_rounding(frame)) / frame.scale
             side = _side(stops.normals, -delta, distance, front_only, clear)
             directions = directions + (side * distance)[..., None] * stops.normals
@@ -209,11 +217,6 @@ def is_clear(
     blocked = tracer.any_hit(*rays, t_max=1.0, skip_prim_ids=skipped).reshape(shape)
     clear &= is_same | ~blocked
     return clear
-
-
-def _longest(frame: Triangles) -> float:
-    """Bound of a ray's length in the local frame: origins further away are advanced."""
-    return (FAR + 2.0) * float(frame.max_coordinate)
 
 
 def _side(

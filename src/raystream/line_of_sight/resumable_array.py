@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -60,7 +61,7 @@ class ResumableArray:
 def resumable_array(
     path: Path, shape: tuple[int, ...], dtype: DTypeLike, identity: dict[str, Any]
 ) -> Iterator[ResumableArray]:
-    """Open a ``.npy`` file to fill, new or interrupted; not of size 0.
+    """Open a ``.npy`` file to fill, new or interrupted.
 
     Parameters
     ----------
@@ -84,8 +85,17 @@ def resumable_array(
         If it cannot be written, or the disk is full.
     """
     journal = journal_path(path)
-    done = 0
-    if journal.exists() and path.exists():
+    if not path.exists():
+        # The journal first: it marks the file as replaceable.
+        write_journal(journal, identity, QueryProgress())
+        path.touch()
+    elif not journal.exists():
+        raise FileFormatError(
+            path, f"exists, and {journal.name} does not say of what; choose another output"
+        )
+    with locked(path) as is_locked:
+        if not is_locked:
+            raise FileFormatError(path, "is being written by another process")
         found = read_journal(journal)
         names = differing_names(found.identity, identity)
         if names:
@@ -94,20 +104,10 @@ def resumable_array(
                 f"belongs to another query ({names} differ); delete it to start over, or choose "
                 "another output",
             )
-        done = found.done.rays
-    elif path.exists():
-        raise FileFormatError(
-            path, f"exists, and {journal.name} does not say of what; choose another output"
-        )
-    if done == 0:
-        # The journal first: it marks the file as replaceable.
-        write_journal(journal, identity, QueryProgress())
-        _create(path, shape, dtype)
-    with locked(path) as is_locked:
-        if not is_locked:
-            raise FileFormatError(path, "is being written by another process")
+        if found.done.rays == 0:
+            _create(path, shape, dtype)
         array = _mapped(path, shape, dtype)
-        yield ResumableArray(path, identity, array, done)
+        yield ResumableArray(path, identity, array, found.done.rays)
 
 
 def _create(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> None:
@@ -120,10 +120,14 @@ def _create(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> None:
 
 
 def _mapped(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+    """Map a file whose header and length are as they must be; mapping would extend it."""
     try:
-        array: Any = np.lib.format.open_memmap(path, mode="r+")
-    except (ValueError, EOFError) as error:
-        raise FileFormatError(path, f"is damaged ({error}); delete it to start over") from None
-    if array.shape != shape or array.dtype != dtype:
+        with path.open("rb") as stream:
+            np.lib.format.read_magic(stream)
+            found, _, kind = np.lib.format.read_array_header_1_0(stream)
+            length = stream.tell() + math.prod(shape) * kind.itemsize
+    except (ValueError, EOFError):
+        found, kind, length = (), None, -1
+    if found != shape or kind != dtype or length != path.stat().st_size:
         raise FileFormatError(path, "is damaged; delete it to start over")
-    return array
+    return np.lib.format.open_memmap(path, mode="r+")

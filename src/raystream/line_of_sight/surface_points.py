@@ -15,9 +15,7 @@ __all__ = ["surface_points"]
 _THIRD = 1.0 / 3.0
 
 
-def surface_points(
-    tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THIRD
-) -> Hits:
+def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THIRD) -> Hits:
     """Make points on triangles, for `visibility` and other functions that take hits.
 
     Parameters
@@ -68,13 +66,13 @@ def surface_points(
             raise ValueError(
                 f"{name}: shape {array.shape} does not broadcast to that of prim_ids, {ids.shape}"
             ) from None
+    is_miss = ids < 0
+    for weight in weights:
+        weight[is_miss] = 0.0
     both = weights[0].astype(np.float64) + weights[1]
     is_inside = (weights[0] >= 0.0) & (weights[1] >= 0.0) & (both <= 1.0 + 2.0**-22)
     if not is_inside.all():
         raise ValueError("u, v: expected weights of at least 0, with a sum of at most 1")
-    is_miss = ids < 0
-    for weight in weights:
-        weight[is_miss] = 0.0
     t = np.where(is_miss, np.inf, 0.0).astype(np.float32)
     status = np.zeros(ids.shape, np.uint8)
     return Hits(t, *weights, ids.astype(np.int32), status, triangles)

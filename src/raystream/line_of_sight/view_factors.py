@@ -249,9 +249,7 @@ class _Caster(NamedTuple):
         target = np.full(len(samples), width - 2)
         found = self.patches.ids[prim_ids[is_hit]]
         if not self.two_sided:
-            facing = np.einsum(
-                "nk,nk->n", self.patches.normals[prim_ids[is_hit]], rays[1][is_hit]
-            )
+            facing = np.einsum("nk,nk->n", self.patches.normals[prim_ids[is_hit]], rays[1][is_hit])
             found = np.where(facing < 0.0, found, -1)
         target[is_hit] = np.where(found < 0, width - 1, found)
         bins = np.bincount(replicates * width + target, minlength=REPLICATES * width)

@@ -135,8 +135,8 @@ def visibility(
     the side of the other point by a bound of the rounding errors, as in `Hits.spawn`, not by a
     fixed epsilon, so that neither the triangle nor its neighbours in the same plane hide it.
     Two points of one plane see each other along its front, and not with `front_only`. A
-    surface nearer to a point than that bound, about 2**-20 of the scene's size, may hide it or
-    not. Points that are equal see each other, unless `front_only` excludes it. A point that is
+    surface nearer to a point than that bound, which is below 2**-17 of the scene's size, may hide
+    it or not. Points that are equal see each other, unless `front_only` excludes it. A point that is
     NaN, infinite, a miss or on a degenerate triangle sees nothing, and is not seen.
 
     Segments run from `a` to `b`. With the arguments exchanged, the result is the transpose but
@@ -171,9 +171,6 @@ def visibility(
         result = np.zeros(shape, dtype)
         job.fill(tiles, result, 0, None, progress)
         return result
-    if shape[0] * shape[1] == 0:
-        np.save(path, np.zeros(shape, dtype))
-        return np.load(path)
     with resumable_array(path, shape, dtype, job.identity(tiles)) as file:
         job.fill(tiles, file.array, file.done, file.record, progress)
     return np.load(path, mmap_mode="r")
@@ -206,9 +203,13 @@ class _Job(NamedTuple):
     def result_type(self) -> tuple[tuple[int, int], type[Any]]:
         """Shape and dtype of a result in one array."""
         rows, columns = self.shape
-        return ((rows, columns), np.bool_) if self.form == "dense" else (
-            (rows, -(-columns // 8)),
-            np.uint8,
+        return (
+            ((rows, columns), np.bool_)
+            if self.form == "dense"
+            else (
+                (rows, -(-columns // 8)),
+                np.uint8,
+            )
         )
 
     def plan(self, is_on_disk: bool, max_memory: int | None) -> tuple[Tiles, int | None]:
@@ -224,9 +225,7 @@ class _Job(NamedTuple):
         result_shape, _ = self.result_type
         held = 0 if is_on_disk or self.form == "sparse" else result_shape[0] * result_shape[1]
         skipped = sum(
-            ends.skipped.shape[-1]
-            for ends in (self.starts, self.stops)
-            if ends.skipped is not None
+            ends.skipped.shape[-1] for ends in (self.starts, self.stops) if ends.skipped is not None
         )
         most = max(min(MOST_TILE, self.shape[0] * self.shape[1]), 1)
         while True:
@@ -239,14 +238,16 @@ class _Job(NamedTuple):
                 break
             most = max(most // 2, LEAST_TILE)
         rows, columns = self.shape
-        allowed = "are free" if max_memory is None else "max_memory allows"
+        given = f"{_size(limit)} are free"
+        if max_memory is not None:
+            given = f"max_memory allows {_size(limit)}"
         remedy = ""
         if held:
             bits = rows * -(-columns // 8)
             remedy = f"; use form='bits' ({_size(bits)}), 'sparse', or a file with out="
         raise MemoryError(
             f"visibility: {rows:,} x {columns:,} points take {_size(held)} and "
-            f"{_size(working)} for a block of rays; {_size(limit)} {allowed}{remedy}"
+            f"{_size(working)} for a block of rays, and {given}{remedy}"
         )
 
     def trace(self, tile: Tile) -> NDArray[np.bool_]:
@@ -347,4 +348,4 @@ class _Job(NamedTuple):
 
 
 def _size(byte_count: int | None) -> str:
-    return f"{(byte_count or 0) / 1e9:.3g} GB"
+    return f"{(byte_count or 0) / 1e9:,.3f} GB"

@@ -25,8 +25,8 @@ __all__ = ["Branching"]
 #: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
 
-#: Bytes of a thread's buffers for all hits of some rays.
-_BUFFER_BYTES = 4 << 20
+#: Bytes of a thread's calls besides: Python's objects, and the splits of the rays of a call.
+_CALL_BYTES = 1 << 16
 
 
 class HitRows(NamedTuple):
@@ -85,14 +85,13 @@ class Branching(Backend):
 
         Notes
         -----
-        Rays that are sorted or in tiles take a few bytes each. All hits are collected in buffers,
-        one for each thread, copied, and copied again.
+        All hits are collected in buffers, one for each thread, and copied: `HitAccumulator`.
         """
-        if kind is Kind.MULTI_HIT:
-            buffers = thread_count() * _BUFFER_BYTES
-            return 32 * ray_count + 16 * hit_count + buffers
-        sorted_ray = 24 if kind is Kind.FIRST_HIT else 8
-        return sorted_ray * min(ray_count, 1 << 18) + 2 * ray_count + thread_count() * (1 << 18)
+        small = thread_count() * _CALL_BYTES
+        if kind is not Kind.MULTI_HIT:
+            return small + self.structure.working_bytes(kind, ray_count)
+        capacity = max(FIRST_CAPACITY, 4 * -(-hit_count // max(ray_count, 1)))
+        return small + thread_count() * 16 * capacity + 24 * ray_count + 16 * hit_count
 
     def caster(self) -> Callable[..., Any]:
         """The structure's search of one ray; see `Backend.caster`."""
