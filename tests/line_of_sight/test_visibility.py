@@ -221,7 +221,6 @@ def test_surface_points_agree_with_float64(rng):
     # Moved points can be on the wrong side of a neighbour; those are rare.
     assert (hidden & found).mean() < 2e-3
     assert (seen & ~found).mean() < 2e-3
-    print((hidden & found).mean(), (seen & ~found).mean(), (hidden | seen).mean(), found.mean())
     assert (hidden | seen).mean() > 0.95
     assert 0.2 < found.mean() < 0.9
 
