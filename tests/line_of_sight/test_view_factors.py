@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import raystream as rs
 from meshes import cube, icosphere, soup
 from raystream.line_of_sight.balance import Shares, balanced
+from raystream.line_of_sight.patches import Emitter, make_patches
 
 # Closed forms, from the catalogues of configuration factors (Howell; Siegel and Howell).
 
@@ -286,14 +287,12 @@ def test_rays_stop_at_the_target():
 
 def test_points_are_uniform_and_directions_by_the_cosine():
     """Chi-square of the patch's triangles, of squares of one, and of the direction's height."""
-    from raystream.line_of_sight.patches import emitted_rays, make_patches
-
     vertices, faces = soup(40, seed=5)
     scene = rs.Scene.from_arrays(vertices, faces)
     triangles = scene.triangles
     patches = make_patches(np.zeros(40, int), triangles)
     numbers = np.random.default_rng(8).random((200_000, 4), np.float32)
-    origins, directions = emitted_rays(patches, 0, numbers, two_sided=False)
+    origins, directions = Emitter(patches, 0, two_sided=False).rays(numbers)
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(normals, axis=1) / 2

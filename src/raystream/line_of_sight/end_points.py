@@ -57,7 +57,7 @@ class EndPoints(NamedTuple):
 
     def at(self, index: Any) -> EndPoints:
         """Pick points by an index into their shape."""
-        return EndPoints(*(None if array is None else array[index] for array in self))
+        return EndPoints._make(None if array is None else array[index] for array in self)
 
     @property
     def byte_count(self) -> int:
@@ -180,11 +180,12 @@ def is_clear(
     frame = tracer.structure.triangles
     delta = stops.positions - starts.positions
     shape = delta.shape[:-1]
-    is_same = ~delta.any(axis=-1)
+    length = _largest(delta)
+    is_same = length == 0.0
     clear = np.broadcast_to(starts.is_valid & stops.is_valid, shape).copy()
     # Only the end of a long segment is traced: further from the stop there is no scene, and t is
     # rounded in proportion to its length.
-    length = np.abs(delta).max(axis=-1) * frame.scale
+    length *= frame.scale
     longest = 2.0 * (stops.reach + float(frame.max_coordinate))
     origins: NDArray[np.float64] = np.broadcast_to(starts.positions, delta.shape)
     directions = delta
@@ -217,6 +218,13 @@ def is_clear(
     blocked = tracer.any_hit(*rays, t_max=1.0, skip_prim_ids=skipped).reshape(shape)
     clear &= is_same | ~blocked
     return clear
+
+
+def _largest(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest absolute component; NumPy is ten times slower along an axis of three."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    largest: NDArray[np.float64] = np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(z))
+    return largest
 
 
 def _side(

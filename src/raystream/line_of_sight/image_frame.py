@@ -39,7 +39,8 @@ def seen_from(
     with np.errstate(invalid="ignore", over="ignore"):
         right, up, ahead = np.moveaxis((points - eye) @ camera.basis().T, -1, 0)
         if camera.projection == "equirectangular":
-            return origins, np.isfinite(points).all(axis=-1)
+            finite: NDArray[np.bool_] = np.all(np.isfinite(points), axis=-1)
+            return origins, finite
         if camera.projection == "orthographic":
             half = 0.5 * camera.image_height
             origins = points - ahead[:, None] * camera.basis()[2]

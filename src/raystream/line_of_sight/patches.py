@@ -11,7 +11,7 @@ from raystream.core.rays import as_host_array
 from raystream.core.triangles import Triangles
 from raystream.line_of_sight.end_points import leaving_distance, planes_of
 
-__all__ = ["Patches", "emitted_rays", "make_patches", "patch_ids"]
+__all__ = ["Emitter", "Patches", "make_patches", "patch_ids"]
 
 #: Points keep this many times the distance at which their rays start from their triangle's edges,
 #: so that rays do not start behind a neighbour at an angle of 10 degrees or more.
@@ -100,62 +100,85 @@ def make_patches(ids: NDArray[np.int64], triangles: Triangles) -> Patches:
     return Patches(ids, prim_ids, splits, shares, areas, normals, triangles)
 
 
-def emitted_rays(
-    patches: Patches, patch: int, numbers: NDArray[np.float32], two_sided: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rays from points uniform on a patch, in directions distributed by the cosine.
+class Emitter:
+    """Rays from one patch.
 
     Parameters
     ----------
     patches : Patches
     patch : int
-    numbers : ndarray of shape (n, 4), float32
-        In [0, 1): two for the point, two for the direction.
     two_sided : bool
         Whether half of the rays leave from the back.
-
-    Returns
-    -------
-    origins, directions : ndarray of shape (n, 3), float64
-        World space; unit length.
     """
-    x, y, p, q = numbers.T.astype(np.float64) + _HALF_STEP
-    rows = slice(patches.splits[patch], patches.splits[patch + 1])
-    shares = patches.shares[rows]
-    chosen = np.minimum(np.searchsorted(shares, x, side="right"), len(shares) - 1)
-    low = np.concatenate([[0.0], shares[:-1]])[chosen]
-    width = np.maximum(shares[chosen] - low, np.finfo(float).tiny)
-    x = np.clip((x - low) / width, 0.0, 1.0)  # the rest of the number, uniform again
-    prim_ids = patches.prim_ids[rows]
-    if len(prim_ids) > len(x):
-        table = _triangle_table(patches, prim_ids[chosen])
-    else:
-        table = tuple(column[chosen] for column in _triangle_table(patches, prim_ids))
-    first, along_u, along_v, normal, inset, distance = table
 
-    root = np.sqrt(x)
-    keep = 1.0 - inset
-    u = 1.0 / 3.0 + (y * root - 1.0 / 3.0) * keep
-    v = 1.0 / 3.0 + (root - y * root - 1.0 / 3.0) * keep
-    if two_sided:
-        is_back = q >= 0.5
-        q = 2.0 * q - is_back
-        normal = np.where(is_back[:, None], -normal, normal)
-    origins = first + u[:, None] * along_u + v[:, None] * along_v + distance[:, None] * normal
+    def __init__(self, patches: Patches, patch: int, two_sided: bool) -> None:
+        rows = slice(patches.splits[patch], patches.splits[patch + 1])
+        self._patches, self._two_sided = patches, two_sided
+        self._prim_ids, self._shares = patches.prim_ids[rows], patches.shares[rows]
+        self._lows = np.concatenate([[0.0], self._shares[:-1]])
+        self._table: _TriangleTable | None = None
 
-    tangent = along_u / np.linalg.norm(along_u, axis=-1, keepdims=True)
-    other = np.cross(normal, tangent)
-    radius, turn = np.sqrt(p), 2.0 * np.pi * q
-    directions = (radius * np.cos(turn))[:, None] * tangent
-    directions += (radius * np.sin(turn))[:, None] * other
-    directions += np.sqrt(1.0 - p)[:, None] * normal
-    return patches.triangles.to_world(origins), directions
+    def rays(self, numbers: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rays from points uniform on the patch, in directions distributed by the cosine.
+
+        Parameters
+        ----------
+        numbers : ndarray of shape (n, 4), float32
+            In [0, 1): two for the point, two for the direction.
+
+        Returns
+        -------
+        origins, directions : ndarray of shape (n, 3), float64
+            World space; unit length.
+        """
+        x, y, p, q = numbers.T.astype(np.float64) + _HALF_STEP
+        shares = self._shares
+        chosen = np.minimum(np.searchsorted(shares, x, side="right"), len(shares) - 1)
+        low = self._lows[chosen]
+        width = np.maximum(shares[chosen] - low, np.finfo(float).tiny)
+        x = np.clip((x - low) / width, 0.0, 1.0)  # the rest of the number, uniform again
+        first, along_u, along_v, normal, tangent, inset, distance = self._triangles(chosen)
+
+        root = np.sqrt(x)
+        keep = 1.0 - inset
+        u = 1.0 / 3.0 + (y * root - 1.0 / 3.0) * keep
+        v = 1.0 / 3.0 + (root - y * root - 1.0 / 3.0) * keep
+        if self._two_sided:
+            is_back = q >= 0.5
+            q = 2.0 * q - is_back
+            normal = np.where(is_back[:, None], -normal, normal)
+        origins = first + u[:, None] * along_u + v[:, None] * along_v
+        origins += distance[:, None] * normal
+
+        other = np.cross(normal, tangent)
+        radius, turn = np.sqrt(p), 2.0 * np.pi * q
+        directions = (radius * np.cos(turn))[:, None] * tangent
+        directions += (radius * np.sin(turn))[:, None] * other
+        directions += np.sqrt(1.0 - p)[:, None] * normal
+        return self._patches.triangles.to_world(origins), directions
+
+    def _triangles(self, chosen: NDArray[np.intp]) -> _TriangleTable:
+        """The columns of triangles; of all only if those are fewer than the rays."""
+        if self._table is None and len(self._prim_ids) > len(chosen):
+            return _triangle_table(self._patches, self._prim_ids[chosen])
+        if self._table is None:
+            self._table = _triangle_table(self._patches, self._prim_ids)
+        return _TriangleTable._make(column[chosen] for column in self._table)
 
 
-def _triangle_table(
-    patches: Patches, prim_ids: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], ...]:
-    """Vertex 0, edges, normals, insets and distances at which rays start, of triangles."""
+class _TriangleTable(NamedTuple):
+    """Vertex 0, edges, normals, tangents, insets of points and distances at which rays start."""
+
+    first: NDArray[np.float64]
+    along_u: NDArray[np.float64]
+    along_v: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    tangents: NDArray[np.float64]
+    insets: NDArray[np.float64]
+    distances: NDArray[np.float64]
+
+
+def _triangle_table(patches: Patches, prim_ids: NDArray[np.int64]) -> _TriangleTable:
     corners = patches.triangles.corners[prim_ids].astype(np.float64)
     first = corners[:, 0]
     along_u, along_v = corners[:, 1] - first, corners[:, 2] - first
@@ -167,4 +190,5 @@ def _triangle_table(
     radius = doubled / np.linalg.norm(sides, axis=-1).sum(axis=-1)  # of the inscribed circle
     with np.errstate(divide="ignore", invalid="ignore"):
         inset = np.minimum(np.nan_to_num(_CLEARANCE * distance / radius, nan=0.5), 0.5)
-    return first, along_u, along_v, normals, inset, distance
+    tangents = along_u / np.linalg.norm(along_u, axis=-1, keepdims=True)
+    return _TriangleTable(first, along_u, along_v, normals, tangents, inset, distance)

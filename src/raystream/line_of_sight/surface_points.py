@@ -75,4 +75,4 @@ def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THI
         raise ValueError("u, v: expected weights of at least 0, with a sum of at most 1")
     t = np.where(is_miss, np.inf, 0.0).astype(np.float32)
     status = np.zeros(ids.shape, np.uint8)
-    return Hits(t, *weights, ids.astype(np.int32), status, triangles)
+    return Hits(t, weights[0], weights[1], ids.astype(np.int32), status, triangles)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.balance import Shares, balanced
-from raystream.line_of_sight.patches import Patches, emitted_rays, make_patches, patch_ids
+from raystream.line_of_sight.patches import Emitter, Patches, make_patches, patch_ids
 from raystream.rendering.sampling.sampler import MAX_SAMPLES, Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -144,8 +144,10 @@ def view_factors(
     >>> low = rs.Mesh(square, [[0, 1, 2], [0, 2, 3]])
     >>> high = rs.Mesh([[x, y, 1] for x, y, _ in square], [[0, 2, 1], [0, 3, 2]])
     >>> found = rs.view_factors(rs.Scene([low, high]), target_error=1e-4)
-    >>> round(found.factors[0, 1], 3), round(found.outside[0], 3)  # exactly 0.19982
-    (0.2, 0.8)
+    >>> [round(float(share), 3) for share in (found.factors[0, 1], found.outside[0])]
+    [0.2, 0.8]
+
+    The exact factor is 0.19982.
     """
     if not isinstance(scene, Scene | Tracer):
         raise TypeError(f"scene: expected a Scene or Tracer, got {type(scene).__name__}")
@@ -179,7 +181,10 @@ def view_factors(
     return ViewFactors(
         shares.factors,
         shares.errors,
-        *(column for k in range(2) for column in (shares.sinks[:, k], shares.sink_errors[:, k])),
+        shares.sinks[:, 0],
+        shares.sink_errors[:, 0],
+        shares.sinks[:, 1],
+        shares.sink_errors[:, 1],
         areas,
         ray_counts,
     )
@@ -223,11 +228,18 @@ class _Caster(NamedTuple):
         """
         width = len(self.patches.areas) + 2
         counts = np.zeros((REPLICATES, width), np.int64)
+        emitter = Emitter(self.patches, patch, self.two_sided)
         done = 0
         while True:
             for begin in range(done, samples, _BLOCK // REPLICATES):
                 end = min(begin + _BLOCK // REPLICATES, samples)
-                counts += self._count(patch, begin, end, width)
+                streams = patch * REPLICATES + np.arange(REPLICATES)
+                numbers = self.sampler.numbers(
+                    np.repeat(streams % 2**32, end - begin),
+                    np.tile(np.arange(begin, end), REPLICATES),
+                    count=4,
+                )
+                counts += self._count(emitter.rays(numbers), width)
             done = samples
             total = REPLICATES * samples
             # The replicates' mean has this standard error; less than a ray is not resolved.
@@ -237,20 +249,19 @@ class _Caster(NamedTuple):
                 return counts.sum(axis=0) / total, errors, total
             samples *= 2
 
-    def _count(self, patch: int, begin: int, end: int, width: int) -> NDArray[np.int64]:
-        """Rays of samples `begin` to `end` by replicate and by what they meet first."""
-        samples = np.tile(np.arange(begin, end), REPLICATES)
-        replicates = np.repeat(np.arange(REPLICATES), end - begin)
-        streams = (patch * REPLICATES + replicates) % 2**32
-        numbers = self.sampler.numbers(streams, samples, 0, 4)
-        rays = emitted_rays(self.patches, patch, numbers, self.two_sided)
+    def _count(
+        self, rays: tuple[NDArray[np.float64], NDArray[np.float64]], width: int
+    ) -> NDArray[np.int64]:
+        """Rays by replicate, of which each has as many in a row, and by what they meet first."""
         prim_ids = self.tracer.first_hit(*rays).prim_id
-        is_hit = prim_ids >= 0
-        target = np.full(len(samples), width - 2)
-        found = self.patches.ids[prim_ids[is_hit]]
+        rows = np.flatnonzero(prim_ids >= 0)
+        hit = prim_ids[rows]
+        found = self.patches.ids[hit]
         if not self.two_sided:
-            facing = np.einsum("nk,nk->n", self.patches.normals[prim_ids[is_hit]], rays[1][is_hit])
+            facing = np.einsum("nk,nk->n", self.patches.normals[hit], rays[1][rows])
             found = np.where(facing < 0.0, found, -1)
-        target[is_hit] = np.where(found < 0, width - 1, found)
+        target = np.full(len(prim_ids), width - 2)
+        target[rows] = np.where(found < 0, width - 1, found)
+        replicates = np.arange(len(prim_ids)) // (len(prim_ids) // REPLICATES)
         bins = np.bincount(replicates * width + target, minlength=REPLICATES * width)
         return bins.reshape(REPLICATES, width)

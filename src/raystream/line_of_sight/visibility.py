@@ -136,8 +136,8 @@ def visibility(
     fixed epsilon, so that neither the triangle nor its neighbours in the same plane hide it.
     Two points of one plane see each other along its front, and not with `front_only`. A
     surface nearer to a point than that bound, which is below 2**-17 of the scene's size, may hide
-    it or not. Points that are equal see each other, unless `front_only` excludes it. A point that is
-    NaN, infinite, a miss or on a degenerate triangle sees nothing, and is not seen.
+    it or not. Points that are equal see each other, unless `front_only` excludes it. A point that
+    is NaN, infinite, a miss or on a degenerate triangle sees nothing, and is not seen.
 
     Segments run from `a` to `b`. With the arguments exchanged, the result is the transpose but
     for segments that pass an edge within rounding errors.

@@ -158,7 +158,7 @@ class Structure(ABC):
         """The number of sectors that hits can name; None if they name none."""
         return None
 
-    def working_bytes(self, kind: Kind, ray_count: int) -> int:  # noqa: ARG002 - for subclasses
+    def working_bytes(self, kind: Kind, ray_count: int) -> int:
         """Most bytes that `trace_batch` needs besides the results, except for `Kind.MULTI_HIT`."""
         return 0
 
