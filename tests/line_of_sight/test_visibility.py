@@ -415,6 +415,8 @@ def test_a_file_has_one_writer(soup_tracer, points, tmp_path):
         (([[1, 2, 3]],), {"skip_a": [0, 1]}, ValueError, r"skip_a: expected shape \(1,\)"),
         (([[1, 2, 3]],), {"skip_a": [0.5]}, TypeError, "skip_a: expected integers"),
         (([[1, 2, 3]],), {"skip_a": [60]}, ValueError, "skip_a: expected triangles, 0 to 59"),
+        (([[1, 2, 3]],), {"max_memory": -1}, ValueError, "max_memory: expected"),
+        (([[1, 2, 3]],), {"max_memory": 1e9}, TypeError, "integer"),
         (([[1, 2, 3]],), {"out": "seen.zarr"}, ValueError, "out: expected a name"),
         (([[1, 2, 3]],), {"out": "a.npy", "form": "sparse"}, ValueError, "use form='bits'"),
     ],
@@ -422,6 +424,17 @@ def test_a_file_has_one_writer(soup_tracer, points, tmp_path):
 def test_bad_input_is_named(soup_tracer, arguments, options, error, named):
     with pytest.raises(error, match=named):
         rs.visibility(soup_tracer, *arguments, **options)
+
+
+def test_a_scene_is_not_a_tracer():
+    scene = rs.load("cornell")
+    for run in (
+        lambda: rs.visibility(scene, [[1, 2, 3]]),
+        lambda: rs.surface_points(scene, [0]),
+        lambda: rs.visible_faces(scene),
+    ):
+        with pytest.raises(TypeError, match="tracer: expected a Tracer, got Scene"):
+            run()
 
 
 def test_hits_of_another_scene_are_refused(soup_tracer):

@@ -43,7 +43,7 @@ def test_no_face_at_a_pixel_s_centre_is_missed(camera, tracer):
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_small_faces_are_found_by_their_centres(camera):
     """A fine mesh in few pixels; the truth about centres comes from float64."""
-    vertices, faces = dented_sphere(3)
+    vertices, faces = dented_sphere(2)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     mesh = (vertices - low) / (high - low).max(), faces
     tracer = rs.Tracer(rs.Scene.from_arrays(*mesh))
@@ -74,7 +74,7 @@ def test_small_faces_are_found_by_their_centres(camera):
     # And no face is seen without a reason.
     hidden = verdict.sure.any(axis=1) | ~inside
     assert not (hidden & np.isin(own, found.prim_ids[found.pixel_counts == 0])).any()
-    assert (inside & clear).sum() > 50
+    assert (inside & clear).sum() > 20
 
 
 def test_faces_smaller_than_a_pixel_in_a_crowd():

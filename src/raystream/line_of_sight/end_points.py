@@ -18,7 +18,7 @@ from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WO
 from raystream.core.triangles import MAX_COORDINATE, Triangles
 from raystream.tracer import Tracer
 
-__all__ = ["EndPoints", "end_points", "is_clear", "leaving_distance", "planes_of"]
+__all__ = ["EndPoints", "check_tracer", "end_points", "is_clear", "leaving_distance", "planes_of"]
 
 #: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
 #: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
@@ -63,6 +63,14 @@ class EndPoints(NamedTuple):
     def byte_count(self) -> int:
         """Bytes of the arrays."""
         return sum(array.nbytes for array in self if array is not None)
+
+
+def check_tracer(tracer: Any) -> None:
+    """Raise TypeError if it is not a tracer."""
+    if not isinstance(tracer, Tracer):
+        raise TypeError(
+            f"tracer: expected a Tracer, got {type(tracer).__name__}; make one by rs.Tracer(scene)"
+        )
 
 
 def planes_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import operator
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from raystream._version import __version__
 from raystream.core.memory import available_memory
 from raystream.jit.threads import Progress
-from raystream.line_of_sight.end_points import EndPoints, end_points, is_clear
+from raystream.line_of_sight.end_points import EndPoints, check_tracer, end_points, is_clear
 from raystream.line_of_sight.resumable_array import resumable_array
 from raystream.line_of_sight.tiles import LEAST_TILE, MOST_TILE, Tile, Tiles
 from raystream.ray_files.identity import scene_digest
@@ -154,6 +155,7 @@ def visibility(
            [False,  True, False],
            [False, False,  True]])
     """
+    check_tracer(tracer)
     if form not in _FORMS:
         raise ValueError(f"form: expected 'dense', 'bits' or 'sparse', got {form!r}")
     if b is None and skip_b is not None:
@@ -221,7 +223,11 @@ class _Job(NamedTuple):
         limit : int or None
             Bytes left for a sparse result; None if unknown.
         """
-        limit = available_memory() if max_memory is None else max_memory
+        limit = available_memory()
+        if max_memory is not None:
+            limit = operator.index(max_memory)
+            if limit < 0:
+                raise ValueError(f"max_memory: expected at least 0 bytes, got {limit}")
         result_shape, _ = self.result_type
         held = 0 if is_on_disk or self.form == "sparse" else result_shape[0] * result_shape[1]
         skipped = sum(

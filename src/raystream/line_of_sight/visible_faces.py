@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
 from raystream.jit.threads import Progress
-from raystream.line_of_sight.end_points import end_points, is_clear
+from raystream.line_of_sight.end_points import check_tracer, end_points, is_clear
 from raystream.line_of_sight.image_frame import seen_from
 from raystream.line_of_sight.surface_points import surface_points
 from raystream.rendering.arguments import check_size
@@ -99,6 +99,7 @@ def visible_faces(
     >>> len(seen.prim_ids), tracer.scene.triangle_count, int(seen.pixel_counts.sum())
     (22, 36, 37390)
     """
+    check_tracer(tracer)
     width, height = check_size(size)
     camera = _as_camera(tracer, camera, width / height)
     points = operator.index(points_per_face)

@@ -89,7 +89,7 @@ class MemoryEstimator(RayCaster):
         An upper bound, for rays in arrays of float32 or float64 that lie in memory without gaps
         (others are copied), without filters; the arrays themselves do not count. `results` are
         exact, but for rays with fewer hits. On the CPU the whole is at most twice the memory used,
-        and 0.2 MB per thread; where ``structure="bvh"`` chooses the kernel by the rays, it allows
+        and 0.3 MB per thread; where ``structure="bvh"`` chooses the kernel by the rays, it allows
         for the one that needs most, 21 MB per thread. Memory of GPUs does not count: rays
         are traced there in parts that fit.
 
