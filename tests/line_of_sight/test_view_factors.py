@@ -312,6 +312,21 @@ def test_points_are_uniform_and_directions_by_the_cosine():
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
 
 
+@pytest.mark.parametrize(("scale", "offset"), [(1.0, 0.0), (3.0, 20.0), (1e-4, 0.0), (1.0, 1e7)])
+def test_no_ray_leaves_through_an_edge(scale, offset, rng):
+    """From points at the edges and corners of the triangles of a rotated, closed box."""
+    vertices, faces = cube()
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    faces = faces[:, ::-1] if np.linalg.det(rotation) > 0 else faces  # inward
+    scene = rs.Scene.from_arrays((vertices @ rotation.T) * [1.0, 0.4, 0.7] * scale + offset, faces)
+    emitter = Emitter(make_patches(np.zeros(12, int), scene.triangles), 0, two_sided=False)
+    numbers = rng.random((200_000, 4), np.float32)
+    numbers[:100_000, 1] = np.where(numbers[:100_000, 1] < 0.5, 0.0, 1.0 - 2.0**-24)
+    numbers[50_000:150_000, 0] = np.floor(numbers[50_000:150_000, 0] * 12) / 12
+    hits = rs.Tracer(scene).first_hit(*emitter.rays(numbers))
+    assert hits.is_hit.all()
+
+
 @pytest.mark.parametrize(
     ("patches", "options", "error", "named"),
     [

@@ -72,6 +72,27 @@ def test_free_points_agree_with_float64(points):
     assert (sure[0] | sure[1]).mean() > 0.99
 
 
+@pytest.mark.exhaustive
+def test_a_million_pairs_agree_with_float64(rng):
+    mesh = soup(40, seed=3)
+    tracer = tracer_of(mesh)
+    a, b = rng.random((2, 1000, 3))
+    seen, doubts = rs.visibility(tracer, a, b), 0
+    for first in range(0, 1000, 8):
+        rows = slice(first, first + 8)
+        sure = surely(mesh, a[rows], b)
+        check(seen[rows], sure)
+        doubts += int((~(sure[0] | sure[1])).sum())
+    assert doubts < 3000
+
+
+@pytest.mark.exhaustive
+def test_a_million_pairs_on_convex_solids(rng):
+    for mesh in (icosphere(3), cube()):
+        tracer = tracer_of(mesh)
+        assert rs.visibility(tracer, *(random_points(tracer, 1000, rng) for _ in range(2))).all()
+
+
 @settings(deadline=None, max_examples=40)
 @given(st.data())
 def test_lattices_agree_with_float64(data):
@@ -132,12 +153,12 @@ def test_equal_points_are_traced_half(soup_tracer, rng, monkeypatch):
 def test_tiles_cover_all_pairs_once(shape, is_half):
     if is_half:
         shape = (shape[0], shape[0])
-    tiles = Tiles.of(shape, is_half, 256)
+    tiles = Tiles.of(shape, is_half, 200)
     count, done = np.zeros(shape, int), 0
     for tile in tiles:
         assert tile.begin == done
         assert tile.columns.start % 8 == 0
-        assert tile.ray_count <= 256
+        assert tile.ray_count <= 200
         done += tile.ray_count
         count[tile.rows, tile.columns] += 1
         if is_half and tile.rows != tile.columns:
@@ -199,6 +220,34 @@ def test_a_far_point_sees_the_near_half_of_a_sphere(rng):
                 assert seen[height > 1e-4].all()
                 # A convex solid hides from outside all that faces away.
                 assert not seen[height < -1e-4].any()
+
+
+@pytest.mark.parametrize("distance", [5.0, 1e3, 1e6, 1e12])
+def test_a_shell_just_above_hides_a_sphere_from_afar(distance, rng):
+    """However long a segment, its end stays below the shell, at 0.001 of the radius."""
+    vertices, faces = icosphere(3)
+    meshes = [rs.Mesh(vertices * radius, faces) for radius in (1.0, 1.001)]
+    tracer = rs.Tracer(rs.Scene(meshes))
+    inner = random_points(tracer, 2000, rng)
+    inner = rs.surface_points(tracer, inner.prim_id % len(faces), inner.u, inner.v)
+    outer = rs.surface_points(tracer, inner.prim_id + len(faces), inner.u, inner.v)
+    eye = [[0.6 * distance, 0.0, 0.8 * distance]]
+    for pair in ((inner, eye), (eye, inner)):
+        assert not rs.visibility(tracer, *pair).any()
+    assert rs.visibility(tracer, inner, outer).diagonal().all()
+    toward = np.einsum("nk,nk->n", outer.normals.astype(float), eye - outer.positions)
+    toward /= np.linalg.norm(eye - outer.positions, axis=1)
+    seen = rs.visibility(tracer, eye, outer).ravel()
+    assert seen[toward > 1e-3].all()
+    assert not seen[toward < -1e-3].any()
+
+
+def test_equal_points_of_two_sheets_see_each_other():
+    """Even on opposite fronts, with both sheets between them."""
+    vertices = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, [[0, 1, 2], [0, 2, 1]]))
+    points = rs.surface_points(tracer, [0, 1])
+    assert rs.visibility(tracer, points).all()
 
 
 def test_surface_points_agree_with_float64(rng):

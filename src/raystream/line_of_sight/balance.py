@@ -12,6 +12,9 @@ __all__ = ["Shares", "balanced"]
 #: Rounds that fix negative factors at zero.
 _ROUNDS = 20
 
+#: Up to this many equations the least squares of a singular matrix take less than a second.
+_FEW = 1000
+
 
 class Shares(NamedTuple):
     """Shares of each patch's rays, with standard errors.
@@ -67,7 +70,7 @@ def balanced(shares: Shares, areas: NDArray[np.float64]) -> Shares:
         matrix = spread + np.diag(spread.sum(axis=1) - spread[diagonal] + sink_spread.sum(axis=1))
         lacking = areas - (mean * free).sum(axis=1) - (sinks * free_sinks).sum(axis=1)
         scale = max(float(np.abs(matrix).max(initial=0.0)), np.finfo(float).tiny)
-        multiplier = np.linalg.lstsq(matrix / scale, lacking / scale, rcond=None)[0]
+        multiplier = _solution(matrix / scale, lacking / scale)
         change = spread * (multiplier[:, None] + multiplier)
         change[diagonal] = spread[diagonal] * multiplier
         result = (mean + change) * free
@@ -81,3 +84,16 @@ def balanced(shares: Shares, areas: NDArray[np.float64]) -> Shares:
     return Shares(
         result / areas[:, None], errors, result_sinks / areas[:, None], shares.sink_errors
     )
+
+
+def _solution(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve symmetric equations; the shortest solution where there are several."""
+    if len(right) > _FEW:
+        try:
+            found = np.linalg.solve(matrix, right)
+            if np.allclose(matrix @ found, right, rtol=1e-9, atol=1e-12):
+                return found
+        except np.linalg.LinAlgError:
+            pass
+    shortest: NDArray[np.float64] = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    return shortest

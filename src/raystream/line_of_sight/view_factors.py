@@ -25,8 +25,8 @@ REPLICATES = 16
 #: Most rays that are traced at once: about 400 bytes each.
 _BLOCK = 1 << 17
 
-#: Matrices of N x N numbers while factors are balanced, and otherwise.
-_MATRICES, _BALANCED_MATRICES = 2, 12
+#: Matrices of N x N numbers, and while factors are balanced.
+_MATRICES, _BALANCED_MATRICES = 2, 16
 
 
 class ViewFactors(NamedTuple):
@@ -113,7 +113,7 @@ def view_factors(
     TypeError
         If `patches` are not integers, or `scene` is neither a scene nor a tracer.
     MemoryError
-        If the matrices do not fit into memory: 16 bytes for each pair of patches, 96 with
+        If the matrices do not fit into memory: 16 bytes for each pair of patches, 128 with
         `reciprocity`.
 
     Notes
