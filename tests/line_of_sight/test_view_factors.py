@@ -219,6 +219,17 @@ def test_balanced_shares_are_reciprocal(count, seed):
     assert not found.factors[unseen].any()
 
 
+def test_the_better_estimate_weighs_more():
+    """Of two estimates of an exchange; ways out, which are not well known, take up the rest."""
+    factors, errors = np.array([[0.0, 0.3], [0.4, 0.0]]), np.array([[1e-6, 1e-3], [0.03, 1e-6]])
+    sinks, sink_errors = np.array([[0.7, 0.0], [0.6, 0.0]]), np.array([[9.0, 1e-6], [9.0, 1e-6]])
+    found = balanced(Shares(factors, errors, sinks, sink_errors), np.array([2.0, 2.0]))
+    expected = (0.3 / 1e-6 + 0.4 / 9e-4) / (1 / 1e-6 + 1 / 9e-4)
+    np.testing.assert_allclose(found.factors, [[0, expected], [expected, 0]], atol=1e-6)
+    np.testing.assert_allclose(found.sinks, [[1 - expected, 0]] * 2, atol=1e-6)
+    assert found.errors[0, 1] == pytest.approx(1e-3, rel=1e-3)
+
+
 def test_sides():
     """A plate between two others: its back neither radiates nor receives, unless two-sided."""
     low = quad([-5, -5, 0], [10, 0, 0], [0, 10, 0])

@@ -11,6 +11,7 @@ import raystream as rs
 from conftest import EVERY_TRACER, TRACERS
 from meshes import cube, dented_sphere, icosphere, soup
 from oracles import judge
+from raystream.line_of_sight import visible_faces
 from strategies import meshes
 
 SIZE = 64, 48
@@ -38,6 +39,17 @@ def test_no_face_at_a_pixel_s_centre_is_missed(camera, tracer):
     np.testing.assert_array_equal(found.prim_ids, ids)
     np.testing.assert_array_equal(found.pixel_counts, counts)
     assert len(ids) > 5
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_blocks_change_nothing(camera, monkeypatch):
+    tracer = rs.Tracer(rs.Scene.from_arrays(*dented_sphere(2)))
+    view = rs.Camera((9.0, 1.0, 9.0), (0.0, -2.0, 1.0), projection=CAMERAS[camera].projection)
+    expected = rs.visible_faces(tracer, view, SIZE)
+    monkeypatch.setattr(visible_faces, "_BLOCK", 200)
+    found = rs.visible_faces(tracer, view, SIZE)
+    np.testing.assert_array_equal(found.prim_ids, expected.prim_ids)
+    np.testing.assert_array_equal(found.pixel_counts, expected.pixel_counts)
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
