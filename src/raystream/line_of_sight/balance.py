@@ -90,10 +90,9 @@ def _solution(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArra
     """Solve symmetric equations; the shortest solution where there are several."""
     if len(right) > _FEW:
         try:
-            found = np.linalg.solve(matrix, right)
+            found = np.asarray(np.linalg.solve(matrix, right), np.float64)
             if np.allclose(matrix @ found, right, rtol=1e-9, atol=1e-12):
                 return found
         except np.linalg.LinAlgError:
             pass
-    shortest: NDArray[np.float64] = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    return shortest
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], np.float64)
