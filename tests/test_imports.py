@@ -20,6 +20,7 @@ ROOMS = (
     "kernels",
     "scene",
     "structures",
+    "instances",
     "streams",
     "programs",
     "machines",

@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from raystream.line_of_sight.view_factors import view_factors
     from raystream.line_of_sight.visibility import visibility
     from raystream.line_of_sight.visible_faces import visible_faces
+    from raystream.physics import sweep_patterns
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
+    from raystream.physics.sweeps import lidar_sweep
     from raystream.programs.decisions import Decision
     from raystream.ray_files.query import query_zarr
     from raystream.rendering.frames import render_frames
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from raystream.scene.material import Material
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
+    from raystream.scene.sensor_track import SensorTrack
     from raystream.scene.texture import Texture
     from raystream.structures.brute.options import Brute
     from raystream.structures.bvh.options import Bvh
@@ -61,6 +64,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "cluster": "cluster",
     "streams": "streams",
+    "sweep_patterns": "physics.sweep_patterns",
     "textures": "scene.textures",
 }
 
@@ -97,6 +101,7 @@ _HOMES = {
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
     "Scene": "scene.scene",
+    "SensorTrack": "scene.sensor_track",
     "SpotLight": "scene.lights",
     "StructureOptions": "structures.registry",
     "Texture": "scene.texture",
@@ -105,6 +110,7 @@ _HOMES = {
     "daylight": "scene.daylight",
     "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
+    "lidar_sweep": "physics.sweeps",
     "load": "scene.load",
     "query_zarr": "ray_files.query",
     "register_structure": "structures.registry",
@@ -152,6 +158,7 @@ __all__ = [
     "RaystreamError",
     "RaystreamWarning",
     "Scene",
+    "SensorTrack",
     "SpotLight",
     "StructureOptions",
     "Texture",
@@ -162,6 +169,7 @@ __all__ = [
     "daylight",
     "heatmap",
     "lidar_returns",
+    "lidar_sweep",
     "load",
     "query_zarr",
     "register_structure",
@@ -170,6 +178,7 @@ __all__ = [
     "set_thread_count",
     "streams",
     "surface_points",
+    "sweep_patterns",
     "textures",
     "thickness",
     "thread_count",

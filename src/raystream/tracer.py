@@ -14,7 +14,7 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
-from raystream.machines.devices import device_of
+from raystream.machines.answers import all_hits, nearest_hits
 from raystream.machines.memory_needed import MemoryEstimator
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records
@@ -120,13 +120,7 @@ class Tracer(MemoryEstimator):
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
         configuration = self._configure(structure, device, machine, counters, options)
-        built = device_of(self.device).build(
-            configuration.structure,
-            scene.triangles,
-            progress=progress,
-            device=configuration.device_options,
-        )
-        self._set(scene, built)
+        self._set(scene, self._built(configuration, scene.triangles, progress))
 
     def first_hit(
         self,
@@ -138,6 +132,7 @@ class Tracer(MemoryEstimator):
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         near: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> Hits:
         """Find the nearest triangle along each ray.
@@ -159,6 +154,8 @@ class Tracer(MemoryEstimator):
         near : array_like that broadcasts to S, int, optional
             Where rays start, for a graph: `Hits.sectors` of the hits that they leave; -1 where it
             is unknown. It changes no answer: the search begins there instead of at a bin.
+        worlds : array_like that broadcasts to S, int, optional
+            In a scene whose instances are in worlds: the world of each ray; see `Scene.instances`.
         progress : callable, optional
             Called with (rays done, rays).
 
@@ -181,19 +178,13 @@ class Tracer(MemoryEstimator):
         -----
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
         query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
             return found
-        sink, shape = self._answer(query, rays, progress), rays.shape
-        t, u, v, prim_id = sink.hits
-        status, sectors = sink.status, sink.sectors
-        if len(shape) != 1:
-            t, u, v = t.reshape(shape), u.reshape(shape), v.reshape(shape)
-            prim_id, status = prim_id.reshape(shape), status.reshape(shape)
-            sectors = None if sectors is None else sectors.reshape(shape)
-        return Hits(t, u, v, prim_id, status, self.structure.triangles, sectors)
+        sink = self._answer(query, rays, progress)
+        return nearest_hits(sink, rays.shape, self.structure.triangles)
 
     def any_hit(
         self,
@@ -205,13 +196,14 @@ class Tracer(MemoryEstimator):
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         near: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.bool_]:
         """Find whether anything blocks each ray; cheaper than the nearest hit.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, near, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, near, worlds, progress
             See `first_hit`.
 
         Returns
@@ -225,7 +217,7 @@ class Tracer(MemoryEstimator):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
         query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             seen: NDArray[np.bool_] = self._backend.answer_on_device(query, rays, progress)
@@ -242,13 +234,14 @@ class Tracer(MemoryEstimator):
         crossings: Crossings = "triangles",
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.int64]:
         """Count the hits along each ray.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds, progress
             See `first_hit`.
         crossings : {"triangles", "surfaces"}
             What a ray exactly through an edge or a vertex hits: every triangle there; or one
@@ -266,7 +259,7 @@ class Tracer(MemoryEstimator):
             As `first_hit`, or if `crossings` is unknown.
         """
         surfaces = counts_surfaces(crossings)
-        rays = self._rays(origins, directions, t_min, t_max)
+        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
         if isinstance(rays, RayArrays):
             counts: NDArray[np.int64] = self._backend.answer_on_device(query, rays, progress)
@@ -284,13 +277,14 @@ class Tracer(MemoryEstimator):
         crossings: Crossings = "triangles",
         on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
+        worlds: Any = None,
         progress: Progress | None = None,
     ) -> MultiHits:
         """Find all hits of each ray, or the nearest few, by increasing distance.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, on_hit, skip_prim_ids
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds
             See `first_hit`.
         max_hits : int, optional
             Keep the nearest `max_hits` of each ray [default: all].
@@ -325,14 +319,13 @@ class Tracer(MemoryEstimator):
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
-        rays = self._rays(origins, directions, t_min, t_max)
+        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
         if isinstance(rays, RayArrays):
             found: MultiHits = self._backend.answer_on_device(query, rays, progress)
             return found
         sink = self._answer(query, rays, progress)
-        status = sink.status.reshape(rays.shape)
-        return MultiHits(sink.splits, *sink.hits, status, self.structure.triangles)
+        return all_hits(sink, rays.shape, self.structure.triangles)
 
     def trace(
         self,
@@ -412,6 +405,7 @@ class Tracer(MemoryEstimator):
         check_order(order)
         query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
         rays = self._rays(origins, directions, t_min, t_max)
+        self._check_plain("trace")
         if isinstance(rays, RayArrays):
             changed: NDArray[Any] | None
             changed = self._backend.answer_on_device(query, rays, progress, payload)
@@ -472,6 +466,7 @@ class Tracer(MemoryEstimator):
             if limit == UNLIMITED and not surfaces:
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
+        self._check_plain("on_hit, skip_prim_ids")
         triangles = self.structure.triangles
         if isinstance(rays, RayArrays):
             chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)

@@ -26,12 +26,15 @@ MODULES = (
     "machines",
     "physics.attenuation",
     "physics.lidar",
+    "physics.sweep_patterns",
+    "physics.sweeps",
     "programs",
     "rendering.render",
     "rendering.compare",
     "rendering.frames",
     "rendering.heatmap",
     "scene.animation",
+    "scene.sensor_track",
     "scene.textures",
     "stepper",
     "streams",
@@ -56,6 +59,7 @@ NAMES = """
     thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
     register_structure Cpu Cuda Graphics Branching Compute Multipass
     surface_points view_factors visibility visible_faces
+    SensorTrack lidar_sweep sweep_patterns
 """
 
 
@@ -75,7 +79,8 @@ def test_the_package_has_these_names_and_no_others():
 
 @pytest.mark.parametrize("name", sorted(set(raystream.__all__) - {"__version__"}))
 def test_the_package_s_names_are_there(name):
-    module = name in {"cluster", "streams", "textures"}  # a module is there if its names are
+    # A module is there if its names are.
+    module = name in {"cluster", "streams", "sweep_patterns", "textures"}
     assert name in documented() or (module and f"raystream.{name}." in PAGE)
 
 

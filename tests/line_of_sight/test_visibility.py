@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 import raystream as rs
 from conftest import EVERY_TRACER, TRACERS
+from instanced import random_transforms
 from meshes import cube, dented_sphere, icosphere, soup
 from oracles import judge
-from raystream.core.errors import FileFormatError
+from raystream.core.errors import FileFormatError, RaystreamError
 from raystream.line_of_sight import resumable_array, visibility
 from raystream.line_of_sight.tiles import Tiles
 from strategies import COORDINATES, meshes
@@ -338,6 +339,28 @@ def test_empty_scenes_and_sets():
     assert empty.indptr.tolist() == [0, 0]
     assert empty.shape == (1, 0)
     assert rs.visibility(nothing, [[0, 0, 1e-320]], [[0, 0, 0]]).all()
+
+
+def test_instances(rng):
+    """Free points see what they see in the flattened scene; points on surfaces are refused."""
+    transforms = random_transforms(rng, 6, spread=2.0)
+    scene = rs.Scene.instances([rs.Scene.from_arrays(*icosphere(1))], transforms)
+    tracer, flat = rs.Tracer(scene), rs.Tracer(scene.flattened())
+    points = rng.uniform(-4, 4, (150, 3))
+    seen, expected = (rs.visibility(one, points, form="bits") for one in (tracer, flat))
+    assert np.unpackbits(seen ^ expected).mean() < 2e-4  # rounding at silhouettes
+    hits = tracer.first_hit(points, -points)
+    for run in (
+        lambda: rs.visibility(tracer, hits),
+        lambda: rs.surface_points(tracer, [0]),
+        lambda: rs.visibility(tracer, points, out="seen.npy"),
+        lambda: rs.visible_faces(tracer),
+        lambda: rs.view_factors(tracer),
+    ):
+        with pytest.raises(RaystreamError, match="not supported in a scene with instances"):
+            run()
+    image = rs.visible_faces(tracer, size=(64, 64), points_per_face=0)
+    assert image.pixel_counts.sum() > 100
 
 
 # Memory and files.

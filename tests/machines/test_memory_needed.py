@@ -63,7 +63,7 @@ def byte_count(result):
     """Bytes of what a query returns."""
     if isinstance(result, np.ndarray):
         return result.nbytes
-    names = "t", "u", "v", "prim_id", "status", "ray_splits", "sectors"
+    names = "t", "u", "v", "prim_id", "status", "ray_splits", "sectors", "_instance_id"
     arrays = [getattr(result, name, None) for name in names]
     return sum(array.nbytes for array in arrays if array is not None)
 
@@ -99,6 +99,21 @@ def test_estimates_bound_what_is_used(name, query, rays, rng):
         if name in CHOOSING and len(origins) > 1024:
             spare += 22_000_000 * rs.thread_count()
         assert needed.total <= 2 * peak + spare
+
+
+@pytest.mark.parametrize("query", QUERIES)
+def test_instances_need_more(query, rng):
+    transforms = np.tile(np.eye(3, 4), (2, 1, 1))
+    transforms[1, 2, 3] = 0.5
+    objects = [rs.Scene.from_arrays(*stack(2))]
+    tracer = rs.Tracer(rs.Scene.instances(objects, transforms))
+    origins, directions = parallel(MANY, rng)
+    options = {"max_hits": 4} if query == "multi_hit" else {}
+    needed = tracer.memory_needed(len(origins), query, **options)
+    peak, result = peak_of(lambda: getattr(tracer, query)(origins, directions, **options))
+    status = len(origins) if isinstance(result, np.ndarray) else 0
+    assert byte_count(result) + status == pytest.approx(needed.results, rel=0.001)
+    assert peak <= needed.total <= 2 * peak + 300_000 * rs.thread_count()
 
 
 def test_counters_need_more():

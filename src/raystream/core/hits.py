@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from raystream.core.rays import as_real_array
 from raystream.core.spawn import spawn_origins
 from raystream.core.triangles import Triangles
+
+if TYPE_CHECKING:
+    from raystream.core.instanced_triangles import InstancedTriangles
 
 __all__ = ["Hits", "MultiHits"]
 
@@ -27,7 +30,18 @@ class _HitColumns:
     #: Triangle, counted over the whole scene, int32. A miss has -1.
     prim_id: NDArray[np.int32]
 
-    _triangles: Triangles
+    _triangles: Triangles | InstancedTriangles
+    _instance_id: NDArray[np.int32] | None = None
+
+    @cached_property
+    def instance_id(self) -> NDArray[np.int32]:
+        """Instance of the triangle, int32, of the hits' shape; a miss has -1.
+
+        0 in a scene without instances.
+        """
+        if self._instance_id is not None:
+            return self._instance_id
+        return np.minimum(self.prim_id, 0)
 
     @cached_property
     def mesh_id(self) -> NDArray[np.int32]:
@@ -48,16 +62,17 @@ class _HitColumns:
         Interpolated from the vertices, not stepped along the ray: they lie on the triangle
         however far away the ray began.
         """
-        return self._triangles.to_world(self._local_positions())
+        return self._triangles.points_to_world(self._local_positions(), self.instance_id)
 
     @cached_property
     def normals(self) -> NDArray[np.float32]:
         """Unit normals of the triangles' planes, shape (..., 3), float32; a miss has NaN.
 
         They point to the side from which the vertices run counter-clockwise, whichever side
-        the ray came from.
+        the ray came from. An instance that mirrors its object keeps the outside outside: there
+        the vertices run clockwise, seen from that side.
         """
-        return self._local_normals().astype(np.float32)
+        return self._world_normals().astype(np.float32)
 
     @cached_property
     def material_id(self) -> NDArray[np.int32]:
@@ -91,8 +106,9 @@ class _HitColumns:
         they cancel. Normal and bump maps are not applied.
         """
         attributes = self._triangles.attributes
-        plane = self._local_normals()
+        plane = self._world_normals()
         smooth = self._interpolated(None if attributes is None else attributes.normals, 3)
+        smooth = self._triangles.normals_to_world(smooth, self.instance_id)
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             (x, y, z), (gx, gy, gz) = np.moveaxis(smooth, -1, 0), np.moveaxis(plane, -1, 0)
             length = np.sqrt(x * x + y * y + z * z)
@@ -115,11 +131,7 @@ class _HitColumns:
 
     def _corners(self) -> NDArray[np.float64]:
         """Shape (..., 3, 3), float64, local frame; NaN for misses."""
-        if len(self._triangles) == 0:
-            return np.full((*self.prim_id.shape, 3, 3), np.nan)
-        corners = self._triangles.corners[self.prim_id].astype(np.float64)
-        corners[self.prim_id < 0] = np.nan
-        return corners
+        return self._triangles.corners_at(self.prim_id, self.instance_id)
 
     def _local_positions(self) -> NDArray[np.float64]:
         corners = self._corners()
@@ -138,6 +150,9 @@ class _HitColumns:
             normal /= np.abs(normal).max(axis=-1, keepdims=True)
             normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         return normal
+
+    def _world_normals(self) -> NDArray[np.float64]:
+        return self._triangles.normals_to_world(self._local_normals(), self.instance_id)
 
     def spawn(self, directions: Any) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """Make rays that leave the surfaces hit, without hitting the same triangles again.
@@ -180,10 +195,15 @@ class _HitColumns:
             raise ValueError(
                 f"directions: shape {array.shape} does not broadcast to the hits' {wanted}"
             ) from None
+        triangles, instance_id = self._triangles, self.instance_id
         local = spawn_origins(
-            self._triangles, self._local_positions(), self._corners(), self._local_normals(), array
+            triangles.reaches_at(instance_id),
+            self._local_positions(),
+            self._corners(),
+            self._local_normals(),
+            triangles.directions_to_local(array, instance_id),
         )
-        return self._triangles.to_world(local), array
+        return triangles.points_to_world(local, instance_id), array
 
 
 class Hits(_HitColumns):
@@ -210,12 +230,13 @@ class Hits(_HitColumns):
         v: NDArray[np.float32],
         prim_id: NDArray[np.int32],
         status: NDArray[np.uint8],
-        triangles: Triangles,
+        triangles: Triangles | InstancedTriangles,
         sectors: NDArray[np.int32] | None = None,
+        instance_id: NDArray[np.int32] | None = None,
     ) -> None:
         self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
         self.sectors = sectors
-        self._triangles = triangles
+        self._triangles, self._instance_id = triangles, instance_id
 
     def __getitem__(self, index: Any) -> Hits:
         """Pick rays, with any index that NumPy takes for the leading shape."""
@@ -227,6 +248,7 @@ class Hits(_HitColumns):
             np.asarray(self.status[index]),
             self._triangles,
             None if self.sectors is None else np.asarray(self.sectors[index]),
+            None if self._instance_id is None else np.asarray(self._instance_id[index]),
         )
 
     def ravel(self) -> Hits:
@@ -239,6 +261,7 @@ class Hits(_HitColumns):
             self.status.ravel(),
             self._triangles,
             None if self.sectors is None else self.sectors.ravel(),
+            None if self._instance_id is None else self._instance_id.ravel(),
         )
 
     @property
@@ -293,11 +316,12 @@ class MultiHits(RayRows, _HitColumns):
         v: NDArray[np.float32],
         prim_id: NDArray[np.int32],
         status: NDArray[np.uint8],
-        triangles: Triangles,
+        triangles: Triangles | InstancedTriangles,
+        instance_id: NDArray[np.int32] | None = None,
     ) -> None:
         self.ray_splits = ray_splits
         self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
-        self._triangles = triangles
+        self._triangles, self._instance_id = triangles, instance_id
 
     def __repr__(self) -> str:
         return f"MultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

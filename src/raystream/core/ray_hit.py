@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import RayStatus
 from raystream.core.triangles import Triangles
 
@@ -35,36 +36,56 @@ class RayHit(_Columns):
         Triangle, counted over the whole scene; -1 for a miss.
     status : RayStatus
         Whether the ray was traced; not a member of the tuple.
+    instance_id : int
+        Instance that is hit, 0 in a scene without any; -1 for a miss; not a member of the tuple.
     """
 
     # A tuple with attributes besides: it has no __slots__.
 
     status: RayStatus = RayStatus.VALID
-    _triangles: Triangles
+    _triangles: Triangles | InstancedTriangles
+    _instance_id: int | None = None
 
     @classmethod
-    def of(cls, columns: tuple[float, float, float, int], triangles: Triangles) -> RayHit:
+    def of(
+        cls,
+        columns: tuple[float, float, float, int],
+        triangles: Triangles | InstancedTriangles,
+        instance_id: int | None = None,
+    ) -> RayHit:
         """The hit of a valid ray with triangles.
 
         Parameters
         ----------
         columns : tuple
-            t, u, v and prim_id.
-        triangles : Triangles
+            t, u, v and prim_id; without an `instance_id` in a scene that has instances, the
+            triangle's number among those of all instances.
+        triangles : Triangles or InstancedTriangles
+        instance_id : int, optional
         """
+        if instance_id is None and isinstance(triangles, InstancedTriangles):
+            ids = triangles.split_ids(np.array(columns[3], np.int32))
+            prim_id, instance_id = (one.item() for one in ids)
+            columns = (*columns[:3], prim_id)
         hit = tuple.__new__(cls, columns)
-        hit._triangles = triangles
+        hit._triangles, hit._instance_id = triangles, instance_id
         return hit
 
     def __bool__(self) -> bool:
         return self.prim_id >= 0
+
+    @property
+    def instance_id(self) -> int:
+        """Instance that is hit; 0 in a scene without instances, -1 for a miss."""
+        return min(self.prim_id, 0) if self._instance_id is None else self._instance_id
 
     @cached_property
     def hits(self) -> Hits:
         """The same as `Hits` of shape (), for all else that they know: materials, `spawn`."""
         t, u, v = (np.array(one, np.float32) for one in self[:3])
         prim_id, status = np.array(self.prim_id, np.int32), np.array(self.status, np.uint8)
-        return Hits(t, u, v, prim_id, status, self._triangles)
+        instance_id = np.array(self.instance_id, np.int32)
+        return Hits(t, u, v, prim_id, status, self._triangles, None, instance_id)
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -78,6 +78,8 @@ class RayBatch:
         The same, not repeated where one value serves all rays.
     near : ndarray of shape (N,), int32, or None
         The number of a sector near the start of each ray, -1 for none; see `Tracer.first_hit`.
+    worlds : ndarray of shape (N,), int32, or None
+        The world of each ray, in a scene whose instances have worlds; see `Scene.instances`.
 
     Raises
     ------
@@ -91,6 +93,7 @@ class RayBatch:
     origins: NDArray[Any]
     directions: NDArray[Any]
     near: NDArray[np.int32] | None = None
+    worlds: NDArray[np.int32] | None = None
 
     def __init__(
         self, origins: Any, directions: Any, t_min: Any = 0.0, t_max: Any = np.inf

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.triangles import Triangles
-
 __all__ = [
     "EXTENT_UNITS",
     "MOST_UNITS",
@@ -38,7 +36,7 @@ WORLD_UNIT = 2.0**-50
 
 
 def spawn_origins(
-    triangles: Triangles,
+    reaches: tuple[Any, Any],
     positions: NDArray[np.float64],
     corners: NDArray[np.float64],
     normals: NDArray[np.float64],
@@ -48,7 +46,8 @@ def spawn_origins(
 
     Parameters
     ----------
-    triangles : Triangles
+    reaches : tuple of two float, or ndarray of shape (...)
+        See `Triangles.reaches_at`.
     positions : ndarray of shape (..., 3), float64
         Points on the triangles, local frame.
     corners : ndarray of shape (..., 3, 3), float64
@@ -68,15 +67,15 @@ def spawn_origins(
     from it. The test's rounding is that of a triangle whose vertices moved by less than
     `offset`, so it finds the plane at t < 0.
     """
-    extent = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
+    extent, far = reaches
+    size = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
     reach = np.abs(positions).max(axis=-1)
     offset = UNIT * np.minimum(
-        EXTENT_UNITS * extent + REACH_UNITS * reach,
-        MOST_UNITS * (float(triangles.max_coordinate) + reach),
+        EXTENT_UNITS * size + REACH_UNITS * reach,
+        MOST_UNITS * (extent + reach),
     )
     # Far from the origin, the rounding of the float64 world position may be larger.
-    world_reach = np.abs(triangles.center).max() * triangles.scale
-    offset += WORLD_UNIT * world_reach
+    offset += WORLD_UNIT * far
     away = np.sign(np.einsum("...k,...k->...", normals, directions))
     away = np.where(away == 0.0, 1.0, away)
     return positions + (away * offset)[..., None] * normals

@@ -238,6 +238,57 @@ class Triangles:
         """Move local points of shape (..., 3) into world space."""
         return np.asarray(points, np.float64) / self.scale + self.center
 
+    # Geometry of hits; `InstancedTriangles` has the same, where instances matter.
+
+    def corners_at(
+        self,
+        prim_id: NDArray[np.int32],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Corners of triangles, shape (..., 3, 3), float64, local frame; NaN for -1."""
+        if len(self) == 0:
+            return np.full((*prim_id.shape, 3, 3), np.nan)
+        corners = self.corners[prim_id].astype(np.float64)
+        corners[prim_id < 0] = np.nan
+        return corners
+
+    def points_to_world(
+        self,
+        points: NDArray[np.float64],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Move points of shape (..., 3) on triangles from the local frame to world space."""
+        return self.to_world(points)
+
+    def normals_to_world(
+        self,
+        normals: NDArray[np.float64],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Unit normals of triangles in world space."""
+        return normals
+
+    def directions_to_local(
+        self,
+        directions: NDArray[Any],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[Any]:
+        """World directions in the local frame, of any length."""
+        return directions
+
+    def reaches_at(
+        self,
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> tuple[Any, Any]:
+        """Largest coordinates near triangles, in local units.
+
+        Returns
+        -------
+        extent, far : float
+            `max_coordinate`; and the length of the numbers that world positions are rounded at.
+        """
+        return float(self.max_coordinate), np.abs(self.center).max() * self.scale
+
     @property
     def world_bounds(self) -> NDArray[np.float64]:
         """`bounds` in world space, shape (2, 3), float64."""

@@ -26,12 +26,14 @@ __all__ = [
     "Goal",
     "RayQueries",
     "RayScene",
+    "Searches",
     "Wanted",
     "finish_first",
     "finish_rows",
     "output_of",
     "ray_queries",
     "ray_search",
+    "searches",
 ]
 
 _NONE = np.uint64(0)
@@ -48,7 +50,7 @@ class RayScene(NamedTuple):
 
     Attributes
     ----------
-    source : RaySource
+    source : RaySource or None
     frame : SceneFrame
     arrays : NamedTuple
         The structure's arrays.
@@ -60,7 +62,7 @@ class RayScene(NamedTuple):
         Decides which hits exist.
     """
 
-    source: RaySource
+    source: RaySource | None
     frame: SceneFrame
     arrays: Any
     stack: np.uint64
@@ -106,23 +108,32 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
         ``search_ray(i, scene, goal) -> (search, ray)`` for ray i of a `RayScene` and a `Goal`: the
         finished search and the `LocalRay`.
     """
-    search_local = _local_search(traverse)
+    return searches(traverse).of_batch
+
+
+class Searches(NamedTuple):
+    """The searches of a single ray.
+
+    Attributes
+    ----------
+    of_batch : device function
+        ``of_batch(i, scene, goal) -> (search, ray)`` for ray i of a `RayScene` and a `Goal`: the
+        finished search, and a `LocalRay` whose scale and offset turn its hits' t into world t.
+    of_numbers : device function
+        ``of_numbers(numbers, scene, goal) -> (search, ray)``, for the origin and direction, six
+        float64 numbers in world space, and the limits, float32.
+    """
+
+    of_batch: Callable[..., Any]
+    of_numbers: Callable[..., Any]
+
+
+def searches(traverse: Callable[..., Any]) -> Searches:
+    """Make the searches of a structure whose triangles are in the scene's local frame."""
 
     @device
-    def search_ray(i, scene, goal):
-        ray = load_ray(scene.source, i, scene.frame)
-        _note_status(scene.status, i, ray.status)
-        filter_ = _ray_filter(scene.filter, i, ray)
-        return search_local(ray, scene.frame, scene.arrays, scene.stack, goal, filter_), ray
-
-    return search_ray
-
-
-def _local_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the search of a `LocalRay`; see `ray_search`."""
-
-    @device
-    def search_local(ray, frame, arrays, stack, goal, filter_):
+    def search_local(ray, scene, goal, filter_):
+        frame = scene.frame
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         search = begin_search(
             ray.t_min,
@@ -133,10 +144,24 @@ def _local_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
             goal.surfaces,
             goal.counters,
             filter_,
+            None,
         )
-        return traverse(arrays, local, search, stack)
+        return traverse(scene.arrays, local, search, scene.stack)
 
-    return search_local
+    @device
+    def of_batch(i, scene, goal):
+        ray = load_ray(scene.source, i, scene.frame)
+        _note_status(scene.status, i, ray.status)
+        filter_ = _ray_filter(scene.filter, i, ray)
+        return search_local(ray, scene, goal, filter_), ray
+
+    @device
+    def of_numbers(numbers, scene, goal):
+        ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
+        ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, scene.frame)
+        return search_local(ray, scene, goal, None), ray
+
+    return Searches(of_batch, of_numbers)
 
 
 @device
@@ -246,7 +271,11 @@ def output_of(query: Query, sink: Sink) -> tuple[Any, ...]:
     return wanted, sink.splits, sink.hits
 
 
-def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
+def ray_queries(
+    traverse: Callable[..., Any],
+    stack_bytes: int,
+    make_searches: Callable[[Callable[..., Any]], Searches] = searches,
+) -> RayQueries:
     """Make the queries of a structure.
 
     Parameters
@@ -260,12 +289,14 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     stack_bytes : int
         Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8. It
         keeps its contents from ray to ray; before the first ray, the first 8 bytes are 0.
+    make_searches : callable, optional
+        Makes the `Searches` of the traversal [default: `searches`].
 
     Returns
     -------
     RayQueries
     """
-    search_ray, search_local = ray_search(traverse), _local_search(traverse)
+    search_ray, search_numbers = make_searches(traverse)
 
     @kernel
     def first_hit(begin, end, source, frame, arrays, tallies, filter_, out):
@@ -341,10 +372,10 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     def cast(frame, arrays, ox, oy, oz, dx, dy, dz, t_min, t_max):
         stack, row = scratch(stack_bytes), scratch(16)
         store(stack, _NONE)
-        ray = local_ray(ox, oy, oz, dx, dy, dz, np.float32(t_min), np.float32(t_max), frame)
+        scene = RayScene(None, frame, arrays, stack, None, None)
         hits = HitAddresses(row, row + np.uint64(4), row + np.uint64(8), row + np.uint64(12))
-        goal = Goal(_ONE, hits, _NONE, False, None)
-        search = search_local(ray, frame, arrays, stack, goal, None)
+        wanted = ox, oy, oz, dx, dy, dz, np.float32(t_min), np.float32(t_max)
+        search, ray = search_numbers(wanted, scene, Goal(_ONE, hits, _NONE, False, None))
         finish_first(hits, _NONE, search.hit_count, ray)
         t, u, v, prim_id = get_hit(hits, _NONE)
         numbers = np.float64(t), np.float64(u), np.float64(v), np.int64(prim_id)

@@ -26,6 +26,7 @@ __all__ = [
     "Ray",
     "SceneFrame",
     "component",
+    "local_limit",
     "prepare_ray",
     "to_local",
     "world_t",
@@ -164,6 +165,16 @@ def _local_limit(t, t_scale, t_offset, toward):
             break
         limit = _next(limit, -toward)
     return limit
+
+
+@device
+def local_limit(t, t_scale, t_offset):
+    """The farthest local distance that is reported as t or less."""
+    if t_offset == 0.0:
+        exact = np.float32(np.float64(t) / t_scale)
+        if np.float64(exact) * t_scale == np.float64(t):
+            return exact
+    return _local_limit(t, t_scale, t_offset, 1)
 
 
 @device

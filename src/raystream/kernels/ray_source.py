@@ -29,6 +29,7 @@ __all__ = [
     "RaySource",
     "ResultAddresses",
     "load_direction",
+    "load_limits",
     "load_origin",
     "load_ray",
     "local_ray",
@@ -211,6 +212,13 @@ def load_direction(source, i):
 
 
 @device
+def load_limits(source, i):
+    """t_min and t_max of ray i, float32."""
+    t_min = load(np.float32, source.t_min + i * source.t_min_step)
+    return t_min, load(np.float32, source.t_max + i * source.t_max_step)
+
+
+@device
 def load_ray(source, i, frame):
     """Ray i in the local frame.
 
@@ -225,10 +233,8 @@ def load_ray(source, i, frame):
     LocalRay
     """
     wx, wy, wz = load_origin(source, i)
-    at = source.directions + i * source.direction_step
-    t_min = load(np.float32, source.t_min + i * source.t_min_step)
-    t_max = load(np.float32, source.t_max + i * source.t_max_step)
-    dx, dy, dz = _three(at, source.directions_are_double)
+    dx, dy, dz = load_direction(source, i)
+    t_min, t_max = load_limits(source, i)
     return local_ray(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)
 
 

@@ -2,7 +2,8 @@
 
 A query loop begins a search, a structure's traversal takes and returns it, and each leaf offers
 its hits to it; no other code depends on the query. A search that was begun in one structure can be
-continued in another: only `offer` changes its count and its t_far.
+continued in another: only `offer` changes its count and its t_far. `enter_instance` continues it
+in object space, and `leave_instance` takes it back.
 
 Hits are ordered by t, then prim_id, so the order never depends on the traversal.
 
@@ -20,19 +21,24 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 from raystream.kernels.hit_filter import RayFilter, keeps
 from raystream.kernels.hits import HitAddresses
+from raystream.kernels.ray import local_limit, world_t
 
 __all__ = [
+    "InstanceRay",
     "Search",
     "begin_search",
+    "enter_instance",
     "get_hit",
     "is_before",
     "is_full",
     "is_over",
     "keep_hit",
+    "leave_instance",
     "offer",
     "put_hit",
     "sort_hits",
     "wants_any",
+    "world_t_far",
 ]
 
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
@@ -162,6 +168,22 @@ def sort_hits(out, first, count):
 # The search
 
 
+class InstanceRay(NamedTuple):
+    """A ray in the space of an instance's object, as a search needs it for its hits.
+
+    Attributes
+    ----------
+    t_scale, t_offset : float64
+        World t = t * t_scale + t_offset; see `kernels.ray.LocalRay`.
+    first_id : int32
+        The number of the object's first triangle in this instance, counted over all instances.
+    """
+
+    t_scale: np.float64
+    t_offset: np.float64
+    first_id: np.int32
+
+
 class Search(NamedTuple):
     """The goal of a ray's search, and its results so far.
 
@@ -185,6 +207,9 @@ class Search(NamedTuple):
         Address of the ray's counts, see `kernels.tally`.
     filter : RayFilter or None
         Decides which hits exist.
+    instance : InstanceRay or None
+        In a scene with instances: hits are kept with their world t, and their number among the
+        triangles of all instances.
     """
 
     t_min: np.float32
@@ -196,10 +221,11 @@ class Search(NamedTuple):
     surfaces: bool
     counters: np.uint64 | None
     filter: RayFilter | None
+    instance: InstanceRay | None
 
 
 @device
-def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, counters, filter_):
+def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, counters, filter_, instance):
     """A search without hits; see `Search` for the arguments."""
     return Search(
         t_min,
@@ -211,6 +237,7 @@ def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, counters, fi
         surfaces,
         counters,
         filter_,
+        instance,
     )
 
 
@@ -227,6 +254,7 @@ def _changed(search, count, t_far):
         search.surfaces,
         search.counters,
         search.filter,
+        search.instance,
     )
 
 
@@ -275,7 +303,76 @@ def offer(search, t, u, v, prim_id):
     """
     if not keeps(search.filter, t, u, v, prim_id):
         return search
-    return _offer_to(search.hits, search, t, u, v, prim_id)
+    return _offer_within(search.instance, search, t, u, v, prim_id)
+
+
+@device
+def _offer_within(instance, search, t, u, v, prim_id):
+    if instance is None:
+        return _offer_to(search.hits, search, t, u, v, prim_id)
+    world = world_t(t, instance.t_scale, instance.t_offset)
+    number = np.int32(prim_id + instance.first_id)
+    found = _offer_to(search.hits, search, world, u, v, number)
+    return _changed(search, found.hit_count, _object_t_far(search.hits, instance, search, found))
+
+
+@device
+def _object_t_far(hits, instance, search, found):
+    """The farthest t in object space whose world t is not beyond the hits kept."""
+    if hits is None or found.hit_count != search.capacity:
+        return search.t_far
+    farthest = _t_of(hits, search.first_row)
+    return min(search.t_far, local_limit(farthest, instance.t_scale, instance.t_offset))
+
+
+@device
+def enter_instance(search, ray, first_id):
+    """Continue a search of the instances of a scene in one of them.
+
+    Parameters
+    ----------
+    search : Search
+    ray : LocalRay
+        The ray in object space, with the search's interval.
+    first_id : int32
+        See `InstanceRay`.
+
+    Returns
+    -------
+    Search
+    """
+    return Search(
+        ray.t_min,
+        ray.t_max,
+        search.hit_count,
+        search.capacity,
+        search.hits,
+        search.first_row,
+        search.surfaces,
+        search.counters,
+        search.filter,
+        InstanceRay(ray.t_scale, ray.t_offset, first_id),
+    )
+
+
+@device
+def leave_instance(search, inner):
+    """The search of the instances, with the results of the search in one of them."""
+    t_far = _object_t_far(search.hits, search.instance, search, inner)
+    return _changed(search, inner.hit_count, t_far)
+
+
+@device
+def _farthest_kept(hits, search, t_max):
+    if hits is None or search.hit_count != search.capacity:
+        return t_max
+    return _t_of(hits, search.first_row)
+
+
+@device
+def world_t_far(search, t_max):
+    """The world t beyond which a search of instances wants no hit; `t_max` is the ray's limit."""
+    return _farthest_kept(search.hits, search, t_max)
 
 
 @device

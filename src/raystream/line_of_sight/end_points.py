@@ -12,13 +12,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.errors import RaystreamError
 from raystream.core.hits import Hits
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.rays import as_host_array, as_real_array
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.core.triangles import MAX_COORDINATE, Triangles
 from raystream.tracer import Tracer
 
-__all__ = ["EndPoints", "check_tracer", "end_points", "is_clear", "leaving_distance", "planes_of"]
+__all__ = [
+    "EndPoints",
+    "check_plain",
+    "check_tracer",
+    "end_points",
+    "is_clear",
+    "leaving_distance",
+    "planes_of",
+]
 
 #: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
 #: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
@@ -71,6 +81,12 @@ def check_tracer(tracer: Any) -> None:
         raise TypeError(
             f"tracer: expected a Tracer, got {type(tracer).__name__}; make one by rs.Tracer(scene)"
         )
+
+
+def check_plain(what: str, triangles: Any) -> None:
+    """Raise RaystreamError if triangles belong to instances: `what` needs them in one frame."""
+    if isinstance(triangles, InstancedTriangles):
+        raise RaystreamError(f"{what}: {NOT_INSTANCED}")
 
 
 def planes_of(
@@ -134,6 +150,7 @@ def end_points(name: str, values: Any, skipped: Any, triangles: Triangles) -> En
     if isinstance(values, Hits):
         hits = values.ravel()
         own = hits._triangles
+        check_plain(f"{name}: points on surfaces", own)
         if own.scale != triangles.scale or not np.array_equal(own.center, triangles.center):
             raise ValueError(f"{name}: the hits are of another scene than the tracer's")
         positions, is_valid = hits.positions, hits.is_hit.copy()

@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.core.hits import Hits
 from raystream.core.rays import as_host_array, as_real_array
-from raystream.line_of_sight.end_points import check_tracer
+from raystream.line_of_sight.end_points import check_plain, check_tracer
 from raystream.tracer import Tracer
 
 __all__ = ["surface_points"]
@@ -49,6 +49,7 @@ def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THI
     """
     check_tracer(tracer)
     triangles = tracer.structure.triangles
+    check_plain("surface_points", triangles)
     ids = as_host_array("prim_ids", prim_ids)
     if ids.size == 0:
         ids = ids.astype(np.int32)

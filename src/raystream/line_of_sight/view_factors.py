@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.balance import Shares, balanced
+from raystream.line_of_sight.end_points import check_plain
 from raystream.line_of_sight.patches import Emitter, Patches, make_patches, patch_ids
 from raystream.rendering.sampling.sampler import MAX_SAMPLES, Sampler
 from raystream.scene.scene import Scene
@@ -160,6 +161,7 @@ def view_factors(
         raise ValueError(f"target_error: expected a number above 0, got {target_error}")
     sampler = Sampler.of("sobol", seed)
     triangles = tracer.structure.triangles
+    check_plain("view_factors", triangles)
     ids = patch_ids(patches, triangles)
     count = int(ids.max(initial=-1)) + 1
     matrices = _BALANCED_MATRICES if reciprocity else _MATRICES

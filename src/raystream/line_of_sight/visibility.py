@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from raystream._version import __version__
 from raystream.core.memory import available_memory
 from raystream.jit.threads import Progress
-from raystream.line_of_sight.end_points import EndPoints, check_tracer, end_points, is_clear
+from raystream.line_of_sight.end_points import (
+    EndPoints,
+    check_plain,
+    check_tracer,
+    end_points,
+    is_clear,
+)
 from raystream.line_of_sight.resumable_array import resumable_array
 from raystream.line_of_sight.tiles import LEAST_TILE, MOST_TILE, Tile, Tiles
 from raystream.ray_files.identity import scene_digest
@@ -162,6 +168,8 @@ def visibility(
         raise ValueError("skip_b: expected None without b; skip_a serves both")
     path = None if out is None else _checked_path(out, form)
     triangles = tracer.structure.triangles
+    if path is not None:
+        check_plain("out", triangles)
     starts = end_points("a", a, skip_a, triangles)
     stops = starts if b is None else end_points("b", b, skip_b, triangles)
     job = _Job(tracer, starts, stops, bool(front_only), form, b is None)

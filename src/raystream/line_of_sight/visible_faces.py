@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
 from raystream.jit.threads import Progress
-from raystream.line_of_sight.end_points import check_tracer, end_points, is_clear
+from raystream.line_of_sight.end_points import check_plain, check_tracer, end_points, is_clear
 from raystream.line_of_sight.image_frame import seen_from
 from raystream.line_of_sight.surface_points import surface_points
 from raystream.rendering.arguments import check_size
@@ -106,6 +106,8 @@ def visible_faces(
     if points < 0:
         raise ValueError(f"points_per_face: expected at least 0, got {points}")
     triangles = tracer.structure.triangles
+    if points:
+        check_plain("points_per_face above 0", triangles)
     check_memory(9 * len(triangles), f"counts of {len(triangles):,} faces would")
     counts = np.zeros(len(triangles), np.int64)
     rows = max(_BLOCK // width, 1)

@@ -166,7 +166,8 @@ class Branching(Backend):
             return
         assert visitor is not None
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
-        shared = source, structure.frame, structure.arrays, np.uint64(sink.status.ctypes.data)
+        arrays = structure.arrays_for(query, rays, sink)
+        shared = source, structure.frame, arrays, np.uint64(sink.status.ctypes.data)
         wanted = Wanted.of(query)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from raystream.core.choices import Cpu, DeviceOptions
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.machines import MACHINES, make_machine, own_options
@@ -84,12 +85,17 @@ class Device(NamedTuple):
 
 def build_on_cpu(
     structure: StructureOptions,
-    triangles: Triangles,
+    triangles: Triangles | InstancedTriangles,
     *,
     progress: Progress | None = None,
     device: DeviceOptions | None = None,  # noqa: ARG001 - part of `DeviceFactory`
 ) -> Structure:
     """Build a structure on the CPU; a `DeviceFactory`."""
+    if isinstance(triangles, InstancedTriangles):
+        # Here, not above: few scenes have instances.
+        from raystream.instances.structure import build_instanced
+
+        return build_instanced(structure, triangles, progress)
     return build_structure(structure, triangles, progress=progress)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from typing import Any, NamedTuple
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.memory import check_memory
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
@@ -25,6 +26,10 @@ _HIT = 16
 
 #: Bytes of a ray's counters, see `kernels.tally`.
 ROW_BYTES = 32
+
+#: Queries that return hits; and bytes to split a hit's number into triangle and instance.
+_ROWS = (Kind.FIRST_HIT, Kind.MULTI_HIT)
+_SPLIT_BYTES = 48
 
 _KINDS = {
     "first_hit": Kind.FIRST_HIT,
@@ -126,9 +131,13 @@ class MemoryEstimator(RayCaster):
         if kind is Kind.FIRST_HIT and self.machine == "branching" and self.device == "cpu":
             # A graph names the sectors of hits.
             results += 0 if self.structure.sector_count is None else 4 * count
+        working = self._backend.working_bytes(kind, count, hits)
+        if isinstance(self.structure.triangles, InstancedTriangles) and kind in _ROWS:
+            results += 4 * (count if kind is Kind.FIRST_HIT else hits)
+            working += _SPLIT_BYTES * (count if kind is Kind.FIRST_HIT else hits)
         if self._counts:
             results += ROW_BYTES * count
-        return MemoryNeeded(results, self._backend.working_bytes(kind, count, hits))
+        return MemoryNeeded(results, working)
 
     def _answer(
         self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None

@@ -25,7 +25,8 @@ class RayCaster(TracedScene):
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         super()._set(scene, structure)
         # Holds addresses of this structure: made with each new one.
-        self._cast = None if self._needs_queries() else self._backend.caster()
+        needs_queries = self._needs_queries() or self._world_count
+        self._cast = None if needs_queries else self._backend.caster()
 
     @abstractmethod
     def _needs_queries(self) -> bool:
@@ -80,10 +81,11 @@ class RayCaster(TracedScene):
         if self._cast is None:
             hits = self.first_hit(origin, direction, t_min=t_min, t_max=t_max)
             columns = hits.t.item(), hits.u.item(), hits.v.item(), hits.prim_id.item()
-            status = hits.status.item()
+            instance_id, status = hits.instance_id.item(), hits.status.item()
         else:
             columns, status = self._cast(*origin, *direction, t_min, t_max)
-        hit = RayHit.of(columns, self.structure.triangles)
+            instance_id = None
+        hit = RayHit.of(columns, self.structure.triangles, instance_id)
         if status:
             hit.status = RayStatus(status)
         return hit

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import operator
+import time
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
@@ -13,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
+from raystream.core.errors import RaystreamError
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
@@ -36,7 +39,23 @@ if TYPE_CHECKING:
 __all__ = ["TracedScene"]
 
 #: Attributes that belong to the structure in place, or to the latest query.
-_TRANSIENT = ("_backend", "_cast", "_latest")
+_TRANSIENT = ("_backend", "_cast", "_latest", "_world_count")
+
+
+def flat_ids(name: str, values: Any, count: int, shape: tuple[int, ...]) -> NDArray[np.int32]:
+    """One number for each ray, -1 to count - 1, as a flat array."""
+    ids = np.asarray(values)
+    if ids.dtype.kind not in "iu":
+        raise TypeError(f"{name}: expected integers, got {ids.dtype}")
+    if ids.size and not (ids.min() >= -1 and ids.max() < count):
+        raise ValueError(f"{name}: expected -1 to {count - 1:,}")
+    try:
+        ids = np.broadcast_to(ids, shape)
+    except ValueError:
+        raise ValueError(
+            f"{name}: shape {ids.shape} does not broadcast to the rays' {shape}"
+        ) from None
+    return np.ascontiguousarray(ids, np.int32).reshape(-1)
 
 
 class TracedScene:
@@ -56,6 +75,7 @@ class TracedScene:
     _backend: Backend
     _machine_options: Mapping[str, Any]
     _counts: bool
+    _world_count: int
     _latest: RayCounters | None
 
     def _configure(
@@ -73,9 +93,35 @@ class TracedScene:
         self._counts = bool(counters)
         return configuration
 
+    def _built(
+        self, configuration: Configuration, triangles: Any, progress: Progress | None
+    ) -> Structure:
+        """Build the structure of triangles.
+
+        Raises
+        ------
+        ValueError
+            If there are instances, and the structure, device or machine does not support them.
+        """
+        has_instances = isinstance(triangles, InstancedTriangles)
+        if has_instances and (self.device, self.machine) != ("cpu", "branching"):
+            raise ValueError(
+                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
+                "with machine='branching' supports them"
+            )
+        return device_of(self.device).build(
+            configuration.structure,
+            triangles,
+            progress=progress,
+            device=configuration.device_options,
+        )
+
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
         self.structure = structure
+        placed: Any = structure.triangles
+        is_placed = isinstance(placed, InstancedTriangles)
+        self._world_count = placed.instances.world_count if is_placed else 0
         self._latest = None
         self._backend = device_of(self.device).machines.make(
             self.machine, structure, self._machine_options
@@ -131,8 +177,9 @@ class TracedScene:
 
     def update(
         self,
-        vertices: Any,
+        vertices: Any = None,
         *,
+        transforms: Any = None,
         max_cost_growth: float = 1.5,
         progress: Progress | None = None,
     ) -> UpdateReport:
@@ -146,6 +193,10 @@ class TracedScene:
             scene with the same faces, such as `Scene.at` returns: its lights, materials, normals
             and camera are used, too. If all its meshes are the same objects as before, nothing
             is done, and the report's costs are nan.
+        transforms : array_like of shape (K, 3, 4), real, optional
+            In place of `vertices`, for a scene with instances: where they are now, see
+            `Scene.instances`. The objects stay as they are: only the tree over the instances is
+            rebuilt. A scene that `Scene.with_transforms` returned does the same.
         max_cost_growth : float
             Refitting a tree to moved triangles is much faster than building it, but the refitted
             tree is slower to traverse the further neighbours move apart. It is rebuilt when the
@@ -191,6 +242,12 @@ class TracedScene:
         if not max_cost_growth >= 0.0:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
+        if (vertices is None) == (transforms is None):
+            raise ValueError("update: expected either vertices or transforms")
+        if transforms is not None:
+            vertices = scene.with_transforms(transforms)
+        if scene.placements is not None:
+            return self._update_instances(vertices)
         if isinstance(vertices, Scene):
             meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
             if all(map(operator.is_, scene.meshes, meshes)):
@@ -204,6 +261,27 @@ class TracedScene:
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
         self._set(scene.moved(meshes, triangles), structure)
         return report
+
+    def _update_instances(self, scene: Any) -> UpdateReport:
+        """Place the instances as in another scene of the same objects."""
+        old: Any = self.structure
+        triangles: Any = scene.triangles if isinstance(scene, Scene) else None
+        if not isinstance(triangles, InstancedTriangles):
+            raise ValueError(
+                "vertices: a scene with instances moves by transforms=, or to another scene that "
+                "`with_transforms` of its scene returned"
+            )
+        if not all(map(operator.is_, triangles.objects, old.triangles.objects)):
+            raise ValueError("vertices: the scene has other objects than this tracer's")
+        started = time.perf_counter()
+        self._set(scene, old.moved(triangles))
+        return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
+
+    def _check_plain(self, what: str) -> None:
+        """Raise an error if the scene has instances: `what` is not supported there."""
+        triangles: Any = self.structure.triangles
+        if isinstance(triangles, InstancedTriangles):
+            raise RaystreamError(f"{what}: {NOT_INSTANCED}")
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the built structure and its triangles to a file.
@@ -298,7 +376,13 @@ class TracedScene:
         return tracer
 
     def _rays(
-        self, origins: Any, directions: Any, t_min: Any, t_max: Any, near: Any = None
+        self,
+        origins: Any,
+        directions: Any,
+        t_min: Any,
+        t_max: Any,
+        near: Any = None,
+        worlds: Any = None,
     ) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""
         if self._backend.capabilities.device_arrays and not self._counts:
@@ -306,11 +390,27 @@ class TracedScene:
             if arrays.is_on_gpu():
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")
+                if worlds is not None:
+                    raise ValueError("worlds: expected None for rays on a GPU")
                 return arrays
         rays = RayBatch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
+        if worlds is not None or self._world_count:
+            rays.worlds = self._checked_worlds(worlds, rays.shape)
         return rays
+
+    def _checked_worlds(self, worlds: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
+        """`worlds` of `Tracer.first_hit`, flat."""
+        count = self._world_count
+        if not count:
+            raise ValueError("worlds: expected None: the scene has no worlds; see Scene.instances")
+        if worlds is None:
+            raise ValueError(
+                f"worlds: expected the world of each ray, 0 to {count - 1:,}, or -1 for none: the "
+                "scene's instances are in worlds"
+            )
+        return flat_ids("worlds", worlds, count, shape)
 
     def _checked_sectors(self, near: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
         """`near` of `Tracer.first_hit`, flat."""
@@ -321,18 +421,7 @@ class TracedScene:
                 "near: expected None, since only structure='graph' on the CPU's branching machine "
                 "knows sectors"
             )
-        sectors = np.asarray(near)
-        if sectors.dtype.kind not in "iu":
-            raise TypeError(f"near: expected integers, got {sectors.dtype}")
-        if sectors.size and not (sectors.min() >= -1 and sectors.max() < count):
-            raise ValueError(f"near: expected -1 to {count - 1:,}")
-        try:
-            sectors = np.broadcast_to(sectors, shape)
-        except ValueError:
-            raise ValueError(
-                f"near: shape {sectors.shape} does not broadcast to the rays' {shape}"
-            ) from None
-        return np.ascontiguousarray(sectors, np.int32).reshape(-1)
+        return flat_ids("near", near, count, shape)
 
     def _answer(
         self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None

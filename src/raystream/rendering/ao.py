@@ -20,12 +20,12 @@ from raystream.rendering.integrator import (
     RenderContext,
     find_surfaces,
     sectors_of,
-    shading_batch,
     trace_shadow_rays,
 )
 from raystream.rendering.sampling.sampler import PixelSample, Sampler
 from raystream.rendering.shading.ambient_occlusion import OcclusionOptions, spawn_ao_rays
 from raystream.rendering.shading.shadow_rays import ShadowRays
+from raystream.rendering.surfaces import surfaces_of
 
 __all__ = ["AO", "REACH", "distance_of", "sampler_of", "spawn_ambient_rays"]
 
@@ -41,9 +41,10 @@ def spawn_ambient_rays(stream: PathStream, band: Band) -> PathStream:
     context = band.context
     count = context.options["rays"]
     rays = ShadowRays.empty(len(stream) * count)
+    surfaces = surfaces_of(stream, band)
     ray_count = spawn_ao_rays(
-        shading_batch(stream, band),
-        context.tables,
+        surfaces.batch,
+        surfaces.tables,
         PixelSample(sampler_of(context), band.sample),
         OcclusionOptions(count, distance_of(context)),
         rays,

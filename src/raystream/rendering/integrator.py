@@ -30,10 +30,12 @@ from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers, write_aovs
 from raystream.rendering.shading.light_tables import LightTables, lights_of
+from raystream.rendering.shading.placed_tables import ObjectTables
 from raystream.rendering.shading.punctual_lights import PunctualLights, punctual_lights_of
 from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
-from raystream.rendering.shading.streams import Paths, ShadingBatch
+from raystream.rendering.shading.streams import Paths
 from raystream.rendering.shading.tables import EMITS, IS_TEXTURED, SceneTables, tables_of
+from raystream.rendering.surfaces import objects_of, surfaces_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
@@ -48,7 +50,6 @@ __all__ = [
     "find_surfaces",
     "make_context",
     "sectors_of",
-    "shading_batch",
     "take_no_options",
     "trace_shadow_rays",
 ]
@@ -105,6 +106,7 @@ class RenderContext:
     chosen_lights: str = "auto"
     is_light_added: bool = False
     bands: DeviceBands | None = None
+    objects: ObjectTables | None = None
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
         """The filter (``on_hit``) of the tracer's queries for rays of shape (N, 3)."""
@@ -190,6 +192,7 @@ def make_context(
         layers,
         chosen_lights,
         needs_light(scene, chosen_lights, background=scene.background),
+        objects=objects_of(scene, kept_tables),
     )
     return made.with_bands()
 
@@ -389,8 +392,10 @@ class Integrator:
         stream = PathStream(paths)
         if aovs is not None:
             stream = find_surfaces(stream, band)
-            batch = shading_batch(stream, band)
-            write_aovs(batch, context.tables, aovs)
+            surfaces = surfaces_of(stream, band)
+            write_aovs(surfaces.batch, surfaces.tables, aovs)
+            if context.objects is not None and stream.hits is not None:  # tables of the hits
+                aovs.prim_id[band.rows_of(stream.paths.pixels)] = stream.hits.prim_id
         while len(stream):
             for stage in self.stages:
                 stream = stage(stream, band)
@@ -403,14 +408,6 @@ class Integrator:
 def take_no_options(options: Mapping[str, Any]) -> Mapping[str, Any]:
     """For `Integrator.check` of modes without options."""
     return options
-
-
-def shading_batch(stream: PathStream, band: Band) -> ShadingBatch:
-    """The stream's paths at the surfaces that they hit, as shading kernels take them."""
-    hits = stream.hits
-    assert hits is not None
-    rows = hits.t, hits.u, hits.v, hits.prim_id
-    return ShadingBatch(len(stream), stream.paths, rows, band.first_pixel, band.radiance)
 
 
 def sectors_of(stream: PathStream, band: Band) -> NDArray[np.int32] | None:

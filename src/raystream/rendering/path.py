@@ -20,13 +20,13 @@ from raystream.rendering.integrator import (
     PathStream,
     find_surfaces,
     sectors_of,
-    shading_batch,
     trace_shadow_rays,
 )
 from raystream.rendering.sampling.sampler import PixelSample
 from raystream.rendering.shading.paths import PathOptions, shade_paths, shade_plain_paths
 from raystream.rendering.shading.plain_scenes import kernel_for
 from raystream.rendering.shading.shadow_rays import ShadowRays
+from raystream.rendering.surfaces import surfaces_of
 
 __all__ = ["PATH", "PATH_STAGES", "check_path", "shade_surfaces"]
 
@@ -38,10 +38,11 @@ def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: add emitted light, sample the lights by shadow rays, and scatter the paths."""
     context, paths = band.context, stream.paths
     rays, sectors = ShadowRays.empty(len(stream)), sectors_of(stream, band)
+    surfaces = surfaces_of(stream, band)
     shade = kernel_for(shade_paths, shade_plain_paths, context.tables, context.lights)
     path_count, ray_count = shade(
-        shading_batch(stream, band),
-        context.tables,
+        surfaces.batch,
+        surfaces.tables,
         context.lights,
         PixelSample(context.sampler, band.sample),
         stream.bounce,

@@ -11,21 +11,20 @@ from raystream.rendering.integrator import (
     Integrator,
     PathStream,
     find_surfaces,
-    shading_batch,
     take_no_options,
 )
 from raystream.rendering.shading.local_shading import shade_plain_unshadowed, shade_unshadowed
 from raystream.rendering.shading.plain_scenes import kernel_for
+from raystream.rendering.surfaces import surfaces_of
 
 __all__ = ["RAYCAST", "shade_by_lights"]
 
 
 def shade_by_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: shade the hits by every light; the paths end."""
-    context = band.context
-    tables, lights = context.tables, context.punctual
-    shade = kernel_for(shade_unshadowed, shade_plain_unshadowed, tables, lights)
-    shade(shading_batch(stream, band), tables, lights)
+    surfaces, lights = surfaces_of(stream, band), band.context.punctual
+    shade = kernel_for(shade_unshadowed, shade_plain_unshadowed, surfaces.tables, lights)
+    shade(surfaces.batch, surfaces.tables, lights)
     return PathStream(stream.paths.first(0))
 
 

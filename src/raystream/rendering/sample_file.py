@@ -15,6 +15,7 @@ import numpy as np
 
 from raystream._version import __version__
 from raystream.core.errors import FileFormatError
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.rendering.environment import image_light, texels_of
 from raystream.rendering.film import Film
 from raystream.rendering.integrator import Integrator, RenderContext
@@ -122,7 +123,13 @@ def _digest(scene: Scene) -> str:
         else:
             digest.update(repr(value).encode())
 
-    add(scene.triangles.corners)
+    triangles: Any = scene.triangles
+    if isinstance(triangles, InstancedTriangles):
+        add(triangles.object_corners())
+        add(triangles.instances.object_ids)
+        add(triangles.instances.transforms)
+    else:
+        add(triangles.corners)
     add((scene.triangles.center.tolist(), float(scene.triangles.scale)))
     for mesh in scene.meshes:
         for array in (mesh.normals, mesh.texcoords, mesh.colors, mesh.material_ids):

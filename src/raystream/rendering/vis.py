@@ -7,18 +7,18 @@ from raystream.rendering.integrator import (
     Integrator,
     PathStream,
     find_surfaces,
-    shading_batch,
     take_no_options,
 )
 from raystream.rendering.shading.local_shading import shade_facing_ratio
+from raystream.rendering.surfaces import surfaces_of
 
 __all__ = ["VIS", "shade_by_facing_ratio"]
 
 
 def shade_by_facing_ratio(stream: PathStream, band: Band) -> PathStream:
     """Stage: shade in grey, by the cosine between normal and view; the paths end."""
-    context = band.context
-    shade_facing_ratio(shading_batch(stream, band), context.tables, context.punctual)
+    surfaces = surfaces_of(stream, band)
+    shade_facing_ratio(surfaces.batch, surfaces.tables, band.context.punctual)
     return PathStream(stream.paths.first(0))
 
 

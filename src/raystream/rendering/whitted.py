@@ -18,13 +18,13 @@ from raystream.rendering.integrator import (
     PathStream,
     RenderContext,
     find_surfaces,
-    shading_batch,
     trace_shadow_rays,
 )
 from raystream.rendering.shading.plain_scenes import kernel_for
 from raystream.rendering.shading.shadow_rays import ShadowRays
 from raystream.rendering.shading.streams import Paths
 from raystream.rendering.shading.whitted import WhittedOptions, shade_plain_whitted, shade_whitted
+from raystream.rendering.surfaces import surfaces_of
 
 __all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sample_all_lights"]
 
@@ -35,10 +35,11 @@ def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
     continues = stream.bounce < context.options["max_bounces"]
     rays = ShadowRays.empty(count * lights_per_pixel(context))
     onward = Paths.empty(2 * count if continues else 0)
+    surfaces = surfaces_of(stream, band)
     shade = kernel_for(shade_whitted, shade_plain_whitted, context.tables, context.punctual)
     path_count, ray_count = shade(
-        shading_batch(stream, band),
-        context.tables,
+        surfaces.batch,
+        surfaces.tables,
         context.punctual,
         WhittedOptions(continues, context.options["min_weight"], context.options["casts_shadows"]),
         onward,

@@ -18,6 +18,7 @@ from raystream.physics.segments import thickness
 from raystream.rendering.arguments import check_number
 from raystream.rendering.integrator import Band, Integrator, PathStream
 from raystream.rendering.shading.transparency import composite_hits
+from raystream.rendering.surfaces import tables_at
 
 __all__ = ["XRAY"]
 
@@ -29,11 +30,12 @@ def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
         # A surface counts once at an edge, not once per triangle.
         rays = paths.origins, paths.directions
         hits = context.tracer.multi_hit(*rays, crossings="surfaces", on_hit=context.filter(*rays))
+        tables, (_, *columns), _kept = tables_at(context, hits)
         composite_hits(
             paths,
             hits.ray_splits,
-            (hits.u, hits.v, hits.prim_id),
-            context.tables,
+            tuple(columns),
+            tables,
             context.options["opacity"],
             context.punctual,
             band.first_pixel,

@@ -51,9 +51,13 @@ class Geometry:
         # Here, not above: most scenes have cameras.
         from raystream.scene.default_view.choice import choose_view
 
-        view = choose_view(self.triangles, up)
+        view = choose_view(self._seen(), up)
         self._view = key, view
         return view
+
+    def _seen(self) -> Triangles:
+        """The triangles that the view is chosen by."""
+        return self.triangles
 
     def _described(self, triangles: Triangles) -> Triangles:
         if triangles.attributes is None:  # replacing them would change existing hits

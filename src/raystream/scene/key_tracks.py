@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.scene.splines import slerp
+from raystream.scene.splines import slerp, slerp_rows
 
 __all__ = ["KeyTrack"]
 
@@ -64,13 +64,37 @@ class KeyTrack:
         value: Array = before + s * (after - before)
         return value
 
+    def at_times(self, times: Array) -> Array:
+        """The values at N times, shape (N, W): those of `at`, but for rounding."""
+        last = len(self.times) - 1
+        if last == 0:
+            return np.repeat(self._normalized(self.values[0])[None], len(times), axis=0)
+        i = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, last - 1)
+        length = self.times[i + 1] - self.times[i]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = np.where(length > 0.0, np.clip((times - self.times[i]) / length, 0.0, 1.0), 1.0)
+        before, after = self.values[i], self.values[i + 1]
+        if self.method == "step":
+            return np.where(s[:, None] < 1.0, before, after)
+        if self.arriving is not None and self.leaving is not None:
+            out, into = length[:, None] * self.leaving[i], length[:, None] * self.arriving[i + 1]
+            found = _hermite(before, out, into, after, s[:, None])
+            if not self.is_rotation:
+                return found
+            return found / np.linalg.norm(found, axis=1, keepdims=True)
+        if self.is_rotation:
+            is_far = np.einsum("nk,nk->n", before, after) < 0.0
+            return slerp_rows(before, np.where(is_far[:, None], -after, after), s)
+        value: Array = before + s[:, None] * (after - before)
+        return value
+
     def _normalized(self, value: Array) -> Array:
         """Normalise a rotation; return other values unchanged."""
         length = float(np.linalg.norm(value))
         return value / length if self.is_rotation and length > 0.0 else value
 
 
-def _hermite(before: Array, out: Array, into: Array, after: Array, s: float) -> Array:
+def _hermite(before: Array, out: Array, into: Array, after: Array, s: float | Array) -> Array:
     square, cube = s * s, s * s * s
     value: Array = (
         (2 * cube - 3 * square + 1) * before

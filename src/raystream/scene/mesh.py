@@ -106,6 +106,24 @@ class Mesh:
             mesh.normals = _attribute("normals", normals, (len(positions), 3))
         return mesh
 
+    def with_material_ids(self, material_ids: ArrayLike) -> Mesh:
+        """Copy the mesh with other materials; everything else is shared.
+
+        Parameters
+        ----------
+        material_ids : int or array_like of shape (F,), integer
+
+        Raises
+        ------
+        ValueError, TypeError
+            As `Mesh`.
+        """
+        mesh = Mesh.__new__(Mesh)
+        for name in Mesh.__slots__:
+            setattr(mesh, name, getattr(self, name))
+        mesh.material_ids = _material_ids(material_ids, len(self.faces))
+        return mesh
+
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""
         return f"Mesh({name}{len(self.vertices):,} vertices, {len(self.faces):,} triangles)"

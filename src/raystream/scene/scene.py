@@ -19,6 +19,7 @@ from raystream.scene.animation import FPS, Animation, Timeline
 from raystream.scene.camera import Camera, unit_vector
 from raystream.scene.camera_track import CameraMotion
 from raystream.scene.geometry import Geometry
+from raystream.scene.instanced_scene import InstancedScene
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
@@ -45,7 +46,7 @@ class _Parts(TypedDict, total=False):
     name: str
 
 
-class Scene:
+class Scene(InstancedScene):
     """Geometry to trace rays against, with materials, lights and cameras to render it.
 
     A scene is immutable: `replace` makes another one, which shares unchanged parts.
@@ -214,6 +215,8 @@ class Scene:
             scene._up = self._up  # a unit vector that is normalised again may lose a bit
         if _are_same(scene.meshes, self.meshes):
             scene._geometry = self._geometry
+        elif self.placements is not None:
+            raise ValueError("meshes: a scene with instances keeps them; see Scene.instances")
         return scene
 
     def moved(self, meshes: Sequence[Mesh], triangles: Triangles) -> Scene:
@@ -227,11 +230,6 @@ class Scene:
             Their triangles.
         """
         return self._with(_geometry=Geometry(meshes, triangles))
-
-    def _with(self, **fields: Any) -> Scene:
-        scene = Scene.__new__(Scene)
-        vars(scene).update(vars(self), **fields)
-        return scene
 
     @property
     def meshes(self) -> tuple[Mesh, ...]:
@@ -291,7 +289,8 @@ class Scene:
         Returns
         -------
         ndarray of shape (2, 3), float64
-            Rows: low and high corner, world space; both zero if nothing can be hit.
+            Rows: low and high corner, world space; both zero if nothing can be hit. With
+            instances, around the boxes of their objects.
         """
         return self.triangles.world_bounds
 
@@ -409,7 +408,8 @@ class Scene:
         if self._animation is not None:
             posed = self._animation.at(time)
             scene._materials, scene._lights = posed.materials, posed.lights
-            if not _are_same(posed.meshes, self.meshes):
+            is_same = _are_same(posed.meshes, self.meshes)
+            if not is_same or posed.placements is not self.placements:
                 scene._geometry = posed._geometry
         return scene
 
@@ -438,9 +438,11 @@ class Scene:
 
         Excludes materials whose emission is a texture, and those that are not opaque: they
         glow, but are not sampled as lights, since such textures are mostly black and cut-outs
-        emit nothing.
+        emit nothing. So do all in a scene with instances.
         """
-        lights = []
+        lights: list[AreaLight] = []
+        if self.placements is not None:
+            return lights
         first = 0
         emissive = {
             index: material.emission
@@ -458,7 +460,9 @@ class Scene:
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""
-        return f"Scene({name}{len(self.meshes)} meshes, {self.triangle_count:,} triangles)"
+        placed = "" if self.placements is None else f", {len(self.placements):,} instances"
+        counts = f"{len(self.meshes)} meshes, {self.triangle_count:,} triangles"
+        return f"Scene({name}{counts}{placed})"
 
     def _repr_html_(self) -> str:
         """Show the contents of the scene in a notebook."""

@@ -14,6 +14,7 @@ __all__ = [
     "rotation_at",
     "rotation_matrix",
     "slerp",
+    "slerp_rows",
 ]
 
 Array = NDArray[np.float64]
@@ -205,4 +206,16 @@ def slerp(p: Array, q: Array, s: float) -> Array:
     if sine < 1e-9:  # equal or opposite: linear interpolation suffices
         return p + s * (q - p) if cosine > 0.0 else p
     result: Array = (math.sin((1 - s) * angle) * p + math.sin(s * angle) * q) / sine
+    return result
+
+
+def slerp_rows(p: Array, q: Array, s: Array) -> Array:
+    """Interpolate as `slerp` between rows of quaternions, (N, 4), at fractions s, (N,)."""
+    cosine = np.clip(np.einsum("nk,nk->n", p, q), -1.0, 1.0)[:, None]
+    angle, s = np.arccos(cosine), s[:, None]
+    sine = np.sin(angle)
+    is_line = sine < 1e-9
+    with np.errstate(divide="ignore", invalid="ignore"):
+        arc = (np.sin((1.0 - s) * angle) * p + np.sin(s * angle) * q) / sine
+    result: Array = np.where(is_line, np.where(cosine > 0.0, p + s * (q - p), p), arc)
     return result

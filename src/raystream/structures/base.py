@@ -17,7 +17,7 @@ from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
-from raystream.kernels.queries import RayQueries, ray_queries
+from raystream.kernels.queries import RayQueries, Searches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.registry import StructureOptions
 
@@ -80,10 +80,13 @@ class Structure(ABC):
     report : BuildReport
     options : StructureOptions
         Build and traversal options.
+    make_searches : callable
+        Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
     """
 
     traverse: ClassVar[Callable[..., Any]]
     stack_bytes: ClassVar[int] = 8
+    make_searches: ClassVar[Callable[..., Searches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
     triangles: Triangles
     report: BuildReport
@@ -92,7 +95,7 @@ class Structure(ABC):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "traverse" in cls.__dict__:
-            cls.queries = ray_queries(cls.traverse, cls.stack_bytes)
+            cls.queries = ray_queries(cls.traverse, cls.stack_bytes, cls.make_searches)
 
     @abstractmethod
     def __init__(

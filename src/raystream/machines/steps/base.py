@@ -91,6 +91,7 @@ def resume_search(hits, ray, wanted, found, query):
         query.surfaces,
         None,
         None,
+        None,
     )
 
 

@@ -111,7 +111,8 @@ def lights_of(
         [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
     )
     prims = np.unique(prims).astype(np.int32)  # intersect1d would sort the scene's, too
-    prims = prims[np.isin(prims, scene.triangles.prim_ids)]
+    if len(prims):  # there are none with instances
+        prims = prims[np.isin(prims, scene.triangles.prim_ids)]
     check_rows(len(prims), 17, "triangles that emit light")
     if is_added:
         color = color + SKY
@@ -190,7 +191,9 @@ def _area_patches(
 
     Powers up to a constant factor; densities as if there were no other lights.
     """
-    corners = scene.triangles.corners[prims].astype(np.float64)
+    corners = np.zeros((0, 3, 3))
+    if len(prims):
+        corners = scene.triangles.corners[prims].astype(np.float64)
     emission = np.array([material.emission for material in scene.materials]).reshape(-1, 3)
     materials = scene.attributes.material_ids[prims]
     edges = corners[:, 1:] - corners[:, :1]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.rendering.shading.sheen import sheen_table
 from raystream.rendering.shading.tangents import vertex_tangents
 from raystream.rendering.shading.textures import TextureTables, address_of, pack_textures
@@ -28,6 +29,7 @@ __all__ = [
     "IS_TEXTURED",
     "WIDTH",
     "Column",
+    "SceneArrays",
     "SceneTables",
     "material_rows",
     "tables_of",
@@ -122,8 +124,20 @@ class SceneTables(NamedTuple):
     textures: TextureTables
 
 
-def tables_of(scene: Scene) -> tuple[SceneTables, object]:
+class SceneArrays(NamedTuple):
+    """The arrays at the addresses of `SceneTables`, to be kept while they are used."""
+
+    corners: NDArray[np.float32]
+    vertices: VertexAttributes
+    tangents: NDArray[np.float32] | None
+    material_ids: NDArray[np.int32]
+    others: object
+
+
+def tables_of(scene: Scene) -> tuple[SceneTables, SceneArrays]:
     """The tables of a scene, and the arrays to keep alive while they are used.
+
+    With instances, triangles are those of the objects, in their own frames: see `placed_tables`.
 
     Warns
     -----
@@ -135,14 +149,16 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     ValueError
         If the scene has too many triangles or vertices, see `check_rows`.
     """
-    triangles = scene.triangles
-    check_rows(len(triangles.corners), 9, "triangles")
+    triangles: Any = scene.triangles
+    placed = isinstance(triangles, InstancedTriangles)
+    corners = triangles.object_corners() if placed else triangles.corners
+    check_rows(len(corners), 9, "triangles")
     vertices = VertexAttributes.of(scene)
     material_ids = scene.attributes.material_ids
     materials = material_rows(scene.materials)
     sheen = sheen_table() if any(m.has_sheen for m in scene.materials) else None
     textures, kept_textures = pack_textures(scene.materials)
-    corners = np.ascontiguousarray(triangles.corners)
+    corners = np.ascontiguousarray(corners)
     tangents = _tangents(scene, corners, vertices, material_ids)
     upright, mirrored = (None, None) if tangents is None else tangents
     x, y, z = (float(c) for c in triangles.center)
@@ -164,7 +180,8 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         _kinds_of(scene.materials),
         textures,
     )
-    return tables, (corners, vertices, tangents, material_ids, materials, sheen, kept_textures)
+    others = materials, sheen, kept_textures
+    return tables, SceneArrays(corners, vertices, tangents, material_ids, others)
 
 
 def _kinds_of(materials: Sequence[Material]) -> int:

@@ -25,7 +25,7 @@ from raystream.structures.bvh.steps import (
     push,
 )
 
-__all__ = ["STACK_BYTES", "traverse"]
+__all__ = ["STACK_BYTES", "traverse", "tree_traversal"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -46,37 +46,64 @@ def _prefetch_next(tree, stack, top):
         prefetch_child(load(np.int32, stack + _HALF + top - LANE), tree.nodes, tree.leaves)
 
 
-@device
-def traverse(tree, ray, search, stack):
-    """Traverse the tree with a ray; see `kernels.queries.ray_queries` for the arguments."""
-    line = block_ray(ray)
-    top = begin(tree, search.t_min, search.t_far, stack, _HALF)
-    found, child, top = next_entry(stack, _HALF, top, search.t_far)
-    while found:
-        if is_leaf(child):
-            add_to(search.counters, LEAVES, _ONE)
-            _prefetch_next(tree, stack, top)
-            block, end = leaf_blocks(tree, child)
-            while block != end:
-                add_to(search.counters, TESTS, triangle_count(block))
-                search = intersect_block(block, line, search, search.t_min, _INF)
+def tree_traversal(search_leaf):
+    """Make the traversal of a wide tree.
+
+    Parameters
+    ----------
+    search_leaf : device function
+        ``search_leaf(tree, child, line, search, stack) -> search`` offers the hits in a leaf to a
+        search; `line` is the `BlockRay`. The memory at `stack` + `STACK_BYTES` is its own.
+
+    Returns
+    -------
+    function
+        See `kernels.queries.ray_queries`.
+    """
+
+    def traverse(tree, ray, search, stack):
+        line = block_ray(ray)
+        top = begin(tree, search.t_min, search.t_far, stack, _HALF)
+        found, child, top = next_entry(stack, _HALF, top, search.t_far)
+        while found:
+            if is_leaf(child):
+                add_to(search.counters, LEAVES, _ONE)
+                _prefetch_next(tree, stack, top)
+                search = search_leaf(tree, child, line, search, stack)
                 if is_full(search):
                     return search
-                block += BLOCK
-        else:
-            add_to(search.counters, STEPS, _ONE)
-            node = tree.nodes + np.uint64(child) * NODE
-            keys, entered = enter(node, line, search.t_min, search.t_far)
-            lanes = mask_bits(entered)
-            if lanes != _NONE:
-                if lanes & (lanes - _ONE) == _NONE:
-                    at = node + CHILDREN + (count_trailing_zeros(lanes) << _WORD)
-                    child = load(np.int32, at)
+            else:
+                add_to(search.counters, STEPS, _ONE)
+                node = tree.nodes + np.uint64(child) * NODE
+                keys, entered = enter(node, line, search.t_min, search.t_far)
+                lanes = mask_bits(entered)
+                if lanes != _NONE:
+                    if lanes & (lanes - _ONE) == _NONE:
+                        at = node + CHILDREN + (count_trailing_zeros(lanes) << _WORD)
+                        child = load(np.int32, at)
+                        continue
+                    top = push(node, keys, entered, wants_any(search), stack, _HALF, top)
+                    top -= LANE  # the last one is within the interval
+                    child = load(np.int32, stack + _HALF + top)
+                    _prefetch_next(tree, stack, top)
                     continue
-                top = push(node, keys, entered, wants_any(search), stack, _HALF, top)
-                top -= LANE  # the last one is within the interval
-                child = load(np.int32, stack + _HALF + top)
-                _prefetch_next(tree, stack, top)
-                continue
-        found, child, top = next_entry(stack, _HALF, top, search.t_far)
+            found, child, top = next_entry(stack, _HALF, top, search.t_far)
+        return search
+
+    return traverse
+
+
+@device
+def _search_blocks(tree, child, line, search, stack):
+    block, end = leaf_blocks(tree, child)
+    while block != end:
+        add_to(search.counters, TESTS, triangle_count(block))
+        search = intersect_block(block, line, search, search.t_min, _INF)
+        if is_full(search):
+            break
+        block += BLOCK
     return search
+
+
+#: Traverse the tree of triangles with a ray.
+traverse = device(tree_traversal(_search_blocks))

@@ -1,0 +1,312 @@
+"""InstancedTriangles: the triangles of objects that are placed by instances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.attributes import Attributes
+from raystream.core.errors import RaystreamError
+from raystream.core.instances import Instances
+from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
+
+__all__ = ["NOT_INSTANCED", "InstancedTriangles"]
+
+#: What to do where scenes with instances are not supported.
+NOT_INSTANCED = (
+    "not supported in a scene with instances; scene.flattened() is the same scene without them, "
+    "if it fits into memory"
+)
+
+
+class InstancedTriangles:
+    """The triangles of a scene's objects, each in a local frame of its own, and their instances.
+
+    ``prim_id`` counts the triangles of the objects, however often they are placed. Kernels count
+    those of all instances, one instance after another: `split_ids` converts.
+
+    Parameters
+    ----------
+    objects : sequence of Triangles
+    instances : Instances
+    mesh_splits : ndarray of shape (M + 1,), int64
+        Mesh i of the scene owns the prim_ids in [mesh_splits[i], mesh_splits[i + 1]).
+    attributes : Attributes
+        Of the meshes.
+
+    Attributes
+    ----------
+    first_prims : ndarray of shape (O + 1,), int64
+        Object i owns the prim_ids in [first_prims[i], first_prims[i + 1]).
+    first_ids : ndarray of shape (K + 1,), int64
+        Instance k owns the numbers in [first_ids[k], first_ids[k + 1]).
+
+    Raises
+    ------
+    ValueError
+        If an instance has an object that does not exist, or there are 2**31 triangles or more in
+        all instances.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[Triangles],
+        instances: Instances,
+        mesh_splits: NDArray[np.int64],
+        attributes: Attributes,
+    ) -> None:
+        self.objects, self.instances = tuple(objects), instances
+        self.mesh_splits, self.attributes = mesh_splits, attributes
+        counts = np.array([len(one) for one in self.objects], np.int64)
+        self.first_prims = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        ids = instances.object_ids
+        if len(ids) and not (ids.min() >= 0 and ids.max() < len(counts)):
+            bad = int(np.argmax((ids < 0) | (ids >= len(counts))))
+            raise ValueError(
+                f"object_ids: instance {bad} is of object {ids[bad]}, but there are {len(counts):,}"
+            )
+        self.first_ids = np.concatenate([[0], np.cumsum(counts[ids])]).astype(np.int64)
+        if self.first_ids[-1] > MAX_TRIANGLES:
+            raise ValueError(
+                f"scene: {self.first_ids[-1]:,} triangles in all instances are more than "
+                f"{MAX_TRIANGLES:,}"
+            )
+
+    def __len__(self) -> int:
+        return int(self.first_prims[-1])
+
+    def __getattr__(self, name: str) -> Any:
+        # What is written for `Triangles` meets instances here.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name in _OF_TRIANGLES:
+            raise RaystreamError(f"triangles.{name}: {NOT_INSTANCED}")
+        raise AttributeError(f"InstancedTriangles has no attribute {name!r}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        arguments = self.objects, self.instances, self.mesh_splits, self.attributes
+        return InstancedTriangles, arguments
+
+    @cached_property
+    def _frame(self) -> tuple[NDArray[np.float64], float]:
+        return local_frame(*self.world_bounds)
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """World position of the origin of the scene's local frame; see `Triangles`."""
+        return self._frame[0]
+
+    @property
+    def scale(self) -> float:
+        """Local units of the scene's local frame per world unit."""
+        return self._frame[1]
+
+    @property
+    def bounds(self) -> NDArray[np.float32]:
+        """`world_bounds` in the scene's local frame, shape (2, 3), float32."""
+        return ((self.world_bounds - self.center) * self.scale).astype(np.float32)
+
+    @property
+    def max_coordinate(self) -> np.float32:
+        """Largest absolute coordinate of `bounds`."""
+        return np.float32(np.abs(self.bounds).max())
+
+    def object_corners(self) -> NDArray[np.float32]:
+        """Corners of all objects' triangles, by prim_id, shape (F, 3, 3), float32.
+
+        Each object's in its own local frame.
+        """
+        none = np.zeros((0, 3, 3), np.float32)
+        return np.concatenate([none, *(one.corners for one in self.objects)])
+
+    def some(self, most: int) -> Triangles:
+        """Some triangles where the instances are, in world space; all if they are few.
+
+        Parameters
+        ----------
+        most : int
+            How many, at most. They are spread evenly over the numbers of all triangles.
+        """
+        total = int(self.first_ids[-1])
+        numbers = np.arange(0, total, max(1, -(-total // most)), dtype=np.int32)
+        prim_id, instance_id = self.split_ids(numbers)
+        points = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
+        faces = np.arange(3 * len(numbers), dtype=np.int32).reshape(-1, 3)
+        return Triangles([(points.reshape(-1, 3), faces)])
+
+    @property
+    def degenerate_count(self) -> int:
+        """Triangles of the objects without area."""
+        return sum(one.degenerate_count for one in self.objects)
+
+    @property
+    def nonfinite_count(self) -> int:
+        """Triangles of the objects with a vertex that is not finite."""
+        return sum(one.nonfinite_count for one in self.objects)
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the objects' triangles and of the instances."""
+        held = self.instances
+        tables = held.object_ids.nbytes + held.transforms.nbytes + held.inverses.nbytes
+        return sum(one.byte_count for one in self.objects) + tables
+
+    @property
+    def world_bounds(self) -> NDArray[np.float64]:
+        """The box around the instances' boxes, shape (2, 3), float64; zeros if all are empty."""
+        low, high, is_empty = self.boxes()
+        if is_empty.all():
+            return np.zeros((2, 3))
+        return np.array([low[~is_empty].min(axis=0), high[~is_empty].max(axis=0)])
+
+    def boxes(
+        self, grown: float = 0.0
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """World boxes around the instances.
+
+        Parameters
+        ----------
+        grown : float
+            Objects' boxes are grown by this fraction of their largest coordinate, local frame.
+
+        Returns
+        -------
+        low, high : ndarray of shape (K, 3), float64
+        is_empty : ndarray of shape (K,), bool
+            Instances without a triangle that can be hit.
+        """
+        centers, halves = np.zeros((2, len(self.objects), 3))
+        for k, one in enumerate(self.objects):
+            margin = grown * float(one.max_coordinate)
+            low, high = one.bounds.astype(np.float64) + [[-margin], [margin]]
+            centers[k] = one.to_world((low + high) / 2)
+            halves[k] = (high - low) / 2 / one.scale
+        ids, transforms = self.instances.object_ids, self.instances.transforms
+        linear, shift = transforms[:, :, :3], transforms[:, :, 3]
+        center = np.einsum("kij,kj->ki", linear, centers[ids]) + shift
+        half = np.einsum("kij,kj->ki", np.abs(linear), halves[ids])
+        is_empty = np.array([len(one.prim_ids) == 0 for one in self.objects], bool)
+        return center - half, center + half, is_empty[ids]
+
+    def split_ids(self, numbers: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Split the numbers of triangles of all instances; -1 stays -1.
+
+        Returns
+        -------
+        prim_id, instance_id : ndarray of the same shape, int32
+        """
+        instance_id = np.searchsorted(self.first_ids, numbers, side="right").astype(
+            np.int32
+        ) - np.int32(1)
+        is_hit = numbers >= 0
+        found = np.where(is_hit, instance_id, 0)
+        if len(self.instances) == 0:
+            return np.array(numbers), instance_id
+        offset = self.first_prims[self.instances.object_ids[found]] - self.first_ids[found]
+        return np.where(is_hit, numbers + offset, -1).astype(np.int32), instance_id
+
+    # Geometry of hits: as `Triangles` has it, for each hit in the frame of its object.
+
+    def corners_at(
+        self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.float64]:
+        """Corners of triangles in their objects' local frames; see `Triangles.corners_at`."""
+        prims = prim_id.reshape(-1)
+        corners = np.full((len(prims), 3, 3), np.nan)
+        for k, rows in self._by_object(instance_id):
+            corners[rows] = self.objects[k].corners[prims[rows] - self.first_prims[k]]
+        return corners.reshape(*prim_id.shape, 3, 3)
+
+    def points_to_world(
+        self, points: NDArray[np.float64], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.float64]:
+        """Move points from objects' local frames to world space.
+
+        Parameters
+        ----------
+        points : ndarray of shape S + (3,) or S + (k, 3), float64
+        instance_id : ndarray of shape S, int32
+        """
+        ids = instance_id.reshape(-1)
+        local = points.reshape(len(ids), -1, 3)
+        world = np.full(local.shape, np.nan)
+        for k, rows in self._by_object(instance_id):
+            matrices = self.instances.transforms[ids[rows]]
+            inside = self.objects[k].to_world(local[rows])
+            moved = np.einsum("kij,knj->kni", matrices[:, :, :3], inside)
+            world[rows] = moved + matrices[:, None, :, 3]
+        return world.reshape(points.shape)
+
+    def normals_to_world(
+        self, normals: NDArray[np.float64], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.float64]:
+        """Unit normals of shape (..., 3) in world space, on the same side of the surface."""
+        world = np.full(normals.shape, np.nan)
+        is_hit = instance_id >= 0
+        inverses = self.instances.inverses[instance_id[is_hit]][:, :, :3]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            # Scaled before they are multiplied and measured: small numbers would vanish.
+            inverses = inverses / np.abs(inverses).max(axis=(1, 2), keepdims=True, initial=0.0)
+            moved = _product(inverses.swapaxes(1, 2), normals[is_hit])
+            moved /= np.abs(moved).max(axis=-1, keepdims=True, initial=0.0)
+            world[is_hit] = moved / np.linalg.norm(moved, axis=-1, keepdims=True)
+        return world
+
+    def directions_to_local(
+        self, directions: NDArray[Any], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.float64]:
+        """World directions of shape (..., 3) in the spaces of the hits' objects."""
+        moved = np.full(directions.shape, np.nan)
+        is_hit = instance_id >= 0
+        inverses = self.instances.inverses[instance_id[is_hit]][:, :, :3]
+        moved[is_hit] = _product(inverses, directions[is_hit].astype(np.float64))
+        return moved
+
+    def reaches_at(
+        self, instance_id: NDArray[np.int32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Largest coordinates of the hits' objects; see `Triangles.reaches_at`.
+
+        The second is the length of the terms of ``inverse @ world``, each of which rounds.
+        """
+        ids = instance_id.reshape(-1)
+        extent, far = np.zeros((2, len(ids)))
+        for k, rows in self._by_object(instance_id):
+            one = self.objects[k]
+            matrices = np.abs(self.instances.transforms[ids[rows]])
+            inverses = np.abs(self.instances.inverses[ids[rows]])
+            inside = np.full((len(rows), 3), np.abs(one.world_bounds).max())
+            world = _product(matrices[:, :, :3], inside) + matrices[:, :, 3]
+            terms = _product(inverses[:, :, :3], world) + inverses[:, :, 3]
+            extent[rows] = float(one.max_coordinate)
+            far[rows] = (terms.max(axis=1) + np.abs(one.center).max()) * one.scale
+        return extent.reshape(instance_id.shape), far.reshape(instance_id.shape)
+
+    def _by_object(self, instance_id: NDArray[np.int32]) -> list[tuple[int, NDArray[np.int64]]]:
+        """The objects that are hit, and the rows of the hits of each, in the flattened array."""
+        ids = instance_id.reshape(-1)
+        rows = np.flatnonzero(ids >= 0)
+        objects = self.instances.object_ids[ids[rows]]
+        order = np.argsort(objects, kind="stable")
+        rows, objects = rows[order], objects[order]
+        firsts = np.flatnonzero(np.diff(objects, prepend=-1))
+        parts = np.split(rows, firsts[1:]) if len(rows) else []
+        return [(int(objects[first]), part) for first, part in zip(firsts, parts, strict=True)]
+
+
+#: Attributes of `Triangles` that instances cannot have.
+_OF_TRIANGLES = frozenset(
+    name
+    for name in (*vars(Triangles), *Triangles.__annotations__)
+    if not (name.startswith("_") or name in vars(InstancedTriangles))
+)
+
+
+def _product(matrices: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Products of matrices of shape (N, 3, 3) and vectors of shape (N, 3)."""
+    result: NDArray[np.float64] = np.einsum("kij,kj->ki", matrices, vectors)
+    return result

@@ -1,0 +1,167 @@
+"""Instances: objects placed in a scene by affine transforms, any number of times."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import as_host_array, as_real_array
+
+__all__ = ["Instances", "inverse_transforms"]
+
+#: Worlds take memory each, even if they are empty.
+MAX_WORLDS = 1 << 24
+
+#: Numbers of a transform beyond this would leave float64 in products.
+MAX_NUMBER = 2.0**200
+
+
+class Instances:
+    """The instances of a scene: which object each one is, and where.
+
+    Immutable. Objects are numbered as they were given, and instances too.
+
+    Parameters
+    ----------
+    object_ids : array_like of shape (K,), int
+        The object of each instance.
+    transforms : array_like of shape (K, 3, 4), real
+        Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``.
+        Mirroring, shear and scales that differ by axis are allowed.
+    worlds : array_like of shape (K,), int, optional
+        The world of each instance, from 0; -1 for one that is in all worlds.
+
+    Attributes
+    ----------
+    object_ids : ndarray of shape (K,), int32
+    worlds : ndarray of shape (K,), int32, or None
+    world_count : int
+        0 without worlds.
+    transforms, inverses : ndarray of shape (K, 3, 4), float64
+        Object to world space, and world to object space.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a number is not finite or beyond 2**200, or a transform is singular.
+    TypeError
+        If the numbers are not real, or the ids no integers.
+    """
+
+    __slots__ = ("inverses", "object_ids", "transforms", "world_count", "worlds")
+
+    object_ids: NDArray[np.int32]
+    transforms: NDArray[np.float64]
+    inverses: NDArray[np.float64]
+    worlds: NDArray[np.int32] | None
+    world_count: int
+
+    def __init__(self, object_ids: Any, transforms: Any, worlds: Any = None) -> None:
+        matrices = as_real_array("transforms", transforms).astype(np.float64)
+        if matrices.size == 0:
+            matrices = matrices.reshape(-1, 3, 4)
+        if matrices.shape[1:] == (4, 4):
+            raise ValueError("transforms: expected shape (K, 3, 4); give matrices[:, :3] of 4 x 4")
+        if matrices.ndim != 3 or matrices.shape[1:] != (3, 4):
+            raise ValueError(f"transforms: expected shape (K, 3, 4), got {matrices.shape}")
+        with np.errstate(invalid="ignore"):
+            is_sound = np.abs(matrices) <= MAX_NUMBER
+        if not is_sound.all():
+            bad = int(np.argmin(is_sound.all(axis=(1, 2))))
+            raise ValueError(f"transforms: that of instance {bad} is not finite, or beyond 2**200")
+        self.object_ids = _per_instance("object_ids", object_ids, len(matrices))
+        self.worlds, self.world_count = None, 0
+        if worlds is not None:
+            self.worlds = _per_instance("worlds", worlds, len(matrices))
+            if self.worlds.min(initial=0) < -1:
+                raise ValueError(f"worlds: expected -1 or more, got {self.worlds.min()}")
+            self.world_count = int(self.worlds.max(initial=-1)) + 1
+            if self.world_count > MAX_WORLDS:
+                raise ValueError(f"worlds: expected less than {MAX_WORLDS:,}")
+            self.worlds.flags.writeable = False
+        self.transforms = matrices
+        self.inverses = inverse_transforms(matrices)
+        for array in (self.object_ids, self.transforms, self.inverses):
+            array.flags.writeable = False
+
+    def moved(self, transforms: Any) -> Instances:
+        """The same objects, elsewhere.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the number of transforms differs, and as `Instances`.
+        """
+        moved = np.asarray(transforms)
+        if len(moved) != len(self):
+            raise ValueError(f"transforms: expected {len(self):,}, as before, got {len(moved):,}")
+        return Instances(self.object_ids, transforms, self.worlds)
+
+    def __len__(self) -> int:
+        return len(self.object_ids)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Instances, (self.object_ids, self.transforms, self.worlds)
+
+    def __repr__(self) -> str:
+        return f"Instances({len(self):,} of {len(np.unique(self.object_ids)):,} objects)"
+
+
+def _per_instance(name: str, values: Any, count: int) -> NDArray[np.int32]:
+    """One integer for each instance."""
+    array = as_host_array(name, values)
+    if array.dtype.kind not in "iu" and array.size:
+        raise TypeError(f"{name}: expected integers, got {array.dtype}")
+    if array.shape != (count,):
+        raise ValueError(
+            f"{name}: expected one for each of {count:,} transforms, got shape {array.shape}"
+        )
+    return np.array(array, np.int32)
+
+
+def inverse_transforms(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Invert affine transforms of shape (K, 3, 4).
+
+    By the adjugate of each matrix, scaled so that its largest number is in [1, 2): nothing
+    overflows, and scaling is exact. `numpy.linalg.inv` takes several times as long.
+
+    Raises
+    ------
+    ValueError
+        If one is singular, or its inverse is not finite in float64.
+    """
+    # By columns of the table: along short axes NumPy takes ten times as long.
+    table = np.ascontiguousarray(transforms.reshape(-1, 12).T).reshape(3, 4, -1)
+    linear, shift = table[:, :3], table[:, 3]
+    largest = np.abs(linear.reshape(9, -1)).max(axis=0, initial=0.0)
+    exponents = np.frexp(largest)[1] - 1
+    a, b, c = np.ldexp(linear, -exponents)
+    inverses = np.empty_like(table)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        columns = _cross(b, c), _cross(c, a), _cross(a, b)
+        determinant = _dot(a, columns[0])
+        for k, column in enumerate(columns):
+            inverses[:, k] = np.ldexp(column / determinant, -exponents)
+        for row in inverses:
+            row[3] = -_dot(row[:3], shift)
+    is_sound = np.isfinite(inverses.reshape(12, -1)).all(axis=0)
+    if not is_sound.all():
+        bad = int(np.argmin(is_sound))
+        raise ValueError(
+            f"transforms: that of instance {bad} is singular: it flattens its object; leave the "
+            "instance out, or give it a small thickness"
+        )
+    return np.ascontiguousarray(inverses.reshape(12, -1).T).reshape(-1, 3, 4)
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    product: NDArray[np.float64] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product

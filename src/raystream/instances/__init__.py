@@ -1,0 +1,1 @@
+"""Instances: a tree over objects that are placed many times, each with a structure of its own."""

@@ -1,0 +1,223 @@
+"""InstancedStructure: the structures of a scene's objects, and the tree over their instances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import RaystreamError
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.query import Query
+from raystream.core.rays import RayBatch
+from raystream.core.triangles import Triangles
+from raystream.instances.records import (
+    INSTANCE_BYTES,
+    TREE,
+    instance_records,
+    object_records,
+)
+from raystream.instances.top import (
+    FAR_UNIT,
+    TopTrees,
+    condition_numbers,
+    world_frame,
+)
+from raystream.instances.traversal import (
+    STACK_BYTES,
+    TopAddresses,
+    instance_searches,
+    traverse_all,
+    traverse_top,
+)
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.hits import Sink
+from raystream.kernels.ray import PAD, SceneFrame
+from raystream.structures.base import BuildReport, Structure
+from raystream.structures.brute.options import Brute
+from raystream.structures.brute.structure import BruteStructure
+from raystream.structures.bvh.layout import NODE_BYTES
+from raystream.structures.bvh.options import Bvh
+from raystream.structures.bvh.structure import BvhStructure
+from raystream.structures.registry import StructureOptions
+
+__all__ = ["InstancedBrute", "InstancedBvh", "InstancedStructure", "build_instanced"]
+
+_NO_NODES = np.zeros((0, 64), np.float32)
+
+
+class InstancedStructure(Structure):
+    """The objects of a scene, each with a structure of its own, and its instances.
+
+    Parameters
+    ----------
+    triangles : InstancedTriangles
+    objects : sequence of Structure
+        One for each of the triangles' objects.
+    options : StructureOptions
+        Of the objects' structures.
+
+    Attributes
+    ----------
+    objects : tuple of Structure
+    """
+
+    make_searches = staticmethod(instance_searches)
+    triangles: InstancedTriangles  # type: ignore[assignment]
+
+    def __init__(
+        self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
+    ) -> None:
+        started = time.perf_counter()
+        self.triangles, self.objects, self.options = triangles, tuple(objects), options
+        conditions = condition_numbers(triangles)
+        boxes = world_frame(triangles, conditions)
+        self.frame = SceneFrame.of(boxes)
+        trees = self._trees(boxes)
+        order = trees.order
+        leaves = instance_records(triangles, order)
+        self._memory = {
+            "nodes": trees.nodes,
+            "leaves": leaves,
+            "objects": object_records(self.objects),
+            "trees": _tree_records(trees, leaves),
+        }
+        at = {n: np.uint64(a.ctypes.data if len(a) else 0) for n, a in self._memory.items()}
+        shared = at["trees"] + np.uint64((len(self._memory["trees"]) - 1) * TREE.itemsize)
+        worst = conditions[order].max(initial=1.0)
+        far_unit = np.float32(FAR_UNIT * worst / float(PAD))
+        self._addresses = TopAddresses(
+            at["trees"],
+            shared,
+            at["leaves"],
+            at["objects"],
+            np.uint64(len(order)),
+            np.uint64(0),
+            far_unit,
+        )
+        self.report = BuildReport(
+            seconds=time.perf_counter() - started + sum(one.report.seconds for one in self.objects),
+            byte_count=sum(array.nbytes for array in self._memory.values())
+            + sum(one.report.byte_count for one in self.objects),
+        )
+
+    def _trees(self, boxes: Triangles) -> TopTrees:
+        """The trees over the boxes."""
+        ends = np.array([[0, 0, 0], [0, len(boxes.prim_ids), len(boxes.prim_ids)]])
+        return TopTrees(_NO_NODES, boxes.prim_ids, *ends)
+
+    def arrays_for(
+        self,
+        query: Query,  # noqa: ARG002
+        rays: RayBatch,
+        sink: Sink,  # noqa: ARG002
+    ) -> TopAddresses:
+        """The view for rays that have worlds."""
+        if rays.worlds is None:
+            return self._addresses
+        return self._addresses._replace(worlds=np.uint64(rays.worlds.ctypes.data))
+
+    def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
+        """The same objects, with instances elsewhere."""
+        return type(self)(triangles, self.objects, self.options)
+
+    @property
+    def arrays(self) -> TopAddresses:
+        """Addresses of the tree, the instances and the objects."""
+        return self._addresses
+
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Nodes of the tree, and records of instances and objects."""
+        return self._memory
+
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """Not supported yet."""
+        raise RaystreamError(f"save: {NOT_INSTANCED}")
+
+    @classmethod
+    def from_arrays(
+        cls,
+        triangles: Triangles,  # noqa: ARG003
+        arrays: Mapping[str, NDArray[Any]],  # noqa: ARG003
+        options: Any,  # noqa: ARG003
+    ) -> Structure:
+        """Not supported yet."""
+        raise RaystreamError(f"load: {NOT_INSTANCED}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the objects; addresses are those of the copy's own arrays."""
+        return type(self), (self.triangles, self.objects, self.options)
+
+    def quality(self) -> dict[str, float]:
+        """Numbers of objects and instances."""
+        counts = len(self.objects), len(self.triangles.instances)
+        return dict(zip(("objects", "instances"), map(float, counts), strict=True))
+
+
+class InstancedBvh(InstancedStructure):
+    """A BVH over instances, and one for each object."""
+
+    traverse = staticmethod(traverse_top)
+    stack_bytes = 2 * STACK_BYTES
+
+    def _trees(self, boxes: Triangles) -> TopTrees:
+        return TopTrees.of(boxes, self.triangles.instances)
+
+
+class InstancedBrute(InstancedStructure):
+    """Every instance, and every triangle of its object."""
+
+    traverse = staticmethod(traverse_all)
+
+    def rays_per_call(self) -> int:
+        """Fewer rays on larger scenes, so that a call stays short."""
+        numbers = self.triangles.first_ids[-1] + len(self.triangles.instances)
+        return max(1, min(4096, (1 << 23) // max(1, int(numbers))))
+
+
+def _tree_records(trees: TopTrees, leaves: NDArray[np.void]) -> NDArray[np.void]:
+    """The record of each world's tree, and that of all worlds."""
+    records = np.zeros(len(trees.first_nodes) - 1, TREE)
+    has_nodes = np.diff(trees.first_nodes) > 0
+    records["nodes"] = trees.nodes.ctypes.data + NODE_BYTES * trees.first_nodes[:-1]
+    records["nodes"][~has_nodes] = 0
+    records["leaves"] = leaves.ctypes.data + INSTANCE_BYTES * trees.first_leaves[:-1]
+    return records
+
+
+def build_instanced(
+    options: StructureOptions, triangles: InstancedTriangles, progress: Progress | None = None
+) -> InstancedStructure:
+    """Build the structures of a scene's objects, and the tree over their instances.
+
+    Parameters
+    ----------
+    options : Bvh or Brute
+    triangles : InstancedTriangles
+    progress : callable, optional
+        Called with (triangles placed, triangles).
+
+    Raises
+    ------
+    ValueError
+        If the options are of another structure.
+    """
+    kind: Any
+    made: type[InstancedStructure]
+    if isinstance(options, Bvh):
+        kind, made = BvhStructure, InstancedBvh
+    elif isinstance(options, Brute):
+        kind, made = BruteStructure, InstancedBrute
+    else:
+        raise ValueError(
+            f"structure: {options.name!r} is {NOT_INSTANCED}; 'bvh' and 'brute' support them"
+        )
+    objects = []
+    for one, first in zip(triangles.objects, triangles.first_prims, strict=False):
+        part = part_of(progress, int(first), len(triangles))
+        objects.append(kind(one, options, progress=part))
+    return made(triangles, objects, options)

@@ -1,0 +1,63 @@
+"""What shading kernels take of surfaces that rays hit: the hits, and tables of their triangles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from raystream.core.errors import RaystreamError
+from raystream.core.hits import Hits, MultiHits
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.rendering.shading.placed_tables import ObjectTables, placed_tables
+from raystream.rendering.shading.streams import ShadingBatch
+from raystream.rendering.shading.tables import SceneArrays, SceneTables
+from raystream.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from raystream.rendering.integrator import Band, PathStream, RenderContext
+
+__all__ = ["Surfaces", "objects_of", "surfaces_of", "tables_at"]
+
+
+class Surfaces(NamedTuple):
+    """What shading kernels take of a stream whose rays have been traced.
+
+    Attributes
+    ----------
+    batch : ShadingBatch
+        The paths at the surfaces that they hit.
+    tables : SceneTables
+        Of the scene; or with instances, of the triangles that are hit.
+    kept : object
+        To be kept while kernels use them.
+    """
+
+    batch: ShadingBatch
+    tables: SceneTables
+    kept: object
+
+
+def surfaces_of(stream: PathStream, band: Band) -> Surfaces:
+    """The stream's paths at the surfaces that they hit, as shading kernels take them."""
+    assert stream.hits is not None
+    tables, rows, kept = tables_at(band.context, stream.hits)
+    batch = ShadingBatch(len(stream), stream.paths, rows, band.first_pixel, band.radiance)
+    return Surfaces(batch, tables, kept)
+
+
+def tables_at(
+    context: RenderContext, hits: Hits | MultiHits
+) -> tuple[SceneTables, tuple[Any, ...], object]:
+    """The tables of the surfaces that are hit, the hits' columns for them, and what to keep."""
+    if context.objects is not None:
+        return placed_tables(context.tables, context.objects, hits)
+    return context.tables, (hits.t, hits.u, hits.v, hits.prim_id), None
+
+
+def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | None:
+    """The tables of the objects of a scene with instances."""
+    triangles: Any = scene.triangles
+    if not isinstance(triangles, InstancedTriangles):
+        return None
+    if not all(material.is_opaque for material in scene.materials):
+        raise RaystreamError(f"materials that are not opaque: {NOT_INSTANCED}")
+    return ObjectTables.of(triangles, arrays)

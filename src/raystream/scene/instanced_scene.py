@@ -1,0 +1,162 @@
+"""InstancedScene: what a scene has of instances, a base class of `Scene`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+from raystream.core.instances import Instances
+from raystream.scene.geometry import Geometry
+from raystream.scene.instancing import InstancedGeometry, Objects, placed_meshes
+
+if TYPE_CHECKING:
+    from raystream.scene.material import Material
+    from raystream.scene.mesh import Mesh
+    from raystream.scene.scene import Scene
+
+__all__ = ["InstancedScene"]
+
+
+class InstancedScene:
+    """Objects that are placed any number of times."""
+
+    _geometry: Geometry
+
+    @classmethod
+    def instances(
+        cls,
+        objects: Mesh | Scene | Iterable[Mesh | Scene],
+        transforms: Any,
+        object_ids: Any = None,
+        *,
+        worlds: Any = None,
+        materials: Sequence[Material] = (),
+        **parts: Any,
+    ) -> Self:
+        """Make a scene of objects that are placed any number of times.
+
+        Memory grows with the objects, and by a few hundred bytes for each instance.
+
+        Parameters
+        ----------
+        objects : Mesh, Scene, or sequence of them
+            In a space of their own, object space. Of a scene, its meshes and materials are used,
+            not its lights and cameras. One that has instances itself is placed with them: each of
+            its instances becomes one in this scene, for each time that it is placed.
+        transforms : array_like of shape (K, 3, 4) or (3, 4), real
+            Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``,
+            in float64. They may mirror, shear, and scale by axis.
+        object_ids : array_like of shape (K,), int, optional
+            The object of each instance [default: the only object].
+        worlds : array_like of shape (K,), int, optional
+            The world of each instance, from 0, or -1 for one that is in all worlds. Queries then
+            take the world of each ray, which meets no instance of another one: thousands of
+            copies of a small scene, in different states, answer one batch.
+        materials : sequence of Material, optional
+            Of objects that are meshes. Those of scenes follow.
+        **parts
+            ``lights``, ``camera`` and other parameters of `Scene`.
+
+        Returns
+        -------
+        Scene
+            Its `meshes` are those of the objects: ``prim_id``, ``mesh_id`` and ``material_id`` of
+            hits name triangles, meshes and materials however often they are placed, and
+            ``instance_id`` says which instance is hit.
+
+        Raises
+        ------
+        ValueError
+            If a shape is wrong, there is no such object, or a transform is singular or not finite;
+            or if there are 2**31 triangles or more in all instances.
+        TypeError
+            If an object is neither a mesh nor a scene, or the numbers are of the wrong kind.
+        MemoryError
+            If the instances of instances do not fit into memory.
+
+        Notes
+        -----
+        A ray is moved to object space in float64 and traced there. So the hits in an instance have
+        the bits of a tracer of the object alone, for the moved ray. Hits of one ray at equal t, as
+        it is reported: the lowest instance_id first, then the lowest prim_id. A direction longer
+        than 2**500, or shorter than its inverse, makes a ray INVALID.
+
+        ``structure="bvh"`` and ``"brute"`` on the CPU trace and render such scenes. For filters,
+        programs, physics, cut-out materials and other devices make a plain scene by `flattened`.
+        Emissive objects glow, but are not sampled as lights.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import raystream as rs
+        >>> places = np.zeros((100, 3, 4))
+        >>> places[:, :, :3] = np.eye(3)
+        >>> places[:, 0, 3] = 3.0 * np.arange(100)
+        >>> row = rs.Scene.instances(rs.load("spheres"), places)
+        >>> tracer = rs.Tracer(row)
+        >>> hits = tracer.first_hit([[150.0, 50.0, 0.5], [153.0, 50.0, 0.5]], [0, -1, 0])
+        >>> hits.instance_id.tolist(), hits.prim_id[0] == hits.prim_id[1]
+        ([50, 51], np.True_)
+        """
+        made = Objects.of(objects, (object_ids, transforms, worlds), materials)
+        scene = cls(made.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
+        scene._geometry = InstancedGeometry(made.meshes, made.mesh_counts, made.instances)
+        return scene
+
+    @property
+    def geometry(self) -> Geometry:
+        """The meshes with what is derived from them, shared by scenes."""
+        return self._geometry
+
+    @property
+    def placements(self) -> Instances | None:
+        """The instances: ``object_ids``, ``transforms`` and ``inverses``; None without any."""
+        geometry = self._geometry
+        return geometry.instances if isinstance(geometry, InstancedGeometry) else None
+
+    def with_transforms(self, transforms: Any) -> Self:
+        """Copy the scene with its instances elsewhere; the objects are shared.
+
+        Parameters
+        ----------
+        transforms : array_like of shape (K, 3, 4), real
+            As many as before.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If there are no instances, and as `instances`.
+        """
+        geometry = self._geometry
+        if not isinstance(geometry, InstancedGeometry):
+            raise ValueError("transforms: the scene has no instances; see Scene.instances")
+        moved = geometry.moved(geometry.instances.moved(transforms))
+        return self._with(_geometry=moved)
+
+    def flattened(self) -> Self:
+        """The same scene without instances: each one's meshes are copied to where it is.
+
+        Returns
+        -------
+        Scene
+            Its meshes are those of the first instance, then those of the second, and so on. The
+            scene itself if it has no instances.
+
+        Raises
+        ------
+        ValueError
+            If the instances are in worlds.
+        MemoryError
+            If it does not fit into memory.
+        """
+        geometry = self._geometry
+        if not isinstance(geometry, InstancedGeometry):
+            return self
+        if geometry.instances.worlds is not None:
+            raise ValueError("flattened: the instances are in worlds, which may overlap")
+        return self._with(_geometry=Geometry(placed_meshes(geometry)))
+
+    def _with(self, **fields: Any) -> Self:
+        scene = type(self).__new__(type(self))
+        vars(scene).update(vars(self), **fields)
+        return scene

@@ -1,0 +1,221 @@
+"""Scenes of instances: the objects' meshes and materials put together, and copies placed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.instances import Instances
+from raystream.core.memory import check_memory
+from raystream.core.rays import as_host_array, as_real_array
+from raystream.scene.geometry import Geometry
+from raystream.scene.material import Material
+from raystream.scene.mesh import Mesh
+
+if TYPE_CHECKING:
+    from raystream.core.triangles import Triangles
+    from raystream.scene.scene import Scene
+
+__all__ = ["InstancedGeometry", "Objects", "placed_meshes"]
+
+#: Triangles that a camera is chosen by.
+_SEEN = 200_000
+
+#: Bytes of a triangle of a mesh of its own, with as many vertices: positions, normals, faces.
+_TRIANGLE_BYTES = 24 + 12 + 12 + 4
+
+
+class InstancedGeometry(Geometry):
+    """The meshes of objects, and their instances.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+        Of all objects, one after another.
+    mesh_counts : sequence of int
+        Meshes of each object.
+    instances : Instances
+    """
+
+    def __init__(
+        self, meshes: Sequence[Mesh], mesh_counts: Sequence[int], instances: Instances
+    ) -> None:
+        super().__init__(meshes)
+        self.mesh_counts, self.instances = tuple(mesh_counts), instances
+        # Shared by all scenes with these objects, wherever their instances are.
+        self._objects = [Geometry(self.meshes[first:end]) for first, end in self.mesh_ranges]
+
+    @property
+    def mesh_ranges(self) -> list[tuple[int, int]]:
+        """First and last mesh, exclusive, of each object."""
+        return list(itertools.pairwise([0, *itertools.accumulate(self.mesh_counts)]))
+
+    @cached_property
+    def triangles(self) -> Any:
+        """The triangles of the objects, each in a frame of its own, and their instances."""
+        objects = [one.triangles for one in self._objects]
+        splits = np.cumsum([0, *(mesh.triangle_count for mesh in self.meshes)], dtype=np.int64)
+        return InstancedTriangles(objects, self.instances, splits, self.attributes)
+
+    def _seen(self) -> Triangles:
+        return self.triangles.some(_SEEN)
+
+    def moved(self, instances: Instances) -> InstancedGeometry:
+        """The same objects, whose triangles are shared, with instances elsewhere."""
+        moved = InstancedGeometry(self.meshes, self.mesh_counts, instances)
+        moved.attributes, moved._objects = self.attributes, self._objects
+        return moved
+
+
+class Objects(NamedTuple):
+    """What a scene of instances is made of; see `Scene.instances`."""
+
+    meshes: list[Mesh]
+    mesh_counts: list[int]
+    materials: list[Material]
+    instances: Instances
+
+    @classmethod
+    def of(
+        cls,
+        objects: Mesh | Scene | Iterable[Mesh | Scene],
+        placed: tuple[Any, Any, Any],
+        materials: Sequence[Material],
+    ) -> Objects:
+        """Put objects together; `placed` are object_ids, transforms and worlds.
+
+        Raises
+        ------
+        ValueError, TypeError
+            See `Scene.instances`.
+        """
+        from raystream.scene.scene import Scene
+
+        given = [objects] if isinstance(objects, Mesh | Scene) else list(objects)
+        for index, one in enumerate(given):
+            if not isinstance(one, Mesh | Scene):
+                raise TypeError(f"objects[{index}]: expected a Mesh or Scene, got {type(one)}")
+        object_ids, transforms, worlds = placed
+        ids, matrices = _checked(len(given), transforms, object_ids)
+        found = cls([], [], list(materials), Instances(ids, matrices, worlds))
+        # Each object is one after another's; one that is a scene of instances is several.
+        below = [found._add(one) for one in given]
+        if all(inner is None for _, inner in below):
+            firsts = np.array([first for first, _ in below], np.int32)
+            outer = found.instances
+            instances = Instances(firsts[ids], matrices, outer.worlds) if len(ids) else outer
+        else:
+            instances = _flattened_instances(found.instances, below)
+        if not found.materials:
+            found.materials.append(Material())
+        return found._replace(instances=instances)
+
+    def _add(self, one: Mesh | Scene) -> tuple[int, Instances | None]:
+        """Add an object; returns its number, or its first one and the instances of them."""
+        first = len(self.mesh_counts)
+        if isinstance(one, Mesh):
+            self.meshes.append(one)
+            self.mesh_counts.append(1)
+            return first, None
+        shift = len(self.materials)
+        self.materials.extend(one.materials)
+        self.meshes.extend(
+            mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
+            for mesh in one.meshes
+        )
+        geometry = one.geometry
+        if isinstance(geometry, InstancedGeometry):
+            if geometry.instances.worlds is not None:
+                raise ValueError("objects: one is a scene whose instances are in worlds")
+            self.mesh_counts.extend(geometry.mesh_counts)
+            return first, geometry.instances
+        self.mesh_counts.append(len(one.meshes))
+        return first, None
+
+
+def _checked(count: int, transforms: Any, object_ids: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Ids within range, and transforms of shape (K, 3, 4)."""
+    matrices = as_real_array("transforms", transforms)
+    if matrices.shape == (3, 4):
+        matrices = matrices[None]
+    if object_ids is None:
+        if count != 1 and len(matrices):
+            raise ValueError(
+                f"object_ids: expected the object of each instance, 0 to {count - 1}, since there "
+                f"are {count} objects"
+            )
+        return np.zeros(len(matrices), np.int32), matrices
+    ids = as_host_array("object_ids", object_ids)
+    if ids.size and ids.dtype.kind in "iu" and not (ids.min() >= 0 and ids.max() < count):
+        raise ValueError(f"object_ids: expected 0 to {count - 1}, got {ids.min()} to {ids.max()}")
+    return ids, matrices
+
+
+def _flattened_instances(
+    outer: Instances, below: Sequence[tuple[int, Instances | None]]
+) -> Instances:
+    """The instances of objects that are instances themselves, one outer one after another."""
+    counts = np.array([1 if inner is None else len(inner) for _, inner in below])[outer.object_ids]
+    total = int(counts.sum())
+    check_memory(total * 220, f"Scene.instances: {total:,} instances would", "place fewer")
+    ids = np.empty(total, np.int32)
+    matrices = np.empty((total, 3, 4))
+    rows = np.cumsum(counts) - counts
+    for k, (first, inner) in enumerate(below):
+        chosen = np.flatnonzero(outer.object_ids == k)
+        mine = outer.transforms[chosen]
+        if inner is None:
+            ids[rows[chosen]], matrices[rows[chosen]] = first, mine
+            continue
+        to = (rows[chosen][:, None] + np.arange(len(inner))).reshape(-1)
+        ids[to] = np.tile(first + inner.object_ids, len(chosen))
+        linear = np.einsum("aij,bjk->abik", mine[:, :, :3], inner.transforms)
+        linear[..., 3] += mine[:, None, :, 3]
+        matrices[to] = linear.reshape(-1, 3, 4)
+    worlds = None if outer.worlds is None else np.repeat(outer.worlds, counts)
+    return Instances(ids, matrices, worlds)
+
+
+def placed_meshes(geometry: InstancedGeometry) -> Iterator[Mesh]:
+    """Copies of the objects' meshes where the instances are, one instance after another.
+
+    Raises
+    ------
+    MemoryError
+        If they do not fit into memory.
+    """
+    instances, ranges = geometry.instances, geometry.mesh_ranges
+    sizes = np.array([sum(m.triangle_count for m in geometry.meshes[a:b]) for a, b in ranges])
+    count = int(sizes[instances.object_ids].sum()) if len(instances) else 0
+    check_memory(count * _TRIANGLE_BYTES, f"flattened: {count:,} triangles would", "place fewer")
+    for object_id, matrix, inverse in zip(
+        instances.object_ids, instances.transforms, instances.inverses, strict=True
+    ):
+        first, end = ranges[object_id]
+        for mesh in geometry.meshes[first:end]:
+            yield _placed(mesh, matrix, inverse)
+
+
+def _placed(mesh: Mesh, matrix: NDArray[np.float64], inverse: NDArray[np.float64]) -> Mesh:
+    vertices = mesh.vertices.astype(np.float64) @ matrix[:, :3].T + matrix[:, 3]
+    normals = None
+    if mesh.normals is not None:
+        normals = mesh.normals.astype(np.float64) @ inverse[:, :3]
+    faces = mesh.faces
+    if np.linalg.det(matrix[:, :3]) < 0.0:  # a mirror image: the front side stays in front
+        faces = faces[:, [0, 2, 1]]
+    return Mesh(
+        vertices,
+        faces,
+        normals=normals,
+        colors=mesh.colors,
+        texcoords=mesh.texcoords,
+        material_ids=mesh.material_ids,
+        name=mesh.name,
+    )

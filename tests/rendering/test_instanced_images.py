@@ -1,0 +1,140 @@
+"""Images of scenes with instances are those of their flattened copies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from instanced import random_rotation, random_transforms
+from meshes import cube, icosphere
+from raystream.rendering.sample_file import _digest
+
+MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
+SIZE = (64, 48)
+
+
+def textured_cube() -> rs.Scene:
+    """With colours, normals, and a normal map on a part of its faces."""
+    vertices, faces = cube()
+    rng = np.random.default_rng(3)
+    bumps = np.clip(rng.normal((128, 128, 220), 30.0, (16, 16, 3)), 0, 255).astype(np.uint8)
+    colors = rng.integers(60, 255, (16, 16, 3)).astype(np.uint8)
+    textures = {"diffuse": rs.Texture(colors), "normal": rs.Texture(bumps)}
+    mesh = rs.Mesh(
+        vertices,
+        faces,
+        normals=vertices - vertices.mean(axis=0),
+        texcoords=rng.uniform(0.0, 2.0, (len(vertices), 2)),
+        colors=rng.uniform(0.5, 1.0, (len(vertices), 3)),
+        material_ids=np.arange(len(faces)) % 2,
+    )
+    materials = [rs.Material(textures=textures), rs.Material(reflection=(0.5, 0.5, 0.5))]
+    return rs.Scene([mesh], materials=materials)
+
+
+@pytest.fixture(scope="module")
+def scenes() -> tuple[rs.Scene, rs.Scene]:
+    """A scene with instances, some of them mirrored and sheared, and its flattened copy."""
+    rng = np.random.default_rng(4)
+    ball = rs.Scene(
+        [rs.Mesh(*icosphere(2))],
+        materials=[rs.Material(diffuse=(0.1, 0.6, 0.2), specular=(0.3, 0.3, 0.3))],
+    )
+    transforms = random_transforms(rng, 24, 4.0)
+    for k in range(0, 24, 2):  # cubes: shear would turn what tangents are averaged to
+        transforms[k, :, :3] = random_rotation(rng) @ np.diag([1.5, 1.5, rng.choice([-1.5, 1.5])])
+    transforms[-1] = np.eye(3, 4) * 30.0
+    transforms[-1, :, 3] = (-15.0, -40.0, -15.0)  # the ground
+    scene = rs.Scene.instances(
+        [textured_cube(), ball],
+        transforms,
+        [*(np.arange(23) % 2), 0],
+        lights=[rs.DirectionalLight((0.3, -1.0, -0.5), (2.0, 2.0, 2.0)), rs.PointLight((0, 9, 9))],
+        background=(0.3, 0.4, 0.5),
+        camera=rs.Camera((3.0, 9.0, 16.0), (0.0, 0.0, 0.0), fov=45),
+    )
+    return scene, scene.flattened()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_images_are_those_of_copies(scenes, mode) -> None:
+    """All but pixels at edges, where rays meet another triangle by rounding."""
+    # The default is a share of the bounds, which are those of the objects' boxes with instances.
+    options = {"distance": 2.0} if mode == "ao" else {}
+    images = [rs.render(one, mode, SIZE, samples=2, seed=1, **options) for one in scenes]
+    placed, flat = (image.pixels for image in images)
+    differs = (np.abs(placed - flat) > 2e-4 + 1e-3 * np.abs(flat)).any(axis=2)
+    assert np.count_nonzero(differs) <= 0.01 * differs.size
+    assert np.ptp(placed) > 0.2
+
+
+def test_layers_name_the_triangles_of_objects(scenes) -> None:
+    scene, _ = scenes
+    layers = ("prim_id", "normal", "albedo", "depth")
+    placed, copied = (rs.render(one, size=SIZE, samples=1, layers=layers) for one in scenes)
+    hits = rs.Tracer(scene).first_hit(*scene.camera.rays(*SIZE))
+    numbers = placed.layers["prim_id"]
+    assert numbers.max() < scene.triangle_count
+    assert np.count_nonzero(numbers.reshape(SIZE[::-1]) != hits.prim_id) < 0.15 * numbers.size
+    for name in ("normal", "albedo", "depth"):
+        a, b = placed.layers[name], copied.layers[name]
+        close = np.isclose(a, b, rtol=1e-3, atol=1e-3) | (a == b)
+        assert np.count_nonzero(~close) <= 0.01 * close.size
+
+
+def test_checkpoints_know_where_instances_are(scenes) -> None:
+    scene, _ = scenes
+    elsewhere = scene.with_transforms(scene.placements.transforms + [0.0, 0.0, 0.0, 1e-6])
+    assert _digest(scene) == _digest(scene.replace(name="other"))
+    assert _digest(scene) != _digest(elsewhere)
+
+
+def test_a_camera_is_chosen(scenes) -> None:
+    scene, flat = scenes
+    chosen = scene.replace(camera=None)
+    assert not chosen.has_own_camera
+    hits = rs.Tracer(chosen).first_hit(*chosen.camera.rays(*SIZE))
+    assert hits.is_hit.mean() > 0.2
+    assert chosen.camera.eye == pytest.approx(flat.replace(camera=None).camera.eye, rel=1e-3)
+
+
+def test_frames_move_instances(scenes) -> None:
+    scene, _ = scenes
+    shift = np.zeros((24, 3, 4))
+    shift[:23, 1, 3] = 2.0
+    moved = scene.with_transforms(scene.placements.transforms + shift)
+    tracer = rs.Tracer(scene)
+    before = rs.render(tracer, "vis", SIZE).pixels
+    tracer.update(moved)
+    after = rs.render(tracer, "vis", SIZE).pixels
+    assert (before != after).any()
+    np.testing.assert_array_equal(after, rs.render(moved, "vis", SIZE).pixels)
+
+
+def test_animations_move_instances(scenes, tmp_path) -> None:
+    scene, _ = scenes
+    transforms = scene.placements.transforms
+    shift = np.zeros((24, 3, 4))
+    shift[:23, 1, 3] = 1.0
+    moving = rs.Animation(lambda t: scene.with_transforms(transforms + t * shift), (0.0, 2.0), 1.0)
+    animated = scene.replace(animation=moving)
+    np.testing.assert_array_equal(animated.at(2.0).placements.transforms, transforms + 2.0 * shift)
+    frames = list(rs.render_frames(animated, "vis", size=SIZE))
+    assert len(frames) == 2
+    last = rs.render(scene.with_transforms(transforms + shift), "vis", SIZE)
+    np.testing.assert_array_equal(frames[-1][1].pixels, last.pixels)
+
+
+def test_cut_outs_are_refused() -> None:
+    leaf = rs.Scene(textured_cube().meshes, materials=[rs.Material(opacity=0.5), rs.Material()])
+    with pytest.raises(rs.RaystreamError, match=r"not opaque: .*scene.flattened\(\)"):
+        rs.render(rs.Scene.instances(leaf, [np.eye(3, 4)]), size=(8, 8))
+
+
+def test_emissive_objects_glow() -> None:
+    lamp = rs.Scene([rs.Mesh(*cube())], materials=[rs.Material(emission=(3.0, 2.0, 1.0))])
+    scene = rs.Scene.instances(lamp, [np.eye(3, 4)])
+    assert scene.area_lights == []
+    pixels = rs.render(scene, "path", (16, 12), samples=4, lights="file").pixels
+    assert pixels[6, 8] == pytest.approx([3.0, 2.0, 1.0])

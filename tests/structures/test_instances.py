@@ -1,0 +1,458 @@
+"""Scenes with instances: every query has the bits of plain tracers, asked with moved rays."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import instanced
+import raystream as rs
+from cases import CASES
+from conftest import assert_same_bits
+from instanced import COLUMNS, moved, random_transforms
+from meshes import cube, icosphere, soup
+from raystream.core.instances import Instances
+from strategies import COORDINATES, meshes
+
+STRUCTURES = ("bvh", "brute")
+
+
+def scene_of(vertices, faces) -> rs.Scene:
+    return rs.Scene.from_arrays(vertices, faces)
+
+
+@cache
+def objects() -> list[rs.Scene]:
+    return [scene_of(*icosphere(2)), scene_of(*soup(200, seed=3)), scene_of(*cube())]
+
+
+def random_scene(seed: int, count: int, spread: float = 10.0) -> rs.Scene:
+    rng = np.random.default_rng(seed)
+    ids = rng.integers(0, len(objects()), count)
+    return rs.Scene.instances(objects(), random_transforms(rng, count, spread), ids)
+
+
+def random_rays(seed: int, count: int, spread: float = 10.0) -> dict:
+    rng = np.random.default_rng(seed)
+    origins = rng.uniform(-2.0 * spread, 2.0 * spread, (count, 3))
+    directions = rng.uniform(-spread, spread, (count, 3)) - origins
+    t_min = np.where(rng.random(count) < 0.5, 0.0, rng.uniform(-0.5, 1.0, count))
+    t_max = np.where(rng.random(count) < 0.5, np.inf, rng.uniform(0.5, 3.0, count))
+    limits = {"t_min": t_min.astype(np.float32), "t_max": t_max.astype(np.float32)}
+    return {"origins": origins, "directions": directions, **limits}
+
+
+def assert_agrees(scene: rs.Scene, parts: list[rs.Scene], rays) -> int:
+    """All queries of both structures agree with the oracle; returns the number of hits."""
+    expected = {
+        crossings: instanced.all_hits(scene, parts, rays, crossings)
+        for crossings in ("triangles", "surfaces")
+    }
+    splits, columns = expected["triangles"]
+    first = instanced.nearest(splits, columns)
+    for structure in STRUCTURES:
+        tracer = rs.Tracer(scene, structure)
+        hits = tracer.first_hit(**rays)
+        for name in COLUMNS:
+            assert_same_bits(getattr(hits, name), first[name])
+        assert_same_bits(tracer.any_hit(**rays), splits[1:] > splits[:-1])
+        for crossings, (all_splits, all_columns) in expected.items():
+            counts = tracer.count_hits(**rays, crossings=crossings)
+            assert_same_bits(counts, np.diff(all_splits))
+            for limit in (None, 1, 3):
+                many = tracer.multi_hit(**rays, crossings=crossings, max_hits=limit)
+                most = limit or len(all_columns["t"])
+                wanted_splits, wanted = instanced.kept(all_splits, all_columns, most)
+                assert_same_bits(many.ray_splits, wanted_splits)
+                for name in COLUMNS:
+                    assert_same_bits(getattr(many, name), wanted[name])
+    return len(columns["t"])
+
+
+def test_random_instances_agree_with_tracers_of_the_objects() -> None:
+    assert assert_agrees(random_scene(1, 40), objects(), random_rays(2, 3000)) > 3000
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("seed", range(4))
+def test_a_million_queries_agree(seed) -> None:
+    scene, rays = random_scene(seed, 200, 20.0), random_rays(seed + 9, 25_000, 20.0)
+    assert assert_agrees(scene, objects(), rays) > 25_000
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_hard_cases_agree_wherever_they_are_placed(name) -> None:
+    """Rays on edges, at limits, far away, of any length: moved along with the instances."""
+    rng = np.random.default_rng(2013)
+    case = CASES[name](rng)
+    size = float(np.ptp(case.vertices[np.isfinite(case.vertices).all(axis=1)], axis=0).max())
+    transforms = random_transforms(rng, 3, 2.0 * size)
+    transforms[0] = np.eye(3, 4)
+    scene = rs.Scene.instances(case.scene, transforms)
+    t_min, t_max = case.limits()
+    for transform in transforms[: 2 if len(case.faces) > 300 else 3]:
+        rays = {
+            "origins": moved(transform, case.origins),
+            "directions": moved(transform, case.directions, is_point=False),
+            "t_min": t_min,
+            "t_max": t_max,
+        }
+        assert_agrees(scene, [case.scene], rays)
+
+
+@st.composite
+def instances_and_rays(draw):
+    """A mesh, up to five transforms of any size, two of them equal, and rays at its vertices."""
+    (vertices, faces), scale, offset = draw(meshes())
+    count = draw(st.integers(1, 5))
+    rng = np.random.default_rng(draw(st.integers(0, 2**16)))
+    sizes = draw(st.lists(st.sampled_from([1.0, 1e-6, 1e6, -1.0]), min_size=count, max_size=count))
+    transforms = random_transforms(rng, count, abs(scale))
+    linear = np.eye(3) if draw(st.booleans()) else transforms[:, :, :3].copy()
+    transforms[:, :, :3] = linear * np.array(sizes)[:, None, None]
+    transforms[-1] = transforms[0]
+    rows = st.lists(COORDINATES, min_size=3, max_size=3)
+    origins = np.array(draw(st.lists(rows, min_size=4, max_size=4))) * scale + offset
+    directions = np.array(draw(st.lists(rows, min_size=4, max_size=4)))
+    if draw(st.booleans()):
+        directions = vertices[np.arange(4) % len(vertices)] - origins
+    return scene_of(vertices, faces), transforms, origins, directions
+
+
+@given(instances_and_rays())
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_any_instances_agree(case) -> None:
+    one, transforms, origins, directions = case
+    rays = {
+        "origins": moved(transforms[0], origins),
+        "directions": moved(transforms[0], directions, is_point=False),
+        "t_min": np.zeros(4, np.float32),
+        "t_max": np.full(4, np.inf, np.float32),
+    }
+    assert_agrees(rs.Scene.instances(one, transforms), [one], rays)
+
+
+def test_equal_distances_go_to_the_first_instance() -> None:
+    one = scene_of(*cube())
+    scene = rs.Scene.instances([one, one], np.tile(np.eye(3, 4), (3, 1, 1)), [1, 0, 1])
+    for structure in STRUCTURES:
+        tracer = rs.Tracer(scene, structure)
+        hits = tracer.first_hit([0.2, 0.3, 5.0], [0.0, 0.0, -1.0])
+        assert hits.instance_id == 0
+        assert hits.prim_id >= one.triangle_count  # of the second object
+        many = tracer.multi_hit([[0.2, 0.3, 5.0]], [0.0, 0.0, -1.0])
+        assert many.instance_id.tolist() == [0, 1, 2, 0, 1, 2]
+
+
+def test_hits_are_where_the_flattened_scene_has_them() -> None:
+    """An oracle in world space, within what float32 leaves of it."""
+    scene, rays = random_scene(5, 30), random_rays(6, 4000)
+    hits = rs.Tracer(scene).first_hit(**rays)
+    flat = rs.Tracer(scene.flattened()).first_hit(**rays)
+    is_close = np.isclose(hits.t, flat.t, rtol=1e-4, atol=1e-5) | (hits.t == flat.t)
+    assert np.count_nonzero(~is_close) <= 4  # rays at an edge
+    is_same = is_close & hits.is_hit & flat.is_hit
+    assert np.count_nonzero(is_same) > 900
+    a, b = hits[is_same], flat[is_same]
+    np.testing.assert_allclose(a.positions, b.positions, atol=2e-4)
+    dots = np.einsum("ij,ij->i", a.normals, b.normals)
+    assert np.count_nonzero(dots < 0.999) <= 4  # at an edge: the other triangle
+    numbers = scene.triangles.first_ids[a.instance_id] + a.mesh_prim_id
+    assert np.count_nonzero(numbers != b.prim_id) <= 4
+
+
+def test_normals_of_mirror_images_point_outwards() -> None:
+    one = scene_of(*icosphere(2))
+    mirror = np.diag([1.0, 1.0, -1.0]) @ np.eye(3, 4)
+    scene = rs.Scene.instances(one, [np.eye(3, 4), mirror + [[0, 0, 0, 5], [0] * 4, [0] * 4]])
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(200, 3))
+    for center in ([0.0, 0.0, 0.0], [5.0, 0.0, 0.0]):
+        for some in (scene, scene.flattened()):
+            hits = rs.Tracer(some).first_hit(center, directions)
+            assert hits.is_hit.all()
+            assert (np.einsum("ij,ij->i", hits.normals, directions) > 0.0).all()
+            assert (np.einsum("ij,ij->i", hits.shading_normals, directions) > 0.0).all()
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+def test_rays_leave_surfaces(offset) -> None:
+    scene = random_scene(7, 30)
+    scene = scene.with_transforms(scene.placements.transforms + [0.0, 0.0, 0.0, offset])
+    tracer, rays = rs.Tracer(scene), random_rays(8, 4000)
+    rays["origins"] += offset
+    hits = tracer.first_hit(rays["origins"], rays["directions"])
+    hits = hits[hits.is_hit]
+    assert len(hits.t) > 1000
+    directions = np.random.default_rng(1).normal(size=(len(hits.t), 3))
+    again = tracer.multi_hit(*hits.spawn(directions))
+    same = (again.prim_id == hits.prim_id[again.ray_id]) & (
+        again.instance_id == hits.instance_id[again.ray_id]
+    )
+    assert not same.any()
+
+
+def test_instances_of_instances() -> None:
+    rng = np.random.default_rng(11)
+    inner = rs.Scene.instances(objects()[0], random_transforms(rng, 4))
+    outer = random_transforms(rng, 3)
+    scene = rs.Scene.instances([objects()[2], inner], outer, [1, 0, 1])
+    assert len(scene.placements) == 9
+    assert scene.placements.object_ids.tolist() == [1] * 4 + [0] + [1] * 4
+    for k, matrix in enumerate(inner.placements.transforms):
+        product = np.vstack([outer[2], [0, 0, 0, 1]]) @ np.vstack([matrix, [0, 0, 0, 1]])
+        np.testing.assert_allclose(scene.placements.transforms[5 + k], product[:3], rtol=1e-12)
+    assert_agrees(scene, [objects()[2], objects()[0]], random_rays(12, 1000))
+
+
+def test_update_moves_instances() -> None:
+    scene, rays = random_scene(13, 50), random_rays(14, 1000)
+    tracer = rs.Tracer(scene)
+    structures = tracer.structure.objects
+    elsewhere = random_transforms(np.random.default_rng(15), 50)
+    tracer.first_hit(**rays)
+    report = tracer.update(transforms=elsewhere)
+    assert report.rebuilt
+    assert tracer.structure.objects is structures
+    assert_same_bits(tracer.scene.placements.transforms, elsewhere)
+    fresh = rs.Tracer(scene.with_transforms(elsewhere)).first_hit(**rays)
+    for name in COLUMNS:
+        assert_same_bits(getattr(tracer.first_hit(**rays), name), getattr(fresh, name))
+    tracer.update(scene)
+    before = rs.Tracer(scene).first_hit(**rays)
+    assert_same_bits(tracer.first_hit(**rays).t, before.t)
+
+
+def test_rays_meet_the_instances_of_their_world() -> None:
+    rng = np.random.default_rng(21)
+    count, world_count = 300, 20
+    transforms = random_transforms(rng, count, 6.0)
+    ids = rng.integers(0, len(objects()), count)
+    # Worlds of one instance, of hundreds, and without any; some instances are in all worlds.
+    worlds = np.minimum(rng.geometric(0.3, count) - 1, world_count - 1)
+    worlds[rng.random(count) < 0.02] = -1
+    worlds[worlds == 5] = 6
+    worlds[0] = world_count - 1
+    scene = rs.Scene.instances(objects(), transforms, ids, worlds=worlds)
+    rays = random_rays(22, 3000, 6.0)
+    of_rays = rng.integers(-1, world_count, 3000)
+    for structure in STRUCTURES:
+        tracer = rs.Tracer(scene, structure)
+        hits = tracer.first_hit(**rays, worlds=of_rays)
+        seen = tracer.any_hit(**rays, worlds=of_rays)
+        many = tracer.multi_hit(**rays, worlds=of_rays)
+        counts = tracer.count_hits(**rays, worlds=of_rays)
+        for world in range(-1, world_count):
+            chosen = np.flatnonzero((worlds == world) | (worlds == -1))
+            asked = np.flatnonzero(of_rays == world)
+            alone = rs.Scene.instances(objects(), transforms[chosen], ids[chosen])
+            one = rs.Tracer(alone, "brute")
+            own = {name: values[asked] for name, values in rays.items()}
+            expected = one.first_hit(**own)
+            found = hits[asked]
+            for name in ("t", "u", "v", "prim_id"):
+                assert_same_bits(getattr(found, name), getattr(expected, name))
+            numbers = np.append(chosen, -1)[expected.instance_id]
+            np.testing.assert_array_equal(found.instance_id, numbers)
+            assert_same_bits(seen[asked], expected.is_hit)
+            assert_same_bits(counts[asked], one.count_hits(**own))
+            all_of = one.multi_hit(**own)
+            rows = np.isin(many.ray_id, asked)
+            assert_same_bits(many.t[rows], all_of.t)
+            np.testing.assert_array_equal(many.instance_id[rows], chosen[all_of.instance_id])
+
+
+def test_many_small_worlds_are_built_at_once() -> None:
+    rng = np.random.default_rng(23)
+    worlds = np.repeat(np.arange(4000), 9)
+    transforms = random_transforms(rng, len(worlds), 3.0)
+    scene = rs.Scene.instances(objects()[2], transforms, worlds=worlds)
+    tracer = rs.Tracer(scene)
+    rays = random_rays(24, 4000, 3.0)
+    hits = tracer.first_hit(**rays, worlds=np.arange(4000))
+    assert hits.is_hit.mean() > 0.3
+    assert_same_bits(worlds[hits.instance_id[hits.is_hit]], np.flatnonzero(hits.is_hit))
+    brute = rs.Tracer(scene, "brute")
+    some = {name: values[:40] for name, values in rays.items()}
+    expected = brute.first_hit(**some, worlds=np.arange(40))
+    assert_same_bits(hits[:40].t, expected.t)
+    assert_same_bits(hits[:40].instance_id, expected.instance_id)
+
+
+def test_bad_worlds_are_named() -> None:
+    one, eye = objects()[2], np.eye(3, 4)
+    ray = ([0.0, 0, 5], [0.0, 0, -1])
+    for worlds, message in (([-2], "worlds: expected -1 or more, got -2"), ([2**30], "less than")):
+        with pytest.raises(ValueError, match=message):
+            rs.Scene.instances(one, [eye], worlds=worlds)
+    with pytest.raises(TypeError, match="worlds: expected integers"):
+        rs.Scene.instances(one, [eye], worlds=[0.5])
+    scene = rs.Scene.instances(one, [eye, eye], worlds=[0, 1])
+    tracer = rs.Tracer(scene)
+    with pytest.raises(ValueError, match="worlds: expected the world of each ray, 0 to 1"):
+        tracer.first_hit(*ray)
+    with pytest.raises(ValueError, match="worlds: expected the world of each ray"):
+        tracer.cast(*ray)
+    with pytest.raises(ValueError, match="worlds: expected -1 to 1"):
+        tracer.any_hit(*ray, worlds=2)
+    with pytest.raises(ValueError, match="worlds: shape"):
+        tracer.any_hit(*ray, worlds=[0, 1])
+    with pytest.raises(TypeError, match="worlds: expected integers"):
+        tracer.any_hit(*ray, worlds=0.5)
+    with pytest.raises(ValueError, match="worlds: expected None"):
+        rs.Tracer(one).first_hit(*ray, worlds=0)
+    with pytest.raises(ValueError, match="instances are in worlds"):
+        scene.flattened()
+    with pytest.raises(ValueError, match="whose instances are in worlds"):
+        rs.Scene.instances(scene, [eye])
+    moved = scene.with_transforms(np.tile(eye, (2, 1, 1)) + [0, 0, 0, 1.0])
+    assert moved.placements.world_count == 2
+
+
+def test_one_ray_copies_and_counters() -> None:
+    scene, rays = random_scene(16, 30), random_rays(17, 100)
+    tracer = rs.Tracer(scene)
+    hits = tracer.first_hit(rays["origins"], rays["directions"])
+    for i in range(100):
+        hit = tracer.cast(rays["origins"][i], rays["directions"][i])
+        assert (hit.t, hit.prim_id, hit.instance_id) == (
+            hits.t[i],
+            hits.prim_id[i],
+            hits.instance_id[i],
+        )
+        np.testing.assert_array_equal(hit.position, hits.positions[i])
+    for other in (copy.copy(tracer), pickle.loads(pickle.dumps(tracer))):
+        assert_same_bits(other.first_hit(rays["origins"], rays["directions"]).t, hits.t)
+    counting = rs.Tracer(scene, counters=True)
+    counted = counting.first_hit(rays["origins"], rays["directions"])
+    assert_same_bits(counted.instance_id, hits.instance_id)
+    assert counting.counters.tests[hits.is_hit].min() > 0
+    cast = counting.cast(rays["origins"][0], rays["directions"][0])
+    assert cast.instance_id == hits.instance_id[0]
+
+
+def test_shapes_and_misses() -> None:
+    tracer = rs.Tracer(random_scene(18, 10))
+    hits = tracer.first_hit(np.full((2, 3, 3), 1e6), [1.0, 0.0, 0.0])
+    assert hits.instance_id.shape == (2, 3)
+    assert (hits.instance_id == -1).all()
+    assert np.isnan(hits.positions).all()
+    assert np.isnan(hits.normals).all()
+    assert hits.ravel()[:2].instance_id.tolist() == [-1, -1]
+    bad = tracer.first_hit([np.nan, 0, 0], [1.0, 0, 0])
+    assert bad.status == rs.RayStatus.INVALID
+    for length in (1e-200, 1e200):
+        assert tracer.first_hit([0.0, 0, 0], [length, 0, 0]).status == rs.RayStatus.INVALID
+    one = rs.Tracer(objects()[0]).first_hit([0.0, 0, 0], [1.0, 0, 0])
+    assert one.instance_id == 0
+
+
+def test_a_scene_without_instances_is_empty() -> None:
+    for transforms in ([], np.zeros((0, 3, 4))):
+        scene = rs.Scene.instances(objects(), transforms, [])
+        for structure in STRUCTURES:
+            assert not rs.Tracer(scene, structure).any_hit([0.0, 0, 0], [1.0, 0, 0])
+    nothing = scene_of([[0, 0, 0]], [[0, 0, 0]])  # no triangle that can be hit
+    scene = rs.Scene.instances([nothing, objects()[2]], [np.eye(3, 4)] * 2, [0, 1])
+    hits = rs.Tracer(scene).first_hit([0.2, 0.3, 5.0], [0.0, 0.0, -1.0])
+    assert (hits.instance_id, hits.mesh_id) == (1, 1)
+
+
+def test_materials_and_meshes_of_objects() -> None:
+    red, grey = rs.Material(diffuse=(1, 0, 0)), rs.Material(name="grey")
+    mesh = rs.Mesh(*cube(), material_ids=0)
+    scene = rs.Scene.instances(
+        [mesh, rs.load("cornell")], [np.eye(3, 4)] * 2, [1, 0], materials=[red, grey]
+    )
+    assert scene.materials[:2] == (red, grey)
+    assert scene.materials[2:] == rs.load("cornell").materials
+    cornell = rs.load("cornell")
+    plain = rs.Tracer(cornell).first_hit([278.0, 273.0, -800.0], [0.0, 0.0, 1.0])
+    hits = rs.Tracer(scene).first_hit([278.0, 273.0, -800.0], [0.0, 0.0, 1.0])
+    assert hits.material_id == plain.material_id + 2
+    assert hits.mesh_id == plain.mesh_id + 1
+    assert hits.mesh_prim_id == plain.mesh_prim_id
+
+
+def test_memory_grows_with_the_objects() -> None:
+    one = scene_of(*icosphere(5))
+    places = np.tile(np.eye(3, 4), (1000, 1, 1))
+    places[:, 0, 3] = np.arange(1000.0)
+    tracer = rs.Tracer(rs.Scene.instances(one, places))
+    alone = rs.Tracer(one).structure.report.byte_count
+    assert tracer.structure.report.byte_count < alone + 300 * 1000
+
+
+def test_bad_instances_are_named() -> None:
+    one = objects()[0]
+    eye = np.eye(3, 4)
+    for transforms, ids, message in (
+        (np.eye(4), None, r"transforms: expected shape \(K, 3, 4\), got \(4, 4\)"),
+        (np.eye(4)[None], None, r"transforms: expected shape \(K, 3, 4\); give"),
+        ([eye, np.zeros((3, 4))], None, "transforms: that of instance 1 is singular"),
+        ([eye * np.nan], None, "transforms: that of instance 0 is not finite"),
+        ([eye * 1e70], None, "transforms: that of instance 0 is not finite, or beyond"),
+        ([eye], [1], "object_ids: expected 0 to 0, got 1 to 1"),
+        ([eye], [0, 0], "object_ids: expected one for each of 1 transforms"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rs.Scene.instances(one, transforms, ids)
+    with pytest.raises(ValueError, match="object_ids: expected the object of each"):
+        rs.Scene.instances([one, one], [eye])
+    with pytest.raises(TypeError, match=r"objects\[0\]: expected a Mesh or Scene"):
+        rs.Scene.instances([3], [eye])
+    with pytest.raises(TypeError, match="object_ids: expected integers"):
+        rs.Scene.instances(one, [eye], [0.5])
+    many = rs.Scene.instances(one, np.tile(eye, (2**31 // one.triangle_count + 1, 1, 1)))
+    with pytest.raises(ValueError, match="triangles in all instances are more than"):
+        rs.Tracer(many)
+    with pytest.raises(ValueError, match="has no instances"):
+        one.with_transforms([eye])
+    scene = rs.Scene.instances(one, [eye])
+    with pytest.raises(ValueError, match="expected 1, as before, got 2"):
+        scene.with_transforms([eye, eye])
+    with pytest.raises(ValueError, match="meshes: a scene with instances keeps them"):
+        scene.replace(meshes=one.meshes * 2)
+    tracer = rs.Tracer(scene)
+    with pytest.raises(ValueError, match="either vertices or transforms"):
+        tracer.update()
+    with pytest.raises(ValueError, match="moves by transforms="):
+        tracer.update(one.meshes[0].vertices)
+    with pytest.raises(ValueError, match="other objects"):
+        tracer.update(rs.Scene.instances(objects()[2], [eye]))
+
+
+def test_what_is_not_supported_says_so() -> None:
+    scene = rs.Scene.instances(objects()[2], [np.eye(3, 4)])
+    for options in ({"structure": "grid"}, {"machine": "multipass"}):
+        with pytest.raises(ValueError, match=r"scene.flattened\(\)"):
+            rs.Tracer(scene, **options)
+    tracer = rs.Tracer(scene)
+    ray = ([0.0, 0, 5], [0.0, 0, -1])
+    for ask in (
+        lambda: tracer.first_hit(*ray, skip_prim_ids=0),
+        lambda: tracer.any_hit(*ray, on_hit=lambda hit: True),
+        lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
+        lambda: tracer.save("instances.npz"),
+        lambda: rs.thickness(tracer, *ray),
+        lambda: rs.lidar_returns(tracer, *ray),
+    ):
+        with pytest.raises(rs.RaystreamError, match=r"scene.flattened\(\)"):
+            ask()
+
+
+def test_inverses_are_accurate() -> None:
+    transforms = random_transforms(np.random.default_rng(3), 500, 100.0)
+    transforms[:100, :, :3] *= 2.0**150
+    transforms[100:200, :, :3] *= 2.0**-150
+    instances = Instances(np.zeros(500, int), transforms)
+    expected = np.linalg.inv(
+        np.concatenate([transforms, np.tile([[[0.0, 0, 0, 1]]], (500, 1, 1))], axis=1)
+    )[:, :3]
+    np.testing.assert_allclose(instances.inverses[:, :, :3], expected[:, :, :3], rtol=1e-9)
