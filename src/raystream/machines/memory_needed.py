@@ -132,7 +132,8 @@ class MemoryEstimator(RayCaster):
             # A graph names the sectors of hits.
             results += 0 if self.structure.sector_count is None else 4 * count
         working = self._backend.working_bytes(kind, count, hits)
-        if isinstance(self.structure.triangles, InstancedTriangles) and kind in _ROWS:
+        triangles: Any = self.structure.triangles
+        if isinstance(triangles, InstancedTriangles) and kind in _ROWS:
             results += 4 * (count if kind is Kind.FIRST_HIT else hits)
             working += _SPLIT_BYTES * (count if kind is Kind.FIRST_HIT else hits)
         if self._counts:
