@@ -6,6 +6,7 @@ import os
 import shlex
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import ClassVar
 
@@ -44,6 +45,9 @@ html_title = "raystream"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_extra_path = ["extra"]  # a ray's walk, as the lab wrote it
+
+# Classes for them are described where they are missing, too: PyTorch is not in [dev].
+autodoc_mock_imports = [name for name in ("jax", "torch") if not find_spec(name)]
 
 add_module_names = False
 autodoc_member_order = "bysource"

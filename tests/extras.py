@@ -1,7 +1,8 @@
 """Optional packages: tests that need a missing one skip and say how to install it.
 
-`[test]` has none of them, `[dev]` all but the lab, which is a distribution of its own. Two
-variables of the environment let CI run the tests that skipped, once it has installed the rest:
+`[test]` has none of them, `[dev]` all but the lab, which is a distribution of its own, and those
+that are too large for each run of CI (`LARGE`). Two variables of the environment let CI run the
+tests that skipped, once it has installed the rest:
 
 - ``RAYSTREAM_TEST_SKIPPED=FILE`` writes their ids to a file that pytest takes as ``@FILE``;
 - ``RAYSTREAM_TEST_EXTRAS=1`` makes a missing package a failure.
@@ -15,13 +16,21 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["REMEDY", "ROOMS", "Skipped", "missing_of", "need"]
+__all__ = ["LARGE", "REMEDY", "ROOMS", "Skipped", "missing_of", "need"]
 
 #: The command that installs all of them.
 REMEDY = 'pip install -e ".[dev]" -e ./lab'
 
 #: Rooms of the package that cannot be imported without these.
-ROOMS = {"cluster": ("dask", "distributed"), "cuda": ("numba_cuda",)}
+ROOMS = {
+    "cluster": ("dask", "distributed"),
+    "cuda": ("numba_cuda",),
+    "jax": ("jax",),
+    "torch": ("torch",),
+}
+
+#: Packages that are not in `[dev]`, and how to install them: their tests skip in CI, too.
+LARGE = {"torch": "pip install torch"}
 
 
 def missing_of(*packages: str) -> list[str]:
@@ -35,6 +44,9 @@ def need(*packages: str, whose: str = "") -> None:
     missing = missing_of(*packages)
     if not missing:
         return
+    for package in filter(LARGE.get, missing):
+        reason = f"{whose} needs {package}: {LARGE[package]}".lstrip()
+        pytest.skip(reason, allow_module_level=True)
     reason = f"{whose} needs {', '.join(missing)}: {REMEDY}".lstrip()
     if os.environ.get("RAYSTREAM_TEST_EXTRAS") == "1":
         pytest.fail(reason)

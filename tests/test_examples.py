@@ -17,7 +17,9 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 #: Packages with which examples do more.
 PACKAGES = {
     "cluster": ("dask", "distributed"),
+    "jax_pose": ("jax",),
     "lidar_scan": ("matplotlib",),
+    "torch_terrain": ("torch",),
     "xray_attenuation": ("matplotlib",),
 }
 

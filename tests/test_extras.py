@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+import extras
 from extras import REMEDY, Skipped, need
 
 
@@ -21,6 +22,13 @@ def test_a_missing_package_fails_where_all_are_wanted(monkeypatch):
     with pytest.raises(pytest.fail.Exception, match="room needs no_such_package: pip install"):
         need("no_such_package", whose="room")
     need("pytest")
+
+
+def test_a_large_package_skips_in_ci_too(monkeypatch):
+    monkeypatch.setenv("RAYSTREAM_TEST_EXTRAS", "1")
+    monkeypatch.setitem(extras.LARGE, "no_such_package", "pip install it")
+    with pytest.raises(pytest.skip.Exception, match="needs no_such_package: pip install it"):
+        need("pytest", "no_such_package")
 
 
 def report(name, reason, skipped=True):

@@ -13,7 +13,7 @@ import raystream
 
 LATER = (
     *("numba", "llvmlite", "trimesh", "PIL", "typer", "rich", "pooch", "OpenEXR", "scipy"),
-    *("imageio_ffmpeg", "pyoidn"),
+    *("imageio_ffmpeg", "pyoidn", "torch", "jax", "xarray"),
 )
 
 

@@ -34,6 +34,8 @@ ROOMS = (
     "line_of_sight",
     "cluster",
     "viewer",
+    "torch",
+    "jax",
     "bench",
     "cli",
 )
@@ -47,6 +49,8 @@ RESERVED = {
     "llvmlite": {"jit"},
     "numba_cuda": {"jit"},
     "wgpu": {"graphics"},
+    "torch": {"torch"},
+    "jax": {"jax"},
 }
 
 #: The stream programming model knows nothing of rays: of the rooms before it, only these.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.hits import Hits, MultiHits
+from raystream.core.library_hits import in_library
 from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
@@ -73,6 +74,8 @@ class Tracer(MemoryEstimator):
     Every query takes rays of any leading shape S: `origins` and `directions` of shape
     S + (3,), which broadcast against each other, of any real dtype, as NumPy arrays or
     anything that converts to one without leaving the CPU (DLPack, ``__array_interface__``).
+    Arrays of PyTorch, JAX, CuPy and xarray are answered in arrays of the same library, see
+    `raystream.core.library_hits.LibraryHits`.
     World space, scene units; directions need not be unit length, and t counts in their
     lengths. `t_min` and `t_max` are numbers or arrays that broadcast to S; the interval is
     closed, and rounded to float32. A ray with a NaN, infinite or zero direction is not an error:
@@ -82,8 +85,8 @@ class Tracer(MemoryEstimator):
     ``__cuda_array_interface__`` (CuPy, PyTorch, JAX, Numba), of float32 or float64; numbers and
     single vectors may still come from the host. They are read in place, in the order of the CUDA
     stream that they name, else of the default stream, and must not change before that. Results
-    stay on the GPU, in arrays that such libraries view without a copy; ``host()`` copies them to
-    NumPy. A query may return before they are filled.
+    stay on the GPU, in arrays of that library, or that it views without a copy; ``host()`` copies
+    them to NumPy. A query may return before they are filled.
 
     A ray through a shared edge hits both triangles, never neither [1]_. Degenerate
     triangles, and triangles with a NaN or infinite vertex, are never hit: a mesh that
@@ -182,9 +185,10 @@ class Tracer(MemoryEstimator):
         query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             found: Hits = self._backend.answer_on_device(query, rays, progress)
-            return found
+            return in_library(found, origins, directions)
         sink = self._answer(query, rays, progress)
-        return nearest_hits(sink, rays.shape, self.structure.triangles)
+        nearest = nearest_hits(sink, rays.shape, self.structure.triangles)
+        return in_library(nearest, origins, directions)
 
     def any_hit(
         self,
@@ -221,8 +225,9 @@ class Tracer(MemoryEstimator):
         query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
         if isinstance(rays, RayArrays):
             seen: NDArray[np.bool_] = self._backend.answer_on_device(query, rays, progress)
-            return seen
-        return self._answer(query, rays, progress).seen.reshape(rays.shape)
+        else:
+            seen = self._answer(query, rays, progress).seen.reshape(rays.shape)
+        return in_library(seen, origins, directions)
 
     def count_hits(
         self,
@@ -263,8 +268,9 @@ class Tracer(MemoryEstimator):
         query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
         if isinstance(rays, RayArrays):
             counts: NDArray[np.int64] = self._backend.answer_on_device(query, rays, progress)
-            return counts
-        return self._answer(query, rays, progress).counts.reshape(rays.shape)
+        else:
+            counts = self._answer(query, rays, progress).counts.reshape(rays.shape)
+        return in_library(counts, origins, directions)
 
     def multi_hit(
         self,
@@ -323,9 +329,10 @@ class Tracer(MemoryEstimator):
         query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
         if isinstance(rays, RayArrays):
             found: MultiHits = self._backend.answer_on_device(query, rays, progress)
-            return found
+            return in_library(found, origins, directions)
         sink = self._answer(query, rays, progress)
-        return all_hits(sink, rays.shape, self.structure.triangles)
+        many = all_hits(sink, rays.shape, self.structure.triangles)
+        return in_library(many, origins, directions)
 
     def trace(
         self,
@@ -405,7 +412,7 @@ class Tracer(MemoryEstimator):
         check_order(order)
         query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
         rays = self._rays(origins, directions, t_min, t_max)
-        self._check_plain("trace")
+        self.check_plain("trace")
         if isinstance(rays, RayArrays):
             changed: NDArray[Any] | None
             changed = self._backend.answer_on_device(query, rays, progress, payload)
@@ -466,7 +473,7 @@ class Tracer(MemoryEstimator):
             if limit == UNLIMITED and not surfaces:
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
-        self._check_plain("on_hit, skip_prim_ids")
+        self.check_plain("on_hit, skip_prim_ids")
         triangles = self.structure.triangles
         if isinstance(rays, RayArrays):
             chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -225,6 +227,34 @@ def test_all_queries_have_brute_forces_bits(gpu, case, oracle, rays):
             assert isinstance(many, DeviceMultiHits)
             expected = oracle.multi_hit(*rays, max_hits=most)
             assert_same(many.host(), expected, "ray_splits", *COLUMNS)
+
+
+class Cupy(CudaArray):
+    """An array by whose type its library is known."""
+
+    shape = (RAYS, 3)
+
+
+Cupy.__module__ = "cupy"
+
+
+def test_results_are_in_the_library_of_the_rays(gpu, tracer, oracle, rays, monkeypatch):
+    library = ModuleType("cupy")
+    library.from_dlpack = lambda array: ("viewed", array)
+    monkeypatch.setitem(sys.modules, "cupy", library)
+    there = given(gpu, rays, Cupy)
+    hits, many = tracer.first_hit(*there), tracer.multi_hit(*there)
+    for found, name in ((hits, "t"), (hits, "status"), (many, "prim_id"), (many, "ray_splits")):
+        viewed, array = getattr(found, name)
+        assert viewed == "viewed"
+        assert isinstance(array, DeviceArray)
+        assert_same_bits(array.host(), getattr(found.host(), name))
+    assert_same(hits.host(), oracle.first_hit(*rays), *COLUMNS)
+    assert_same(many.host(), oracle.multi_hit(*rays), "ray_splits", *COLUMNS)
+    for found in (tracer.any_hit(*there), tracer.count_hits(*there)):
+        assert found[0] == "viewed"
+    with pytest.raises(AttributeError, match=r"positions: not available on a GPU; see host\(\)"):
+        _ = hits.positions
 
 
 def test_invalid_rays_have_a_status(gpu, tracer, rays):

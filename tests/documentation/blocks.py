@@ -8,7 +8,8 @@ the tests' packages are installed. The rules:
 - ``.. code-block:: text`` is what the block before it prints.
 - ``.. code-block:: console`` has commands after ``$ ``. Their options are checked; after the
   comment ``.. runs`` they are run.
-- A comment before a block says what is done with it: ``.. not run: reason``, or ``.. runs``.
+- A comment before a block says what is done with it: ``.. not run: reason``, ``.. runs``, or
+  ``.. needs: package``: it is left out where the package is missing, and the page's test skips.
 - The comment ``.. unseen:`` holds code that runs and is not shown.
 - Anything else has no label: a literal block after ``::``, or one in another language.
 
@@ -25,7 +26,7 @@ from pathlib import Path
 __all__ = ["Block", "blocks_of", "markdown_blocks", "rest_blocks"]
 
 _CODE = re.compile(r"^( *)\.\. (?:code-block|sourcecode|code)::[ ]*(\S*)\s*$")
-_LABEL = re.compile(r"^( *)\.\. (not run|runs)(?::\s*(.*))?$")
+_LABEL = re.compile(r"^( *)\.\. (not run|runs|needs)(?::\s*(.*))?$")
 _UNSEEN = re.compile(r"^( *)\.\. unseen:\s*$")
 _LITERAL = re.compile(r"^(?! *\.\. ).*::\s*$")
 _OPTION = re.compile(r"^\s*:[\w-]+:")
@@ -48,6 +49,8 @@ class Block:
     """Whether a comment asks for it to be run."""
     not_run: str | None = None
     """Why it is not run."""
+    needs: str | None = None
+    """The package without which it is not run."""
 
 
 def blocks_of(page: Path) -> list[Block]:
@@ -112,7 +115,7 @@ def markdown_blocks(text: str) -> list[Block]:
 def _label(word: str, reason: str) -> dict[str, object]:
     if word == "runs":
         return {"runs": True}
-    return {"not_run": reason}
+    return {"needs": reason} if word == "needs" else {"not_run": reason}
 
 
 def _block(

@@ -14,6 +14,7 @@ import pytest
 
 from documentation.blocks import Block
 from documentation.commands import check, commands_of
+from extras import missing_of, need
 from raystream.cli import main
 
 __all__ = ["run_page"]
@@ -22,7 +23,12 @@ _FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def run_page(name: str, blocks: list[Block]) -> None:
-    """Run all blocks in one namespace; fail at the first one that is wrong, naming its line."""
+    """Run all blocks in one namespace; fail at the first one that is wrong, naming its line.
+
+    Where packages that blocks need are missing, the others run, and the test skips.
+    """
+    missing = set(missing_of(*{block.needs for block in blocks if block.needs}))
+    blocks = [block for block in blocks if block.needs not in missing]
     namespace: dict[str, Any] = {"__name__": "__main__"}
     printed: str | None = None
     for block in blocks:
@@ -38,6 +44,7 @@ def run_page(name: str, blocks: list[Block]) -> None:
         printed = _run(place, block, namespace) if block.not_run is None else None
     if printed and printed.strip():
         pytest.fail(f"{name}: the last block prints what the page does not show:\n{printed}")
+    need(*missing, whose=name)
 
 
 def _run(place: str, block: Block, namespace: dict[str, Any]) -> str | None:

@@ -102,6 +102,31 @@ def test_a_wrong_page_fails(text, words):
         run_page("page", rest_blocks(text))
 
 
+def test_blocks_whose_package_is_missing_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("RAYSTREAM_TEST_EXTRAS", raising=False)
+    page = """
+.. needs: no_such_package
+
+.. code-block:: python
+
+   import no_such_package
+
+.. code-block:: python
+
+   open("first", "w").close()
+
+.. needs: pytest
+
+.. code-block:: python
+
+   open("second", "w").close()
+"""
+    with pytest.raises(pytest.skip.Exception, match="page needs no_such_package: pip install"):
+        run_page("page", rest_blocks(page))
+    assert {path.name for path in tmp_path.iterdir()} == {"first", "second"}
+
+
 def test_an_error_names_its_block():
     with pytest.raises(ZeroDivisionError) as caught:
         run_page("page.rst", [Block(7, "python", "1 / 0\n")])

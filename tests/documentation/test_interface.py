@@ -19,6 +19,7 @@ MODULES = (
     "cuda.streams",
     "graphics",
     "graphics.streams",
+    "jax",
     "line_of_sight.surface_points",
     "line_of_sight.view_factors",
     "line_of_sight.visibility",
@@ -38,6 +39,7 @@ MODULES = (
     "scene.textures",
     "stepper",
     "streams",
+    "torch",
 )
 
 #: Those of the lab.

@@ -405,7 +405,7 @@ def test_bad_instances_are_named() -> None:
             rs.Scene.instances(one, transforms, ids)
     with pytest.raises(ValueError, match="object_ids: expected the object of each"):
         rs.Scene.instances([one, one], [eye])
-    with pytest.raises(TypeError, match=r"objects\[0\]: expected a Mesh or Scene"):
+    with pytest.raises(TypeError, match=r"objects\[0\]: expected a Mesh, a Scene or .* got int"):
         rs.Scene.instances([3], [eye])
     with pytest.raises(TypeError, match="object_ids: expected integers"):
         rs.Scene.instances(one, [eye], [0.5])

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.libraries import advice_about
+
 __all__ = [
     "DEFAULT_LIMITS",
     "RayArrays",
@@ -206,7 +208,8 @@ def as_host_array(name: str, values: Any) -> NDArray[Any]:
     try:
         return np.asarray(values)
     except Exception as error:
-        raise TypeError(f"{name}: cannot be read as an array ({error})") from error
+        reason = f"{name}: cannot be read as an array ({error}){advice_about(values)}"
+        raise TypeError(reason) from error
 
 
 def is_on_gpu(values: Any) -> bool:

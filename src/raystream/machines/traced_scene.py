@@ -277,8 +277,14 @@ class TracedScene:
         self._set(scene, old.moved(triangles))
         return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
 
-    def _check_plain(self, what: str) -> None:
-        """Raise an error if the scene has instances: `what` is not supported there."""
+    def check_plain(self, what: str) -> None:
+        """Check that the scene has no instances, with which `what` is not supported.
+
+        Raises
+        ------
+        RaystreamError
+            If it has.
+        """
         triangles: Any = self.structure.triangles
         if isinstance(triangles, InstancedTriangles):
             raise RaystreamError(f"{what}: {NOT_INSTANCED}")

@@ -25,7 +25,7 @@ class InstancedScene:
     @classmethod
     def instances(
         cls,
-        objects: Mesh | Scene | Iterable[Mesh | Scene],
+        objects: Mesh | Scene | Iterable[Mesh | Scene | Sequence[Mesh]],
         transforms: Any,
         object_ids: Any = None,
         *,
@@ -40,7 +40,8 @@ class InstancedScene:
         Parameters
         ----------
         objects : Mesh, Scene, or sequence of them
-            In a space of their own, object space. Of a scene, its meshes and materials are used,
+            In a space of their own, object space. A list of meshes within the sequence is one
+            object. Of a scene, its meshes and materials are used,
             not its lights and cameras. One that has instances itself is placed with them: each of
             its instances becomes one in this scene, for each time that it is placed.
         transforms : array_like of shape (K, 3, 4) or (3, 4), real

@@ -84,7 +84,7 @@ class Objects(NamedTuple):
     @classmethod
     def of(
         cls,
-        objects: Mesh | Scene | Iterable[Mesh | Scene],
+        objects: Mesh | Scene | Iterable[Mesh | Scene | Sequence[Mesh]],
         placed: tuple[Any, Any, Any],
         materials: Sequence[Material],
     ) -> Objects:
@@ -99,8 +99,12 @@ class Objects(NamedTuple):
 
         given = [objects] if isinstance(objects, Mesh | Scene) else list(objects)
         for index, one in enumerate(given):
-            if not isinstance(one, Mesh | Scene):
-                raise TypeError(f"objects[{index}]: expected a Mesh or Scene, got {type(one)}")
+            is_list = isinstance(one, list | tuple) and all(isinstance(m, Mesh) for m in one)
+            if not (isinstance(one, Mesh | Scene) or is_list):
+                raise TypeError(
+                    f"objects[{index}]: expected a Mesh, a Scene or a list of meshes, "
+                    f"got {type(one).__name__}"
+                )
         object_ids, transforms, worlds = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
         found = cls([], [], list(materials), Instances(ids, matrices, worlds))
@@ -116,12 +120,13 @@ class Objects(NamedTuple):
             found.materials.append(Material())
         return found._replace(instances=instances)
 
-    def _add(self, one: Mesh | Scene) -> tuple[int, Instances | None]:
+    def _add(self, one: Any) -> tuple[int, Instances | None]:
         """Add an object; returns its number, or its first one and the instances of them."""
         first = len(self.mesh_counts)
-        if isinstance(one, Mesh):
-            self.meshes.append(one)
-            self.mesh_counts.append(1)
+        if not hasattr(one, "geometry"):
+            parts = [one] if isinstance(one, Mesh) else one
+            self.meshes.extend(parts)
+            self.mesh_counts.append(len(parts))
             return first, None
         shift = len(self.materials)
         self.materials.extend(one.materials)

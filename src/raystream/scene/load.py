@@ -16,7 +16,13 @@ from raystream.scene.scene import Scene
 __all__ = ["load"]
 
 
-def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | None = None) -> Scene:
+def load(
+    source: str | PathLike[str],
+    *,
+    time: float = 0.0,
+    triangles: int | None = None,
+    instances: bool = False,
+) -> Scene:
     """Load a scene.
 
     Parameters
@@ -31,6 +37,10 @@ def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | Non
         shows its rest pose; see also `Scene.at`.
     triangles : int, optional
         For built-in scenes: the approximate number of triangles.
+    instances : bool
+        For glTF files: keep a mesh that several nodes have, or that has copies by
+        ``EXT_mesh_gpu_instancing``, once, with instances; see `Scene.instances`. Such a scene is
+        not animated. Otherwise each is a copy.
 
     Returns
     -------
@@ -42,7 +52,7 @@ def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | Non
     FileFormatError
         If there is no such file or name, or the file cannot be used: a message of one line.
     ValueError
-        If `time` or `triangles` does not apply to the source.
+        If `time`, `triangles` or `instances` does not apply to the source.
 
     Warns
     -----
@@ -65,7 +75,9 @@ def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | Non
     if not isinstance(source, str) or _names_file(name):
         if triangles is not None:
             raise ValueError("triangles: only for built-in scenes, not for files")
-        return _load_file(name, time)
+        return _load_file(name, time, instances)
+    if instances:
+        raise ValueError("instances: only for glTF files, not for names")
     return _load_name(name, time, triangles)
 
 
@@ -77,7 +89,7 @@ def _names_file(source: str) -> bool:
     return bool(Path(bare).suffix) if colon else bool(Path(source).suffix)
 
 
-def _load_file(name: str, time: float) -> Scene:
+def _load_file(name: str, time: float, has_instances: bool) -> Scene:
     path = Path(name).expanduser()
     try:
         missing = not path.exists()
@@ -89,7 +101,7 @@ def _load_file(name: str, time: float) -> Scene:
         raise FileFormatError(name, f"there is no such file{hint}")
     if path.is_dir():
         raise FileFormatError(name, FOLDER)
-    return read_model(path, time=time)
+    return read_model(path, time=time, has_instances=has_instances)
 
 
 def _load_name(source: str, time: float, triangles: int | None) -> Scene:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import raystream as rs
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.scene.io import instances
 from raystream.scene.io.gltf import read_gltf
@@ -474,8 +475,98 @@ def test_compressed_buffers_without_a_plain_copy(tmp_path: Path) -> None:
         read(tmp_path, document)
 
 
-def test_instances_of_the_gpu_extension_are_counted(tmp_path: Path) -> None:
+def copied_document(count: int = 5) -> tuple[dict[str, Any], np.ndarray]:
+    """A tetrahedron with copies by EXT_mesh_gpu_instancing, and their matrices to the node."""
+    rng = np.random.default_rng(1)
+    shifts = rng.uniform(-9.0, 9.0, (count, 3)).astype(np.float32)
+    turns = rng.normal(size=(count, 4))
+    turns = np.round(turns / np.linalg.norm(turns, axis=1)[:, None] * 32767).astype(np.int16)
+    scales = rng.uniform(-2.0, 2.0, (count, 3)).astype(np.float32)
+    arrays = tiny.TETRAHEDRON, tiny.SIDES.astype(np.uint16), shifts, turns, scales
+    document = tiny.with_buffer(tiny.gltf_document(), *arrays)
+    document["accessors"] += [
+        {"bufferView": 2, "componentType": 5126, "count": count, "type": "VEC3"},
+        {
+            "bufferView": 3,
+            "componentType": 5122,
+            "count": count,
+            "type": "VEC4",
+            "normalized": True,
+        },
+        {"bufferView": 4, "componentType": 5126, "count": count, "type": "VEC3"},
+    ]
+    attributes = {"TRANSLATION": 2, "ROTATION": 3, "SCALE": 4}
+    document["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    document["extensionsUsed"] = document["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    for matrix, shift, turn, scale in zip(matrices, shifts, turns, scales, strict=True):
+        x, y, z, w = turn / np.linalg.norm(turn.astype(float))
+        # q v q* of the three axes, by the cross products of Rodrigues' formula
+        axes = np.eye(3) * scale
+        crossed = np.cross([x, y, z], axes) * 2.0
+        matrix[:3, :3] = (axes + w * crossed + np.cross([x, y, z], crossed)).T
+        matrix[:3, 3] = shift
+    return document, matrices
+
+
+def test_copies_of_the_gpu_extension(tmp_path: Path) -> None:
+    document, matrices = copied_document()
+    scene = read(tmp_path, document)
+    node = np.diag([2.0, 2.0, 2.0, 1.0])
+    node[0, 3] = 1.0
+    assert len(scene.meshes) == 5
+    for mesh, matrix in zip(scene.meshes, node @ matrices, strict=True):
+        expected = tiny.TETRAHEDRON @ matrix[:3, :3].T + matrix[:3, 3]
+        np.testing.assert_allclose(mesh.vertices, expected, atol=2e-4)
+    placed = rs.load(tmp_path / "a.gltf", instances=True)
+    assert placed.triangle_count == 4
+    np.testing.assert_allclose(placed.placements.transforms, (node @ matrices)[:, :3], atol=2e-4)
+    for mesh, copy in zip(placed.flattened().meshes, scene.meshes, strict=True):
+        np.testing.assert_array_equal(mesh.faces, copy.faces)
+        np.testing.assert_allclose(mesh.vertices, copy.vertices, atol=1e-12)
+
+
+def test_nodes_that_share_a_mesh_are_instances(tmp_path: Path) -> None:
     document = tiny.gltf_document()
-    document["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {}}}
-    with pytest.warns(RaystreamWarning, match=r"1 nodes with EXT_mesh_gpu_instancing"):
-        assert read(tmp_path, document).triangle_count == 4
+    document["nodes"][0]["children"] += [2, 3]
+    document["nodes"] += [{"mesh": 0, "scale": [1, 1, -1]}, {"mesh": 0, "scale": [1, 0, 1]}]
+    read(tmp_path, document)
+    with pytest.warns(RaystreamWarning, match="1 instances left out"):
+        placed = rs.load(tmp_path / "a.gltf", instances=True)
+    assert len(placed.meshes) == 1
+    assert placed.placements.object_ids.tolist() == [0, 0]
+    with pytest.raises(ValueError, match=r"instances: \.obj files"):
+        rs.load(tiny_obj(tmp_path), instances=True)
+    with pytest.raises(ValueError, match="instances: only for glTF"):
+        rs.load("cornell", instances=True)
+
+
+def tiny_obj(folder: Path) -> Path:
+    path = folder / "x.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    return path
+
+
+def test_deformed_meshes_are_objects_of_their_own(tmp_path: Path) -> None:
+    document = tiny.moving_gltf()
+    scene = read(tmp_path, document)
+    for time in (0.0, 1.0):
+        placed = rs.load(tmp_path / "a.gltf", instances=True, time=time)
+        posed = scene.at(time) if time else scene
+        for mesh, other in zip(placed.flattened().meshes, posed.meshes, strict=True):
+            np.testing.assert_allclose(mesh.vertices, other.vertices, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda d: d["accessors"][2].update(count=4), r"have \[4, 5\] copies"),
+        (lambda d: d["accessors"][3].update(type="VEC3"), "unexpected type"),
+        (lambda d: d["nodes"][1]["extensions"].update(EXT_mesh_gpu_instancing=7), "damaged"),
+    ],
+)
+def test_damaged_copies_are_refused(tmp_path: Path, change, reason) -> None:
+    document, _ = copied_document()
+    change(document)
+    with pytest.raises(FileFormatError, match=reason):
+        read(tmp_path, document)

@@ -25,15 +25,16 @@ _READERS = {
     ".nff": ("aff", "read_aff"),
 }
 
-#: Formats whose readers take a time, and all formats that may be animated.
+#: Formats whose readers take a time, those with instances, and all formats that may be animated.
 TIMED = frozenset({".aff", ".nff"})
-ANIMATED = TIMED | {".gltf", ".glb"}
+INSTANCED = frozenset({".gltf", ".glb"})
+ANIMATED = TIMED | INSTANCED
 
 #: The file extensions of all formats; each may be followed by ``.gz``.
 SUFFIXES = tuple(_READERS)
 
 
-def read_model(path: Path, *, time: float = 0.0) -> Scene:
+def read_model(path: Path, *, time: float = 0.0, has_instances: bool = False) -> Scene:
     """Read a model file of any format.
 
     Parameters
@@ -42,6 +43,8 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
         The file extension selects the format; a ``.gz`` after it is unpacked.
     time : float
         For animated formats: the time to show, in the file's units. At 0, glTF is at rest.
+    has_instances : bool
+        For glTF: make a scene of instances, see `read_gltf`.
 
     Returns
     -------
@@ -68,8 +71,12 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
         raise ValueError(
             f"time: {suffix} files are not animated, only {' '.join(sorted(ANIMATED))}"
         )
+    if has_instances and suffix not in INSTANCED:
+        raise ValueError(
+            f"instances: {suffix} files are read without, only {' '.join(sorted(INSTANCED))} with"
+        )
     try:
-        scene = check_loaded(path, _reader(suffix, time)(path))
+        scene = check_loaded(path, _reader(suffix, time, has_instances)(path))
     except (RaystreamError, Warning):  # warnings are errors when the user makes them so
         raise
     except MemoryError:
@@ -77,16 +84,19 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     except Exception as error:  # hostile files may cause errors that readers do not expect
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise FileFormatError(path, f"cannot be read as {suffix} ({reason[:200]})") from error
-    if time == 0.0 or suffix in TIMED:
+    if time == 0.0 or suffix in TIMED or has_instances:
         return scene
     if scene.animation is None:
         raise ValueError(f"time: {path} is not animated")
     return scene.at(time)
 
 
-def _reader(suffix: str, time: float) -> Callable[[Path], Scene]:
+def _reader(suffix: str, time: float, has_instances: bool) -> Callable[[Path], Scene]:
     module, name = _READERS[suffix]
     function: Callable[..., Scene] = getattr(import_module(f"raystream.scene.io.{module}"), name)
+    if has_instances:
+        pose = time if time != 0.0 else None
+        return lambda path: function(path, time=pose, has_instances=True)
     if suffix in TIMED:
         return lambda path: function(path, time=time)
     return function

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.scene.animation import Animation
 from raystream.scene.io.gltf_animation import read_animations
 from raystream.scene.io.gltf_cameras import read_cameras
 from raystream.scene.io.gltf_extensions import lost_extensions
 from raystream.scene.io.gltf_file import GltfFile, Node
+from raystream.scene.io.gltf_instancing import MeshInstances, copies_of
 from raystream.scene.io.gltf_lights import read_light
 from raystream.scene.io.gltf_materials import read_materials
 from raystream.scene.io.gltf_nodes import Matrix, NodeTree
@@ -30,7 +32,7 @@ from raystream.scene.scene import Scene
 __all__ = ["read_gltf"]
 
 
-def read_gltf(path: Path) -> Scene:
+def read_gltf(path: Path, *, time: float | None = None, has_instances: bool = False) -> Scene:
     """Read a glTF 2.0 file in its rest pose.
 
     Each primitive of each node with a mesh becomes one mesh in world space: nodes depth first,
@@ -40,6 +42,11 @@ def read_gltf(path: Path) -> Scene:
     ----------
     path : Path
         A ``.gltf`` or ``.glb`` file.
+    time : float, optional
+        With instances: the pose [default: the rest pose].
+    has_instances : bool
+        Make a scene of instances: of each mesh of the file that is not deformed, one for each
+        node, and one for each of its copies by ``EXT_mesh_gpu_instancing``. It is not animated.
 
     Returns
     -------
@@ -63,9 +70,19 @@ def read_gltf(path: Path) -> Scene:
     materials, texcoords = read_materials(file)
     tracks = read_animations(file)
     tree = NodeTree(file, tracks)
-    reader = _SceneReader(file, tree, texcoords)
-    reader.build(None)
+    reader = _SceneReader(file, tree, texcoords, MeshInstances(file) if has_instances else None)
+    reader.build(time if has_instances else None)
     reader.report()
+    if reader.instances is not None:
+        return Scene.instances(
+            reader.instances.objects,
+            np.array(reader.instances.transforms).reshape(-1, 3, 4),
+            np.array(reader.instances.object_ids, int),
+            materials=materials,
+            lights=reader.lights,
+            cameras=read_cameras(file, tree, None),
+            name=path.name,
+        )
     times = tracks.times if tree.moves and tracks.times[0] < tracks.times[1] else None
     poses = _Poses(reader, tuple(materials))
     return Scene(
@@ -93,22 +110,27 @@ class _Poses:
 class _SceneReader:
     """Collects the meshes and lights of the nodes."""
 
-    def __init__(self, file: GltfFile, tree: NodeTree, texcoords: Sequence[Texcoords]) -> None:
-        self.file = file
+    def __init__(
+        self,
+        file: GltfFile,
+        tree: NodeTree,
+        texcoords: Sequence[Texcoords],
+        instances: MeshInstances | None = None,
+    ) -> None:
+        self.file, self.instances = file, instances
         self.meshes: list[Mesh] = []
         self.lights: list[Light] = []
         self._tree = tree
         self._primitives = PrimitiveReader(file, texcoords)
         self._parts: dict[int, list[Part]] = {}
         self._shapes: dict[int, NodeShape] = {}
+        self._copies: dict[int, NDArray[np.float64] | None] = {}
         self._placements = Placements()
-        self._unplaced_count = 0
 
     def build(self, time: float | None) -> None:
         """Collect the meshes and lights of all nodes, at a time or at rest."""
         file, tree = self.file, self._tree
         self.meshes, self.lights = [], []
-        self._unplaced_count = 0
         self._budget = TriangleBudget(file.path)
         self._placements.begin()
         world = tree.matrices(time)
@@ -116,8 +138,8 @@ class _SceneReader:
             self._add(node, place, time, world)
         if not file.entries(file.root, "nodes"):
             for index in range(len(file.entries(file.root, "meshes"))):
-                for part in self._parts_of(index):
-                    self._place(part, np.eye(4))
+                parts = self._parts_of(index)
+                self._place_all(index, parts, np.eye(4), [None] * len(parts))
 
     def report(self) -> None:
         """Warn about unsupported features."""
@@ -127,11 +149,9 @@ class _SceneReader:
         if lost:
             names = ", ".join(shown(name.encode()) for name in lost[:8])
             warn_partial(path, f"extensions that are not supported, and ignored: {names}")
-        if self._unplaced_count:
-            warn_partial(
-                path,
-                f"{self._unplaced_count:,} nodes with EXT_mesh_gpu_instancing have one copy each",
-            )
+        if self.instances is not None and self.instances.flat_count:
+            count = self.instances.flat_count
+            warn_partial(path, f"{count:,} instances left out, which their transform flattens")
         unposed = sum(shape.is_unposed for shape in self._shapes.values())
         if unposed:
             warn_partial(path, f"{unposed:,} skinned meshes left in their bind pose")
@@ -141,15 +161,17 @@ class _SceneReader:
         file = self.file
         mesh = file.index(node, "mesh")
         if mesh is not None:
-            self._unplaced_count += file.extension(node, "EXT_mesh_gpu_instancing") is not None
             parts = self._parts_of(mesh)
             if place not in self._shapes:
                 self._shapes[place] = NodeShape(file, node, parts, self._tree)
             shape = self._shapes[place]
             matrix = np.eye(4) if "skin" in node else world[place]
             deformed = shape.at(self._tree.weights(place, time), world)
-            for part, one in zip(parts, deformed, strict=True):
-                self._place(part, matrix, one)
+            if place not in self._copies:
+                self._copies[place] = None if "skin" in node else copies_of(file, node)
+            copies = self._copies[place]
+            for copy in np.eye(4)[None] if copies is None else copies:
+                self._place_all(mesh, parts, matrix @ copy, deformed)
         punctual = file.extension(node, "KHR_lights_punctual")
         if punctual is not None:
             light = read_light(file, file.integer(punctual, "light"), world[place])
@@ -160,6 +182,17 @@ class _SceneReader:
             self._parts[mesh] = self._primitives.parts(mesh)
         return self._parts[mesh]
 
-    def _place(self, part: Part, matrix: Matrix, shape: Shape | None = None) -> None:
-        self._budget.spend(part.mesh)
-        self.meshes.append(self._placements.place(part.mesh, matrix, shape=shape))
+    def _place_all(
+        self, mesh: int, parts: Sequence[Part], matrix: Matrix, shapes: Sequence[Shape | None]
+    ) -> None:
+        """Add the primitives of a mesh of the file, deformed, once."""
+        if self.instances is not None and all(shape is None for shape in shapes):
+            self.instances.add(mesh, [part.mesh for part in parts], matrix)
+            return
+        for part, shape in zip(parts, shapes, strict=True):
+            self._budget.spend(part.mesh)
+            found = self._placements.place(part.mesh, matrix, shape=shape)
+            if self.instances is None:
+                self.meshes.append(found)
+            else:
+                self.instances.add_once(found)

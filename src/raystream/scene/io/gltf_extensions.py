@@ -9,7 +9,7 @@ __all__ = ["COMPRESSED", "can_read", "lost_extensions"]
 #: Read, or without effect on images.
 _SUPPORTED = frozenset(
     {
-        "EXT_mesh_gpu_instancing",  # with its own warning
+        "EXT_mesh_gpu_instancing",
         "EXT_meshopt_compression",
         "EXT_texture_webp",
         "KHR_draco_mesh_compression",
@@ -39,8 +39,7 @@ _OF_MATERIALS = "KHR_materials_"
 
 def can_read(name: str) -> bool:
     """Whether a file that requires an extension can be read without misreading its geometry."""
-    is_instancing = name == "EXT_mesh_gpu_instancing"
-    return (name in _SUPPORTED and not is_instancing) or name.startswith(_OF_MATERIALS)
+    return name in _SUPPORTED or name.startswith(_OF_MATERIALS)
 
 
 def lost_extensions(used: Iterable[str]) -> list[str]:

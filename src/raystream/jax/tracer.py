@@ -1,0 +1,272 @@
+"""JaxTracer: the queries of a tracer inside JAX's transformations."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from raystream.core.query import counts_surfaces
+from raystream.jax import callbacks
+from raystream.tracer import Tracer
+
+__all__ = ["JaxHits", "JaxTracer"]
+
+
+class JaxHits(NamedTuple):
+    """Hits in arrays of the rays' shape S, or S + (max_hits,): ``t``, ``u``, ``v``, ``prim_id``.
+
+    See `Hits` for what they are; ``t``, ``u`` and ``v`` have derivatives.
+    """
+
+    t: jax.Array
+    u: jax.Array
+    v: jax.Array
+    prim_id: jax.Array
+
+
+class JaxTracer:
+    """A tracer whose queries run inside ``jit``, ``vmap`` and ``grad``.
+
+    Parameters
+    ----------
+    tracer : Tracer
+        After its `Tracer.update` the queries, compiled ones included, answer for the moved
+        triangles.
+
+    Raises
+    ------
+    TypeError
+        If `tracer` is not a `Tracer`.
+
+    Notes
+    -----
+    Functions may close over it, or take it as an argument: for ``jit`` it is a constant, compared
+    by identity.
+
+    Every query takes `origins` and `directions` of any leading shape S: arrays of shape S + (3,)
+    that broadcast, of any real dtype. `t_min` and `t_max` are numbers or arrays that broadcast to
+    S. The query is a callback (`jax.pure_callback`): rays go to the host, without a copy if they
+    are on the CPU, and answers have the bits of the tracer's. Under ``vmap`` all rays are traced in
+    one batch. No memory is needed for pairs of rays and triangles. Without ``jax_enable_x64``
+    JAX makes float32 of numbers and lists before they get here.
+
+    ``t``, ``u`` and ``v`` have derivatives with respect to `origins`, `directions` and `vertices`,
+    forward and reverse, of any order: those of the crossing of the ray with the triangle that it
+    hit, held fixed, in the arrays' precision. They are
+    exact as long as the ray hits that triangle. **They say nothing of visibility**: where a ray
+    passes from one triangle to another, over an edge or a silhouette, the answer jumps, and the
+    derivative does not know of it. Misses have none: they contribute zeros, never NaN.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import raystream as rs
+    >>> from raystream.jax import JaxTracer
+    >>> tracer = JaxTracer(rs.Tracer(rs.load("cornell")))
+    >>> def depth(origin):
+    ...     return tracer.first_hit(origin, jnp.array([0.0, 0.0, 1.0])).t
+    >>> origin = jnp.array([278.0, 273.0, -800.0])
+    >>> t, slope = jax.jit(jax.value_and_grad(depth))(origin)
+    >>> round(float(t), 1), [round(float(one), 3) for one in slope]
+    (1092.0, [-0.31, 0.0, -1.0])
+    """
+
+    def __init__(self, tracer: Tracer) -> None:
+        if not isinstance(tracer, Tracer):
+            raise TypeError(f"tracer: expected a Tracer, got {type(tracer).__name__}")
+        tracer.check_plain("raystream.jax")
+        self.tracer = tracer
+
+    def first_hit(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: Any = 0.0,
+        t_max: Any = math.inf,
+        vertices: Any = None,
+    ) -> JaxHits:
+        """Find the nearest triangle along each ray.
+
+        Parameters
+        ----------
+        origins, directions : array_like of shape S + (3,), real
+            World space; they broadcast.
+        t_min, t_max : float or array_like that broadcasts to S
+            Closed search interval, in direction lengths; without derivatives.
+        vertices : array of shape (V, 3), float, or one for each mesh, optional
+            The scene's vertices, for derivatives: one mesh after another. Rays are traced against
+            the tracer's own: give the same numbers, see `Tracer.update`.
+
+        Returns
+        -------
+        JaxHits
+            Of shape S. A miss has ``t = inf`` and ``prim_id = -1``.
+
+        Raises
+        ------
+        TypeError
+            If a dtype is not real.
+        ValueError
+            If shapes disagree.
+        """
+        rays = _rays(origins, directions, t_min, t_max)
+        return JaxHits(*callbacks.first_hit(self.tracer, rays, _joined(vertices)))
+
+    def any_hit(
+        self, origins: Any, directions: Any, *, t_min: Any = 0.0, t_max: Any = math.inf
+    ) -> jax.Array:
+        """Find whether anything blocks each ray.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max
+            See `first_hit`.
+
+        Returns
+        -------
+        Array of shape S, bool
+        """
+        rays = _rays(origins, directions, t_min, t_max)
+        seen: jax.Array = callbacks.any_hit(self.tracer, rays)
+        return seen
+
+    def count_hits(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: Any = 0.0,
+        t_max: Any = math.inf,
+        crossings: str = "triangles",
+    ) -> jax.Array:
+        """Count the hits along each ray.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max
+            See `first_hit`.
+        crossings : {"triangles", "surfaces"}
+            See `Tracer.count_hits`.
+
+        Returns
+        -------
+        Array of shape S, int32
+        """
+        counts_surfaces(crossings)
+        rays = _rays(origins, directions, t_min, t_max)
+        counts: jax.Array = callbacks.count_hits(self.tracer, crossings, rays)
+        return counts
+
+    def multi_hit(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        max_hits: int,
+        t_min: Any = 0.0,
+        t_max: Any = math.inf,
+        crossings: str = "triangles",
+        vertices: Any = None,
+    ) -> JaxHits:
+        """Find the nearest hits of each ray, by increasing distance.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max, vertices
+            See `first_hit`.
+        max_hits : int
+            Hits that are kept of each ray; a constant.
+        crossings : {"triangles", "surfaces"}
+            See `Tracer.count_hits`.
+
+        Returns
+        -------
+        JaxHits
+            Of shape S + (max_hits,); a ray with fewer hits has misses after them.
+        """
+        counts_surfaces(crossings)
+        limit = operator.index(max_hits)
+        if limit < 0:
+            raise ValueError(f"max_hits: expected a number >= 0, got {max_hits}")
+        rays, given = _rays(origins, directions, t_min, t_max), _joined(vertices)
+        return JaxHits(*callbacks.multi_hit(self.tracer, limit, crossings, rays, given))
+
+    def positions(self, hits: JaxHits, vertices: Any = None) -> jax.Array:
+        """Points on the triangles that were hit, with derivatives.
+
+        Parameters
+        ----------
+        hits : JaxHits
+            Of `first_hit` or `multi_hit` of this tracer, with the same `vertices`.
+        vertices : array of shape (V, 3), float, or one for each mesh, optional
+            See `first_hit`.
+
+        Returns
+        -------
+        Array of the hits' shape + (3,), float
+            World space, interpolated from the vertices; a miss has NaN.
+        """
+        points: jax.Array = callbacks.points(self.tracer, hits, _joined(vertices))
+        return points
+
+    def __repr__(self) -> str:
+        return f"JaxTracer({self.tracer!r})"
+
+
+jax.tree_util.register_static(JaxTracer)
+
+
+def _rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> tuple[jax.Array, ...]:
+    vectors = _real("origins", origins), _real("directions", directions)
+    for name, one in zip(("origins", "directions"), vectors, strict=True):
+        if one.ndim == 0 or one.shape[-1] != 3:
+            raise ValueError(f"{name}: expected shape (..., 3), got {one.shape}")
+    try:
+        shape = jnp.broadcast_shapes(*(one.shape[:-1] for one in vectors))
+    except ValueError:
+        raise ValueError(
+            f"origins and directions: shapes {vectors[0].shape} and {vectors[1].shape} do not "
+            "broadcast against each other"
+        ) from None
+    limits = _real("t_min", t_min), _real("t_max", t_max)
+    for name, one in zip(("t_min", "t_max"), limits, strict=True):
+        lengths = zip(reversed(one.shape), reversed(shape), strict=False)
+        if one.ndim > len(shape) or any(a not in (1, b) for a, b in lengths):
+            raise ValueError(
+                f"{name}: shape {one.shape} does not broadcast to the rays' shape {shape}"
+            )
+    return (*vectors, *limits)
+
+
+def _real(name: str, values: Any) -> jax.Array:
+    """An array of real numbers that NumPy knows."""
+    try:
+        array = jnp.asarray(values)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: cannot be read as an array ({error})") from error
+    is_real = jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
+    if not is_real:
+        raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
+    if array.dtype.itemsize < 4 and jnp.issubdtype(array.dtype, jnp.floating):
+        return array.astype(jnp.float32)  # bfloat16 and smaller, which NumPy does not know
+    return array
+
+
+def _joined(vertices: Any) -> jax.Array | None:
+    """All vertices in one array."""
+    if vertices is None:
+        return None
+    is_many = isinstance(vertices, Sequence) and not hasattr(vertices, "ndim")
+    given = jnp.concatenate(list(vertices)) if is_many else jnp.asarray(vertices)
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise ValueError(f"vertices: expected shape (V, 3), got {given.shape}")
+    if not jnp.issubdtype(given.dtype, jnp.floating):
+        raise TypeError(f"vertices: expected floating-point numbers, got dtype {given.dtype}")
+    return given

@@ -1,0 +1,221 @@
+"""The operators of PyTorch: what runs, the shapes of its results, and calls under vmap."""
+
+from __future__ import annotations
+
+import itertools
+import weakref
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from raystream.core.crossing import corners_of
+from raystream.core.padded_hits import pad
+from raystream.tracer import Tracer
+
+__all__ = ["leading_shape", "register"]
+
+#: Tracers by the number that stands for them in operators, whose arguments cannot be objects.
+_TRACERS: weakref.WeakValueDictionary[int, Tracer] = weakref.WeakValueDictionary()
+_numbers = itertools.count(1)
+
+
+def register(tracer: Tracer) -> int:
+    """The number of a tracer in the operators, as long as it exists."""
+    number = next(_numbers)
+    _TRACERS[number] = tracer
+    return number
+
+
+def leading_shape(origins: Tensor, directions: Tensor) -> Sequence[int]:
+    """The rays' leading shape.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not broadcast.
+    """
+    try:
+        return torch.broadcast_shapes(origins.shape[:-1], directions.shape[:-1])
+    except RuntimeError:
+        raise ValueError(
+            f"origins and directions: shapes {tuple(origins.shape)} and "
+            f"{tuple(directions.shape)} do not broadcast against each other"
+        ) from None
+
+
+_RAYS = "Tensor origins, Tensor directions, Tensor t_min, Tensor t_max"
+
+
+def _tracer(number: int) -> Tracer:
+    try:
+        return _TRACERS[number]
+    except KeyError:
+        raise RuntimeError(
+            "tracer: the TorchTracer of this compiled function has been deleted; keep it"
+        ) from None
+
+
+def _columns(hits: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    return hits.t, hits.u, hits.v, hits.prim_id
+
+
+def _operator(name: str, schema: str, run: Any, fake: Any, vmap: Any) -> None:
+    """Register an operator of this schema, for all devices."""
+    made = torch.library.custom_op(f"raystream::{name}", run, mutates_args=(), schema=schema)
+    made.register_fake(fake)
+    made.register_vmap(vmap)
+
+
+def _first_hit(
+    tracer: int, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor
+) -> tuple[Tensor, ...]:
+    return _columns(_tracer(tracer).first_hit(origins, directions, t_min=t_min, t_max=t_max))
+
+
+def _any_hit(tracer: int, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor) -> Any:
+    return _tracer(tracer).any_hit(origins, directions, t_min=t_min, t_max=t_max)
+
+
+def _count_hits(
+    tracer: int,
+    origins: Tensor,
+    directions: Tensor,
+    t_min: Tensor,
+    t_max: Tensor,
+    surfaces: bool,
+) -> Any:
+    crossings: Any = "surfaces" if surfaces else "triangles"
+    return _tracer(tracer).count_hits(
+        origins, directions, t_min=t_min, t_max=t_max, crossings=crossings
+    )
+
+
+def _multi_hit(
+    tracer: int,
+    origins: Tensor,
+    directions: Tensor,
+    t_min: Tensor,
+    t_max: Tensor,
+    max_hits: int,
+    surfaces: bool,
+) -> tuple[Tensor, ...]:
+    crossings: Any = "surfaces" if surfaces else "triangles"
+    found: Any = _tracer(tracer).multi_hit(
+        origins, directions, t_min=t_min, t_max=t_max, max_hits=max_hits, crossings=crossings
+    )
+    padded = pad(found.host(), max_hits)
+    return tuple(torch.from_numpy(one).to(origins.device) for one in padded)
+
+
+def _corners(tracer: int, prim_id: Tensor) -> Tensor:
+    corners = corners_of(_tracer(tracer).structure.triangles, prim_id.cpu().numpy())
+    return torch.from_numpy(corners).to(prim_id.device)
+
+
+def _vertex_ids(tracer: int, prim_id: Tensor, vertex_count: int) -> Tensor:
+    attributes = _tracer(tracer).scene.attributes
+    if vertex_count != attributes.vertex_count:
+        raise ValueError(
+            f"vertices: expected the scene's {attributes.vertex_count:,}, got {vertex_count:,}"
+        )
+    faces = attributes.faces if len(attributes.faces) else np.zeros((1, 3), np.int32)
+    ids = faces[np.maximum(prim_id.cpu().numpy(), 0)].astype(np.int64)
+    return torch.from_numpy(ids).to(prim_id.device)
+
+
+def _fake_hits(origins: Tensor, directions: Tensor, *more: int) -> tuple[Tensor, ...]:
+    shape = (*leading_shape(origins, directions), *more)
+    floats = [origins.new_empty(shape, dtype=torch.float32) for _ in range(3)]
+    return (*floats, origins.new_empty(shape, dtype=torch.int32))
+
+
+def _leading(tensor: Tensor, axis: int | None, rank: int) -> Tensor:
+    """A batched tensor with its batch first, and as many axes after it as `rank` says."""
+    if axis is None:
+        return tensor
+    tensor = tensor.movedim(axis, 0)
+    ones = [1] * (rank + 1 - tensor.ndim)
+    return tensor.reshape(tensor.shape[0], *ones, *tensor.shape[1:])
+
+
+def _one_batch(ask: Any, count: int) -> Any:
+    """The rule of ``vmap``: the batch becomes the first axis of the rays' leading shape."""
+
+    def rule(info: Any, axes: Any, tracer: int, *arguments: Any) -> Any:
+        rays, more = arguments[:4], arguments[4:]
+        axes = axes[1:5]
+        ranks = [
+            one.ndim - (axis is not None) - (k < 2)
+            for k, (one, axis) in enumerate(zip(rays, axes, strict=True))
+        ]
+        rank = max(ranks)
+        widths = rank + 1, rank + 1, rank, rank
+        batch = [_leading(*one) for one in zip(rays, axes, widths, strict=True)]
+        if axes[0] is None and axes[1] is None:  # a limit gives the rays their shape
+            lengths = [1] * (rank + 1 - batch[0].ndim)
+            batch[0] = batch[0].expand(info.batch_size, *lengths, *batch[0].shape)
+        return ask(tracer, *batch, *more), (0 if count == 1 else (0,) * count)
+
+    return rule
+
+
+def _rows_of_batch(ask: Any) -> Any:
+    def rule(_: Any, axes: Any, tracer: int, prim_id: Tensor, *more: Any) -> Any:
+        return ask(tracer, prim_id.movedim(axes[1], 0), *more), 0
+
+    return rule
+
+
+def _define() -> None:
+    ops = torch.ops.raystream
+    hits = "(Tensor, Tensor, Tensor, Tensor)"
+    _operator(
+        "first_hit",
+        f"(int tracer, {_RAYS}) -> {hits}",
+        _first_hit,
+        lambda tracer, o, d, t_min, t_max: _fake_hits(o, d),
+        _one_batch(lambda *rays: ops.first_hit(*rays), 4),
+    )
+    _operator(
+        "any_hit",
+        f"(int tracer, {_RAYS}) -> Tensor",
+        _any_hit,
+        lambda tracer, o, d, t_min, t_max: o.new_empty(leading_shape(o, d), dtype=torch.bool),
+        _one_batch(lambda *rays: ops.any_hit(*rays), 1),
+    )
+    _operator(
+        "count_hits",
+        f"(int tracer, {_RAYS}, bool surfaces) -> Tensor",
+        _count_hits,
+        lambda tracer, o, d, t_min, t_max, surfaces: o.new_empty(
+            leading_shape(o, d), dtype=torch.int64
+        ),
+        _one_batch(lambda *rays: ops.count_hits(*rays), 1),
+    )
+    _operator(
+        "multi_hit",
+        f"(int tracer, {_RAYS}, int max_hits, bool surfaces) -> {hits}",
+        _multi_hit,
+        lambda tracer, o, d, t_min, t_max, max_hits, surfaces: _fake_hits(o, d, max_hits),
+        _one_batch(lambda *rays: ops.multi_hit(*rays), 4),
+    )
+    _operator(
+        "corners",
+        "(int tracer, Tensor prim_id) -> Tensor",
+        _corners,
+        lambda tracer, prim_id: prim_id.new_empty((*prim_id.shape, 3, 3), dtype=torch.float64),
+        _rows_of_batch(lambda *rows: ops.corners(*rows)),
+    )
+    _operator(
+        "vertex_ids",
+        "(int tracer, Tensor prim_id, int vertex_count) -> Tensor",
+        _vertex_ids,
+        lambda tracer, prim_id, count: prim_id.new_empty((*prim_id.shape, 3), dtype=torch.int64),
+        _rows_of_batch(lambda *rows: ops.vertex_ids(*rows)),
+    )
+
+
+_define()
