@@ -31,6 +31,7 @@ ROOMS = (
     "graphics",
     "stepper",
     "ray_files",
+    "line_of_sight",
     "cluster",
     "viewer",
     "torch",

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from raystream.core.ray_hit import RayHit
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
+    from raystream.line_of_sight.surface_points import surface_points
+    from raystream.line_of_sight.view_factors import view_factors
+    from raystream.line_of_sight.visibility import visibility
+    from raystream.line_of_sight.visible_faces import visible_faces
     from raystream.physics import sweep_patterns
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import lidar_returns
@@ -117,9 +121,13 @@ _HOMES = {
     "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",
     "terrain": "physics.terrain",
+    "surface_points": "line_of_sight.surface_points",
     "thickness": "physics.segments",
     "thread_count": "jit.threads",
     "view": "viewer.notebook",
+    "view_factors": "line_of_sight.view_factors",
+    "visibility": "line_of_sight.visibility",
+    "visible_faces": "line_of_sight.visible_faces",
     "write_video": "rendering.video",
 }
 
@@ -174,12 +182,16 @@ __all__ = [
     "render_frames",
     "set_thread_count",
     "streams",
+    "surface_points",
     "sweep_patterns",
     "terrain",
     "textures",
     "thickness",
     "thread_count",
     "view",
+    "view_factors",
+    "visibility",
+    "visible_faces",
     "write_video",
 ]
 

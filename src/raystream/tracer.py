@@ -16,6 +16,7 @@ from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfa
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
 from raystream.machines.answers import all_hits, nearest_hits
+from raystream.machines.memory_needed import MemoryEstimator
 from raystream.machines.point_queries import PointQueries
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records
@@ -29,7 +30,7 @@ __all__ = ["Crossings", "Tracer"]
 _PLAIN = [Query(kind) for kind in Kind]
 
 
-class Tracer(PointQueries):
+class Tracer(MemoryEstimator, PointQueries):
     """Traces rays against a scene.
 
     Parameters

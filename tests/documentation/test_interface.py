@@ -22,6 +22,10 @@ MODULES = (
     "graphics",
     "graphics.streams",
     "jax",
+    "line_of_sight.surface_points",
+    "line_of_sight.view_factors",
+    "line_of_sight.visibility",
+    "line_of_sight.visible_faces",
     "machines",
     "physics.attenuation",
     "physics.lidar",
@@ -59,6 +63,7 @@ NAMES = """
     daylight heatmap lidar_returns load query_zarr render render_frames set_thread_count streams
     textures thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
     register_structure Cpu Cuda Graphics Branching Compute Multipass
+    surface_points view_factors visibility visible_faces
     SensorTrack lidar_sweep sweep_patterns terrain
 """
 

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Backend", "Capabilities"]
 
+#: Backends that copy rays take a block of at most this many at a time, see `ray_block`; and bytes
+#: of such a ray.
+_BLOCK_RAYS, _BLOCK_BYTES = 1 << 20, 120
+
 
 class Capabilities(NamedTuple):
     """Features of a backend beyond queries of rays in host memory.
@@ -162,6 +166,20 @@ class Backend(ABC):
             np.cumsum(counted.counts, out=filled.splits[1:])
         filled.hits = allocate_hits(int(filled.splits[-1]))
         return filled, part_of(progress, count, 2 * count)
+
+    def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
+        """Most bytes of the host's memory that `run` needs besides the results.
+
+        Parameters
+        ----------
+        kind : Kind
+            Not `Kind.TRACE`.
+        ray_count, hit_count : int
+            The hits are those of `Kind.MULTI_HIT`.
+        """
+        del hit_count
+        counts = 16 * ray_count if kind is Kind.MULTI_HIT else 0  # see `room_for_hits`
+        return counts + _BLOCK_BYTES * min(ray_count, _BLOCK_RAYS)
 
     def answer_on_device(
         self,

@@ -25,6 +25,9 @@ __all__ = ["Branching"]
 #: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
 
+#: Bytes of a thread's calls besides: Python's objects, and the splits of the rays of a call.
+_CALL_BYTES = 1 << 16
+
 
 class HitRows(NamedTuple):
     """Buffers for `RayQueries.collect_hits`."""
@@ -76,6 +79,19 @@ class Branching(Backend):
             hits = HitAccumulator(len(rays))
             self._visit(query, rays, Sink(sink.status, visitor=hits.take), progress)
             sink.put(*hits.whole())
+
+    def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
+        """See `Backend.working_bytes`.
+
+        Notes
+        -----
+        All hits are collected in buffers, one for each thread, and copied: `HitAccumulator`.
+        """
+        small = thread_count() * _CALL_BYTES
+        if kind is not Kind.MULTI_HIT:
+            return small + self.structure.working_bytes(kind, ray_count)
+        capacity = max(FIRST_CAPACITY, 4 * -(-hit_count // max(ray_count, 1)))
+        return small + thread_count() * 16 * capacity + 24 * ray_count + 16 * hit_count
 
     def caster(self) -> Callable[..., Any]:
         """The structure's search of one ray; see `Backend.caster`."""

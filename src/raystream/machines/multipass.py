@@ -20,6 +20,7 @@ from raystream.machines.backend import Capabilities
 from raystream.machines.local_frame_backend import LocalFrameBackend
 from raystream.machines.pass_snapshot import Observer, PassSnapshot
 from raystream.machines.passes import Passes
+from raystream.machines.ray_block import RAYS_PER_BLOCK
 from raystream.machines.ray_job import HitGoal, RayJob
 from raystream.machines.ray_loop import RayLoop, eye_ray_steps, loop_arrays, loop_steps
 from raystream.machines.ray_streams import RayStreams, empty_rays
@@ -263,6 +264,13 @@ class MultipassBackend(LocalFrameBackend):
         for part, larger in loop.grow(left["wanted"]) if waits.any() else ():
             rest = {name: np.ascontiguousarray(array[part]) for name, array in left.items()}
             self._run_loop(larger, rest, passes, progress, total)
+
+    def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
+        """See `Backend.working_bytes`."""
+        steps = steps_of(self.structure)
+        each = 2 * (_RAY_BYTES + steps.place.itemsize) + steps.stack_bytes
+        streams = min(each * min(ray_count, RAYS_PER_BLOCK), 2 * MAX_BYTES)
+        return super().working_bytes(kind, ray_count, hit_count) + streams
 
     def loop_bytes(self, pixel: np.dtype[Any]) -> int:
         """Memory of a pixel of `run_loop`, with the renderer's record."""

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from numpy.typing import NDArray
 
-from raystream.core.query import Query
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
@@ -160,6 +160,10 @@ class Structure(ABC):
     def sector_count(self) -> int | None:
         """The number of sectors that hits can name; None if they name none."""
         return None
+
+    def working_bytes(self, kind: Kind, ray_count: int) -> int:
+        """Most bytes that `trace_batch` needs besides the results, except for `Kind.MULTI_HIT`."""
+        return 0
 
     def rays_per_call(self) -> int:
         """Most rays per call of a compiled loop."""

@@ -14,6 +14,7 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.coherence import choose_kernel, probe, rivals
+from raystream.structures.bvh.group_rays import MEMORY_BYTES
 from raystream.structures.bvh.group_stream import BLOCK_PACKETS, trace_groups
 from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
@@ -22,7 +23,8 @@ from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
 from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
-from raystream.structures.bvh.stream_batch import trace_sorted
+from raystream.structures.bvh.stream import CALL_BYTES
+from raystream.structures.bvh.stream_batch import sorted_bytes, trace_sorted
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 __all__ = [
@@ -30,6 +32,7 @@ __all__ = [
     "SMALL_BATCH",
     "Tree",
     "count_batch",
+    "kernel_bytes",
     "trace_batch",
     "visit_batch",
 ]
@@ -182,6 +185,20 @@ def _order_of(order: BatchOrder, source: RaySource, frame: SceneFrame) -> BatchO
     if order.packets.width or count < LEAST_RAYS:
         return order
     return find_order(source, count, frame)
+
+
+def kernel_bytes(kernel: str, wants_any: bool, ray_count: int) -> int:
+    """Most bytes that `trace_batch` needs: of the kernel, or of those that "auto" chooses from."""
+    if kernel == "wavefront" or (kernel == "auto" and ray_count <= SMALL_BATCH):
+        return 0
+    threads = thread_count()
+    order = 2 * ray_count  # the tables of rows and packets
+    needed = {
+        "packet": order,
+        "groups": threads * MEMORY_BYTES,
+        "stream": threads * CALL_BYTES + sorted_bytes(ray_count, wants_any),
+    }
+    return order + max(needed.values()) if kernel == "auto" else needed[kernel]
 
 
 def visit_batch(

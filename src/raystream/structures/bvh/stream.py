@@ -74,7 +74,7 @@ from raystream.structures.bvh.stream_rays import (
     write_results,
 )
 
-__all__ = ["trace_streams"]
+__all__ = ["CALL_BYTES", "trace_streams"]
 
 #: Entry distances and keys of a node's children, and hits of a block; and the former with a lane
 #: index.
@@ -107,6 +107,9 @@ _STACK_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
 #: Bytes of all lists: a list and its eight children's on each level of the tree, each with room for
 #: the 16 lanes that are always stored.
 _LIST_BYTES = 4 * (MAX_DEPTH + 1) * 9 * (STREAM_RAYS + 16)
+
+#: Memory of a call of `trace_streams`.
+CALL_BYTES = STREAM_BYTES + _LIST_BYTES + 64
 
 
 @device

@@ -22,7 +22,7 @@ from raystream.structures.bvh.stream_order import (
     place_rays,
 )
 
-__all__ = ["SORTED_RAYS", "trace_sorted"]
+__all__ = ["SORTED_RAYS", "sorted_bytes", "trace_sorted"]
 
 #: Most rays that are sorted together. Four times as many share more nodes, but their numbers and
 #: results leave the cache: 0.9 to 1 times as fast; a quarter of them, the same.
@@ -87,6 +87,13 @@ def trace_sorted(
         parallel_for(trace, part, chunk, report, joins_chunks=True)
         if not wants_any:
             _write_all(sorted_rays, part, results)
+
+
+def sorted_bytes(ray_count: int, wants_any: bool) -> int:
+    """Most bytes that rays which are sorted take; see `_Memory`."""
+    count = min(ray_count, SORTED_RAYS) + int(_LANES)
+    chunks = (-(-count // SORTED_CHUNK)) * COUNT_BYTES
+    return (6 if wants_any else 22) * count + chunks + 5 * 64 + 64
 
 
 class _Memory:

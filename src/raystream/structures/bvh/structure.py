@@ -22,6 +22,7 @@ from raystream.structures.bvh.kernel_choice import (
     SMALL_BATCH,
     Tree,
     count_batch,
+    kernel_bytes,
     trace_batch,
     visit_batch,
 )
@@ -191,6 +192,14 @@ class BvhStructure(Structure):
         if kind is Kind.MULTI_HIT:
             return visit_batch(tree, query, rays, sink, progress, only_if_narrow)
         return count_batch(tree, query, rays, sink, progress, only_if_narrow)
+
+    def working_bytes(self, kind: Kind, ray_count: int) -> int:
+        """See `Structure.working_bytes`."""
+        if kind is Kind.COUNT_HITS:
+            return 8 * ray_count if self.kernel in ("auto", "packet") else 0
+        if self._is_traced_singly():
+            return 0
+        return kernel_bytes(self.kernel, kind is Kind.ANY_HIT, ray_count)
 
     def _may_collect(self, batch: RayBatch, limit: int) -> bool:
         """Whether packets may trace a batch: they find all hits."""

@@ -1,0 +1,194 @@
+"""Patches: groups of triangles, and points and directions sampled on them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import as_host_array
+from raystream.core.triangles import Triangles
+from raystream.line_of_sight.end_points import leaving_distance, planes_of
+
+__all__ = ["Emitter", "Patches", "make_patches", "patch_ids"]
+
+#: Points keep this many times the distance at which their rays start from their triangle's edges,
+#: so that rays do not start behind a neighbour at an angle of 10 degrees or more.
+_CLEARANCE = 8.0
+
+#: Sample numbers are multiples of 2**-24; this moves them to the middle of their intervals.
+_HALF_STEP = 2.0**-25
+
+
+class Patches(NamedTuple):
+    """N patches of F triangles, in the scene's local frame.
+
+    Attributes
+    ----------
+    ids : ndarray of shape (F,), int64
+        The patch of each triangle; -1 for none.
+    prim_ids : ndarray of shape (A,), int64
+        Triangles with a patch and an area, patch by patch.
+    splits : ndarray of shape (N + 1,), int64
+        Patch i has ``prim_ids[splits[i]:splits[i + 1]]``.
+    shares : ndarray of shape (A,), float64
+        Areas of the patch's triangles up to this one, as shares of the patch.
+    areas : ndarray of shape (N,), float64
+        World units.
+    normals : ndarray of shape (F, 3), float64
+        Unit length; NaN without an area.
+    triangles : Triangles
+    """
+
+    ids: NDArray[np.int64]
+    prim_ids: NDArray[np.int64]
+    splits: NDArray[np.int64]
+    shares: NDArray[np.float64]
+    areas: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    triangles: Triangles
+
+
+def patch_ids(values: Any, triangles: Triangles) -> NDArray[np.int64]:
+    """Read the patch of each triangle, by default its mesh; see `view_factors`."""
+    count = len(triangles)
+    if values is None:
+        splits = triangles.mesh_splits
+        return np.repeat(np.arange(len(splits) - 1), np.diff(splits))
+    ids = as_host_array("patches", values)
+    if ids.size == 0:
+        ids = ids.astype(np.int64)
+    if ids.dtype.kind not in "iu":
+        raise TypeError(f"patches: expected integers, got {ids.dtype}")
+    if ids.shape != (count,):
+        raise ValueError(
+            f"patches: expected one for each triangle, shape ({count},), got {ids.shape}"
+        )
+    if count and not (ids.min() >= -1 and ids.max() < count):
+        wrong = ids.min() if ids.min() < -1 else ids.max()
+        raise ValueError(f"patches: expected -1 to {count - 1:,}, got {wrong}")
+    return ids.astype(np.int64)
+
+
+def make_patches(ids: NDArray[np.int64], triangles: Triangles) -> Patches:
+    """Sort the triangles by patch, and measure them.
+
+    Raises
+    ------
+    ValueError
+        If a patch has no area.
+    """
+    normals, _, areas = planes_of(triangles.corners.astype(np.float64))
+    is_used = np.zeros(len(ids), bool)
+    is_used[triangles.prim_ids] = True
+    is_used &= (ids >= 0) & (areas > 0.0)
+    prim_ids = np.flatnonzero(is_used)
+    prim_ids = prim_ids[np.argsort(ids[prim_ids], kind="stable")]
+    count = int(ids.max(initial=-1)) + 1
+    splits = np.searchsorted(ids[prim_ids], np.arange(count + 1))
+    empty = np.flatnonzero(np.diff(splits) == 0)
+    if len(empty):
+        raise ValueError(f"patches: patch {empty[0]} has no triangle with an area")
+    sums = np.cumsum(areas[prim_ids])
+    before = np.concatenate([[0.0], sums])[splits]
+    totals = np.diff(before)
+    patch = ids[prim_ids]
+    shares = (sums - before[:-1][patch]) / totals[patch]
+    shares[splits[1:] - 1] = 1.0
+    areas = totals / triangles.scale**2
+    return Patches(ids, prim_ids, splits, shares, areas, normals, triangles)
+
+
+class Emitter:
+    """Rays from one patch.
+
+    Parameters
+    ----------
+    patches : Patches
+    patch : int
+    two_sided : bool
+        Whether half of the rays leave from the back.
+    """
+
+    def __init__(self, patches: Patches, patch: int, two_sided: bool) -> None:
+        rows = slice(patches.splits[patch], patches.splits[patch + 1])
+        self._patches, self._two_sided = patches, two_sided
+        self._prim_ids, self._shares = patches.prim_ids[rows], patches.shares[rows]
+        self._lows = np.concatenate([[0.0], self._shares[:-1]])
+        self._table: _TriangleTable | None = None
+
+    def rays(self, numbers: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rays from points uniform on the patch, in directions distributed by the cosine.
+
+        Parameters
+        ----------
+        numbers : ndarray of shape (n, 4), float32
+            In [0, 1): two for the point, two for the direction.
+
+        Returns
+        -------
+        origins, directions : ndarray of shape (n, 3), float64
+            World space; unit length.
+        """
+        x, y, p, q = numbers.T.astype(np.float64) + _HALF_STEP
+        shares = self._shares
+        chosen = np.minimum(np.searchsorted(shares, x, side="right"), len(shares) - 1)
+        low = self._lows[chosen]
+        width = np.maximum(shares[chosen] - low, np.finfo(float).tiny)
+        x = np.clip((x - low) / width, 0.0, 1.0)  # the rest of the number, uniform again
+        first, along_u, along_v, normal, tangent, inset, distance = self._triangles(chosen)
+
+        root = np.sqrt(x)
+        keep = 1.0 - inset
+        u = 1.0 / 3.0 + (y * root - 1.0 / 3.0) * keep
+        v = 1.0 / 3.0 + (root - y * root - 1.0 / 3.0) * keep
+        if self._two_sided:
+            is_back = q >= 0.5
+            q = 2.0 * q - is_back
+            normal = np.where(is_back[:, None], -normal, normal)
+        origins = first + u[:, None] * along_u + v[:, None] * along_v
+        origins += distance[:, None] * normal
+
+        other = np.cross(normal, tangent)
+        radius, turn = np.sqrt(p), 2.0 * np.pi * q
+        directions = (radius * np.cos(turn))[:, None] * tangent
+        directions += (radius * np.sin(turn))[:, None] * other
+        directions += np.sqrt(1.0 - p)[:, None] * normal
+        return self._patches.triangles.to_world(origins), directions
+
+    def _triangles(self, chosen: NDArray[np.intp]) -> _TriangleTable:
+        """The columns of triangles; of all only if those are fewer than the rays."""
+        if self._table is None and len(self._prim_ids) > len(chosen):
+            return _triangle_table(self._patches, self._prim_ids[chosen])
+        if self._table is None:
+            self._table = _triangle_table(self._patches, self._prim_ids)
+        return _TriangleTable._make(column[chosen] for column in self._table)
+
+
+class _TriangleTable(NamedTuple):
+    """Vertex 0, edges, normals, tangents, insets of points and distances at which rays start."""
+
+    first: NDArray[np.float64]
+    along_u: NDArray[np.float64]
+    along_v: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    tangents: NDArray[np.float64]
+    insets: NDArray[np.float64]
+    distances: NDArray[np.float64]
+
+
+def _triangle_table(patches: Patches, prim_ids: NDArray[np.int64]) -> _TriangleTable:
+    corners = patches.triangles.corners[prim_ids].astype(np.float64)
+    first = corners[:, 0]
+    along_u, along_v = corners[:, 1] - first, corners[:, 2] - first
+    normals = patches.normals[prim_ids]
+    extents = (corners.max(axis=1) - corners.min(axis=1)).max(axis=-1)
+    distance = leaving_distance(patches.triangles, extents, np.abs(corners).max(axis=(1, 2)))
+    sides = corners - np.roll(corners, 1, axis=1)
+    doubled = np.linalg.norm(np.cross(along_u, along_v), axis=-1)
+    radius = doubled / np.linalg.norm(sides, axis=-1).sum(axis=-1)  # of the inscribed circle
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inset = np.minimum(np.nan_to_num(_CLEARANCE * distance / radius, nan=0.5), 0.5)
+    tangents = along_u / np.linalg.norm(along_u, axis=-1, keepdims=True)
+    return _TriangleTable(first, along_u, along_v, normals, tangents, inset, distance)

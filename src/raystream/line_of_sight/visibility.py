@@ -1,0 +1,365 @@
+"""Which points see which: a matrix of lines of sight."""
+
+from __future__ import annotations
+
+import hashlib
+import operator
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream._version import __version__
+from raystream.core.memory import available_memory
+from raystream.jit.threads import Progress
+from raystream.line_of_sight.end_points import (
+    EndPoints,
+    check_plain,
+    check_tracer,
+    end_points,
+    is_clear,
+)
+from raystream.line_of_sight.resumable_array import resumable_array
+from raystream.line_of_sight.tiles import LEAST_TILE, MOST_TILE, Tile, Tiles
+from raystream.ray_files.identity import scene_digest
+from raystream.tracer import Tracer
+
+__all__ = ["SparseVisibility", "visibility"]
+
+Form = Literal["dense", "bits", "sparse"]
+
+_FORMS = ("dense", "bits", "sparse")
+
+#: Memory of a ray while its tile is traced, besides the query's own: vectors in float64, the
+#: heights over the ends' planes and their sums; and each skipped triangle.
+_BYTES_PER_RAY = 200
+_BYTES_PER_SKIPPED = 40
+
+#: Memory per pair of points that see each other, while a sparse result is sorted.
+_BYTES_PER_ENTRY = 28
+
+
+class SparseVisibility(NamedTuple):
+    """The pairs of points that see each other, by compressed rows.
+
+    ``scipy.sparse.csr_array((np.ones(len(s.indices), bool), s.indices, s.indptr), s.shape)`` is
+    the same.
+
+    Attributes
+    ----------
+    indptr : ndarray of shape (N + 1,), int32, or int64 if a number needs it
+        Point i of `a` sees the points ``indices[indptr[i]:indptr[i + 1]]`` of `b`.
+    indices : ndarray of shape (K,), of the same dtype
+        Increasing for each i.
+    shape : tuple of two int
+        (N, M)
+    """
+
+    indptr: NDArray[Any]
+    indices: NDArray[Any]
+    shape: tuple[int, int]
+
+    def dense(self) -> NDArray[np.bool_]:
+        """The matrix of shape (N, M), bool."""
+        matrix = np.zeros(self.shape, bool)
+        rows = np.repeat(np.arange(self.shape[0]), np.diff(self.indptr))
+        matrix[rows, self.indices] = True
+        return matrix
+
+
+def visibility(
+    tracer: Tracer,
+    a: Any,
+    b: Any = None,
+    *,
+    form: Form = "dense",
+    front_only: bool = False,
+    skip_a: Any = None,
+    skip_b: Any = None,
+    out: str | PathLike[str] | None = None,
+    max_memory: int | None = None,
+    progress: Progress | None = None,
+) -> Any:
+    """Find which points see each other.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    a : array_like of shape (N, 3), real, or Hits of N points
+        World space. An array has free points, such as eyes and sensors; hits are points on
+        surfaces, as queries and `surface_points` return them.
+    b : array_like of shape (M, 3), real, or Hits of M points, optional
+        [default: the points of `a`; half of the segments are traced then, and the result is
+        symmetric]
+    form : {"dense", "bits", "sparse"}
+        Of the result, see below.
+    front_only : bool
+        Whether points on surfaces see only what is in front of their triangle, on the side from
+        which its vertices run counter-clockwise [default: both sides].
+    skip_a, skip_b : array_like of shape (N,) or (N, k), and (M,) or (M, k), int, optional
+        Triangles that hide nothing from a point, such as those around a vertex; -1 for none.
+    out : str or path, optional
+        A ``.npy`` file for the result, "dense" or "bits". The call can be interrupted at any
+        time; the same call resumes. A file beside it, ``out`` with ``.progress.json`` at the
+        end, says what is done and of which query; a finished one is returned at once.
+    max_memory : int, optional
+        Most bytes to use, without those of the tracer and the points given [default: the
+        memory that is free].
+    progress : callable, optional
+        Called with (rays done, rays).
+
+    Returns
+    -------
+    ndarray of shape (N, M), bool
+        ``form="dense"``: whether point i of `a` sees point j of `b`.
+    ndarray of shape (N, ceil(M / 8)), uint8
+        ``form="bits"``: the same, packed; ``numpy.unpackbits(bits, axis=1, count=M)`` has it.
+    SparseVisibility
+        ``form="sparse"``: the pairs that see each other.
+
+    With `out`, the arrays are maps of the file, read-only.
+
+    Raises
+    ------
+    ValueError
+        If a shape, name or option is wrong, or the hits are of another scene.
+    TypeError
+        If numbers are not real, or `skip_a` or `skip_b` not integers.
+    MemoryError
+        If the result and a block of rays need more than `max_memory` or the memory that is free:
+        before anything is traced. The memory of "sparse" depends on what is found, and is
+        checked as it grows.
+    FileFormatError
+        If `out` belongs to another query.
+
+    Notes
+    -----
+    Two points see each other if no triangle meets the segment between them. A segment between
+    free points includes both ends: a point that lies on a triangle within rounding errors may be
+    hidden by it. At a point on a surface the segment is open: it leaves the triangle's plane to
+    the side of the other point by a bound of the rounding errors, as in `Hits.spawn`, not by a
+    fixed epsilon, so that neither the triangle nor its neighbours in the same plane hide it.
+    Two points of one plane see each other along its front, and not with `front_only`. A
+    surface nearer to a point than that bound, which is below 2**-17 of the scene's size, may hide
+    it or not. Points that are equal see each other, unless `front_only` excludes it. A point that
+    is NaN, infinite, a miss or on a degenerate triangle sees nothing, and is not seen.
+
+    Segments run from `a` to `b`. With the arguments exchanged, the result is the transpose but
+    for segments that pass an edge within rounding errors.
+
+    Rays are traced in blocks of at most 262,144; memory is that of the result and of a block.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> tracer = rs.Tracer(rs.load("cornell"))
+    >>> eyes = [[100.0, 100.0, 100.0], [460.0, 100.0, 300.0], [186.0, 80.0, 169.0]]
+    >>> rs.visibility(tracer, eyes)  # the third is inside the short block
+    array([[ True, False, False],
+           [False,  True, False],
+           [False, False,  True]])
+    """
+    check_tracer(tracer)
+    if form not in _FORMS:
+        raise ValueError(f"form: expected 'dense', 'bits' or 'sparse', got {form!r}")
+    if b is None and skip_b is not None:
+        raise ValueError("skip_b: expected None without b; skip_a serves both")
+    path = None if out is None else _checked_path(out, form)
+    triangles = tracer.structure.triangles
+    if path is not None:
+        check_plain("out", triangles)
+    starts = end_points("a", a, skip_a, triangles)
+    stops = starts if b is None else end_points("b", b, skip_b, triangles)
+    job = _Job(tracer, starts, stops, bool(front_only), form, b is None)
+    tiles, limit = job.plan(path is not None, max_memory)
+    if form == "sparse":
+        return job.sparse(tiles, limit, progress)
+    shape, dtype = job.result_type
+    if path is None:
+        result = np.zeros(shape, dtype)
+        job.fill(tiles, result, 0, None, progress)
+        return result
+    with resumable_array(path, shape, dtype, job.identity(tiles)) as file:
+        job.fill(tiles, file.array, file.done, file.record, progress)
+    return np.load(path, mmap_mode="r")
+
+
+def _checked_path(out: str | PathLike[str], form: str) -> Path:
+    path = Path(out)
+    if path.suffix != ".npy":
+        raise ValueError(f"out: expected a name that ends in .npy, got {str(path)!r}")
+    if form == "sparse":
+        raise ValueError("out: 'sparse' results are not written to files; use form='bits'")
+    return path
+
+
+class _Job(NamedTuple):
+    """A checked call of `visibility`."""
+
+    tracer: Tracer
+    starts: EndPoints
+    stops: EndPoints
+    front_only: bool
+    form: str
+    is_half: bool
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.starts.positions), len(self.stops.positions)
+
+    @property
+    def result_type(self) -> tuple[tuple[int, int], type[Any]]:
+        """Shape and dtype of a result in one array."""
+        rows, columns = self.shape
+        return (
+            ((rows, columns), np.bool_)
+            if self.form == "dense"
+            else (
+                (rows, -(-columns // 8)),
+                np.uint8,
+            )
+        )
+
+    def plan(self, is_on_disk: bool, max_memory: int | None) -> tuple[Tiles, int | None]:
+        """Choose the tiles, and check that they and the result fit into memory.
+
+        Returns
+        -------
+        tiles : Tiles
+        limit : int or None
+            Bytes left for a sparse result; None if unknown.
+        """
+        limit = available_memory()
+        if max_memory is not None:
+            limit = operator.index(max_memory)
+            if limit < 0:
+                raise ValueError(f"max_memory: expected at least 0 bytes, got {limit}")
+        result_shape, _ = self.result_type
+        held = 0 if is_on_disk or self.form == "sparse" else result_shape[0] * result_shape[1]
+        skipped = sum(
+            ends.skipped.shape[-1] for ends in (self.starts, self.stops) if ends.skipped is not None
+        )
+        most = max(min(MOST_TILE, self.shape[0] * self.shape[1]), 1)
+        while True:
+            per_ray = _BYTES_PER_RAY + _BYTES_PER_SKIPPED * skipped
+            working = most * per_ray + self.tracer.memory_needed(most, "any_hit").total
+            if limit is None or held + working <= limit:
+                left = None if limit is None else limit - working
+                return Tiles.of(self.shape, self.is_half, most), left
+            if most <= LEAST_TILE:
+                break
+            most = max(most // 2, LEAST_TILE)
+        rows, columns = self.shape
+        given = f"{_size(limit)} are free"
+        if max_memory is not None:
+            given = f"max_memory allows {_size(limit)}"
+        remedy = ""
+        if held:
+            bits = rows * -(-columns // 8)
+            remedy = f"; use form='bits' ({_size(bits)}), 'sparse', or a file with out="
+        raise MemoryError(
+            f"visibility: {rows:,} x {columns:,} points take {_size(held)} and "
+            f"{_size(working)} for a block of rays, and {given}{remedy}"
+        )
+
+    def trace(self, tile: Tile) -> NDArray[np.bool_]:
+        """Whether the points of a tile see each other, of its shape."""
+        starts, stops = self.starts.at(tile.rows), self.stops.at(tile.columns)
+        pairs = starts.at((slice(None), None)), stops.at((None, slice(None)))
+        return is_clear(self.tracer, *pairs, self.front_only)
+
+    def fill(
+        self, tiles: Tiles, out: Any, done: int, record: Any, progress: Progress | None
+    ) -> None:
+        """Trace the tiles from ray `done` on into an array."""
+        total = tiles.ray_count
+        try:
+            for tile in tiles:
+                if tile.begin < done:
+                    continue
+                seen = self.trace(tile)
+                self._put(out, tile, seen)
+                if self.is_half:
+                    mirrored = Tile(tile.columns, tile.rows, 0)
+                    if tile.rows == tile.columns:
+                        seen = np.triu(seen) | np.triu(seen, 1).T
+                        self._put(out, tile, seen)
+                    else:
+                        self._put(out, mirrored, seen.T)
+                done = tile.begin + tile.ray_count
+                if record:
+                    record(done)
+                if progress:
+                    progress(done, total)
+        finally:
+            if record:
+                record(done, at_once=True)
+
+    def _put(self, out: Any, tile: Tile, seen: NDArray[np.bool_]) -> None:
+        if self.form == "dense":
+            out[tile.rows, tile.columns] = seen
+        else:
+            first = tile.columns.start // 8
+            packed = np.packbits(seen, axis=1)
+            out[tile.rows, first : first + packed.shape[1]] = packed
+
+    def sparse(
+        self, tiles: Tiles, limit: int | None, progress: Progress | None
+    ) -> SparseVisibility:
+        """Trace the tiles, and keep the pairs that see each other."""
+        rows, columns = self.shape
+        total, found = tiles.ray_count, 0
+        parts: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
+        for tile in tiles:
+            seen = self.trace(tile)
+            if self.is_half and tile.rows == tile.columns:
+                seen = np.triu(seen)
+            i, j = np.nonzero(seen)
+            i, j = i + tile.rows.start, j + tile.columns.start
+            parts.append(i * columns + j)
+            found += len(i)
+            if self.is_half:
+                above = i != j
+                parts.append(j[above] * columns + i[above])
+                found += int(np.count_nonzero(above))
+            done = tile.begin + tile.ray_count
+            if limit is not None and found * _BYTES_PER_ENTRY > limit:
+                raise MemoryError(
+                    f"visibility: {found:,} pairs after {done / total:.1%} of the rays take "
+                    f"{_size(found * _BYTES_PER_ENTRY)}, and {_size(limit)} are left for them; "
+                    "use form='bits' with out="
+                )
+            if progress:
+                progress(done, total)
+        keys = np.concatenate(parts)
+        del parts
+        keys.sort()
+        dtype = np.int32 if max(len(keys), columns) < 2**31 else np.int64
+        starts = np.searchsorted(keys, np.arange(rows + 1) * columns)
+        indices = (keys % max(columns, 1)).astype(dtype)
+        return SparseVisibility(starts.astype(dtype), indices, (rows, columns))
+
+    def identity(self, tiles: Tiles) -> dict[str, Any]:
+        """Describe the query in JSON types."""
+        digest = hashlib.sha256()
+        for ends in (self.starts, self.stops):
+            for array in ends:
+                digest.update(b"none" if array is None else np.ascontiguousarray(array).data)
+        return {
+            "version": __version__,
+            "query": "visibility",
+            "form": self.form,
+            "front_only": self.front_only,
+            "is_half": self.is_half,
+            "shape": list(self.shape),
+            "block": list(tiles.step),
+            "points_digest": digest.hexdigest(),
+            "scene_digest": scene_digest(self.tracer.structure.triangles),
+            "device": self.tracer.device,
+        }
+
+
+def _size(byte_count: int | None) -> str:
+    return f"{(byte_count or 0) / 1e9:,.3f} GB"

@@ -1,0 +1,182 @@
+"""Which faces a camera or a point sees."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.memory import check_memory
+from raystream.core.rays import as_vector
+from raystream.jit.threads import Progress
+from raystream.line_of_sight.end_points import check_plain, check_tracer, end_points, is_clear
+from raystream.line_of_sight.image_frame import seen_from
+from raystream.line_of_sight.surface_points import surface_points
+from raystream.rendering.arguments import check_size
+from raystream.scene.camera import Camera
+from raystream.tracer import Tracer
+
+__all__ = ["VisibleFaces", "visible_faces"]
+
+#: Most rays that are traced at once.
+_BLOCK = 1 << 18
+
+#: Additive recurrence in two dimensions with low discrepancy: powers of the inverse of the
+#: plastic number, the root of x**3 = x + 1.
+_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+class VisibleFaces(NamedTuple):
+    """The faces that are seen.
+
+    Attributes
+    ----------
+    prim_ids : ndarray of shape (K,), int32
+        Triangles, counted over the whole scene, increasing.
+    pixel_counts : ndarray of shape (K,), int64
+        Pixels at whose centre each is seen; 0 for those that only their own rays found.
+    """
+
+    prim_ids: NDArray[np.int32]
+    pixel_counts: NDArray[np.int64]
+
+
+def visible_faces(
+    tracer: Tracer,
+    camera: Any = None,
+    size: tuple[int, int] = (1024, 768),
+    *,
+    points_per_face: int = 1,
+    progress: Progress | None = None,
+) -> VisibleFaces:
+    """Find the triangles that a camera sees, and the number of pixels that each covers.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    camera : Camera, or array_like of shape (3,), real, optional
+        A point looks in all directions: an equirectangular camera there, for which `size` should
+        be twice as wide as high [default: the scene's camera]. Of a camera with a lens, the lens's
+        centre sees.
+    size : tuple of two int
+        Width and height of the image in pixels.
+    points_per_face : int
+        Points of each triangle, its centre first, that are looked for if the triangle covers no
+        pixel's centre; 0 looks for none.
+    progress : callable, optional
+        Called with (rays done, rays): the number of rays may fall after the image.
+
+    Returns
+    -------
+    VisibleFaces
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument has the wrong shape, type or range.
+    MemoryError
+        If the counts do not fit into memory.
+
+    Notes
+    -----
+    No triangle is missed that is the nearest at a pixel's centre: one ray is traced through each,
+    `Camera.rays`, and rays neither pass between triangles nor miss small ones (of triangles that
+    coincide there, the lowest number is seen). Both sides of triangles are visible.
+
+    Triangles that cover no pixel's centre, because they are small or nearly hidden, get rays
+    of their own: they are seen if one of their `points_per_face` points is in the image, and
+    `visibility` finds that the eye sees it. So no triangle is missed whose centre is visible.
+    A triangle of which only parts between these points and the pixels' centres are visible is
+    missed: more pixels or points find it.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> tracer = rs.Tracer(rs.load("cornell"))
+    >>> seen = rs.visible_faces(tracer, size=(200, 200))
+    >>> len(seen.prim_ids), tracer.scene.triangle_count, int(seen.pixel_counts.sum())
+    (22, 36, 37390)
+    """
+    check_tracer(tracer)
+    width, height = check_size(size)
+    camera = _as_camera(tracer, camera, width / height)
+    points = operator.index(points_per_face)
+    if points < 0:
+        raise ValueError(f"points_per_face: expected at least 0, got {points}")
+    triangles = tracer.structure.triangles
+    if points:
+        check_plain("points_per_face above 0", triangles)
+    check_memory(9 * len(triangles), f"counts of {len(triangles):,} faces would")
+    counts = np.zeros(len(triangles), np.int64)
+    rows = max(_BLOCK // width, 1)
+    total = width * height
+    x = np.arange(width) + 0.5
+    for first in range(0, height, rows):
+        y = np.arange(first, min(first + rows, height))[:, None] + 0.5
+        found = tracer.first_hit(*camera.rays(width, height, x, y)).prim_id
+        ids, pixels = np.unique(found[found >= 0], return_counts=True)
+        counts[ids] += pixels
+        if progress:
+            progress(min(first + rows, height) * width, total)
+    is_seen = counts > 0
+    if points:
+        _look_for_others(tracer, camera, (width, height), points, is_seen, progress)
+    prim_ids = np.flatnonzero(is_seen)
+    return VisibleFaces(prim_ids.astype(np.int32), counts[prim_ids])
+
+
+def _as_camera(tracer: Tracer, camera: Any, aspect: float) -> Camera:
+    if camera is None:
+        return tracer.scene.camera_for(aspect)
+    if isinstance(camera, Camera):
+        return camera
+    try:
+        eye = np.array(as_vector("camera", camera), np.float64)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{error}; give a Camera or a point") from None
+    if not np.isfinite(eye).all():
+        raise ValueError(f"camera: expected finite coordinates, got {camera!r}")
+    ahead = [0.0, 0.0, -max(1.0, float(np.abs(eye).max()))]
+    return Camera(tuple(eye), tuple(eye + ahead), (0.0, 1.0, 0.0), projection="equirectangular")
+
+
+def _look_for_others(
+    tracer: Tracer,
+    camera: Camera,
+    size: tuple[int, int],
+    points: int,
+    is_seen: NDArray[np.bool_],
+    progress: Progress | None,
+) -> None:
+    """Trace rays to points of the faces that are not seen yet."""
+    triangles = tracer.structure.triangles
+    prim_ids = triangles.prim_ids
+    others = prim_ids[~is_seen[prim_ids]]
+    pixels = size[0] * size[1]
+    total = pixels + points * len(others)
+    for number in range(points):
+        others = others[~is_seen[others]]
+        u, v = _weights(number)
+        for begin in range(0, len(others), _BLOCK):
+            faces = others[begin : begin + _BLOCK]
+            stops = end_points("faces", surface_points(tracer, faces, u, v), None, triangles)
+            origins, is_inside = seen_from(camera, size, stops.positions)
+            inside = np.flatnonzero(is_inside & stops.is_valid)
+            if len(inside):
+                starts = end_points("eyes", origins[inside], None, triangles)
+                clear = is_clear(tracer, starts, stops.at(inside), front_only=False)
+                is_seen[faces[inside[clear]]] = True
+            if progress:
+                progress(min(pixels + number * len(others) + begin + len(faces), total), total)
+    if progress:
+        progress(total, total)
+
+
+def _weights(number: int) -> tuple[float, float]:
+    """Weights of vertices 1 and 2 for a point of a triangle; number 0 is the centre."""
+    if number == 0:
+        return 1.0 / 3.0, 1.0 / 3.0
+    u, v = (0.5 + number * _STEPS) % 1.0
+    return (u, v) if u + v <= 1.0 else (1.0 - u, 1.0 - v)

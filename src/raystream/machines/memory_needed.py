@@ -1,0 +1,152 @@
+"""The memory that queries need, known before they run."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any, NamedTuple
+
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.memory import check_memory
+from raystream.core.query import Kind, Query
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress
+from raystream.kernels.hits import Sink
+from raystream.machines.ray_cast import RayCaster
+
+__all__ = ["CHECKED_RAYS", "MemoryEstimator", "MemoryNeeded"]
+
+#: From this many rays on the free memory is checked, which takes longer than a small query.
+CHECKED_RAYS = 1 << 20
+
+#: Bytes of a ray's results, with its status.
+_RESULT = {Kind.FIRST_HIT: 17, Kind.ANY_HIT: 2, Kind.COUNT_HITS: 9, Kind.MULTI_HIT: 9}
+
+#: Bytes of a hit of `multi_hit`.
+_HIT = 16
+
+#: Bytes of a ray's counters, see `kernels.tally`.
+ROW_BYTES = 32
+
+#: Queries that return hits; and bytes to split a hit's number into triangle and instance.
+_ROWS = (Kind.FIRST_HIT, Kind.MULTI_HIT)
+_SPLIT_BYTES = 48
+
+_KINDS = {
+    "first_hit": Kind.FIRST_HIT,
+    "any_hit": Kind.ANY_HIT,
+    "count_hits": Kind.COUNT_HITS,
+    "multi_hit": Kind.MULTI_HIT,
+}
+
+
+class MemoryNeeded(NamedTuple):
+    """Memory of a query.
+
+    Attributes
+    ----------
+    results : int
+        Bytes of the arrays that it returns.
+    working : int
+        Bytes that it needs besides, until it returns.
+    """
+
+    results: int
+    working: int
+
+    @property
+    def total(self) -> int:
+        """Bytes of both."""
+        return self.results + self.working
+
+
+class MemoryEstimator(RayCaster):
+    """Queries of a `Tracer` that are refused before the memory runs out."""
+
+    def memory_needed(
+        self, rays: int, query: str = "first_hit", *, max_hits: int | None = None
+    ) -> MemoryNeeded:
+        """Compute the memory that a query takes, before it runs.
+
+        Parameters
+        ----------
+        rays : int
+            Number of rays.
+        query : {"first_hit", "any_hit", "count_hits", "multi_hit"}
+        max_hits : int, optional
+            Hits that `multi_hit` finds per ray, at most; the estimate is for rays that all have as
+            many.
+
+        Returns
+        -------
+        MemoryNeeded
+            Bytes of the host's memory: of the results, and of what the query needs besides.
+
+        Raises
+        ------
+        ValueError
+            If the query is unknown, a number is negative, or `max_hits` is missing: the memory of
+            ``multi_hit`` depends on the hits.
+        TypeError
+            If a number is not an integer.
+
+        Notes
+        -----
+        An upper bound, for rays in arrays of float32 or float64 that lie in memory without gaps
+        (others are copied), without filters; the arrays themselves do not count. `results` are
+        exact, but for rays with fewer hits. On the CPU the whole is at most twice the memory used,
+        and 0.3 MB per thread; where ``structure="bvh"`` chooses the kernel by the rays, it allows
+        for the one that needs most, 21 MB per thread. Memory of GPUs does not count: rays
+        are traced there in parts that fit.
+
+        Queries of a million rays or more check that so much memory is free, and raise MemoryError
+        with both numbers if it is not; `multi_hit` also before it stores hits.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> tracer = rs.Tracer(rs.load("cornell"))
+        >>> tracer.memory_needed(10_000_000).results
+        170000000
+        """
+        count = operator.index(rays)
+        if count < 0:
+            raise ValueError(f"rays: expected a number of at least 0, got {count}")
+        kind = _KINDS.get(query)
+        if kind is None:
+            raise ValueError(f"query: expected one of {', '.join(_KINDS)}, got {query!r}")
+        hits = 0
+        if kind is Kind.MULTI_HIT:
+            if max_hits is None:
+                raise ValueError(
+                    "max_hits: give the most hits per ray; the memory of multi_hit depends on it"
+                )
+            limit = operator.index(max_hits)
+            if limit < 0:
+                raise ValueError(f"max_hits: expected a number of at least 0, got {limit}")
+            hits = count * limit
+        return self._needed(kind, count, hits)
+
+    def _needed(self, kind: Kind, count: int, hits: int) -> MemoryNeeded:
+        results = _RESULT[kind] * count + _HIT * hits
+        if kind is Kind.FIRST_HIT and self.machine == "branching" and self.device == "cpu":
+            # A graph names the sectors of hits.
+            results += 0 if self.structure.sector_count is None else 4 * count
+        working = self._backend.working_bytes(kind, count, hits)
+        triangles: Any = self.structure.triangles
+        if isinstance(triangles, InstancedTriangles) and kind in _ROWS:
+            results += 4 * (count if kind is Kind.FIRST_HIT else hits)
+            working += _SPLIT_BYTES * (count if kind is Kind.FIRST_HIT else hits)
+        if self._counts:
+            results += ROW_BYTES * count
+        return MemoryNeeded(results, working)
+
+    def _answer(
+        self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None
+    ) -> Sink:
+        if len(rays) >= CHECKED_RAYS and query.kind in _RESULT:
+            needed = self._needed(query.kind, len(rays), 0).total
+            name = query.kind.name.lower()
+            check_memory(
+                needed, f"{name}: {len(rays):,} rays would", "trace fewer at a time, or query_zarr"
+            )
+        return super()._answer(query, rays, progress, records)
