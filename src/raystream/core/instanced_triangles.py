@@ -190,9 +190,11 @@ class InstancedTriangles:
             centers[k] = one.to_world((low + high) / 2)
             halves[k] = (high - low) / 2 / one.scale
         ids, transforms = self.instances.object_ids, self.instances.transforms
-        linear, shift = transforms[:, :, :3], transforms[:, :, 3]
-        center = np.einsum("kij,kj->ki", linear, centers[ids]) + shift
-        half = np.einsum("kij,kj->ki", np.abs(linear), halves[ids])
+        center, half = transforms[:, :, 3].copy(), np.zeros((len(ids), 3))
+        for k in range(3):  # einsum takes three times as long
+            column = transforms[:, :, k]
+            center += column * centers[ids, k, None]
+            half += np.abs(column) * halves[ids, k, None]
         is_empty = np.array([len(one.prim_ids) == 0 for one in self.objects], bool)
         return center - half, center + half, is_empty[ids]
 

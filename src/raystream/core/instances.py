@@ -47,6 +47,8 @@ class Instances:
         0 without worlds.
     transforms, inverses : ndarray of shape (K, 3, 4), float64
         Object to world space, and world to object space.
+    conditions : ndarray of shape (K,), float64
+        Condition numbers of the transforms: how much they amplify rounding errors, at least 1.
 
     Raises
     ------
@@ -56,11 +58,12 @@ class Instances:
         If the numbers are not real, or the ids no integers.
     """
 
-    __slots__ = ("inverses", "object_ids", "transforms", "world_count", "worlds")
+    __slots__ = ("conditions", "inverses", "object_ids", "transforms", "world_count", "worlds")
 
     object_ids: NDArray[np.int32]
     transforms: NDArray[np.float64]
     inverses: NDArray[np.float64]
+    conditions: NDArray[np.float64]
     worlds: NDArray[np.int32] | None
     world_count: int
 
@@ -88,8 +91,8 @@ class Instances:
                 raise ValueError(f"worlds: expected less than {MAX_WORLDS:,}")
             self.worlds.flags.writeable = False
         self.transforms = matrices
-        self.inverses = inverse_transforms(matrices)
-        for array in (self.object_ids, self.transforms, self.inverses):
+        self.inverses, self.conditions = inverse_transforms(matrices)
+        for array in (self.object_ids, self.transforms, self.inverses, self.conditions):
             array.flags.writeable = False
 
     def moved(self, transforms: Any) -> Instances:
@@ -133,8 +136,10 @@ def _per_instance(name: str, values: Any, count: int) -> NDArray[np.int32]:
     return np.array(array, np.int32)
 
 
-def inverse_transforms(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Invert affine transforms of shape (K, 3, 4).
+def inverse_transforms(
+    transforms: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Invert affine transforms of shape (K, 3, 4); returns their condition numbers, too.
 
     By the adjugate of each matrix, scaled so that its largest number is in [1, 2): nothing
     overflows, and scaling is exact. `numpy.linalg.inv`, by elimination, takes several times as
@@ -173,7 +178,7 @@ def inverse_transforms(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
             f"transforms: that of instance {bad} is singular or nearly so: it flattens its object; "
             "leave the instance out, or give it more than 1e-9 of its width"
         )
-    return np.ascontiguousarray(inverses.reshape(12, -1).T).reshape(-1, 3, 4)
+    return np.ascontiguousarray(inverses.reshape(12, -1).T).reshape(-1, 3, 4), condition
 
 
 def _inverse(matrix: NDArray[np.float64]) -> Any:

@@ -23,7 +23,6 @@ from raystream.instances.records import (
 from raystream.instances.top import (
     FAR_UNIT,
     TopTrees,
-    condition_numbers,
     world_frame,
 )
 from raystream.instances.traversal import (
@@ -73,8 +72,7 @@ class InstancedStructure(Structure):
     ) -> None:
         started = time.perf_counter()
         self.triangles, self.objects, self.options = triangles, tuple(objects), options
-        conditions = condition_numbers(triangles)
-        boxes = world_frame(triangles, conditions)
+        boxes = world_frame(triangles)
         self.frame = SceneFrame.of(boxes)
         trees = self._trees(boxes)
         order = trees.order
@@ -87,7 +85,7 @@ class InstancedStructure(Structure):
         }
         at = {n: np.uint64(a.ctypes.data if len(a) else 0) for n, a in self._memory.items()}
         shared = at["trees"] + np.uint64((len(self._memory["trees"]) - 1) * TREE.itemsize)
-        worst = conditions[order].max(initial=1.0)
+        worst = triangles.instances.conditions[order].max(initial=1.0)
         far_unit = np.float64(FAR_UNIT * worst / float(PAD))
         self._addresses = TopAddresses(
             at["trees"],

@@ -7,7 +7,7 @@ by, so that the tree leaves out no instance in which the ray finds a hit.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.layout import NODE_FLOATS
 
-__all__ = ["FAR_UNIT", "TopTrees", "condition_numbers", "world_frame"]
+__all__ = ["FAR_UNIT", "TopTrees", "world_frame"]
 
 #: In object space a hit is within the padding of its triangle's box: `kernels.ray.PAD` of the sum
 #: of the object's and the origin's largest coordinates, where the origin's is at most
@@ -37,15 +37,9 @@ WORLD_MARGIN = 2.0**-18
 FAR_UNIT = 2.0**-48
 
 
-def condition_numbers(triangles: InstancedTriangles) -> NDArray[np.float64]:
-    """How much each instance's transform amplifies rounding errors, shape (K,), at least 1."""
-    instances = triangles.instances
-    norms = []
-    for matrices in (instances.transforms, instances.inverses):
-        rows = np.abs(matrices[:, :, 0]) + np.abs(matrices[:, :, 1]) + np.abs(matrices[:, :, 2])
-        norms.append(largest_of(rows))
-    product: NDArray[np.float64] = norms[0] * norms[1]
-    return product
+def _rows(points: NDArray[Any]) -> NDArray[Any]:
+    """Coordinates by axis, of which NumPy finds the extremes fast."""
+    return np.ascontiguousarray(points.T)
 
 
 def largest_of(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -55,30 +49,29 @@ def largest_of(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def world_boxes(
-    triangles: InstancedTriangles, conditions: NDArray[np.float64]
+    triangles: InstancedTriangles,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Boxes that hold the hits of each instance, and which have none; see `world_frame`."""
     low, high, is_empty = triangles.boxes(OBJECT_MARGIN)
     shift = np.abs(triangles.instances.transforms[:, :, 3])
     reach = largest_of(np.maximum(np.abs(low), np.abs(high)) + shift)
-    slack = (FAR_UNIT * conditions * reach)[:, None]
+    slack = (FAR_UNIT * triangles.instances.conditions * reach)[:, None]
     return low - slack, high + slack, is_empty
 
 
-def world_frame(triangles: InstancedTriangles, conditions: NDArray[np.float64]) -> Triangles:
+def world_frame(triangles: InstancedTriangles) -> Triangles:
     """The boxes of the instances as triangles that span them, in a local frame of the scene.
 
-    A triangle with two of its vertices at a box's low and high corner has that box. For
-    `conditions`, see `condition_numbers`.
+    A triangle with two of its vertices at a box's low and high corner has that box.
     """
-    low, high, is_empty = world_boxes(triangles, conditions)
+    low, high, is_empty = world_boxes(triangles)
     if is_empty.all():
         center, scale = np.zeros(3), 1.0
     else:
         held_low, held_high = (
             (low, high) if not is_empty.any() else (low[~is_empty], high[~is_empty])
         )
-        center, scale = local_frame(held_low.T.min(axis=1), held_high.T.max(axis=1))
+        center, scale = local_frame(_rows(held_low).min(axis=1), _rows(held_high).max(axis=1))
     low, high = (low - center) * scale, (high - center) * scale
     low[is_empty] = high[is_empty] = 0.0
     margin = WORLD_MARGIN * max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0))
@@ -89,7 +82,7 @@ def world_frame(triangles: InstancedTriangles, conditions: NDArray[np.float64]) 
     held = corners[~is_empty]
     bounds = np.zeros((2, 3), np.float32)
     if len(held):
-        bounds[:] = held[:, 0].T.min(axis=1), held[:, 1].T.max(axis=1)
+        bounds[:] = _rows(held[:, 0]).min(axis=1), _rows(held[:, 1]).max(axis=1)
     splits = np.array([0, len(low)], np.int64)
     return Triangles.from_solid(corners, splits, center, scale, ~is_empty, 0, bounds)
 

@@ -259,7 +259,7 @@ class PointQueries(RayCaster):
         Notes
         -----
         Exact but for rounding, and no hierarchy: each point takes time proportional to the number
-        of triangles, about 3 ns each on one core.
+        of triangles, about 4 ns each on one core.
 
         References
         ----------
