@@ -36,8 +36,6 @@ class RayHit(_Columns):
         Triangle, counted over the whole scene; -1 for a miss.
     status : RayStatus
         Whether the ray was traced; not a member of the tuple.
-    instance_id : int
-        Instance that is hit, 0 in a scene without any; -1 for a miss; not a member of the tuple.
     """
 
     # A tuple with attributes besides: it has no __slots__.
