@@ -119,7 +119,7 @@ def run_pass(
             add_to(tally, STEPS, _ONE)
             child = states.child[i]
             to = rows_of(out)
-            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, tally, None)
+            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, tally, None, None)
             is_any = wants_any(goal)
             states.top[i] = visit(tree, child, line, t_min, t_far, is_any, stack, half_bytes, top)
             stage = _POP
@@ -127,7 +127,7 @@ def run_pass(
             block = states.block[i]
             add_to(tally, TESTS, triangle_count(block))
             count, to = states.count[i], rows_of(out)
-            search = Search(t_min, t_far, count, capacity, to, first, surfaces, tally, None)
+            search = Search(t_min, t_far, count, capacity, to, first, surfaces, tally, None, None)
             search = intersect_block(block, line, search, t_min, _INF)
             states.count[i], states.t_far[i] = search.hit_count, search.t_far
             states.block[i] = block + BLOCK
@@ -148,7 +148,9 @@ def fused(tree, max_coordinate, rays, surfaces, slots, out, counts, tallies):
         ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
         first, capacity = slots.first[i], slots.capacity[i]
         t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(tallies, i)
-        search = begin_search(t_min, t_max, capacity, rows_of(out), first, surfaces, tally, None)
+        search = begin_search(
+            t_min, t_max, capacity, rows_of(out), first, surfaces, tally, None, None
+        )
         search = traverse(tree, ray, search, stack)
         counts[i] = search.hit_count
 

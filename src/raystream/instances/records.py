@@ -77,7 +77,8 @@ def instance_records(triangles: InstancedTriangles, order: NDArray[np.integer]) 
     records = np.zeros(len(order), _INSTANCE)
     instances = triangles.instances
     inverses = instances.inverses.reshape(-1, 12)[order].reshape(-1, 3, 4)
-    numbers = records.view(np.float64).reshape(len(order), -1)  # faster than by fields
+    # Faster than by fields.
+    numbers = records.view(np.float64).reshape(len(order), INSTANCE_BYTES // 8)
     numbers[:, :9] = inverses[:, :, :3].reshape(-1, 9)
     numbers[:, 9:12] = inverses[:, :, 3]
     records["object_id"] = instances.object_ids[order]
