@@ -105,7 +105,7 @@ ENTRIES = {
     "instances": Entry(
         "A forest of a billion triangles",
         "python examples/instances.py {size} 32",
-        "An acre of forest that stands 4,096 times, as instances: the structure takes 19 MB.",
+        "A patch of forest that stands 4,096 times, as instances: the structure takes 19 MB.",
     ),
     "engine": Entry(
         "X-ray of an engine",

@@ -3,7 +3,7 @@
     python benchmarks/instances.py
     python benchmarks/instances.py --rounds 9 --side 32
 
-An acre of trees stands 4,096 times, turned and mirrored. Each contender is a process that
+A patch of trees stands 4,096 times, turned and mirrored. Each contender is a process that
 waits while the other traces; they take turns, round by round. Printed are medians of the rounds,
 and the median and range of their ratios. Rays are those of a camera above the trees, in rows, and
 rays of any direction from anywhere among the trees. Needs mitsuba and libLLVM.
@@ -29,9 +29,9 @@ QUERIES = ("first_hit", "any_hit")
 
 
 def forest(side: int) -> tuple[rs.Scene, np.ndarray]:
-    """An acre of trees, and where it stands."""
-    acre = rs.load("forest", triangles=280_000)
-    trees = acre.replace(meshes=acre.meshes[1:])
+    """A patch of trees, and where it stands."""
+    patch = rs.load("forest", triangles=280_000)
+    trees = patch.replace(meshes=patch.meshes[1:])
     low, high = trees.bounds
     pitch = 0.86 * (high - low)[[0, 2]]
     rng = np.random.default_rng(7)
@@ -101,7 +101,7 @@ class Mitsuba:
         for k, place in enumerate(places):
             matrix = mitsuba.ScalarTransform4f(np.vstack([place, [0, 0, 0, 1]]))
             shape = {"type": "ref", "id": "trees"}
-            scene[f"acre{k}"] = {"type": "instance", "to_world": matrix, "shape": shape}
+            scene[f"patch{k}"] = {"type": "instance", "to_world": matrix, "shape": shape}
         self.scene = mitsuba.load_dict(scene)
 
     def rays(self, origins: np.ndarray, directions: np.ndarray) -> Any:
@@ -148,7 +148,7 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--side", type=int, default=64, help="acres along each side")
+    parser.add_argument("--side", type=int, default=64, help="patches along each side")
     parser.add_argument("--contender", choices=CONTENDERS, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.contender:

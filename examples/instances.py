@@ -1,4 +1,4 @@
-"""Instances: an acre of forest that stands thousands of times, more than a billion triangles.
+"""Instances: a patch of forest that stands thousands of times, more than a billion triangles.
 
     python examples/instances.py 1920x1080 16
 
@@ -17,12 +17,12 @@ samples = int(sys.argv[2]) if len(sys.argv) > 2 else 4
 SIDE = 64
 
 # Trees without their ground, as one object.
-acre = rs.load("forest", triangles=280_000)
-trees = acre.replace(meshes=acre.meshes[1:])
+patch = rs.load("forest", triangles=280_000)
+trees = patch.replace(meshes=patch.meshes[1:])
 (left, _, back), (right, _, front) = trees.bounds
 pitch = 0.86 * np.array([right - left, front - back])  # crowns overlap
 
-# Each acre is turned by a quarter or not, and mirrored or not.
+# Each patch is turned by a quarter or not, and mirrored or not.
 rng = np.random.default_rng(7)
 quarter, mirror = rng.integers(0, 2, (2, SIDE * SIDE))
 cosines, signs = 1.0 - quarter, 1.0 - 2.0 * mirror
@@ -45,7 +45,7 @@ hills = 25.0 * np.sin(x / 190.0) * np.cos(z / 260.0) + 15.0 * np.sin((x + z) / 3
 corners = np.stack([x, hills - 1.5, z], axis=-1).reshape(-1, 3)
 at = (np.arange(len(lines) - 1)[:, None] * len(lines) + np.arange(len(lines) - 1)).reshape(-1, 1)
 faces = np.concatenate([at + [0, 1, len(lines)], at + [1, len(lines) + 1, len(lines)]])
-ground = rs.Scene([rs.Mesh(corners, faces)], materials=acre.materials[:1])
+ground = rs.Scene([rs.Mesh(corners, faces)], materials=patch.materials[:1])
 
 scene = rs.Scene.instances(
     [trees, ground],

@@ -14,7 +14,7 @@ from raystream.core.errors import RaystreamError
 from raystream.core.instances import Instances
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-__all__ = ["NOT_INSTANCED", "InstancedTriangles"]
+__all__ = ["NOT_INSTANCED", "InstancedTriangles", "check_plain"]
 
 #: What to do where scenes with instances are not supported.
 NOT_INSTANCED = (
@@ -302,6 +302,18 @@ class InstancedTriangles:
         firsts = np.flatnonzero(np.diff(objects, prepend=-1))
         parts = np.split(rows, firsts[1:]) if len(rows) else []
         return [(int(objects[first]), part) for first, part in zip(firsts, parts, strict=True)]
+
+
+def check_plain(what: str, triangles: Any) -> None:
+    """Check that triangles belong to no instances, with which `what` is not supported.
+
+    Raises
+    ------
+    RaystreamError
+        If they do.
+    """
+    if isinstance(triangles, InstancedTriangles):
+        raise RaystreamError(f"{what}: {NOT_INSTANCED}")
 
 
 #: Attributes of `Triangles` that instances cannot have.

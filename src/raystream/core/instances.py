@@ -55,7 +55,7 @@ class Instances:
     ValueError
         If a shape is wrong, a number is not finite or beyond 2**200, or a transform is singular.
     TypeError
-        If the numbers are not real, or the ids no integers.
+        If the numbers are not real, or the ids are not integers.
     """
 
     __slots__ = ("conditions", "inverses", "object_ids", "transforms", "world_count", "worlds")
@@ -88,7 +88,7 @@ class Instances:
                 raise ValueError(f"worlds: expected -1 or more, got {self.worlds.min()}")
             self.world_count = int(self.worlds.max(initial=-1)) + 1
             if self.world_count > MAX_WORLDS:
-                raise ValueError(f"worlds: expected less than {MAX_WORLDS:,}")
+                raise ValueError(f"worlds: expected numbers less than {MAX_WORLDS:,}")
             self.worlds.flags.writeable = False
         self.transforms = matrices
         self.inverses, self.conditions = inverse_transforms(matrices)
@@ -132,7 +132,7 @@ def _per_instance(name: str, values: Any, count: int) -> NDArray[np.int32]:
             f"{name}: expected one for each of {count:,} transforms, got shape {array.shape}"
         )
     if array.size and not (array.min() >= -(2**31) and array.max() < 2**31):
-        raise ValueError(f"{name}: {array.max()} is no number of one")
+        raise ValueError(f"{name}: expected 32-bit integers, got {array.min()} to {array.max()}")
     return np.array(array, np.int32)
 
 

@@ -23,7 +23,7 @@ class Shares(NamedTuple):
     ----------
     factors, errors : ndarray of shape (N, N), float64
     sinks, sink_errors : ndarray of shape (N, 2), float64
-        Shares that meet nothing, and that meet what is no patch.
+        Shares that meet nothing, and that meet no patch.
     """
 
     factors: NDArray[np.float64]

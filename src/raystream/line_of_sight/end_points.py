@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import RaystreamError
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.instanced_triangles import check_plain
 from raystream.core.rays import as_host_array, as_real_array
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.core.triangles import MAX_COORDINATE, Triangles
@@ -22,7 +21,6 @@ from raystream.tracer import Tracer
 
 __all__ = [
     "EndPoints",
-    "check_plain",
     "check_tracer",
     "end_points",
     "is_clear",
@@ -81,12 +79,6 @@ def check_tracer(tracer: Any) -> None:
         raise TypeError(
             f"tracer: expected a Tracer, got {type(tracer).__name__}; make one by rs.Tracer(scene)"
         )
-
-
-def check_plain(what: str, triangles: Any) -> None:
-    """Raise RaystreamError if triangles belong to instances: `what` needs them in one frame."""
-    if isinstance(triangles, InstancedTriangles):
-        raise RaystreamError(f"{what}: {NOT_INSTANCED}")
 
 
 def planes_of(

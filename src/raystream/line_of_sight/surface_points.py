@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from raystream.core.hits import Hits
+from raystream.core.instanced_triangles import check_plain
 from raystream.core.rays import as_host_array, as_real_array
-from raystream.line_of_sight.end_points import check_plain, check_tracer
+from raystream.line_of_sight.end_points import check_tracer
 from raystream.tracer import Tracer
 
 __all__ = ["surface_points"]

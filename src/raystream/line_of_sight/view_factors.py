@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import check_plain
 from raystream.core.memory import check_memory
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.balance import Shares, balanced
-from raystream.line_of_sight.end_points import check_plain
 from raystream.line_of_sight.patches import Emitter, Patches, make_patches, patch_ids
 from raystream.rendering.sampling.sampler import MAX_SAMPLES, Sampler
 from raystream.scene.scene import Scene
@@ -225,7 +225,7 @@ class _Caster(NamedTuple):
         Returns
         -------
         shares, errors : ndarray of shape (N + 2,), float64
-            Of the patches, of nothing, and of what is no patch.
+            Of the patches, of nothing, and of triangles of no patch.
         ray_count : int
         """
         width = len(self.patches.areas) + 2

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream._version import __version__
+from raystream.core.instanced_triangles import check_plain
 from raystream.core.memory import available_memory
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import (
     EndPoints,
-    check_plain,
     check_tracer,
     end_points,
     is_clear,

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import check_plain
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
 from raystream.jit.threads import Progress
-from raystream.line_of_sight.end_points import check_plain, check_tracer, end_points, is_clear
+from raystream.line_of_sight.end_points import check_tracer, end_points, is_clear
 from raystream.line_of_sight.image_frame import seen_from
 from raystream.line_of_sight.surface_points import surface_points
 from raystream.rendering.arguments import check_size

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.errors import RaystreamError
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles, check_plain
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
@@ -290,9 +289,7 @@ class TracedScene:
         RaystreamError
             If it has.
         """
-        triangles: Any = self.structure.triangles
-        if isinstance(triangles, InstancedTriangles):
-            raise RaystreamError(f"{what}: {NOT_INSTANCED}")
+        check_plain(what, self.structure.triangles)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the built structure and its triangles to a file.
