@@ -99,7 +99,7 @@ class HeightField:
         dx, dy = np.broadcast_to(steps, 2).tolist()
         x = x0 + dx * np.arange(array.shape[1])
         y = y0 + dy * np.arange(array.shape[0])
-        reach = max(np.abs(x).max(), np.abs(y).max(), abs(base))
+        reach = np.max([np.abs(x).max(), np.abs(y).max(), abs(base)])
         if not reach <= MAX_COORDINATE:
             raise ValueError("origin, spacing: expected finite numbers, and samples within 2**200")
         for name, axis in (("x", x), ("y", y)):

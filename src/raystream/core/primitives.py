@@ -80,23 +80,18 @@ class Primitives:
             )
         ends = [*self.first_fields[1:], *([len(self)] if len(spheres) else [])]
         self.mesh_splits = np.concatenate([triangles.mesh_splits, ends]).astype(np.int64)
-        self.world_bounds = self._bounds(triangles)
-        if self._is_empty(triangles):
-            self.center, self.scale = np.zeros(3), 1.0
-        else:
-            self.center, self.scale = local_frame(*self.world_bounds)
+        world = self._bounds(triangles)
+        self._is_empty = not any(map(len, (triangles.prim_ids, spheres))) and all(
+            one.is_empty for one in fields
+        )
+        self.center, self.scale = (np.zeros(3), 1.0) if self._is_empty else local_frame(*world)
         self.triangles = self._in_frame(triangles)
-        with np.errstate(under="ignore"):
-            bounds = (self.world_bounds - self.center) * self.scale
+        bounds = (world - self.center) * self.scale
         self.bounds = bounds.astype(np.float32)
         if len(spheres):  # their boxes are rounded outwards
             self.bounds[0] = np.nextafter(self.bounds[0], np.float32(-np.inf))
             self.bounds[1] = np.nextafter(self.bounds[1], np.float32(np.inf))
         self.max_coordinate = np.float32(np.abs(self.bounds).max())
-
-    def _is_empty(self, triangles: Triangles) -> bool:
-        solid = len(triangles.prim_ids) + len(self.spheres)
-        return not solid and all(one.is_empty for one in self.fields)
 
     def _bounds(self, triangles: Triangles) -> NDArray[np.float64]:
         """The box around all primitives, world space."""
@@ -138,6 +133,11 @@ class Primitives:
     def local_fields(self) -> tuple[LocalField, ...]:
         """The height fields in the scene's local frame."""
         return tuple(one.local(self.center, self.scale) for one in self.fields)
+
+    @property
+    def world_bounds(self) -> NDArray[np.float64]:
+        """`bounds` in world space, shape (2, 3), float64; zeros if nothing can be hit."""
+        return np.zeros((2, 3)) if self._is_empty else self.to_world(self.bounds)
 
     @property
     def degenerate_count(self) -> int:

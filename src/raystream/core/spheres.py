@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,8 @@ from raystream.core.triangles import MAX_COORDINATE
 __all__ = ["Spheres", "directions_at"]
 
 
-class Spheres(NamedTuple):
+@dataclass(frozen=True)
+class Spheres:
     """Spheres in world space.
 
     Attributes

@@ -64,9 +64,7 @@ def _node_interval(field, level, column, row, ray):
     ya, yb = _plane(field.y, top), _plane(field.y, bottom)
     at = field.ranges + ((level.first + row * level.columns + column) << _THREE)
     low, high = load(np.float32, at), load(np.float32, at + _FOUR)
-    return box_interval(
-        ray, min(xa, xb), min(ya, yb), low, max(xa, xb), max(ya, yb), high
-    )
+    return box_interval(ray, min(xa, xb), min(ya, yb), low, max(xa, xb), max(ya, yb), high)
 
 
 @device

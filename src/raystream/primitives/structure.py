@@ -60,9 +60,7 @@ class PrimitiveStructure(Structure):
     triangles: Primitives  # type: ignore[assignment]
     _kind: type[Structure]
 
-    def __init__(
-        self, triangles: Any, options: Any, *, progress: Progress | None = None
-    ) -> None:
+    def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
         started = time.perf_counter()
         self.triangles, self.options = triangles, options
         self.frame = SceneFrame.of(triangles)
@@ -80,7 +78,9 @@ class PrimitiveStructure(Structure):
             "sphere_blocks": sphere_blocks(triangles.spheres, rows, first),
         }
         self._addresses = self._make_addresses()
-        field_bytes = sum(a.byte_count + t.ranges.nbytes for a, t in zip(local, self._levels, strict=True))
+        field_bytes = sum(
+            a.byte_count + t.ranges.nbytes for a, t in zip(local, self._levels, strict=True)
+        )
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in self._memory.values()) + field_bytes,
@@ -98,7 +98,8 @@ class PrimitiveStructure(Structure):
         return PrimitiveAddresses(**{**nothing, **inner, **own, **counts})
 
     def _sphere_tree(
-        self, progress: Progress | None  # noqa: ARG002
+        self,
+        progress: Progress | None,  # noqa: ARG002
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Nodes over the spheres, and the spheres of each block."""
         count = len(self.triangles.spheres)

@@ -131,7 +131,7 @@ def _digest(scene: Scene) -> str:
         add(triangles.instances.transforms)
     elif isinstance(triangles, Primitives):
         add(triangles.triangles.corners)
-        for array in triangles.spheres:
+        for array in vars(triangles.spheres).values():
             add(array)
         for field in triangles.fields:
             for part in (field.heights, field.x, field.y, (field.base, field.material_id)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -47,9 +48,7 @@ class PrimitiveGeometry(Geometry):
     @cached_property
     def triangles(self) -> Any:
         """All primitives in one local frame."""
-        return Primitives(
-            self._meshes_alone.triangles, self.fields, self.spheres, self.attributes
-        )
+        return Primitives(self._meshes_alone.triangles, self.fields, self.spheres, self.attributes)
 
     @property
     def highest_material(self) -> int:
@@ -91,8 +90,11 @@ def combined(scenes: Iterable[Scene]) -> tuple[PrimitiveGeometry, list[Material]
         )
         geometry = one.geometry
         if isinstance(geometry, PrimitiveGeometry):
-            fields.extend(field.with_material(field.material_id + shift) for field in geometry.fields)
+            fields.extend(
+                field.with_material(field.material_id + shift) for field in geometry.fields
+            )
             held = geometry.spheres
-            parts.append(held._replace(material_ids=held.material_ids + np.int32(shift)))
-    spheres = Spheres(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            parts.append(replace(held, material_ids=held.material_ids + np.int32(shift)))
+    columns = ("centers", "radii", "material_ids")
+    spheres = Spheres(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
     return PrimitiveGeometry(meshes, fields, spheres), materials
