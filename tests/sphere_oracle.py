@@ -120,10 +120,13 @@ def check(spheres, rays, targets, hits, is_far: bool = False) -> int:
         assert len(ts) <= 2, where
         assert ((ts >= t_mins[i]) & (ts <= t_maxs[i])).all(), where
         if len(ts) == 2:
-            assert exact.may_hit() and exact.is_entry(ts[0]) and exact.is_exit(ts[1]), where
+            assert exact.may_hit(), where
+            assert exact.is_entry(ts[0]), where
+            assert exact.is_exit(ts[1]), where
         elif len(ts) == 1:
             is_entry, is_exit = exact.is_entry(ts[0]), exact.is_exit(ts[0])
-            assert exact.may_hit() and (is_entry or is_exit), where
+            assert exact.may_hit(), where
+            assert is_entry or is_exit, where
             # The other one is not within the interval, or might not be.
             if is_entry and not is_exit:
                 assert not exact.must_leave_within(t_mins[i], t_maxs[i]), where

@@ -71,8 +71,8 @@ def test_all_hits_are_those_of_the_parts() -> None:
     columns = []
     for k, first in zip(order, firsts, strict=False):
         hits = rs.Tracer(some[k]).multi_hit(**rays)
-        columns.append((hits.ray_id, hits.t, hits.prim_id + first, hits.u, hits.v))
-    ray_id, t, prim_id, u, v = (np.concatenate(one) for one in zip(*columns, strict=True))
+        columns.append((hits.ray_id, hits.t, hits.prim_id + first))
+    ray_id, t, prim_id = (np.concatenate(one) for one in zip(*columns, strict=True))
     by = np.lexsort((np.arange(len(t)), prim_id, t, ray_id))
     assert len(t) == len(whole.t) > 5000
     # A triangle's t is clamped to a box that is padded by the size of the scene: a unit of float32.
@@ -147,6 +147,7 @@ def test_bad_parts_are_named() -> None:
 
 def test_a_scene_keeps_its_primitives_with_other_lights() -> None:
     scene = rs.Scene.combine(parts(7)).replace(lights=[rs.PointLight((0, 0, 9), (1, 1, 1))])
-    assert scene.has_primitives and len(scene.lights) == 1
+    assert scene.has_primitives
+    assert len(scene.lights) == 1
     assert rs.Tracer(scene).count_hits(**some_rays(8, 200)).sum() > 100
     assert np.isfinite(scene.camera.rays(4, 3)[1]).all()

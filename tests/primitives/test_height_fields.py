@@ -209,7 +209,7 @@ def test_bad_kinds_are_named() -> None:
 def test_a_spacing_that_float32_cannot_tell_apart_is_refused() -> None:
     ball = rs.Scene.spheres([[1e9, 0, 0]], 1.0)
     ground = rs.Scene.height_field(np.zeros((3, 3)), origin=(500.0, 500.0, 0.0), spacing=1e-6)
-    with pytest.raises(ValueError, match="spacing: neighbouring samples .* in float32"):
+    with pytest.raises(ValueError, match=r"spacing: neighbouring samples .* in float32"):
         rs.Tracer(rs.Scene.combine([ground, ball]))
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.views import address_of
 from raystream.kernels.leaf_block import block_ray
 from raystream.kernels.queries import Searches, note_status
 from raystream.kernels.ray import Ray, prepare_ray
@@ -19,7 +20,6 @@ from raystream.structures.brute.traversal import traverse as traverse_brute
 from raystream.structures.bvh.traversal import STACK_BYTES as TREE_BYTES
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 from raystream.structures.bvh.traversal import tree_traversal
-from raystream.jit.views import address_of
 
 __all__ = ["STACK_BYTES", "primitive_searches", "traverse_all", "traverse_trees"]
 
