@@ -13,7 +13,10 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
     f32x4,
+    fma,
+    lanes_from_bits,
     load,
+    mask4,
     mask_bits,
     maximum,
     minimum,
@@ -22,7 +25,6 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.leaf_block import AXIS, SECOND, THIRD, test_block
 from raystream.kernels.search import is_full, offer
-from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.kernels.triangle_lanes import slab_interval
 from raystream.primitives.levels import BLOCK_CELLS
@@ -30,17 +32,20 @@ from raystream.primitives.records import LevelRecord
 
 __all__ = ["FIELD_BYTES", "traverse_all_cells", "traverse_field"]
 
-_NONE, _ONE, _TWO, _THREE, _FOUR = np.arange(5, dtype=np.uint64)
+_NONE, _ONE, _TWO, _THREE, _FOUR, _FIVE = np.arange(6, dtype=np.uint64)
 _ZERO = np.float32(0.0)
 _TURNED = np.int32(1)
 _CELLS = np.uint64(BLOCK_CELLS)
 _LANES = np.uint64(4)
 
-#: An entry of the stack: the distance at which the ray enters a node, and its level, column, row.
+#: An entry of the stack: the distance at which the ray enters a node, its level, column and row.
 _ENTRY = np.uint64(16)
 
-#: Three nodes of each level remain on the stack; a field has at most 30 levels.
+#: Three nodes of each level remain on the stack, and four of the last: at most 30 levels fit.
 _STACK = np.uint64(2048)
+
+#: Lanes of the children in the second column, and in the second row.
+_SECOND_COLUMN, _SECOND_ROW = np.uint64(10), np.uint64(12)
 
 #: Of `test_block`.
 _BLOCK = np.uint64(192)
@@ -56,25 +61,53 @@ def _plane(at, index):
 
 
 @device
-def _node_interval(field, level, column, row, ray):
-    """The padded slab interval of a node."""
-    left, top = column * level.size, row * level.size
-    right, bottom = min(left + level.size, field.columns), min(top + level.size, field.rows)
-    xa, xb = _plane(field.x, left), _plane(field.x, right)
-    ya, yb = _plane(field.y, top), _plane(field.y, bottom)
-    at = field.ranges + ((level.first + row * level.columns + column) << _THREE)
-    low, high = load(np.float32, at), load(np.float32, at + _FOUR)
-    return box_interval(ray, min(xa, xb), min(ya, yb), low, max(xa, xb), max(ya, yb), high)
+def _spans(at, first, size, count, inv, near, far):
+    """Where a ray enters and leaves two neighbouring nodes along one axis: two pairs of numbers."""
+    middle, end = min(first + size, count), min(first + size + size, count)
+    a, b, c = _plane(at, first), _plane(at, middle), _plane(at, end)
+    lows, highs = (min(a, b), min(b, c)), (max(a, b), max(b, c))
+    if inv < _ZERO:
+        lows, highs = highs, lows
+    t_in = fma(lows[0], inv, near), fma(lows[1], inv, near)
+    return t_in, (fma(highs[0], inv, far), fma(highs[1], inv, far))
 
 
 @device
-def _push(stack, top, t_in, level, column, row):
-    at = stack + top
-    store(at, t_in)
-    store(at + np.uint64(4), np.int32(level))
-    store(at + np.uint64(8), np.int32(column))
-    store(at + np.uint64(12), np.int32(row))
-    return top + _ENTRY
+def _enter(field, level, column, row, ray):
+    """The slab intervals of four nodes: f32x4 of distances in and out.
+
+    Parameters
+    ----------
+    field : FieldRecord
+    level : LevelRecord
+    column, row : uint64
+        Of the group of four.
+    ray : Ray
+    """
+    size = level.size
+    left, top = (column << _ONE) * size, (row << _ONE) * size
+    x_in, x_out = _spans(field.x, left, size, field.columns, ray.inv_x, ray.near_x, ray.far_x)
+    y_in, y_out = _spans(field.y, top, size, field.rows, ray.inv_y, ray.near_y, ray.far_y)
+    at = field.ranges + ((level.first + row * level.columns + column) << _FIVE)
+    low, high = load(f32x4, at), load(f32x4, at + np.uint64(16))
+    is_down = ray.inv_z < _ZERO
+    z_in = fma(select(is_down, high, low), ray.inv_z, ray.near_z)
+    z_out = fma(select(is_down, low, high), ray.inv_z, ray.far_z)
+    across, along = lanes_from_bits(mask4, _SECOND_COLUMN), lanes_from_bits(mask4, _SECOND_ROW)
+    t_in = maximum(
+        maximum(_pair(across, x_in), _pair(along, y_in)),
+        z_in,
+    )
+    t_out = minimum(
+        minimum(_pair(across, x_out), _pair(along, y_out)),
+        z_out,
+    )
+    return t_in, t_out
+
+
+@device
+def _pair(is_second, pair):
+    return select(is_second, f32x4(pair[1]), f32x4(pair[0]))
 
 
 @device
@@ -99,11 +132,15 @@ def traverse_field(field, ray, line, search, stack):
     # The first child is the one that rays of this direction enter first.
     turn_x = np.uint64((ray.inv_x < _ZERO) != (field.x_falls == _TURNED))
     turn_y = np.uint64((ray.inv_y < _ZERO) != (field.y_falls == _TURNED))
-    root = field.level_count - _ONE
-    t_in, t_out = _node_interval(field, LevelRecord(field.levels, root), _NONE, _NONE, ray)
+    turn = turn_x | (turn_y << _ONE)
+    distances = stack + _STACK
     top = _NONE
-    if t_in <= t_out and t_out >= search.t_min and search.t_min <= search.t_far:
-        top = _push(stack, top, t_in, root, _NONE, _NONE)
+    if search.t_min <= search.t_far:
+        store(stack, search.t_min)
+        store(stack + np.uint64(4), np.int32(field.level_count))
+        store(stack + np.uint64(8), np.int32(0))
+        store(stack + np.uint64(12), np.int32(0))
+        top = _ENTRY
     while top != _NONE:
         top -= _ENTRY
         at = stack + top
@@ -120,14 +157,18 @@ def traverse_field(field, ray, line, search, stack):
                 break
             continue
         add_to(search.counters, STEPS, _ONE)
-        below = LevelRecord(field.levels, level - _ONE)
+        level -= _ONE
+        t_in, t_out = _enter(field, LevelRecord(field.levels, level), column, row, ray)
+        entered = mask_bits((t_in <= t_out) & (t_in <= search.t_far) & (t_out >= search.t_min))
+        store(distances, t_in)
         for k in range(_FOUR):  # the last one is visited first
-            child_column = (column << _ONE) + ((k & _ONE) ^ _ONE ^ turn_x)
-            child_row = (row << _ONE) + ((k >> _ONE) ^ _ONE ^ turn_y)
-            if child_column < below.columns and child_row < below.rows:
-                t_in, t_out = _node_interval(field, below, child_column, child_row, ray)
-                if t_in <= t_out and t_in <= search.t_far and t_out >= search.t_min:
-                    top = _push(stack, top, t_in, level - _ONE, child_column, child_row)
+            child = (_THREE - k) ^ turn
+            at = stack + top  # overwritten by the next one, if the ray does not enter this one
+            store(at, load(np.float32, distances + (child << _TWO)))
+            store(at + np.uint64(4), np.int32(level))
+            store(at + np.uint64(8), np.int32((column << _ONE) + (child & _ONE)))
+            store(at + np.uint64(12), np.int32((row << _ONE) + (child >> _ONE)))
+            top += ((entered >> child) & _ONE) * _ENTRY
     return search
 
 

@@ -16,8 +16,9 @@ __all__ = ["BLOCK_CELLS", "LEVEL", "Levels", "field_levels"]
 #: Cells along each side of the smallest nodes; as many as kernels read of a row.
 BLOCK_CELLS = 4
 
-#: A level: its first node, its columns and rows of nodes, and the cells along each side of a node.
-LEVEL = np.dtype([("first", "u8"), ("columns", "u8"), ("rows", "u8"), ("size", "u8")])
+#: A level: its first group of four nodes, the groups in a row of them, and the cells along each
+#: side of a node.
+LEVEL = np.dtype([("first", "u8"), ("columns", "u8"), ("size", "u8")])
 
 #: Rows of nodes per call of the kernel.
 _CHUNK = 64
@@ -28,11 +29,12 @@ class Levels(NamedTuple):
 
     Attributes
     ----------
-    ranges : ndarray of shape (M, 2), float32
-        Lowest and highest z in each node, row by row, the finest level first; (inf, -inf) for a
-        node without heights.
+    ranges : ndarray of shape (M, 2, 4), float32
+        Lowest and highest z in every two by two nodes, the children of a node of the level above,
+        whose rows follow each other: lower row and column first. The finest level is first; above
+        the last one is the root alone. (inf, -inf) for nodes without heights, or beyond the end.
     levels : ndarray of `LEVEL`
-        The last one has one node.
+        Of these groups of four; the last level has one.
     """
 
     ranges: NDArray[np.float32]
@@ -73,23 +75,24 @@ def field_levels(field: LocalField) -> Levels:
     columns = -(-(column_count - 1) // BLOCK_CELLS)
     finest = np.empty((rows, columns, 2), np.float32)
     parallel_for(lambda begin, end: _find_ranges(begin, end, heights, finest), rows, _CHUNK)
-    parts = [finest]
-    while parts[-1].shape[:2] != (1, 1):
-        parts.append(_halved(parts[-1]))
-    levels = np.zeros(len(parts), LEVEL)
-    levels["rows"] = [len(one) for one in parts]
-    levels["columns"] = [one.shape[1] for one in parts]
-    counts = levels["rows"] * levels["columns"]
+    groups: list[NDArray[np.float32]] = []
+    nodes = finest
+    while not groups or nodes.shape[:2] != (1, 1):
+        groups.append(_grouped(nodes))
+        nodes = np.stack([groups[-1][:, :, 0].min(axis=-1), groups[-1][:, :, 1].max(axis=-1)], -1)
+    levels = np.zeros(len(groups), LEVEL)
+    levels["columns"] = [one.shape[1] for one in groups]
+    counts = [one.shape[0] * one.shape[1] for one in groups]
     levels["first"] = np.cumsum(counts) - counts
-    levels["size"] = BLOCK_CELLS << np.arange(len(parts), dtype=np.uint64)
-    return Levels(np.concatenate([one.reshape(-1, 2) for one in parts]), levels)
+    levels["size"] = BLOCK_CELLS << np.arange(len(groups), dtype=np.uint64)
+    return Levels(np.concatenate([one.reshape(-1, 2, 4) for one in groups]), levels)
 
 
-def _halved(ranges: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The ranges of every two by two nodes."""
-    rows, columns = (-(-count // 2) for count in ranges.shape[:2])
+def _grouped(nodes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Every two by two nodes of a level: shape (rows, columns, 2) gives (rows, columns, 2, 4)."""
+    rows, columns = (-(-count // 2) for count in nodes.shape[:2])
     even = np.empty((2 * rows, 2 * columns, 2), np.float32)
     even[..., 0], even[..., 1] = np.inf, -np.inf
-    even[: ranges.shape[0], : ranges.shape[1]] = ranges
-    four = even.reshape(rows, 2, columns, 2, 2)
-    return np.stack([four[..., 0].min(axis=(1, 3)), four[..., 1].max(axis=(1, 3))], axis=-1)
+    even[: nodes.shape[0], : nodes.shape[1]] = nodes
+    four = even.reshape(rows, 2, columns, 2, 2).transpose(0, 2, 4, 1, 3)
+    return np.ascontiguousarray(four).reshape(rows, columns, 2, 4)

@@ -35,9 +35,9 @@ SphereBlock = view(_BLOCK)
 
 LevelRecord = view(LEVEL)
 
-#: A height field: addresses of the arrays of `LocalField`, of the nodes' lowest and highest z, and
-#: of the levels, finest first; then counts, the number of the first triangle, and 1 where the
-#: triangles' fronts are up in the order a, c, b, or x or y decreases.
+#: A height field: addresses of the arrays of `LocalField` and of `Levels`; then counts, the number
+#: of the first triangle, and 1 where the triangles' fronts are up in the order a, c, b, or x or y
+#: decreases.
 FIELD = np.dtype(
     [
         ("heights", "u8"),

@@ -133,7 +133,11 @@ class PrimitiveScene(InstancedScene):
         >>> hits.t.item(), hits.prim_id.item(), hits.positions.tolist()
         (47.5, 18, [15.0, 25.0, 2.5])
         """
-        field = HeightField.of(heights, origin, spacing, material_id)
+        return cls.of_field(HeightField.of(heights, origin, spacing, material_id), **parts)
+
+    @classmethod
+    def of_field(cls, field: HeightField, **parts: Any) -> Self:
+        """Make a scene of a height field; see `height_field`."""
         parts = {"up": (0.0, 0.0, 1.0), **parts}
         return cls._of_primitives(PrimitiveGeometry((), (field,), NO_SPHERES), parts)
 
