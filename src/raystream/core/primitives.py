@@ -81,9 +81,8 @@ class Primitives:
         ends = [*self.first_fields[1:], *([len(self)] if len(spheres) else [])]
         self.mesh_splits = np.concatenate([triangles.mesh_splits, ends]).astype(np.int64)
         world = self._bounds(triangles)
-        self._is_empty = not any(map(len, (triangles.prim_ids, spheres))) and all(
-            one.is_empty for one in fields
-        )
+        count = len(triangles.prim_ids) + len(spheres)
+        self._is_empty = not count and all(one.is_empty for one in fields)
         self.center, self.scale = (np.zeros(3), 1.0) if self._is_empty else local_frame(*world)
         self.triangles = self._in_frame(triangles)
         bounds = (world - self.center) * self.scale
@@ -253,8 +252,9 @@ class Primitives:
         most : int
             How many of each kind, at most. Spheres stand as two triangles across their box.
         """
-        numbers = np.arange(0, int(self.first_fields[-1]))[:: self._step(most)]
-        corners = self.corners_at(numbers.astype(np.int32), numbers)
+        count = int(self.first_fields[-1])
+        numbers = np.arange(0, count, max(1, -(-count // most)), dtype=np.int32)
+        corners = self.corners_at(numbers, numbers)
         points = [self.to_world(corners).reshape(-1, 3)]
         step = max(1, -(-2 * len(self.spheres) // most))
         centers, radii = self.spheres.centers[::step], self.spheres.radii[::step, None]
@@ -263,9 +263,6 @@ class Primitives:
         vertices = np.concatenate(points)
         faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
         return Triangles([(vertices, faces)])
-
-    def _step(self, most: int) -> int:
-        return max(1, -(-int(self.first_fields[-1]) // most))
 
 
 #: Corners of two triangles across the unit cube.

@@ -23,18 +23,18 @@ def nearest_hits(
     instance_id = None
     if isinstance(triangles, InstancedTriangles):
         prim_id, instance_id = triangles.split_ids(prim_id)
+    kind: type[Hits] = Hits
+    held: Any = triangles
     if isinstance(triangles, Primitives):
-        prim_id = triangles.prim_ids_of(prim_id)
-        columns: list[Any] = [one.reshape(shape) for one in (t, u, v, prim_id, status)]
-        return PrimitiveHits(*columns, triangles)
+        kind, prim_id = PrimitiveHits, triangles.prim_ids_of(prim_id)
     if len(shape) == 1:
-        return Hits(t, u, v, prim_id, status, triangles, sectors, instance_id)
-    columns = [
+        return kind(t, u, v, prim_id, status, held, sectors, instance_id)
+    columns: list[Any] = [
         None if one is None else one.reshape(shape)
         for one in (t, u, v, prim_id, status, sectors, instance_id)
     ]
     t, u, v, prim_id, status, sectors, instance_id = columns
-    return Hits(t, u, v, prim_id, status, triangles, sectors, instance_id)
+    return kind(t, u, v, prim_id, status, held, sectors, instance_id)
 
 
 def all_hits(
@@ -48,5 +48,6 @@ def all_hits(
     status = sink.status.reshape(shape)
     if isinstance(triangles, Primitives):
         prim_id = triangles.prim_ids_of(prim_id)
-        return PrimitiveMultiHits(sink.splits, t, u, v, prim_id, status, triangles)
+        held: Any = triangles
+        return PrimitiveMultiHits(sink.splits, t, u, v, prim_id, status, held)
     return MultiHits(sink.splits, t, u, v, prim_id, status, triangles, instance_id)

@@ -252,7 +252,8 @@ class Terrain:
         """The cells at the corners of triangles, by number, shape (N, 3)."""
         if not self.scene.has_primitives:
             return self.scene.meshes[0].faces[prim_ids]
-        row, column = self.tracer.structure.triangles.fields[0].samples_of(prim_ids)
+        held: Any = self.scene.triangles
+        row, column = held.fields[0].samples_of(prim_ids)
         return row * len(self.x) + column
 
     def _bands(self, progress: Progress | None) -> Iterator[slice]:

@@ -59,7 +59,7 @@ FieldRecord = view(FIELD)
 
 
 class PrimitiveAddresses(NamedTuple):
-    """The primitives of a scene; the caller keeps the arrays alive. 0 for what there is not.
+    """The primitives of a scene; the caller keeps the arrays alive. 0 for empty ones.
 
     Attributes
     ----------
