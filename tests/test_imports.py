@@ -21,6 +21,7 @@ ROOMS = (
     "scene",
     "structures",
     "instances",
+    "primitives",
     "streams",
     "programs",
     "machines",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.attributes import Attributes
 from raystream.core.errors import RaystreamError
 from raystream.core.instances import Instances
+from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
 __all__ = ["NOT_INSTANCED", "InstancedTriangles", "check_plain"]
@@ -305,15 +306,17 @@ class InstancedTriangles:
 
 
 def check_plain(what: str, triangles: Any) -> None:
-    """Check that triangles belong to no instances, with which `what` is not supported.
+    """Check that a scene has triangles alone: `what` supports no instances or other primitives.
 
     Raises
     ------
     RaystreamError
-        If they do.
+        If there are others.
     """
     if isinstance(triangles, InstancedTriangles):
         raise RaystreamError(f"{what}: {NOT_INSTANCED}")
+    if isinstance(triangles, Primitives):
+        raise RaystreamError(f"{what}: {NOT_TRIANGLES}")
 
 
 #: Attributes of `Triangles` that instances cannot have.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from raystream.core.choices import Cpu, DeviceOptions
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.primitives import Primitives
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.machines import MACHINES, make_machine, own_options
@@ -85,7 +86,7 @@ class Device(NamedTuple):
 
 def build_on_cpu(
     structure: StructureOptions,
-    triangles: Triangles | InstancedTriangles,
+    triangles: Triangles | InstancedTriangles | Primitives,
     *,
     progress: Progress | None = None,
     device: DeviceOptions | None = None,  # noqa: ARG001 - part of `DeviceFactory`
@@ -96,6 +97,10 @@ def build_on_cpu(
         from raystream.instances.structure import build_instanced
 
         return build_instanced(structure, triangles, progress)
+    if isinstance(triangles, Primitives):
+        from raystream.primitives.structure import build_primitives
+
+        return build_primitives(structure, triangles, progress)
     return build_structure(structure, triangles, progress=progress)
 
 

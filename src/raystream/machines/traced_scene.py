@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles, check_plain
+from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
@@ -117,6 +118,8 @@ class TracedScene:
                 f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
                 "with machine='branching' supports them"
             )
+        if isinstance(triangles, Primitives) and not is_supported:
+            raise ValueError(f"device={self.device!r}, machine={self.machine!r}: {NOT_TRIANGLES}")
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._check_instances(structure.triangles)
@@ -245,6 +248,7 @@ class TracedScene:
         if not max_cost_growth >= 0.0:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
+        self._check_update(vertices)
         if (vertices is None) == (transforms is None):
             raise ValueError("update: expected either vertices or transforms")
         if transforms is not None:
@@ -266,6 +270,12 @@ class TracedScene:
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
         self._set(scene.moved(meshes, triangles), structure)
         return report
+
+    def _check_update(self, vertices: Any) -> None:
+        held: Any = self.structure.triangles
+        other = isinstance(vertices, Scene) and vertices.has_primitives
+        if isinstance(held, Primitives) or other:
+            raise ValueError(f"update: {NOT_TRIANGLES}; make another tracer")
 
     def _update_instances(self, scene: Any) -> UpdateReport:
         """Place the instances as in another scene of the same objects."""
@@ -443,8 +453,8 @@ class TracedScene:
         return sink
 
     def __repr__(self) -> str:
-        triangle_count = len(self.structure.triangles)
         placed: Any = self.structure.triangles
+        what = "primitives" if isinstance(placed, Primitives) else "triangles"
         instances = ""
         if isinstance(placed, InstancedTriangles):
             instances = f", {len(placed.instances):,} instances"
@@ -452,7 +462,7 @@ class TracedScene:
         is_default = self.machine == device_of(self.device).machines.names[0]
         machine = "" if is_default else f", machine={self.machine!r}"
         return (
-            f"Tracer({triangle_count:,} triangles{instances}, structure={self.structure.name!r}"
+            f"Tracer({len(placed):,} {what}{instances}, structure={self.structure.name!r}"
             f"{device}{machine})"
         )
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import RayRows
+from raystream.core.primitives import Primitives
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
@@ -24,6 +25,8 @@ MAX_DIVERGENCE = 90.0
 
 #: Sub-rays per block: bounds the memory of all but the returns.
 _SUB_RAYS_PER_BLOCK = 1 << 18
+
+_NO_CORNERS = np.zeros((0, 3, 3), np.float32)
 
 
 class LidarReturns(RayRows):
@@ -143,7 +146,9 @@ def lidar_returns(
     >>> glass.ranges.round().astype(int).tolist(), glass.return_number.tolist()
     ([1092, 1138, 1359], [1, 2, 3])
     """
-    tracer.check_plain("lidar_returns")
+    held: Any = tracer.structure.triangles
+    if not isinstance(held, Primitives):
+        tracer.check_plain("lidar_returns")
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
@@ -154,7 +159,7 @@ def lidar_returns(
         "transmission", transmission, names, "material", high=1.0, default=0.0
     )
     surfaces = Surfaces(
-        tracer.structure.triangles.corners,
+        _NO_CORNERS if isinstance(held, Primitives) else held.corners,
         scene.attributes.material_ids,
         reflectances,
         transmissions,
@@ -176,12 +181,17 @@ def lidar_returns(
         if progress:
             progress(rows.stop, len(batch))
     returns = Returns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    mesh_splits = tracer.structure.triangles.mesh_splits
+    mesh_splits = held.mesh_splits
+    material_ids = (
+        held.materials_at(returns.prim_id)
+        if isinstance(held, Primitives)
+        else surfaces.material_ids[returns.prim_id]
+    )
     return LidarReturns(
         np.concatenate([[0], np.cumsum(counts)]),
         returns,
         (np.searchsorted(mesh_splits, returns.prim_id, side="right") - 1).astype(np.int32),
-        surfaces.material_ids[returns.prim_id],
+        material_ids,
         status.reshape(batch.shape),
     )
 

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hits import MultiHits
+from raystream.core.primitive_hits import PrimitiveMultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import parallel_for
 from raystream.physics.pulses import Echoes, Surfaces, follow_pulses, merge_echoes
@@ -158,7 +160,7 @@ class Scan:
             )
             if not parts:
                 status[rows] = hits.status[::sub_rays]
-            echoes = self._follow(axes[rays], hits.ray_splits, hits.prim_id)
+            echoes = self._follow(axes[rays], hits)
             is_done = echoes.is_spent | (hits.counts < limit)
             if sub_rays == 1 and self._receiver.separation == 0.0:
                 is_done |= echoes.detected_count >= self._receiver.max_returns
@@ -176,13 +178,16 @@ class Scan:
             limit *= 4
         return _Echoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def _follow(
-        self, axes: NDArray[np.float64], splits: NDArray[np.int64], prim_id: NDArray[np.int32]
-    ) -> Echoes:
+    def _follow(self, axes: NDArray[np.float64], hits: MultiHits) -> Echoes:
+        splits, prim_id, surfaces = hits.ray_splits, hits.prim_id, self._surfaces
+        if isinstance(hits, PrimitiveMultiHits):  # surfaces of the hits, one for each
+            corners, material_ids = hits.flat_corners(), hits.material_id
+            surfaces = surfaces._replace(corners=corners, material_ids=material_ids)
+            prim_id = np.arange(len(prim_id), dtype=np.int32)
         echoes = Echoes.empty(len(axes), len(prim_id))
 
         def body(begin: int, end: int) -> None:
-            follow_pulses(begin, end, axes, splits, prim_id, self._surfaces, echoes)
+            follow_pulses(begin, end, axes, splits, prim_id, surfaces, echoes)
 
         parallel_for(body, len(axes), _CHUNK)
         return echoes
