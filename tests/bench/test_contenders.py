@@ -15,14 +15,23 @@ from meshes import icosphere
 from raystream.bench.contender_process import ContenderError, ContenderProcess
 from raystream.bench.contenders import PEERS, Entry
 from raystream.bench.contenders.base import Geometry, Rays
+from raystream.bench.ray_sets import RAY_SETS
 from raystream.bench.worker import OUTCOME, save_geometry, save_rays
 
 #: Peers with tests that are not watertight, or with looser boxes, may differ more.
 LIMITS = {"open3d": 2e-3, "embreex": 2e-3, "mitsuba": 2e-3, "mitsuba-robust": 2e-3, "warp": 2e-2}
+LIMITS |= {"fcpw": 2e-3, "libigl": 1e-9}
+
+#: Peers that find all hits, and closest points.
+MULTI_PEERS = ("open3d", "embreex")
+POINT_PEERS = ("open3d", "warp", "fcpw", "libigl")
 
 #: Spheres and cubes touch the floor: where two surfaces are in one place, both peers that find
 #: all hits lose one of the two.
 MULTI_LIMIT = 0.1
+
+
+RAY_PEERS = tuple(name for name, peer in PEERS.items() if peer.is_for_rays)
 
 
 def need_peer(name):
@@ -39,7 +48,7 @@ def test_peer_agrees(name):
     need_peer(name)
     command = (
         "bench spheres:3000 --width 64 --height 48 --repeats 1 --json --threads 1 "
-        f"--sets primary,image,shadow,ao,bounce,random,multi,random_multi --peers {name}"
+        f"--sets {','.join(RAY_SETS)} --peers {name}"
     )
     done = subprocess.run(
         [sys.executable, "-m", "raystream", *command.split()],
@@ -55,7 +64,8 @@ def test_peer_agrees(name):
     (scene,) = figures["scenes"]
     assert not scene["failures"]
     for rays in scene["sets"]:
-        if rays["query"] == "multi" and name not in ("open3d", "embreex"):
+        known = {"multi": MULTI_PEERS, "closest": POINT_PEERS}.get(rays["query"], RAY_PEERS)
+        if name not in known:
             assert rays["failures"] == {name: "does not support this query"}
             continue
         assert rays["failures"] == {}

@@ -23,6 +23,7 @@ QUICK = ("--width", 8, "--height", 6, "--repeats", 1)
 def test_names_are_the_librarys():
     assert tuple(RAY_SETS) == options.RAY_SETS
     assert tuple(PEERS) == options.PEERS
+    assert DEFAULT_SETS == options.DEFAULT_SETS
     assert inspect.signature(bench).parameters["sets"].default == ",".join(DEFAULT_SETS)
     assert REPORT_SUFFIXES == (".md", ".rst", ".svg")
 
@@ -63,6 +64,18 @@ def test_variants_and_a_stored_result(run, tmp_path):
     assert "| bounce |" in (tmp_path / "table.md").read_text()
     assert run("bench", "--report", "result.json", "-o", "chart.svg").code == 0
     assert (tmp_path / "chart.svg").read_text().startswith("<svg")
+
+
+def test_points_without_a_structure_for_them_are_no_figures(run):
+    asked = ("bench", "cornell", *QUICK, "--peers", "none", "--sets", "closest", "--json")
+    ((rays,),) = (scene["sets"] for scene in run(*asked).figures["scenes"])
+    assert (rays["query"], rays["ray_count"], rays["hit_count"]) == ("closest", 48, 48)
+    assert rays["figures"]["mrays_per_second"]["raystream"] > 0.0
+    assert rays["figures"]["share_of_roofline"] is None
+    (scene,) = run(*asked, "--option", "structure=grid").figures["scenes"]
+    (rays,) = scene["sets"]
+    assert rays["failures"] == {"raystream": "does not support this query"}
+    assert rays["figures"]["mrays_per_second"] == {}
 
 
 def test_an_interrupt_shows_what_there_is_and_the_run_can_go_on(run, monkeypatch, tmp_path):

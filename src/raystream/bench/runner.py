@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from raystream.bench.agreement import Agreement, compare
 from raystream.bench.contender_process import ContenderError, ContenderProcess
 from raystream.bench.contenders import Entry, make_contender
-from raystream.bench.contenders.base import Geometry, warmup_geometry
+from raystream.bench.contenders.base import Geometry, Rays, warmup_geometry
 from raystream.bench.machine import describe_machine
 from raystream.bench.memory import Memory
-from raystream.bench.ray_sets import DEFAULT_SETS, make_ray_sets
+from raystream.bench.ray_sets import DEFAULT_SETS, RAY_SETS, make_ray_sets
 from raystream.bench.results import NO_QUERY, BenchResult, BuildResult, SceneResult, SetResult
 from raystream.bench.roofline import Peaks, count_tests, measure_peaks
 from raystream.bench.worker import OUTCOME, save_geometry, save_rays
@@ -287,7 +287,7 @@ class Bench:
         stored = []
         for rays in make_ray_sets(tracer, camera, plan.size, plan.sets, plan.seed):
             measured = SetResult(rays.name, rays.query, len(rays.rays))
-            if is_counted and len(rays.rays):
+            if is_counted and isinstance(rays.rays, Rays) and len(rays.rays):
                 measured.counts = count_tests(tracer, rays.query, rays.rays)
             place = folder / rays.name
             place.mkdir()
@@ -296,7 +296,8 @@ class Bench:
         return stored
 
     def _start(self, entry: Entry) -> dict[str, Any]:
-        process = ContenderProcess(entry, self._plan.threads)
+        queries = {RAY_SETS[name].query for name in self._plan.sets}
+        process = ContenderProcess(entry, self._plan.threads, queries)
         self._processes[entry.label] = process
         return process.about
 
@@ -374,10 +375,10 @@ class Bench:
             spent[turn] = answer["seconds"]
             measured.warm_up.setdefault(turn.label, {})[turn.mode] = answer["seconds"]
             result = np.load(stored.folder / OUTCOME)
-            if reference is None:
+            if reference is None and turn.label == self._own:
                 reference = result
                 measured.hit_count = answer["hits"]
-            else:
+            elif reference is not None:
                 agreement = compare(measured.query, reference, result)
                 before = measured.agreement.get(turn.label, Agreement(0.0, agreement.hits))
                 measured.agreement[turn.label] = max(before, agreement)

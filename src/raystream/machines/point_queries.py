@@ -57,7 +57,7 @@ class PointQueries(RayCaster):
         ValueError
             If a shape does not fit, `max_distance` is negative or NaN, or the tracer's structure,
             device or machine does not support the query: ``structure="bvh"`` and ``"brute"`` on
-            the CPU's branching machine do.
+            the branching machines of ``device="cpu"`` and ``"cuda"`` do.
         TypeError
             If an array does not hold real numbers.
         MemoryError
@@ -291,8 +291,8 @@ class PointQueries(RayCaster):
         given = _points_of(points)
         shape = given.shape[:-1]
         limits = _limits_of(max_distance, shape)
-        source = PointSource(np.ascontiguousarray(given.reshape(-1, 3), np.float64), limits)
-        count, capacity = len(source.points), 1 if k is None else k
+        local = np.ascontiguousarray(given.reshape(-1, 3), np.float64)
+        count, capacity = len(local), 1 if k is None else k
         per_call = self._points_per_call(count)
         rows = count * capacity
         check_memory(
@@ -302,13 +302,17 @@ class PointQueries(RayCaster):
         )
         out = NearestArrays.empty(count, capacity)
         structure = self.structure
-        shared = source, structure.frame, structure.arrays, np.int64(capacity)
+        if kernel is None:
+            self._backend.find_nearest(local, limits, capacity, out, progress)
+        else:
+            source, to = PointSource.of(local, limits), out.addresses
+            shared = source, structure.frame, structure.arrays, np.uint64(capacity)
 
-        def body(begin: int, end: int) -> None:
-            work = np.empty(work_bytes(end - begin, capacity), np.uint8)
-            kernel(begin, end, *shared, work, out)
+            def body(begin: int, end: int) -> None:
+                work = np.empty(work_bytes(end - begin, capacity), np.uint8)
+                kernel(begin, end, *shared, np.uint64(work.ctypes.data), to)
 
-        parallel_for(body, count, per_call, progress)
+            parallel_for(body, count, per_call, progress)
         wide = shape if k is None else (*shape, k)
         return ClosestPoints(
             out.distance.reshape(wide),
@@ -320,17 +324,18 @@ class PointQueries(RayCaster):
         )
 
     def _point_loop(self) -> Any:
-        """The structure's loop over points."""
+        """The structure's loop over points on the CPU, or None for the backend's own."""
         self.check_plain("closest points")
         loop = form_of(self.structure.name, "nearest")
-        if loop is None or self.device != "cpu" or self.machine != "branching":
+        is_there = self.device == "cpu" or self._backend.capabilities.points
+        if loop is None or not is_there or self.machine != "branching":
             names = " or ".join(f"structure={name!r}" for name in names_with("nearest"))
             raise ValueError(
                 f"closest points are not supported by structure={self.structure.name!r}, "
                 f"device={self.device!r}, machine={self.machine!r}; use {names} with "
-                "device='cpu' and machine='branching'"
+                "device='cpu' or 'cuda' and machine='branching'"
             )
-        return loop
+        return loop if self.device == "cpu" else None
 
     def _points_per_call(self, count: int) -> int:
         per_call = self.structure.rays_per_call()

@@ -25,12 +25,15 @@ class Peer(NamedTuple):
         Installation hint, shown if the import fails.
     options : mapping of str to any, optional
         Options of the package.
+    is_for_rays : bool
+        Whether it has queries of rays, or of points only.
     """
 
     adapter: str
     packages: tuple[str, ...]
     install_hint: str
     options: Mapping[str, Any] = MappingProxyType({})
+    is_for_rays: bool = True
 
 
 _FOLDER = "raystream.bench.contenders"
@@ -55,6 +58,10 @@ PEERS: Mapping[str, Peer] = MappingProxyType(
             f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA, {"embree_use_robust_intersections": True}
         ),
         "warp": Peer(f"{_FOLDER}.warp:Warp", ("warp",), "pip install warp-lang"),
+        "fcpw": Peer(f"{_FOLDER}.fcpw:Fcpw", ("fcpw",), "pip install fcpw", is_for_rays=False),
+        "libigl": Peer(
+            f"{_FOLDER}.libigl:Libigl", ("igl",), "pip install libigl", is_for_rays=False
+        ),
     }
 )
 

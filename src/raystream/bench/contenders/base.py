@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 __all__ = [
     "MISS_T",
     "AllHits",
+    "Closest",
     "Contender",
     "FirstHits",
     "Geometry",
+    "Points",
     "Query",
     "Rays",
     "Result",
@@ -22,7 +24,7 @@ __all__ = [
     "warmup_geometry",
 ]
 
-Query = Literal["first", "any", "multi"]
+Query = Literal["first", "any", "multi", "closest"]
 
 #: Packages report a miss as infinity, float32's maximum or 1e37; no scene is this large.
 MISS_T = 1e30
@@ -78,6 +80,25 @@ class Rays(NamedTuple):
         return self.origins.reshape(-1, 3), self.directions.reshape(-1, 3)
 
 
+class Points(NamedTuple):
+    """Points, in a user's plain C-contiguous NumPy array.
+
+    Parameters
+    ----------
+    points : ndarray of shape (N, 3), float32
+        World space.
+    unit : float
+        Length in whose units distances are compared: the scene's diagonal.
+    """
+
+    points: NDArray[np.float32]
+    unit: float
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+
 class FirstHits(NamedTuple):
     """The nearest hit of each ray.
 
@@ -101,7 +122,22 @@ class AllHits(NamedTuple):
     prim_id: NDArray[Any]
 
 
-Result = FirstHits | AllHits | NDArray[np.bool_]
+class Closest(NamedTuple):
+    """The nearest point of the triangles to each point.
+
+    Parameters
+    ----------
+    distance : array_like of N floats or None
+        World units. None if the package returns positions only: the distances that are compared
+        follow from them, outside of the time.
+    positions : ndarray of shape (N, 3) or None
+    """
+
+    distance: Any
+    positions: NDArray[Any] | None = None
+
+
+Result = FirstHits | AllHits | Closest | NDArray[np.bool_]
 
 
 class Contender(ABC):
@@ -122,13 +158,13 @@ class Contender(ABC):
     modes : tuple of str
         Ways to run a query, all timed; the fastest counts.
     queries : frozenset of str
-        Supported queries.
+        Supported queries, each with its method.
     notes : str
         A note for readers of its figures.
     """
 
     modes: ClassVar[tuple[str, ...]] = ("",)
-    queries: ClassVar[frozenset[Query]] = frozenset(("first", "any", "multi"))
+    queries: frozenset[Query] = frozenset(("first", "any", "multi"))
     notes: ClassVar[str] = ""
 
     @abstractmethod
@@ -148,28 +184,35 @@ class Contender(ABC):
     def release(self) -> None:
         """Free the structure."""
 
-    @abstractmethod
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:
         """Find the nearest hit of each ray."""
+        raise NotImplementedError
 
-    @abstractmethod
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:
         """Test whether each ray hits anything."""
+        raise NotImplementedError
 
     def multi_hit(self, rays: Rays, mode: str) -> AllHits:
         """Find all hits of each ray, sorted."""
         raise NotImplementedError
 
-    def run(self, query: Query, rays: Rays, mode: str) -> Result:
+    def closest_point(self, points: Points, mode: str) -> Closest:
+        """Find the nearest point of the triangles to each point."""
+        raise NotImplementedError
+
+    def run(self, query: Query, rays: Rays | Points, mode: str) -> Result:
         """Run one of the queries.
 
         Parameters
         ----------
-        query : {"first", "any", "multi"}
-        rays : Rays
+        query : {"first", "any", "multi", "closest"}
+        rays : Rays or Points
+            Points for ``"closest"``.
         mode : str
             One of `modes`.
         """
+        if isinstance(rays, Points):
+            return self.closest_point(rays, mode)
         if query == "first":
             return self.first_hit(rays, mode)
         if query == "any":

@@ -32,14 +32,14 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.nearest import is_wanted, offer_nearest
-from raystream.kernels.point_queries import point_queries
+from raystream.kernels.point_queries import PointSearch, point_queries
 from raystream.kernels.point_triangle import squared_distance
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import CHILDREN, LANE, NODE, Node
 from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
 from raystream.structures.bvh.traversal import STACK_BYTES
 
-__all__ = ["find_nearest"]
+__all__ = ["POINT_SEARCH", "find_nearest"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -166,7 +166,7 @@ def _offer_block(block, point, search, lanes):
 
 @device
 def _find(tree, frame, point, search, stack):
-    """Search the tree; see `kernels.point_queries.point_queries` for the arguments."""
+    """Search the tree; see `kernels.point_queries.PointSearch` for the arguments."""
     lanes = scratch(64)
     near = _near(point, frame)
     limit = _limit(search)
@@ -196,5 +196,8 @@ def _find(tree, frame, point, search, stack):
     return search
 
 
+#: The search of a point.
+POINT_SEARCH = PointSearch(_find, STACK_BYTES)
+
 #: The loop over points.
-find_nearest = point_queries(_find, STACK_BYTES)
+find_nearest = point_queries(POINT_SEARCH)
