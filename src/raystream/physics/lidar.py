@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import RayRows
+from raystream.core.instanced_triangles import InstancedTriangles, check_no_worlds
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
+from raystream.physics.library_results import LibraryLidarReturns, in_library_of
 from raystream.physics.pulses import Surfaces
 from raystream.physics.scan import Receiver, Returns, Scan
 from raystream.tracer import Tracer
@@ -46,6 +48,8 @@ class LidarReturns(RayRows):
         Number of the return within its pulse, from 1; and number of returns of that pulse.
     prim_id, mesh_id, material_id : ndarray of shape (K,), int32
         The triangle that returned most energy, its mesh and its material.
+    instance_id : ndarray of shape (K,), int32
+        The instance that the triangle is in; 0 in a scene without instances.
     status : ndarray of the pulses' leading shape, uint8
         A `RayStatus` for each pulse.
     """
@@ -60,7 +64,7 @@ class LidarReturns(RayRows):
     ) -> None:
         self.ray_splits = ray_splits
         self.ranges, self.positions, self.intensity = returns[:3]
-        self.incidence_angle, self.prim_id = returns[3:]
+        self.incidence_angle, self.prim_id, self.instance_id = returns[3:]
         self.mesh_id, self.material_id, self.status = mesh_id, material_id, status
         counts = np.diff(ray_splits)
         rows = np.arange(len(self.ranges)) - np.repeat(ray_splits[:-1], counts)
@@ -118,6 +122,7 @@ def lidar_returns(
     Returns
     -------
     LidarReturns
+        `LibraryLidarReturns` for rays in arrays of PyTorch, JAX, CuPy or xarray.
 
     Raises
     ------
@@ -143,7 +148,8 @@ def lidar_returns(
     >>> glass.ranges.round().astype(int).tolist(), glass.return_number.tolist()
     ([1092, 1138, 1359], [1, 2, 3])
     """
-    tracer.check_plain("lidar_returns")
+    triangles: Any = tracer.structure.triangles
+    check_no_worlds("lidar_returns", triangles)
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
@@ -154,7 +160,7 @@ def lidar_returns(
         "transmission", transmission, names, "material", high=1.0, default=0.0
     )
     surfaces = Surfaces(
-        tracer.structure.triangles.corners,
+        None if isinstance(triangles, InstancedTriangles) else triangles.corners,
         scene.attributes.material_ids,
         reflectances,
         transmissions,
@@ -176,14 +182,15 @@ def lidar_returns(
         if progress:
             progress(rows.stop, len(batch))
     returns = Returns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    mesh_splits = tracer.structure.triangles.mesh_splits
-    return LidarReturns(
+    mesh_splits = triangles.mesh_splits
+    found = LidarReturns(
         np.concatenate([[0], np.cumsum(counts)]),
         returns,
         (np.searchsorted(mesh_splits, returns.prim_id, side="right") - 1).astype(np.int32),
         surfaces.material_ids[returns.prim_id],
         status.reshape(batch.shape),
     )
+    return in_library_of(origins, directions, found, LibraryLidarReturns)
 
 
 def _check(name: str, value: float, low: float, high: float) -> float:

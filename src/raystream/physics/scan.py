@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import parallel_for
 from raystream.physics.pulses import Echoes, Surfaces, follow_pulses, merge_echoes
@@ -22,6 +23,9 @@ _FIRST_HITS = 8
 #: Rays per call of a kernel: about a millisecond.
 _CHUNK = 1 << 13
 
+#: Hits in instances whose normals are computed at a time: about 500 bytes each.
+_ROWS = 1 << 17
+
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
@@ -33,6 +37,7 @@ class Returns(NamedTuple):
     intensity: NDArray[np.float64]
     incidence_angle: NDArray[np.float64]
     prim_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
 
 
 class Receiver(NamedTuple):
@@ -61,6 +66,7 @@ class _Echoes(NamedTuple):
     energy: NDArray[np.float64]
     cosine: NDArray[np.float64]
     prim_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
 
 
 class Scan:
@@ -112,6 +118,7 @@ class Scan:
             intensity[kept],
             np.degrees(np.arccos(echoes.cosine[strongest])),
             echoes.prim_id[strongest],
+            echoes.instance_id[strongest],
         )
 
     def _first_echoes(
@@ -158,7 +165,7 @@ class Scan:
             )
             if not parts:
                 status[rows] = hits.status[::sub_rays]
-            echoes = self._follow(axes[rays], hits.ray_splits, hits.prim_id)
+            echoes = self._follow(axes[rays], hits)
             is_done = echoes.is_spent | (hits.counts < limit)
             if sub_rays == 1 and self._receiver.separation == 0.0:
                 is_done |= echoes.detected_count >= self._receiver.max_returns
@@ -170,22 +177,35 @@ class Scan:
                     echoes.energy[kept],
                     echoes.cosine[kept],
                     hits.prim_id[kept],
+                    hits.instance_id[kept],
                 )
             )
             rays, pulses = rays[~is_done], pulses[~is_done]
             limit *= 4
         return _Echoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def _follow(
-        self, axes: NDArray[np.float64], splits: NDArray[np.int64], prim_id: NDArray[np.int32]
-    ) -> Echoes:
+    def _follow(self, axes: NDArray[np.float64], hits: MultiHits) -> Echoes:
+        splits, prim_id = hits.ray_splits, hits.prim_id
         echoes = Echoes.empty(len(axes), len(prim_id))
+        if self._surfaces.corners is None:
+            _measure_cosines(axes, hits, echoes.cosine)
 
         def body(begin: int, end: int) -> None:
             follow_pulses(begin, end, axes, splits, prim_id, self._surfaces, echoes)
 
         parallel_for(body, len(axes), _CHUNK)
         return echoes
+
+
+def _measure_cosines(
+    axes: NDArray[np.float64], hits: MultiHits, cosine: NDArray[np.float64]
+) -> None:
+    """Write cosines of angles of incidence on triangles in instances."""
+    for first in range(0, len(cosine), _ROWS):
+        rows = slice(first, min(first + _ROWS, len(cosine)))
+        normals = hits.part(rows)._world_normals()
+        along = np.einsum("nk,nk->n", normals, axes[hits.ray_id[rows]])
+        cosine[rows] = np.minimum(np.abs(along), 1.0)
 
 
 def _rank(values: NDArray[np.int64]) -> NDArray[np.int64]:
