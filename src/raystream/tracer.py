@@ -19,7 +19,7 @@ from raystream.machines.answers import all_hits, nearest_hits
 from raystream.machines.memory_needed import MemoryEstimator
 from raystream.machines.point_queries import PointQueries
 from raystream.programs.filters import Bound, Filter
-from raystream.programs.payloads import as_payload, as_records
+from raystream.programs.payloads import as_payload, as_records, returned_payload
 from raystream.programs.trace import Order, check_order
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
@@ -151,9 +151,10 @@ class Tracer(MemoryEstimator, PointQueries):
             or as `Decision.CONTINUE` or `Decision.IGNORE`; `Decision.STOP` accepts it and ends
             the search. It may be called in any order, more than once, and at hits behind the
             nearest. See `trace` for what it may do. A `Bound` passes it constants.
-        skip_prim_ids : array_like of shape S or S + (k,), int, optional
+        skip_prim_ids : array_like of shape S or S + (k,), int, or Hits of shape S, optional
             Triangles that each ray ignores, such as the one that it starts on; -1 ignores
-            nothing. The filter is not called for them. With rays in arrays on a GPU, it may be
+            nothing. The filter is not called for them. Numbers ignore a triangle in all of its
+            instances, hits in the one that they are in. With rays in arrays on a GPU, it may be
             an array there, of int32 or int64.
         near : array_like that broadcasts to S, int, optional
             Where rays start, for a graph: `Hits.sectors` of the hits that they leave; -1 where it
@@ -346,26 +347,27 @@ class Tracer(MemoryEstimator, PointQueries):
         t_min: Any = 0.0,
         t_max: Any = np.inf,
         crossings: str = "triangles",
+        worlds: Any = None,
         progress: Progress | None = None,
-    ) -> NDArray[Any] | None:
+    ) -> Any:
         """Run a function at the hits of each ray.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max
+        origins, directions, t_min, t_max, worlds
             See `first_hit`.
         on_hit : callable
             ``on_hit(hit, payload)``, a Python function that Numba compiles. It gets a `Hit`
             and its ray's payload, which it changes in place, and returns `Decision.CONTINUE`,
             `Decision.STOP` (no more hits of this ray) or `Decision.IGNORE` (here the same as
             CONTINUE); returning nothing continues.
-        payload : ndarray or dtype, optional
-            A writable array of the rays' shape S, changed in place; a dtype allocates one of
-            zeros. Of a structured dtype the function gets its ray's record, as in
-            ``payload.depth += hit.t``; of plain numbers, of shape S or S + (k,), an array of
-            one or k numbers, as in ``payload[0] += 1``; without a payload, None. Of rays in
-            arrays on a GPU: an array there is changed there, a dtype allocates one there with
-            aligned fields, and a NumPy array is copied there and back.
+        payload : array or dtype, optional
+            A writable array of the rays' shape S, of NumPy or of another library on the host,
+            changed in place; a dtype allocates one of zeros. Of a structured dtype the function
+            gets its ray's record, as in ``payload.depth += hit.t``; of plain numbers, of shape S
+            or S + (k,), an array of one or k numbers, as in ``payload[0] += 1``; without a
+            payload, None. Of rays in arrays on a GPU: an array there is changed there, a dtype
+            allocates one there with aligned fields, and a NumPy array is copied there and back.
         order : {"front-to-back", "any"}
             Hits of a ray come by increasing t, then prim_id; or as they are found, which saves
             sorting them when the order does not matter.
@@ -376,9 +378,9 @@ class Tracer(MemoryEstimator, PointQueries):
 
         Returns
         -------
-        ndarray or None
-            The payload: the given array, or the new one, which is a
-            `raystream.jit.cuda.DeviceArray` of rays in arrays on a GPU.
+        array or None
+            The payload: the given array, or the new one, in the library of the rays unless it has
+            records. Of rays in arrays on a GPU: a `raystream.jit.cuda.DeviceArray`.
 
         Raises
         ------
@@ -412,12 +414,10 @@ class Tracer(MemoryEstimator, PointQueries):
         surfaces = counts_surfaces(crossings)
         check_order(order)
         query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
-        rays = self._rays(origins, directions, t_min, t_max)
-        self.check_plain("trace")
+        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         if isinstance(rays, RayArrays):
-            changed: NDArray[Any] | None
             changed = self._backend.answer_on_device(query, rays, progress, payload)
-            return changed
+            return returned_payload(payload, changed, origins, directions)
         self._check_programs()
         if payload is None:
             self._answer(query, rays, progress)
@@ -427,7 +427,7 @@ class Tracer(MemoryEstimator, PointQueries):
         self._answer(query, rays, progress, records)
         if not np.shares_memory(result, records):
             result[...] = records.reshape(result.shape)
-        return result
+        return returned_payload(payload, result, origins, directions)
 
     def bands_on_device(self, context: Any) -> Any:
         """The renderer on the tracer's device; None if it does not shade, or queries are needed.
@@ -474,7 +474,6 @@ class Tracer(MemoryEstimator, PointQueries):
             if limit == UNLIMITED and not surfaces:
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
-        self.check_plain("on_hit, skip_prim_ids")
         triangles = self.structure.triangles
         if isinstance(rays, RayArrays):
             chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)

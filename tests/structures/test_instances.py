@@ -440,14 +440,8 @@ def test_what_is_not_supported_says_so() -> None:
         with pytest.raises(ValueError, match=r"scene.flattened\(\)"):
             rs.Tracer(scene, **options)
     tracer = rs.Tracer(scene)
-    ray = ([0.0, 0, 5], [0.0, 0, -1])
     for ask in (
-        lambda: tracer.first_hit(*ray, skip_prim_ids=0),
-        lambda: tracer.any_hit(*ray, on_hit=lambda hit: True),
-        lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
         lambda: tracer.save("instances.npz"),
-        lambda: rs.thickness(tracer, *ray),
-        lambda: rs.lidar_returns(tracer, *ray),
         lambda: tracer.closest_point([0.0, 0, 5]),
         lambda: tracer.contains([0.0, 0, 5]),
         lambda: tracer.winding_number([0.0, 0, 5]),

@@ -15,7 +15,7 @@ from raystream.core.instances import Instances
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-__all__ = ["NOT_INSTANCED", "InstancedTriangles", "check_plain"]
+__all__ = ["NOT_INSTANCED", "InstancedTriangles", "check_no_worlds", "check_plain"]
 
 #: What to do where scenes with instances are not supported.
 NOT_INSTANCED = (
@@ -216,6 +216,28 @@ class InstancedTriangles:
         offset = self.first_prims[self.instances.object_ids[found]] - self.first_ids[found]
         return np.where(is_hit, numbers + offset, -1).astype(np.int32), instance_id
 
+    def numbers_of(
+        self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.int64]:
+        """The numbers of triangles among those of all instances; of misses -1."""
+        numbers = np.full(prim_id.shape, -1, np.int64)
+        is_hit = prim_id >= 0
+        ids = instance_id[is_hit]
+        first_prims = self.first_prims[self.instances.object_ids[ids]]
+        numbers[is_hit] = prim_id[is_hit] - first_prims + self.first_ids[ids]
+        return numbers
+
+    def solid_numbers(self) -> NDArray[np.int64]:
+        """The numbers of triangles that can be hit, increasing."""
+        ids, none = self.instances.object_ids, np.zeros(0, np.int64)
+        parts = [none]
+        for k, one in enumerate(self.objects):
+            firsts = self.first_ids[:-1][ids == k]
+            parts.append((firsts[:, None] + one.prim_ids).reshape(-1))
+        numbers = np.concatenate(parts)
+        numbers.sort()
+        return numbers
+
     # Geometry of hits: as `Triangles` has it, for each hit in the frame of its object.
 
     def corners_at(
@@ -317,6 +339,21 @@ def check_plain(what: str, triangles: Any) -> None:
         raise RaystreamError(f"{what}: {NOT_INSTANCED}")
     if isinstance(triangles, Primitives):
         raise RaystreamError(f"{what}: {NOT_TRIANGLES}")
+
+
+def check_no_worlds(what: str, triangles: Any) -> None:
+    """Check that triangles belong to no instances in worlds, with which `what` is not supported.
+
+    Raises
+    ------
+    RaystreamError
+        If they do.
+    """
+    if isinstance(triangles, InstancedTriangles) and triangles.instances.world_count:
+        raise RaystreamError(
+            f"{what}: not supported in a scene whose instances are in worlds; a scene of the "
+            "instances of one world is"
+        )
 
 
 #: Attributes of `Triangles` that instances cannot have.

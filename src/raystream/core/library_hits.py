@@ -7,14 +7,14 @@ from typing import Any
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.libraries import Library, as_index, library_of
 
-__all__ = ["LibraryHits", "LibraryMultiHits", "in_library"]
+__all__ = ["LibraryColumns", "LibraryHits", "LibraryMultiHits", "in_library"]
 
 _DERIVED = ("instance_id", "mesh_id", "mesh_prim_id", "material_id", "positions", "normals")
 _SHADING = ("shading_normals", "texcoords")
 _COLUMNS = ("t", "u", "v", "prim_id", *_DERIVED, *_SHADING)
 
 
-class _LibraryColumns:
+class LibraryColumns:
     """Columns of hits, converted when they are first read."""
 
     _hits: Any
@@ -38,11 +38,15 @@ class _LibraryColumns:
         self.__dict__[name] = array
         return array
 
+    def of_rays(self, array: Any) -> Any:
+        """An array of the library from NumPy's of the rays' leading shape, or that and one axis."""
+        return self._library.of_rays(array)
+
     def __repr__(self) -> str:
         return f"{type(self).__name__} of {self._hits!r}"
 
 
-class LibraryHits(_LibraryColumns):
+class LibraryHits(LibraryColumns):
     """The nearest hit of each ray, in arrays of the library that the rays came from.
 
     What a query returns for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when they are
@@ -96,7 +100,7 @@ class LibraryHits(_LibraryColumns):
         return LibraryHits(self.host().ravel(), self._library)
 
 
-class LibraryMultiHits(_LibraryColumns):
+class LibraryMultiHits(LibraryColumns):
     """All hits of each ray, in arrays of the library that the rays came from.
 
     Attributes

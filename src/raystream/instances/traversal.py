@@ -16,7 +16,7 @@ from raystream.core.rays import RayStatus
 from raystream.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
-from raystream.kernels.queries import Searches, note_status
+from raystream.kernels.queries import Searches, note_status, ray_filter
 from raystream.kernels.ray import LocalRay, prepare_ray
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
 from raystream.kernels.search import (
@@ -30,7 +30,15 @@ from raystream.structures.brute.traversal import traverse as traverse_brute
 from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 
-__all__ = ["STACK_BYTES", "TopAddresses", "instance_searches", "traverse_all", "traverse_top"]
+__all__ = [
+    "STACK_BYTES",
+    "TopAddresses",
+    "WorldRay",
+    "instance_searches",
+    "object_ray",
+    "traverse_all",
+    "traverse_top",
+]
 
 _STACK, _TREE = np.uint64(STACK_BYTES), np.uint64(TREE.itemsize)
 _NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)
@@ -122,7 +130,7 @@ def _product(row, x, y, z):
 
 
 @device
-def _object_ray(instance, ray, object_):
+def object_ray(instance, ray, object_):
     """The ray in the local frame of an instance's object."""
     ax = instance.linear[_NONE]
     ay = instance.linear[_ONE]
@@ -147,7 +155,7 @@ def _instance_search(traverse):
     def search_instance(tree, index, search, stack):
         instance = InstanceRecord(tree.leaves, index)
         object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
-        ray = _object_ray(instance, tree.ray, object_)
+        ray = object_ray(instance, tree.ray, object_)
         inner = enter_instance(search, ray, instance.first_id)
         if not (inner.t_min <= inner.t_far):
             return search
@@ -205,7 +213,7 @@ def instance_searches(traverse) -> Searches:
     """Make the searches of a ray with a traversal of instances; see `kernels.queries.searches`."""
 
     @device
-    def of_world(numbers, world, scene, goal):
+    def of_world(i, numbers, world, scene, goal):
         ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
         top, frame = scene.arrays, scene.frame
         ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
@@ -230,7 +238,7 @@ def instance_searches(traverse) -> Searches:
             goal.first_row,
             goal.surfaces,
             goal.counters,
-            None,
+            ray_filter(scene.filter, i, ray),
             InstanceRay(ray.t_scale, ray.t_offset, _NO_ID),
         )
         whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
@@ -247,13 +255,13 @@ def instance_searches(traverse) -> Searches:
         if worlds != _NONE:
             world = load(np.int32, worlds + (i << _TWO))
         numbers = ox, oy, oz, dx, dy, dz, t_min, t_max
-        search, ray = of_world(numbers, world, scene, goal)
+        search, ray = of_world(i, numbers, world, scene, goal)
         note_status(scene.status, i, ray.status)
         return search, ray
 
     @device
     def of_numbers(numbers, scene, goal):
-        return of_world(numbers, _NO_ID, scene, goal)
+        return of_world(_NONE, numbers, _NO_ID, scene, goal)
 
     return Searches(of_batch, of_numbers)
 

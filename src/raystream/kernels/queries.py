@@ -32,6 +32,7 @@ __all__ = [
     "finish_rows",
     "note_status",
     "output_of",
+    "ray_filter",
     "ray_queries",
     "ray_search",
     "searches",
@@ -82,7 +83,7 @@ class Goal(NamedTuple):
 
 
 @device
-def _ray_filter(filter_, i, ray):
+def ray_filter(filter_, i, ray):
     """The `RayFilter` of ray i, a `LocalRay`; None without a filter."""
     if filter_ is None:
         return None
@@ -154,7 +155,7 @@ def searches(traverse: Callable[..., Any]) -> Searches:
     def of_batch(i, scene, goal):
         ray = load_ray(scene.source, i, scene.frame)
         note_status(scene.status, i, ray.status)
-        filter_ = _ray_filter(scene.filter, i, ray)
+        filter_ = ray_filter(scene.filter, i, ray)
         return search_local(ray, scene, goal, filter_), ray
 
     @device

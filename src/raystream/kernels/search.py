@@ -300,17 +300,25 @@ def offer(search, t, u, v, prim_id):
     -------
     Search
     """
-    if not keeps(search.filter, t, u, v, prim_id):
+    number = _number(search.instance, prim_id)
+    if not keeps(search.filter, t, u, v, number):
         return search
-    return _offer_within(search.instance, search, t, u, v, prim_id)
+    return _offer_within(search.instance, search, t, u, v, number)
 
 
 @device
-def _offer_within(instance, search, t, u, v, prim_id):
+def _number(instance, prim_id):
+    """The number of a triangle as hits are kept with it, and filters called."""
     if instance is None:
-        return _offer_to(search.hits, search, t, u, v, prim_id)
+        return prim_id
+    return np.int32(prim_id + instance.first_id)
+
+
+@device
+def _offer_within(instance, search, t, u, v, number):
+    if instance is None:
+        return _offer_to(search.hits, search, t, u, v, number)
     world = world_t(t, instance.t_scale, instance.t_offset)
-    number = np.int32(prim_id + instance.first_id)
     found = _offer_to(search.hits, search, world, u, v, number)
     return _changed(search, found.hit_count, _limited(search.hits, instance, search.t_far, found))
 
@@ -350,9 +358,17 @@ def enter_instance(search, ray, first_id):
         search.first_row,
         search.surfaces,
         search.counters,
-        search.filter,
+        _moved_filter(search.filter, ray),
         instance,
     )
+
+
+@device
+def _moved_filter(filter_, ray):
+    """The filter of a ray, for its hits in an object's space; None if there is none."""
+    if filter_ is None:
+        return None
+    return RayFilter(filter_.filter, filter_.ray, ray.t_scale, ray.t_offset)
 
 
 @device

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import check_plain
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import as_host_array, as_real_array
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.core.triangles import MAX_COORDINATE, Triangles
+from raystream.line_of_sight.placed_ends import FAR_UNITS, PlacedPlanes, placed_planes
 from raystream.tracer import Tracer
 
 __all__ = [
@@ -27,11 +28,6 @@ __all__ = [
     "leaving_distance",
     "planes_of",
 ]
-
-#: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
-#: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
-#: rounded, too, by half a unit of that distance in each coordinate.
-FAR_UNITS = 10.0
 
 #: Other ends within this many of its own distances of a point's plane are in that plane.
 IN_PLANE = 2.0
@@ -51,9 +47,11 @@ class EndPoints(NamedTuple):
     normals : ndarray of shape S + (3,), float64, or None
         Of points on surfaces: unit normals of their triangles.
     extents : ndarray of shape S, float64, or None
-        Of points on surfaces: sizes of their triangles, local frame.
+        Of points on surfaces: sizes of their triangles, local frame; zeros with instances.
     skipped : ndarray of shape S + (k,), int64, or None
         Triangles that hide nothing from the point; -1 for none.
+    planes : PlacedPlanes or None
+        Of points on surfaces of instances.
     """
 
     positions: NDArray[np.float64]
@@ -62,15 +60,18 @@ class EndPoints(NamedTuple):
     normals: NDArray[np.float64] | None
     extents: NDArray[np.float64] | None
     skipped: NDArray[np.int64] | None
+    planes: PlacedPlanes | None = None
 
     def at(self, index: Any) -> EndPoints:
         """Pick points by an index into their shape."""
-        return EndPoints._make(None if array is None else array[index] for array in self)
+        picked: list[Any] = [None if array is None else array[index] for array in self.arrays]
+        planes = None if self.planes is None else self.planes.at(index)
+        return EndPoints._make([*picked, planes])
 
     @property
-    def byte_count(self) -> int:
-        """Bytes of the arrays."""
-        return sum(array.nbytes for array in self if array is not None)
+    def arrays(self) -> tuple[NDArray[Any] | None, ...]:
+        """The arrays that describe the points; those of planes follow from the scene."""
+        return self[:-1]
 
 
 def check_tracer(tracer: Any) -> None:
@@ -104,7 +105,9 @@ def planes_of(
 
 
 def leaving_distance(
-    triangles: Triangles, extents: NDArray[np.float64], reach: NDArray[np.float64]
+    triangles: Triangles | InstancedTriangles,
+    extents: NDArray[np.float64],
+    reach: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Distances from triangles' planes, local frame, at which rays that leave them start.
 
@@ -115,11 +118,13 @@ def leaving_distance(
     return UNIT * np.minimum(units, most) + _world_rounding(triangles)
 
 
-def _world_rounding(triangles: Triangles) -> float:
+def _world_rounding(triangles: Triangles | InstancedTriangles) -> float:
     return WORLD_UNIT * float(np.abs(triangles.center).max()) * triangles.scale
 
 
-def end_points(name: str, values: Any, skipped: Any, triangles: Triangles) -> EndPoints:
+def end_points(
+    name: str, values: Any, skipped: Any, triangles: Triangles | InstancedTriangles
+) -> EndPoints:
     """Read points: an array of shape (N, 3), or hits of any shape, flattened.
 
     Parameters
@@ -128,7 +133,7 @@ def end_points(name: str, values: Any, skipped: Any, triangles: Triangles) -> En
         Name of the argument, for errors; `skipped` is ``skip_`` and the name.
     values : array_like of shape (N, 3), real, or Hits
     skipped : array_like of shape (N,) or (N, k), int, or None
-    triangles : Triangles
+    triangles : Triangles or InstancedTriangles
         The traced ones.
 
     Raises
@@ -138,15 +143,19 @@ def end_points(name: str, values: Any, skipped: Any, triangles: Triangles) -> En
     TypeError
         If numbers are not real, or triangles not integers.
     """
-    normals = extents = None
+    normals = extents = planes = None
     if isinstance(values, Hits):
         hits = values.ravel()
         own = hits._triangles
-        check_plain(f"{name}: points on surfaces", own)
-        if own.scale != triangles.scale or not np.array_equal(own.center, triangles.center):
+        is_same = own.scale == triangles.scale and np.array_equal(own.center, triangles.center)
+        if not (is_same and type(own) is type(triangles)):
             raise ValueError(f"{name}: the hits are of another scene than the tracer's")
         positions, is_valid = hits.positions, hits.is_hit.copy()
-        normals, extents, _ = planes_of(hits._corners())
+        if isinstance(own, InstancedTriangles):
+            normals, extents = hits._world_normals(), np.zeros(len(positions))
+            planes = placed_planes(hits, own)
+        else:
+            normals, extents, _ = planes_of(hits._corners())
         is_valid &= np.isfinite(normals).all(axis=-1)
         normals[~is_valid] = extents[~is_valid] = 0.0
     else:
@@ -161,10 +170,12 @@ def end_points(name: str, values: Any, skipped: Any, triangles: Triangles) -> En
     positions[~is_valid] = 0.0
     reach = np.abs((positions - triangles.center) * triangles.scale).max(axis=-1, initial=0.0)
     ids = None if skipped is None else _skipped(f"skip_{name}", skipped, len(positions), triangles)
-    return EndPoints(positions, is_valid, reach, normals, extents, ids)
+    return EndPoints(positions, is_valid, reach, normals, extents, ids, planes)
 
 
-def _skipped(name: str, values: Any, count: int, triangles: Triangles) -> NDArray[np.int64]:
+def _skipped(
+    name: str, values: Any, count: int, triangles: Triangles | InstancedTriangles
+) -> NDArray[np.int64]:
     ids = as_host_array(name, values)
     if ids.size == 0:
         ids = ids.astype(np.int64)
@@ -214,16 +225,29 @@ def is_clear(
         length = np.minimum(length, longest)
     if starts.normals is not None or stops.normals is not None:
         if starts.normals is not None and starts.extents is not None:
-            distance = leaving_distance(frame, starts.extents, starts.reach) / frame.scale
-            side = _side(starts.normals, delta, distance, front_only, clear)
-            offset = (side * distance)[..., None] * starts.normals
+            if starts.planes is None:
+                distance = leaving_distance(frame, starts.extents, starts.reach) / frame.scale
+                side = _side(starts.normals, delta, distance, front_only, clear)
+                offset = (side * distance)[..., None] * starts.normals
+            else:
+                near = starts.planes.near
+                height = near * starts.planes.height
+                side = _side(starts.normals, delta, height, front_only, clear)
+                offset = (side * near)[..., None] * starts.planes.step
             origins, directions = origins + offset, directions - offset
         if stops.normals is not None and stops.extents is not None:
-            units = FAR_UNITS * (length + stops.extents)
-            units += REACH_UNITS * (np.minimum(starts.reach, stops.reach + length) + stops.reach)
-            distance = (UNIT * units + _world_rounding(frame)) / frame.scale
-            side = _side(stops.normals, -delta, distance, front_only, clear)
-            directions = directions + (side * distance)[..., None] * stops.normals
+            if stops.planes is None:
+                units = FAR_UNITS * (length + stops.extents)
+                nearer = np.minimum(starts.reach, stops.reach + length)
+                units += REACH_UNITS * (nearer + stops.reach)
+                distance = (UNIT * units + _world_rounding(frame)) / frame.scale
+                side = _side(stops.normals, -delta, distance, front_only, clear)
+                directions = directions + (side * distance)[..., None] * stops.normals
+            else:
+                units = stops.planes.units_at_end(directions)
+                height = units * stops.planes.height
+                side = _side(stops.normals, -delta, height, front_only, clear)
+                directions = directions + (side * units)[..., None] * stops.planes.step
     if not clear.any():
         return clear
     skipped = None

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import check_plain
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.triangles import Triangles
 from raystream.line_of_sight.end_points import check_tracer
 from raystream.tracer import Tracer
 
@@ -17,7 +19,9 @@ __all__ = ["surface_points"]
 _THIRD = 1.0 / 3.0
 
 
-def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THIRD) -> Hits:
+def surface_points(
+    tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THIRD, instance_ids: Any = None
+) -> Hits:
     """Make points on triangles, for `visibility` and other functions that take hits.
 
     Parameters
@@ -27,6 +31,8 @@ def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THI
         Triangles, counted over the whole scene; -1 for no point, as in a miss.
     u, v : array_like that broadcast to S, real
         Weights of vertices 1 and 2, as in `Hits` [default: the triangles' centres].
+    instance_ids : array_like that broadcasts to S, int, optional
+        In a scene with instances: the instance that each triangle is in.
 
     Returns
     -------
@@ -36,10 +42,10 @@ def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THI
     Raises
     ------
     ValueError
-        If a triangle does not exist, a weight is not finite or outside of the triangle, or
-        shapes disagree.
+        If a triangle does not exist, or not in its instance, a weight is not finite or outside of
+        the triangle, or shapes disagree.
     TypeError
-        If `prim_ids` are not integers, or weights not real numbers.
+        If `prim_ids` or `instance_ids` are not integers, or weights not real numbers.
 
     Examples
     --------
@@ -50,7 +56,6 @@ def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THI
     """
     check_tracer(tracer)
     triangles = tracer.structure.triangles
-    check_plain("surface_points", triangles)
     ids = as_host_array("prim_ids", prim_ids)
     if ids.size == 0:
         ids = ids.astype(np.int32)
@@ -61,6 +66,7 @@ def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THI
         raise ValueError(
             f"prim_ids: {wrong} is not a triangle; they are 0 to {len(triangles) - 1:,}, or -1"
         )
+    instances = _instances(instance_ids, ids, triangles)
     weights = []
     for name, values in (("u", u), ("v", v)):
         array = as_real_array(name, values)
@@ -79,4 +85,46 @@ def surface_points(tracer: Tracer, prim_ids: Any, u: Any = _THIRD, v: Any = _THI
         raise ValueError("u, v: expected weights of at least 0, with a sum of at most 1")
     t = np.where(is_miss, np.inf, 0.0).astype(np.float32)
     status = np.zeros(ids.shape, np.uint8)
-    return Hits(t, weights[0], weights[1], ids.astype(np.int32), status, triangles)
+    prim_id = ids.astype(np.int32)
+    return Hits(t, weights[0], weights[1], prim_id, status, triangles, None, instances)
+
+
+def _instances(
+    values: Any, prim_ids: NDArray[Any], triangles: Triangles | InstancedTriangles
+) -> NDArray[np.int32] | None:
+    """Check `instance_ids`; None in a scene without instances."""
+    if not isinstance(triangles, InstancedTriangles):
+        if values is not None:
+            raise ValueError("instance_ids: expected None: the scene has no instances")
+        return None
+    if values is None:
+        raise ValueError(
+            "instance_ids: expected the instance of each triangle, in a scene with instances"
+        )
+    given = as_host_array("instance_ids", values)
+    if given.size == 0:
+        given = given.astype(np.int32)
+    if given.dtype.kind not in "iu":
+        raise TypeError(f"instance_ids: expected integers, got {given.dtype}")
+    try:
+        given = np.broadcast_to(given, prim_ids.shape)
+    except ValueError:
+        raise ValueError(
+            f"instance_ids: shape {given.shape} does not broadcast to that of prim_ids, "
+            f"{prim_ids.shape}"
+        ) from None
+    ids = np.where(prim_ids < 0, -1, given)
+    found = prim_ids >= 0
+    count = len(triangles.instances)
+    if found.any() and not (ids[found].min() >= 0 and ids[found].max() < count):
+        raise ValueError(f"instance_ids: expected 0 to {count - 1:,}")
+    objects = triangles.instances.object_ids[ids[found]]
+    first, end = triangles.first_prims[objects], triangles.first_prims[objects + 1]
+    is_own = (first <= prim_ids[found]) & (prim_ids[found] < end)
+    if not is_own.all():
+        wrong = int(np.argmin(is_own))
+        raise ValueError(
+            f"prim_ids: triangle {prim_ids[found][wrong]} is not one of instance "
+            f"{ids[found][wrong]}"
+        )
+    return ids.astype(np.int32)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream._version import __version__
-from raystream.core.instanced_triangles import check_plain
+from raystream.core.instanced_triangles import check_no_worlds
+from raystream.core.libraries import library_of
 from raystream.core.memory import available_memory
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import (
@@ -22,6 +23,13 @@ from raystream.line_of_sight.end_points import (
     is_clear,
 )
 from raystream.line_of_sight.resumable_array import resumable_array
+from raystream.line_of_sight.resumable_store import StoredArray, open_stored, resumable_store
+from raystream.line_of_sight.sparse_rows import (
+    SparseVisibility,
+    band_tiles,
+    stored_rows,
+    write_rows,
+)
 from raystream.line_of_sight.tiles import LEAST_TILE, MOST_TILE, Tile, Tiles
 from raystream.ray_files.identity import scene_digest
 from raystream.tracer import Tracer
@@ -37,36 +45,11 @@ _FORMS = ("dense", "bits", "sparse")
 _BYTES_PER_RAY = 200
 _BYTES_PER_SKIPPED = 40
 
+#: The array of a Zarr group.
+_MATRIX = "visible"
+
 #: Memory per pair of points that see each other, while a sparse result is sorted.
 _BYTES_PER_ENTRY = 28
-
-
-class SparseVisibility(NamedTuple):
-    """The pairs of points that see each other, by compressed rows.
-
-    ``scipy.sparse.csr_array((np.ones(len(s.indices), bool), s.indices, s.indptr), s.shape)`` is
-    the same.
-
-    Attributes
-    ----------
-    indptr : ndarray of shape (N + 1,), int32, or int64 if a number needs it
-        Point i of `a` sees the points ``indices[indptr[i]:indptr[i + 1]]`` of `b`.
-    indices : ndarray of shape (K,), of the same dtype
-        Increasing for each i.
-    shape : tuple of two int
-        (N, M)
-    """
-
-    indptr: NDArray[Any]
-    indices: NDArray[Any]
-    shape: tuple[int, int]
-
-    def dense(self) -> NDArray[np.bool_]:
-        """The matrix of shape (N, M), bool."""
-        matrix = np.zeros(self.shape, bool)
-        rows = np.repeat(np.arange(self.shape[0]), np.diff(self.indptr))
-        matrix[rows, self.indices] = True
-        return matrix
 
 
 def visibility(
@@ -101,9 +84,10 @@ def visibility(
     skip_a, skip_b : array_like of shape (N,) or (N, k), and (M,) or (M, k), int, optional
         Triangles that hide nothing from a point, such as those around a vertex; -1 for none.
     out : str or path, optional
-        A ``.npy`` file for the result, "dense" or "bits". The call can be interrupted at any
-        time; the same call resumes. A file beside it, ``out`` with ``.progress.json`` at the
-        end, says what is done and of which query; a finished one is returned at once.
+        A ``.npy`` file for the result, "dense" or "bits"; or a ``.zarr`` folder for a Zarr group
+        of any form, compressed. The call can be interrupted at any time; the same call resumes. A
+        file beside it, ``out`` with ``.progress.json`` at the end, says what is done and of which
+        query; a finished one is returned at once.
     max_memory : int, optional
         Most bytes to use, without those of the tracer and the points given [default: the
         memory that is free].
@@ -119,7 +103,9 @@ def visibility(
     SparseVisibility
         ``form="sparse"``: the pairs that see each other.
 
-    With `out`, the arrays are maps of the file, read-only.
+    With `out`, the arrays are maps of the file, read-only, or arrays of the group, ``zarr.Array``:
+    "visible", or "indptr" and "indices". Otherwise, if `a` is a tensor of PyTorch, or an array of
+    JAX, CuPy or xarray, or else `b`, "dense" and "bits" are in arrays of that library.
 
     Raises
     ------
@@ -129,10 +115,14 @@ def visibility(
         If numbers are not real, or `skip_a` or `skip_b` not integers.
     MemoryError
         If the result and a block of rays need more than `max_memory` or the memory that is free:
-        before anything is traced. The memory of "sparse" depends on what is found, and is
-        checked as it grows.
+        before anything is traced. The memory of "sparse" without `out` depends on what is found,
+        and is checked as it grows; with it, that of a band of rows is known.
     FileFormatError
         If `out` belongs to another query.
+    StoreWriteError
+        If a Zarr group cannot be written.
+    RaystreamError
+        If the package zarr is needed and not installed; or if the scene's instances are in worlds.
 
     Notes
     -----
@@ -149,7 +139,11 @@ def visibility(
     Segments run from `a` to `b`. With the arguments exchanged, the result is the transpose but
     for segments that pass an edge within rounding errors.
 
-    Rays are traced in blocks of at most 262,144; memory is that of the result and of a block.
+    Rays are traced in blocks of at most 262,144; memory is that of the result and of a block. Rows
+    of "sparse" are written in order: without `b` all segments are traced, from the lower to the
+    higher number, not half of them.
+
+    In a scene with instances, `skip_a` and `skip_b` name triangles in all instances.
 
     Examples
     --------
@@ -168,19 +162,21 @@ def visibility(
         raise ValueError("skip_b: expected None without b; skip_a serves both")
     path = None if out is None else _checked_path(out, form)
     triangles = tracer.structure.triangles
-    if path is not None:
-        check_plain("out", triangles)
+    check_no_worlds("visibility", triangles)
     starts = end_points("a", a, skip_a, triangles)
     stops = starts if b is None else end_points("b", b, skip_b, triangles)
     job = _Job(tracer, starts, stops, bool(front_only), form, b is None)
     tiles, limit = job.plan(path is not None, max_memory)
+    if path is not None and path.suffix == ".zarr":
+        return job.stored(path, tiles, progress)
     if form == "sparse":
         return job.sparse(tiles, limit, progress)
     shape, dtype = job.result_type
     if path is None:
         result = np.zeros(shape, dtype)
         job.fill(tiles, result, 0, None, progress)
-        return result
+        library = library_of(a, b)
+        return result if library is None else library.of_rows(result)
     with resumable_array(path, shape, dtype, job.identity(tiles)) as file:
         job.fill(tiles, file.array, file.done, file.record, progress)
     return np.load(path, mmap_mode="r")
@@ -188,10 +184,10 @@ def visibility(
 
 def _checked_path(out: str | PathLike[str], form: str) -> Path:
     path = Path(out)
-    if path.suffix != ".npy":
-        raise ValueError(f"out: expected a name that ends in .npy, got {str(path)!r}")
-    if form == "sparse":
-        raise ValueError("out: 'sparse' results are not written to files; use form='bits'")
+    if path.suffix not in (".npy", ".zarr"):
+        raise ValueError(f"out: expected a name that ends in .npy or .zarr, got {str(path)!r}")
+    if form == "sparse" and path.suffix == ".npy":
+        raise ValueError("out: expected a name that ends in .zarr for form='sparse'")
     return path
 
 
@@ -242,11 +238,17 @@ class _Job(NamedTuple):
             ends.skipped.shape[-1] for ends in (self.starts, self.stops) if ends.skipped is not None
         )
         most = max(min(MOST_TILE, self.shape[0] * self.shape[1]), 1)
+        is_banded = is_on_disk and self.form == "sparse"
         while True:
             per_ray = _BYTES_PER_RAY + _BYTES_PER_SKIPPED * skipped
+            if is_banded:
+                per_ray += _BYTES_PER_RAY * self.is_half  # ends by their numbers
+                held = _BYTES_PER_ENTRY * max(most, self.shape[1])
             working = most * per_ray + self.tracer.memory_needed(most, "any_hit").total
             if limit is None or held + working <= limit:
                 left = None if limit is None else limit - working
+                if is_banded:
+                    return band_tiles(self.shape, most), left
                 return Tiles.of(self.shape, self.is_half, most), left
             if most <= LEAST_TILE:
                 break
@@ -256,7 +258,7 @@ class _Job(NamedTuple):
         if max_memory is not None:
             given = f"max_memory allows {_size(limit)}"
         remedy = ""
-        if held:
+        if held and not is_banded:
             bits = rows * -(-columns // 8)
             remedy = f"; use form='bits' ({_size(bits)}), 'sparse', or a file with out="
         raise MemoryError(
@@ -269,6 +271,34 @@ class _Job(NamedTuple):
         starts, stops = self.starts.at(tile.rows), self.stops.at(tile.columns)
         pairs = starts.at((slice(None), None)), stops.at((None, slice(None)))
         return is_clear(self.tracer, *pairs, self.front_only)
+
+    def trace_ordered(self, tile: Tile) -> NDArray[np.bool_]:
+        """The same; of one set of points, segments run from the lower number to the higher."""
+        rows, columns = tile.rows, tile.columns
+        if not self.is_half or columns.start >= rows.stop:
+            return self.trace(tile)
+        if columns.stop <= rows.start:
+            return self.trace(Tile(columns, rows, 0)).T
+        i = np.arange(rows.start, rows.stop)[:, None]
+        j = np.arange(columns.start, columns.stop)
+        ends = self.starts.at(np.minimum(i, j)), self.starts.at(np.maximum(i, j))
+        return is_clear(self.tracer, *ends, self.front_only)
+
+    def stored(self, path: Path, tiles: Tiles, progress: Progress | None) -> Any:
+        """Trace the tiles into a Zarr group, or what is left of them."""
+        identity = self.identity(tiles)
+        if self.form == "sparse":
+            with resumable_store(path, stored_rows(self.shape[0]), identity) as store:
+                write_rows(self.trace_ordered, tiles, store, progress)
+            splits, indices = (open_stored(path, name) for name in ("indptr", "indices"))
+            return SparseVisibility(splits, indices, self.shape)
+        shape, dtype = self.result_type
+        rows, columns = (max(step, 1) for step in tiles.step)
+        chunk = rows, columns if self.form == "dense" else -(-columns // 8)
+        kind = StoredArray(shape, chunk, np.dtype(dtype).name)
+        with resumable_store(path, {_MATRIX: kind}, identity) as store:
+            self.fill(tiles, store.matrix(_MATRIX), store.done.rays, store.record, progress)
+        return open_stored(path, _MATRIX)
 
     def fill(
         self, tiles: Tiles, out: Any, done: int, record: Any, progress: Progress | None
@@ -345,7 +375,7 @@ class _Job(NamedTuple):
         """Describe the query in JSON types."""
         digest = hashlib.sha256()
         for ends in (self.starts, self.stops):
-            for array in ends:
+            for array in ends.arrays:
                 digest.update(b"none" if array is None else np.ascontiguousarray(array).data)
         return {
             "version": __version__,

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.instanced_triangles import check_plain
+from raystream.core.hits import Hits
+from raystream.core.instanced_triangles import InstancedTriangles, check_no_worlds
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
 from raystream.jit.threads import Progress
@@ -24,6 +25,9 @@ __all__ = ["VisibleFaces", "visible_faces"]
 #: Most rays that are traced at once.
 _BLOCK = 1 << 18
 
+#: Bytes of a face that is counted; and, in a scene with instances, of one that is looked for.
+_COUNT_BYTES, _LOOKING_BYTES = 9, 34
+
 #: Additive recurrence in two dimensions with low discrepancy: powers of the inverse of the
 #: plastic number, the root of x**3 = x + 1.
 _STEPS = np.array([0.7548776662466927, 0.5698402909980532])
@@ -38,10 +42,14 @@ class VisibleFaces(NamedTuple):
         Triangles, counted over the whole scene, increasing.
     pixel_counts : ndarray of shape (K,), int64
         Pixels at whose centre each is seen; 0 for those that only their own rays found.
+    instance_ids : ndarray of shape (K,), int32
+        The instance that each is in, increasing, and `prim_ids` within each; 0 in a scene without
+        instances.
     """
 
     prim_ids: NDArray[np.int32]
     pixel_counts: NDArray[np.int64]
+    instance_ids: NDArray[np.int32]
 
 
 def visible_faces(
@@ -106,17 +114,19 @@ def visible_faces(
     points = operator.index(points_per_face)
     if points < 0:
         raise ValueError(f"points_per_face: expected at least 0, got {points}")
-    triangles = tracer.structure.triangles
-    if points:
-        check_plain("points_per_face above 0", triangles)
-    check_memory(9 * len(triangles), f"counts of {len(triangles):,} faces would")
-    counts = np.zeros(len(triangles), np.int64)
+    triangles: Any = tracer.structure.triangles
+    check_no_worlds("visible_faces", triangles)
+    is_placed = isinstance(triangles, InstancedTriangles)
+    count = int(triangles.first_ids[-1]) if is_placed else len(triangles)
+    needed = _LOOKING_BYTES if is_placed and points else _COUNT_BYTES
+    check_memory(needed * count, f"counts of {count:,} faces would")
+    counts = np.zeros(count, np.int64)
     rows = max(_BLOCK // width, 1)
     total = width * height
     x = np.arange(width) + 0.5
     for first in range(0, height, rows):
         y = np.arange(first, min(first + rows, height))[:, None] + 0.5
-        found = tracer.first_hit(*camera.rays(width, height, x, y)).prim_id
+        found = _numbers(tracer.first_hit(*camera.rays(width, height, x, y)), triangles)
         ids, pixels = np.unique(found[found >= 0], return_counts=True)
         counts[ids] += pixels
         if progress:
@@ -124,8 +134,26 @@ def visible_faces(
     is_seen = counts > 0
     if points:
         _look_for_others(tracer, camera, (width, height), points, is_seen, progress)
-    prim_ids = np.flatnonzero(is_seen)
-    return VisibleFaces(prim_ids.astype(np.int32), counts[prim_ids])
+    numbers = np.flatnonzero(is_seen)
+    prim_ids, instance_ids = _split(numbers, triangles)
+    return VisibleFaces(prim_ids, counts[numbers], instance_ids)
+
+
+def _numbers(hits: Hits, triangles: Any) -> NDArray[Any]:
+    """The triangles hit; with instances, their numbers among those of all instances."""
+    if not isinstance(triangles, InstancedTriangles):
+        return hits.prim_id
+    return triangles.numbers_of(hits.prim_id, hits.instance_id)
+
+
+def _split(
+    numbers: NDArray[np.int64], triangles: Any
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The prim_ids and instance_ids of numbers."""
+    ids = numbers.astype(np.int32)
+    if not isinstance(triangles, InstancedTriangles):
+        return ids, np.zeros(len(ids), np.int32)
+    return triangles.split_ids(ids)
 
 
 def _as_camera(tracer: Tracer, camera: Any, aspect: float) -> Camera:
@@ -152,9 +180,10 @@ def _look_for_others(
     progress: Progress | None,
 ) -> None:
     """Trace rays to points of the faces that are not seen yet."""
-    triangles = tracer.structure.triangles
-    prim_ids = triangles.prim_ids
-    others = prim_ids[~is_seen[prim_ids]]
+    triangles: Any = tracer.structure.triangles
+    is_placed = isinstance(triangles, InstancedTriangles)
+    others = triangles.solid_numbers() if is_placed else triangles.prim_ids
+    others = others[~is_seen[others]]
     pixels = size[0] * size[1]
     total = pixels + points * len(others)
     for number in range(points):
@@ -162,7 +191,9 @@ def _look_for_others(
         u, v = _weights(number)
         for begin in range(0, len(others), _BLOCK):
             faces = others[begin : begin + _BLOCK]
-            stops = end_points("faces", surface_points(tracer, faces, u, v), None, triangles)
+            prim_ids, instance_ids = _split(faces, triangles)
+            centers = surface_points(tracer, prim_ids, u, v, instance_ids if is_placed else None)
+            stops = end_points("faces", centers, None, triangles)
             origins, is_inside = seen_from(camera, size, stops.positions)
             inside = np.flatnonzero(is_inside & stops.is_valid)
             if len(inside):

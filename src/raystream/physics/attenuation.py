@@ -8,23 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.physics.group_values import group_values
+from raystream.physics.library_results import LibraryThickness
 from raystream.physics.thickness import Grouping, Thickness
 
 __all__ = ["attenuation"]
 
 
 def attenuation(
-    thickness: Thickness,
+    thickness: Thickness | LibraryThickness,
     coefficients: Any,
     *,
     by: Grouping = "material",
     incomplete: Literal["nan", "ignore"] = "nan",
-) -> NDArray[np.float64]:
+) -> Any:
     """Compute the fraction of each ray that solids transmit.
 
     Parameters
     ----------
-    thickness : Thickness
+    thickness : Thickness or LibraryThickness
     coefficients : mapping, or array_like of shape () or (M,), real
         Linear attenuation coefficients, in reciprocal scene units; not negative. A mapping
         maps materials (or meshes), by name or number, to coefficients, and may omit those that
@@ -37,7 +38,8 @@ def attenuation(
 
     Returns
     -------
-    ndarray of the rays' leading shape, float64
+    array of the rays' leading shape, float64
+        In the library of the rays:
         exp(-sum of coefficient * path length over the ray's segments), 1 for a ray that
         misses everything.
 
@@ -64,6 +66,9 @@ def attenuation(
     """
     if incomplete not in ("nan", "ignore"):
         raise ValueError(f"incomplete: expected 'nan' or 'ignore', got {incomplete!r}")
+    if isinstance(thickness, LibraryThickness):
+        host = attenuation(thickness.host(), coefficients, by=by, incomplete=incomplete)
+        return thickness.of_rays(host)
     ids, names = thickness.group_ids(by), thickness.group_names(by)
     table = group_values("coefficients", coefficients, names, by)
     missing = np.unique(ids[np.isnan(table[ids])])

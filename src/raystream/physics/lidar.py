@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import RayRows
+from raystream.core.instanced_triangles import check_no_worlds
 from raystream.core.primitives import Primitives
 from raystream.core.rays import RayBatch
+from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
+from raystream.physics.library_results import LibraryLidarReturns, in_library_of
 from raystream.physics.pulses import Surfaces
 from raystream.physics.scan import Receiver, Returns, Scan
 from raystream.tracer import Tracer
@@ -25,8 +28,6 @@ MAX_DIVERGENCE = 90.0
 
 #: Sub-rays per block: bounds the memory of all but the returns.
 _SUB_RAYS_PER_BLOCK = 1 << 18
-
-_NO_CORNERS = np.zeros((0, 3, 3), np.float32)
 
 
 class LidarReturns(RayRows):
@@ -49,6 +50,8 @@ class LidarReturns(RayRows):
         Number of the return within its pulse, from 1; and number of returns of that pulse.
     prim_id, mesh_id, material_id : ndarray of shape (K,), int32
         The triangle that returned most energy, its mesh and its material.
+    instance_id : ndarray of shape (K,), int32
+        The instance that the triangle is in; 0 in a scene without instances.
     status : ndarray of the pulses' leading shape, uint8
         A `RayStatus` for each pulse.
     """
@@ -63,7 +66,7 @@ class LidarReturns(RayRows):
     ) -> None:
         self.ray_splits = ray_splits
         self.ranges, self.positions, self.intensity = returns[:3]
-        self.incidence_angle, self.prim_id = returns[3:]
+        self.incidence_angle, self.prim_id, self.instance_id = returns[3:]
         self.mesh_id, self.material_id, self.status = mesh_id, material_id, status
         counts = np.diff(ray_splits)
         rows = np.arange(len(self.ranges)) - np.repeat(ray_splits[:-1], counts)
@@ -121,6 +124,7 @@ def lidar_returns(
     Returns
     -------
     LidarReturns
+        `LibraryLidarReturns` for rays in arrays of PyTorch, JAX, CuPy or xarray.
 
     Raises
     ------
@@ -147,8 +151,7 @@ def lidar_returns(
     ([1092, 1138, 1359], [1, 2, 3])
     """
     held: Any = tracer.structure.triangles
-    if not isinstance(held, Primitives):
-        tracer.check_plain("lidar_returns")
+    check_no_worlds("lidar_returns", held)
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
@@ -159,7 +162,7 @@ def lidar_returns(
         "transmission", transmission, names, "material", high=1.0, default=0.0
     )
     surfaces = Surfaces(
-        _NO_CORNERS if isinstance(held, Primitives) else held.corners,
+        held.corners if isinstance(held, Triangles) else None,
         scene.attributes.material_ids,
         reflectances,
         transmissions,
@@ -181,19 +184,20 @@ def lidar_returns(
         if progress:
             progress(rows.stop, len(batch))
     returns = Returns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    mesh_splits = held.mesh_splits
     material_ids = (
         held.materials_at(returns.prim_id)
         if isinstance(held, Primitives)
         else surfaces.material_ids[returns.prim_id]
     )
-    return LidarReturns(
+    mesh_splits = held.mesh_splits
+    found = LidarReturns(
         np.concatenate([[0], np.cumsum(counts)]),
         returns,
         (np.searchsorted(mesh_splits, returns.prim_id, side="right") - 1).astype(np.int32),
         material_ids,
         status.reshape(batch.shape),
     )
+    return in_library_of(origins, directions, found, LibraryLidarReturns)
 
 
 def _check(name: str, value: float, low: float, high: float) -> float:

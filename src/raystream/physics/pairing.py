@@ -18,6 +18,7 @@ __all__ = [
     "Limits",
     "MeshScratch",
     "Pairs",
+    "classify_crossing",
     "classify_crossings",
     "pair_crossings",
 ]
@@ -163,17 +164,37 @@ def classify_crossings(begin, end, source, frame, corners, mesh_splits, is_flipp
         ray = prepare_ray(
             local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.max_coordinate
         )
-        # The triangle test may shift a ray sideways by this much, see `PAD`.
-        reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
-        aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.t_scale
         for row in range(first, last):
-            prim_id = crossings.prim_id[row]
-            mesh_id = _mesh_of(prim_id, mesh_splits)
-            enters = _faces_ray(ray, corners, prim_id) != is_flipped[mesh_id]
+            mesh_id = _mesh_of(crossings.prim_id[row], mesh_splits)
             crossings.mesh_id[row] = mesh_id
-            crossings.kind[row] = _ENTRY if enters else _EXIT
-            cosine = _cosine(ray, corners, prim_id)
-            crossings.slack[row] = aside / cosine + _ROUNDING * abs(crossings.t[row])
+            classify_crossing(row, local, ray, frame, corners, is_flipped[mesh_id], crossings)
+
+
+@device
+def classify_crossing(row, local, ray, frame, corners, is_flipped, crossings):
+    """Write `kind` and `slack` of a crossing.
+
+    Parameters
+    ----------
+    row : int
+    local : LocalRay
+    ray : Ray
+        The same, prepared.
+    frame : SceneFrame or view of one
+        Of the triangle.
+    corners : ndarray of shape (F, 3, 3), float32
+    is_flipped : bool
+        Whether the triangle's mesh faces inward.
+    crossings : Crossings
+    """
+    # The triangle test may shift a ray sideways by this much, see `PAD`.
+    reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
+    aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.t_scale
+    prim_id = crossings.prim_id[row]
+    enters = _faces_ray(ray, corners, prim_id) != is_flipped
+    crossings.kind[row] = _ENTRY if enters else _EXIT
+    cosine = _cosine(ray, corners, prim_id)
+    crossings.slack[row] = aside / cosine + _ROUNDING * abs(crossings.t[row])
 
 
 @device

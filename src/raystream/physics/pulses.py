@@ -17,7 +17,8 @@ class Surfaces(NamedTuple):
 
     Attributes
     ----------
-    corners : ndarray of shape (F, 3, 3), float32
+    corners : ndarray of shape (F, 3, 3), float32, or None
+        None if `Echoes.cosine` is known.
     material_ids : ndarray of shape (F,), int32
     reflectance, transmission : ndarray of shape (M,), float64
         Per material.
@@ -25,7 +26,7 @@ class Surfaces(NamedTuple):
         A pulse is followed while it has at least this much energy.
     """
 
-    corners: NDArray[np.float32]
+    corners: NDArray[np.float32] | None
     material_ids: NDArray[np.int32]
     reflectance: NDArray[np.float64]
     transmission: NDArray[np.float64]
@@ -82,7 +83,7 @@ def follow_pulses(begin, end, directions, splits, prim_id, surfaces, echoes):
         for row in range(splits[i], splits[i + np.uint64(1)]):
             prim = prim_id[row]
             material = surfaces.material_ids[prim]
-            cosine = _cosine(surfaces.corners, prim, dx, dy, dz)
+            cosine = _cosine_at(surfaces.corners, prim, dx, dy, dz, echoes.cosine[row])
             passing = left * surfaces.transmission[material]
             energy = (left - passing) * surfaces.reflectance[material] * cosine
             echoes.energy[row] = energy
@@ -91,6 +92,14 @@ def follow_pulses(begin, end, directions, splits, prim_id, surfaces, echoes):
             left = passing if passing >= surfaces.threshold else 0.0
         echoes.detected_count[i] = count
         echoes.is_spent[i] = left == 0.0
+
+
+@device
+def _cosine_at(corners, i, dx, dy, dz, known):
+    """The cosine at a triangle; the known one without corners."""
+    if corners is None:
+        return known
+    return _cosine(corners, i, dx, dy, dz)
 
 
 @device

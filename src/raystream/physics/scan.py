@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import MultiHits
-from raystream.core.primitive_hits import PrimitiveMultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import parallel_for
 from raystream.physics.pulses import Echoes, Surfaces, follow_pulses, merge_echoes
@@ -24,6 +23,9 @@ _FIRST_HITS = 8
 #: Rays per call of a kernel: about a millisecond.
 _CHUNK = 1 << 13
 
+#: Hits in instances whose normals are computed at a time: about 500 bytes each.
+_ROWS = 1 << 17
+
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
@@ -35,6 +37,7 @@ class Returns(NamedTuple):
     intensity: NDArray[np.float64]
     incidence_angle: NDArray[np.float64]
     prim_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
 
 
 class Receiver(NamedTuple):
@@ -63,6 +66,7 @@ class _Echoes(NamedTuple):
     energy: NDArray[np.float64]
     cosine: NDArray[np.float64]
     prim_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
 
 
 class Scan:
@@ -114,6 +118,7 @@ class Scan:
             intensity[kept],
             np.degrees(np.arccos(echoes.cosine[strongest])),
             echoes.prim_id[strongest],
+            echoes.instance_id[strongest],
         )
 
     def _first_echoes(
@@ -172,6 +177,7 @@ class Scan:
                     echoes.energy[kept],
                     echoes.cosine[kept],
                     hits.prim_id[kept],
+                    hits.instance_id[kept],
                 )
             )
             rays, pulses = rays[~is_done], pulses[~is_done]
@@ -180,17 +186,28 @@ class Scan:
 
     def _follow(self, axes: NDArray[np.float64], hits: MultiHits) -> Echoes:
         splits, prim_id, surfaces = hits.ray_splits, hits.prim_id, self._surfaces
-        if isinstance(hits, PrimitiveMultiHits):  # surfaces of the hits, one for each
-            corners, material_ids = hits.flat_corners(), hits.material_id
-            surfaces = surfaces._replace(corners=corners, material_ids=material_ids)
-            prim_id = np.arange(len(prim_id), dtype=np.int32)
         echoes = Echoes.empty(len(axes), len(prim_id))
+        if surfaces.corners is None:  # the hits know their normals and materials
+            _measure_cosines(axes, hits, echoes.cosine)
+            surfaces = surfaces._replace(material_ids=hits.material_id)
+            prim_id = np.arange(len(prim_id), dtype=np.int32)
 
         def body(begin: int, end: int) -> None:
             follow_pulses(begin, end, axes, splits, prim_id, surfaces, echoes)
 
         parallel_for(body, len(axes), _CHUNK)
         return echoes
+
+
+def _measure_cosines(
+    axes: NDArray[np.float64], hits: MultiHits, cosine: NDArray[np.float64]
+) -> None:
+    """Write cosines of angles of incidence."""
+    for first in range(0, len(cosine), _ROWS):
+        rows = slice(first, min(first + _ROWS, len(cosine)))
+        normals = hits.part(rows)._world_normals()
+        along = np.einsum("nk,nk->n", normals, axes[hits.ray_id[rows]])
+        cosine[rows] = np.minimum(np.abs(along), 1.0)
 
 
 def _rank(values: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import MultiHits
+from raystream.core.instanced_triangles import check_no_worlds
 from raystream.core.rays import RayBatch
+from raystream.instances.structure import InstancedStructure
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import Solids, solids_of
+from raystream.physics.library_results import LibraryThickness, in_library_of
 from raystream.physics.pairing import (
     NO_ROW,
     Crossings,
@@ -23,6 +26,7 @@ from raystream.physics.pairing import (
     classify_crossings,
     pair_crossings,
 )
+from raystream.physics.placed_crossings import PlacedSolids, classify_placed_crossings
 from raystream.physics.thickness import Segments, Thickness, Unpaired, direction_lengths
 from raystream.tracer import Tracer
 
@@ -66,6 +70,7 @@ def thickness(
     Returns
     -------
     Thickness
+        `LibraryThickness` for rays in arrays of PyTorch, JAX, CuPy or xarray.
 
     Raises
     ------
@@ -103,7 +108,7 @@ def thickness(
     """
     if ends not in ("report", "clip"):
         raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
-    tracer.check_plain("thickness")
+    check_no_worlds("thickness", tracer.structure.triangles)
     batch = RayBatch(origins, directions, t_min, t_max)
     worker = _Worker(tracer, batch, ends == "clip")
     splits = np.zeros(len(batch) + 1, np.int64)
@@ -114,7 +119,7 @@ def thickness(
         counts, segments, unpaired = worker.pair(rows, hits)
         splits[rows.start + 1 : rows.stop + 1] = counts
         parts.append((segments, unpaired))
-    return Thickness(
+    found = Thickness(
         np.cumsum(splits),
         Segments(*(np.concatenate(column) for column in zip(*(p[0] for p in parts), strict=True))),
         Unpaired(*(np.concatenate(column) for column in zip(*(p[1] for p in parts), strict=True))),
@@ -125,6 +130,7 @@ def thickness(
             [material.name for material in tracer.scene.materials],
         ),
     )
+    return in_library_of(origins, directions, found, LibraryThickness)
 
 
 class _Worker:
@@ -132,9 +138,12 @@ class _Worker:
 
     def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool) -> None:
         self._tracer, self._batch, self._clips = tracer, batch, clips
-        self._triangles = tracer.structure.triangles
+        structure = tracer.structure
+        self._triangles = structure.triangles
+        placed = PlacedSolids(structure) if isinstance(structure, InstancedStructure) else None
+        self._placed = placed
         self._frame = SceneFrame.of(self._triangles)
-        self.solids: Solids = solids_of(self._triangles)
+        self.solids: Solids = solids_of(self._triangles) if placed is None else placed.solids
         self._material_ids = tracer.scene.attributes.material_ids
 
     def blocks(self, progress: Progress | None) -> Iterator[tuple[slice, MultiHits]]:
@@ -168,28 +177,51 @@ class _Worker:
         traced_to = np.broadcast_to(np.float32(np.inf), count) if self._clips else t_max
         origins, directions = self._batch.origins[rows], self._batch.directions[rows]
         source, kept = RaySource.of(origins, directions, (t_min, traced_to))
-        triangles, solids = self._triangles, self.solids
+        classify, is_closed = self._classifier(source, hits, crossings)
         t_min, t_max = np.ascontiguousarray(t_min), np.ascontiguousarray(t_max)
         limits = Limits(t_min, t_max, self._clips, np.isinf(traced_to))
 
         def body(begin: int, end: int) -> None:
-            classify_crossings(
-                begin,
-                end,
-                source,
-                self._frame,
-                triangles.corners,
-                triangles.mesh_splits,
-                solids.is_flipped,
-                crossings,
-            )
-            scratch = MeshScratch.zeros(len(solids.is_closed))
-            pair_crossings(begin, end, crossings, limits, solids.is_closed, scratch, pairs)
+            classify(begin, end)
+            scratch = MeshScratch.zeros(len(is_closed))
+            pair_crossings(begin, end, crossings, limits, is_closed, scratch, pairs)
 
         parallel_for(body, count, _CHUNK)
         del kept
         segments = self._segments(rows, crossings, pairs, t_min, t_max)
-        return pairs.counts, segments, _unpaired(rows, crossings, pairs)
+        return pairs.counts, segments, self._unpaired(rows, crossings, pairs)
+
+    def _classifier(
+        self, source: RaySource, hits: MultiHits, crossings: Crossings
+    ) -> tuple[Callable[[int, int], None], NDArray[np.bool_]]:
+        """A function that classifies the crossings of some rays; and whether solids are closed.
+
+        Solids are meshes; with instances, the meshes of each.
+        """
+        is_flipped = self.solids.is_flipped
+        if self._placed is None:
+            triangles = self._triangles
+            shared = source, self._frame, triangles.corners, triangles.mesh_splits, is_flipped
+            return (
+                lambda begin, end: classify_crossings(begin, end, *shared, crossings),
+                self.solids.is_closed,
+            )
+        placed = self._placed
+        crossings.mesh_id[:] = placed.solids_at(hits.prim_id, hits.instance_id)
+        columns = hits.instance_id, hits.mesh_id
+        return (
+            lambda begin, end: classify_placed_crossings(
+                begin, end, source, placed.records, columns, placed.corners, is_flipped, crossings
+            ),
+            placed.is_closed,
+        )
+
+    def _mesh_and_instance(
+        self, solid_id: NDArray[np.int32]
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        if self._placed is None:
+            return solid_id, np.zeros(len(solid_id), np.int32)
+        return self._placed.split(solid_id)
 
     def _segments(
         self,
@@ -212,27 +244,30 @@ class _Worker:
             exit_prim_id = np.where(t_exit > t_max[ray], np.int32(-1), exit_prim_id)
             t_exit = np.minimum(t_exit, t_max[ray])
         length = t_exit.astype(np.float64) - t_entry
+        mesh_id, instance_id = self._mesh_and_instance(crossings.mesh_id[exit_])
         return Segments(
             t_entry,
             t_exit,
             length * direction_lengths(self._batch, rows)[ray],
-            crossings.mesh_id[exit_],
+            mesh_id,
             self._material_ids[known],
             entry_prim_id,
             exit_prim_id,
+            instance_id,
         )
 
-
-def _unpaired(rows: slice, crossings: Crossings, pairs: Pairs) -> Unpaired:
-    used, ray = _used(crossings.splits, pairs.unpaired_counts)
-    unpaired = pairs.unpaired[used]
-    return Unpaired(
-        ray + rows.start,
-        crossings.t[unpaired],
-        crossings.prim_id[unpaired],
-        crossings.mesh_id[unpaired],
-        crossings.kind[unpaired] & np.uint8(1),
-    )
+    def _unpaired(self, rows: slice, crossings: Crossings, pairs: Pairs) -> Unpaired:
+        used, ray = _used(crossings.splits, pairs.unpaired_counts)
+        unpaired = pairs.unpaired[used]
+        mesh_id, instance_id = self._mesh_and_instance(crossings.mesh_id[unpaired])
+        return Unpaired(
+            ray + rows.start,
+            crossings.t[unpaired],
+            crossings.prim_id[unpaired],
+            mesh_id,
+            crossings.kind[unpaired] & np.uint8(1),
+            instance_id,
+        )
 
 
 def _used(

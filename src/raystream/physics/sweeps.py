@@ -303,9 +303,7 @@ def _time_steps(
 
 def _columns(found: LidarReturns) -> tuple[Any, ...]:
     """The arguments of `LidarReturns`, of its result."""
-    returns = Returns(
-        found.ranges, found.positions, found.intensity, found.incidence_angle, found.prim_id
-    )
+    returns = Returns(*(getattr(found, name) for name in Returns._fields))
     return found.ray_splits, returns, found.mesh_id, found.material_id, found.status
 
 

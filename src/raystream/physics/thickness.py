@@ -47,6 +47,7 @@ class Segments(NamedTuple):
     material_id: NDArray[np.int32]
     entry_prim_id: NDArray[np.int32]
     exit_prim_id: NDArray[np.int32]
+    instance_id: NDArray[np.int32]
 
 
 class Unpaired(NamedTuple):
@@ -57,6 +58,7 @@ class Unpaired(NamedTuple):
     prim_id: NDArray[np.int32]
     mesh_id: NDArray[np.int32]
     kind: NDArray[np.uint8]
+    instance_id: NDArray[np.int32]
 
 
 class Thickness(RayRows):
@@ -80,6 +82,9 @@ class Thickness(RayRows):
         triangle if the ray began inside.
     entry_prim_id, exit_prim_id : ndarray of shape (K,), int32
         The triangles; -1 where ``ends="clip"`` clipped the segment.
+    instance_id : ndarray of shape (K,), int32
+        The instance that the mesh is in; 0 in a scene without instances. Each instance of a mesh
+        is a solid of its own.
     unpaired_ray : ndarray of shape (U,), int64
         The ray of each crossing that is not the end of a segment, in increasing order; within a
         ray by distance.
@@ -87,6 +92,7 @@ class Thickness(RayRows):
         Distance, triangle and mesh of the crossing: float32, int32, int32.
     unpaired_kind : ndarray of shape (U,), uint8
         An `UnpairedKind`.
+    unpaired_instance_id : ndarray of shape (U,), int32
     status : ndarray of shape S, uint8
         A `RayStatus` for each ray.
     mesh_is_closed, mesh_is_flipped : ndarray of shape (M,), bool
@@ -109,9 +115,11 @@ class Thickness(RayRows):
         self.t_entry, self.t_exit, self.path_length = segments[:3]
         self.mesh_id, self.material_id = segments.mesh_id, segments.material_id
         self.entry_prim_id, self.exit_prim_id = segments.entry_prim_id, segments.exit_prim_id
+        self.instance_id = segments.instance_id
         self.unpaired_ray, self.unpaired_t = unpaired.ray, unpaired.t
         self.unpaired_prim_id, self.unpaired_mesh_id = unpaired.prim_id, unpaired.mesh_id
         self.unpaired_kind = unpaired.kind
+        self.unpaired_instance_id = unpaired.instance_id
         self.status = status
         self.mesh_is_closed, self.mesh_is_flipped = solids.is_closed, solids.is_flipped
         self.mesh_names, self.material_names = tuple(names[0]), tuple(names[1])

@@ -8,14 +8,27 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.hit_filter import U_AT, V_AT
 from raystream.programs.hits import RaysAt, SceneAt, hit_of
+from raystream.programs.placed import PlacedAt, is_skipped_at, placed_hit_of
 
-__all__ = ["CONSTANTS", "DIRECTIONS", "SCENE", "filtered_hit", "rays_of", "scene_of"]
+__all__ = [
+    "CONSTANTS",
+    "DIRECTIONS",
+    "SCENE",
+    "filtered_hit",
+    "is_filter_skipped",
+    "placed_filtered_hit",
+    "placed_scene_of",
+    "rays_of",
+    "scene_of",
+]
 
-#: Its numbers: whether the filter raised; from `SCENE` on a `SceneAt`; from `DIRECTIONS` on the
-#: address and stride of the rays' directions, and whether these are float64; then the constants.
+#: Its numbers: whether the filter raised; from `SCENE` on a `SceneAt`, or with instances the
+#: address of a `PlacedAt`, that of the pairs that rays skip, and the pairs per ray; from
+#: `DIRECTIONS` on the address and stride of the rays' directions, and whether these are float64;
+#: then the constants.
 SCENE, DIRECTIONS, CONSTANTS = 1, 5, 8
 
-_ZERO, _1, _2, _3 = (np.uint64(8 * k) for k in range(4))
+_ZERO, _1, _2, _3, _4, _5, _6 = (np.uint64(8 * k) for k in range(7))
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * SCENE), np.uint64(8 * DIRECTIONS)
 
@@ -33,6 +46,29 @@ def scene_of(context):
 
 
 @device
+def placed_scene_of(context):
+    """The `PlacedAt` of a context."""
+    at = _number(context, _SCENE_AT)
+    return PlacedAt(
+        _number(at, _ZERO),
+        _number(at, _1),
+        _number(at, _2),
+        _number(at, _3),
+        _number(at, _4),
+        _number(at, _5),
+        _number(at, _6),
+    )
+
+
+@device
+def is_filter_skipped(context, ray, hit):
+    """Whether a ray skips the triangle of a hit, in a scene with instances."""
+    at = context + _SCENE_AT
+    pairs, width = _number(at, _1), _number(at, _2)
+    return is_skipped_at(pairs, width, ray, hit.prim_id, hit.instance_id)
+
+
+@device
 def rays_of(context):
     """The rays of a context, of which it has the directions only."""
     at = context + _DIRECTIONS_AT
@@ -46,3 +82,11 @@ def filtered_hit(hits, lane, prim_id, first, rays, scene):
     at, ray = hits + (lane << _WORD), first + lane
     t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
     return hit_of(ray, t, u, v, prim_id, rays, ray, scene)
+
+
+@device
+def placed_filtered_hit(hits, lane, prim_id, first, rays, scene):
+    """The same in a scene with instances, where `prim_id` is a number among all instances."""
+    at, ray = hits + (lane << _WORD), first + lane
+    t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
+    return placed_hit_of(ray, t, u, v, prim_id, rays, ray, scene)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, rising
@@ -24,7 +25,7 @@ from raystream.programs.loop_source import Goal
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
-from raystream.programs.rows import SkipsAt, as_skips
+from raystream.programs.skips import prim_ids_of, skipped_triangles
 
 __all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
 
@@ -60,32 +61,42 @@ class Filter(NamedTuple):
     ----------
     function : callable
         The user's function.
-    skipped : ndarray of shape (N, k), int32, or None
-        Triangles that each ray skips; on a device, as the caller gave them.
-    triangles : Triangles
+    skipped : ndarray of shape (N, k) or (N, k, 2), int32, or None
+        Triangles that each ray skips, see `skips.skipped_triangles`; on a device, as the caller
+        gave them.
+    triangles : Triangles or InstancedTriangles
     bound : Bound, optional
         If the function has constants.
     """
 
     function: Callable[..., Any]
     skipped: Any
-    triangles: Triangles
+    triangles: Triangles | InstancedTriangles
     bound: Bound | None = None
 
     @classmethod
     def of(
-        cls, on_hit: Any, skip_prim_ids: Any, shape: tuple[int, ...], triangles: Triangles
+        cls,
+        on_hit: Any,
+        skip_prim_ids: Any,
+        shape: tuple[int, ...],
+        triangles: Triangles | InstancedTriangles,
     ) -> Filter | None:
         """The filter of a query's arguments; None if it keeps all hits."""
         if on_hit is None and skip_prim_ids is None:
             return None
         skipped = None
         if skip_prim_ids is not None:
-            skipped = as_skips(skip_prim_ids, shape, len(triangles))
-        return cls.among(on_hit, skipped, triangles)
+            skipped = skipped_triangles(skip_prim_ids, shape, triangles)
+        return cls._with(on_hit, skipped, triangles)
 
     @classmethod
-    def among(cls, on_hit: Any, skipped: Any, triangles: Triangles) -> Filter:
+    def among(cls, on_hit: Any, skip_prim_ids: Any, triangles: Triangles) -> Filter:
+        """The filter of a query of rays on a device."""
+        return cls._with(on_hit, prim_ids_of(skip_prim_ids), triangles)
+
+    @classmethod
+    def _with(cls, on_hit: Any, skipped: Any, triangles: Triangles | InstancedTriangles) -> Filter:
         """The filter of a function, or of None, which keeps all hits."""
         if isinstance(on_hit, Bound):
             return cls(on_hit.function, skipped, triangles, on_hit)
@@ -93,15 +104,16 @@ class Filter(NamedTuple):
 
     def at_hits(self, rays: RayBatch) -> FilterAtHits:
         """The filter compiled to be called by traversals."""
-        function = None if self.function is _keep_all else self.function
+        is_placed = isinstance(self.triangles, InstancedTriangles)
+        # In a plain scene the traversal itself skips triangles.
+        function = None if self.function is _keep_all and not is_placed else self.function
         constants = None if self.bound is None else self.bound.constants
         return FilterAtHits(function, self.skipped, constants, self.triangles, rays)
 
     def program(self, goal: Goal, *arguments: Any) -> Program:
         """The filter compiled into a loop."""
-        skips = None if self.skipped is None else SkipsAt.of(self.skipped)
         constants = None if self.bound is None else self.bound.constants
-        return Program(self.function, goal, skips, arguments, self.triangles, constants)
+        return Program(self.function, goal, self.skipped, arguments, self.triangles, constants)
 
 
 def filter_first(

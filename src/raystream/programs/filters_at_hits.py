@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.simd import count_trailing_zeros, load
@@ -25,10 +26,14 @@ from raystream.programs.filter_context import (
     DIRECTIONS,
     SCENE,
     filtered_hit,
+    is_filter_skipped,
+    placed_filtered_hit,
+    placed_scene_of,
     rays_of,
     scene_of,
 )
 from raystream.programs.hits import SceneAt
+from raystream.programs.placed import PlacedAt
 from raystream.programs.program import check_function
 
 __all__ = ["FilterAtHits"]
@@ -47,11 +52,11 @@ class FilterAtHits:
     ----------
     function : callable or None
         The user's function; None if rays only skip triangles.
-    skipped : ndarray of shape (N, k), int32, or None
-        Triangles that each ray skips.
+    skipped : ndarray of shape (N, k) or (N, k, 2), int32, or None
+        Triangles that each ray skips; see `skips.skipped_triangles`.
     constants : tuple or None
         The function's second argument.
-    triangles : Triangles
+    triangles : Triangles or InstancedTriangles
     rays : RayBatch
 
     Raises
@@ -66,14 +71,23 @@ class FilterAtHits:
         function: Any,
         skipped: NDArray[np.int32] | None,
         constants: tuple[Any, ...] | None,
-        triangles: Triangles,
+        triangles: Triangles | InstancedTriangles,
         rays: RayBatch,
     ) -> None:
         source, self._kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         reader = _Reader()
         text = "" if constants is None else reader.read(constants)
         self._context = np.zeros(CONSTANTS + len(reader.values), np.uint64)
-        self._context[SCENE:DIRECTIONS], self._scene_arrays = SceneAt.of(triangles)
+        self._scene_arrays: Any
+        place, width = (0, 0) if skipped is None else (skipped.ctypes.data, skipped.shape[1])
+        if isinstance(triangles, InstancedTriangles):
+            scene, arrays = PlacedAt.of(triangles)
+            row = np.array(scene, np.uint64)
+            self._scene_arrays = row, arrays
+            self._context[SCENE:DIRECTIONS] = row.ctypes.data, place, width, 0
+            place, width = 0, 0  # by the filter, not by the traversal
+        else:
+            self._context[SCENE:DIRECTIONS], self._scene_arrays = SceneAt.of(triangles)
         directions = source.directions, source.direction_step, source.directions_are_double
         self._context[DIRECTIONS:CONSTANTS] = directions
         for k, value in enumerate(reader.values, CONSTANTS):
@@ -82,10 +96,10 @@ class FilterAtHits:
         code = 0
         if function is not None:
             check_function(function, "first", constants is not None)
-            self._loop = _compile(function, text, reader.classes)
+            is_placed = isinstance(triangles, InstancedTriangles)
+            self._loop = _compile(function, text, reader.classes, is_placed)
             code = self._loop.address_of(_TYPES)
         context = self._context.ctypes.data
-        place, width = (0, 0) if skipped is None else (skipped.ctypes.data, skipped.shape[1])
         self.addresses = HitFilter(*np.array((code, context, place, width), np.uint64))
 
     @property
@@ -135,8 +149,10 @@ class _Reader:
         return f"load({number.dtype.name}, {at})"
 
 
-def _compile(function: Any, constants: str, classes: dict[str, Any]) -> Loop:
+def _compile(function: Any, constants: str, classes: dict[str, Any], is_placed: bool) -> Loop:
     """The code of a filter; `constants` is an expression, or empty if it takes none."""
+    skips = "is_skipped(context, first + lane, hit) or " if is_placed else ""
+    arguments = ", ".join(filter(None, ("hit", constants)))
     known = [
         f"# {name}: {one.__module__}.{one.__qualname__} {one._fields}"
         for name, one in classes.items()
@@ -149,19 +165,20 @@ def _compile(function: Any, constants: str, classes: dict[str, Any]) -> Loop:
         "        lane = count_trailing_zeros(bits)",
         "        bits &= bits - one",
         "        hit = filtered_hit(hits, lane, prim_id, first, rays, scene)",
-        f"        if accept(function({', '.join(filter(None, ('hit', constants)))})) == ignore:",
+        f"        if {skips}accept(function({arguments})) == ignore:",
         "            kept ^= one << lane",
         "    return kept",
     ]
     names = {
         "accept": accept_decision(Decision, True),
         "count_trailing_zeros": count_trailing_zeros,
-        "filtered_hit": filtered_hit,
+        "filtered_hit": placed_filtered_hit if is_placed else filtered_hit,
         "ignore": np.int64(Decision.IGNORE),
+        "is_skipped": is_filter_skipped,
         "load": load,
         "one": np.uint64(1),
         "rays_of": rays_of,
-        "scene_of": scene_of,
+        "scene_of": placed_scene_of if is_placed else scene_of,
         "zero": np.uint64(0),
         **{number.__name__: number for number in _NUMBERS + _INTEGERS},
         **classes,

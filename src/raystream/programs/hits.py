@@ -19,8 +19,11 @@ __all__ = [
     "RowsAt",
     "SceneAt",
     "close_ray",
+    "direction_at",
+    "faces_front",
     "hit_at",
     "hit_of",
+    "interval_of",
     "is_open",
     "position_at",
     "ray_at",
@@ -35,6 +38,7 @@ _LONG = np.uint64(8)
 _VECTOR = np.uint64(12)
 _TRIANGLE = np.uint64(36)
 _ZERO = np.float64(0.0)
+_NO_INSTANCE = np.int32(0)
 
 
 class Hit(NamedTuple):
@@ -50,7 +54,10 @@ class Hit(NamedTuple):
         Triangle, counted over the whole scene, and its mesh.
     is_entering : bool
         Whether the ray comes from the front of the triangle, where its vertices run
-        counter-clockwise: whether it enters a closed mesh here.
+        counter-clockwise: whether it enters a closed mesh here. An instance that mirrors its object
+        keeps the front outside.
+    instance_id : int32
+        The instance that is hit; 0 in a scene without instances.
     """
 
     ray: int
@@ -60,6 +67,7 @@ class Hit(NamedTuple):
     prim_id: int
     mesh_id: int
     is_entering: bool
+    instance_id: int
 
 
 class RowsAt(NamedTuple):
@@ -258,19 +266,29 @@ def hit_of(ray, t, u, v, prim_id, rays, position, scene):
         prim_id,
         _mesh_of(scene, prim_id),
         _is_entering(scene, prim_id, rays, position),
+        _NO_INSTANCE,
     )
 
 
 @device
 def _mesh_of(scene, prim_id):
-    """Binary search of a fixed number of steps, which LLVM removes where it is not used."""
-    low, high = _NOWHERE, scene.mesh_count
-    for _ in range(scene.halvings):
+    mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.halvings, np.int64(prim_id))
+    return np.int32(mesh)
+
+
+@device
+def interval_of(splits, count, halvings, number):
+    """The last of `count` intervals that begins at or before a number; the splits are int64.
+
+    Binary search of a fixed number of steps, which LLVM removes where it is not used.
+    """
+    low, high = _NOWHERE, count
+    for _ in range(halvings):
         middle = (low + high) >> _ONE
-        is_above = load(np.int64, scene.mesh_splits + middle * _LONG) <= np.int64(prim_id)
+        is_above = load(np.int64, splits + middle * _LONG) <= number
         low = middle if is_above else low
         high = high if is_above else middle
-    return np.int32(low)
+    return low
 
 
 @device
@@ -281,7 +299,7 @@ def _number(at, k, is_double):
 
 
 @device
-def _direction(rays, position):
+def direction_at(rays, position):
     """Direction of a ray, scaled so that products with normals are finite."""
     at = rays.directions + position * rays.direction_step
     is_double = rays.directions_are_double
@@ -306,10 +324,16 @@ def _corner(at):
 @device
 def _is_entering(scene, prim_id, rays, position):
     at = scene.corners + np.uint64(prim_id) * _TRIANGLE
+    return faces_front(at, direction_at(rays, position))
+
+
+@device
+def faces_front(at, direction):
+    """Whether a direction comes from the front of the triangle whose corners are at an address."""
     ax, ay, az = _corner(at)
     bx, by, bz = _corner(at + _VECTOR)
     cx, cy, cz = _corner(at + _VECTOR + _VECTOR)
     bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-    dx, dy, dz = _direction(rays, position)
+    dx, dy, dz = direction
     along = dx * (by * cz - bz * cy) + dy * (bz * cx - bx * cz) + dz * (bx * cy - by * cx)
     return along < _ZERO

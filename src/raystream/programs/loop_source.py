@@ -17,6 +17,7 @@ from raystream.programs.hits import (
     ray_at,
     row_range,
 )
+from raystream.programs.placed import is_placed_skipped, placed_hit_at
 from raystream.programs.rows import add_one, is_skipped, keep_row, move_row, put_row
 
 __all__ = ["Goal", "loop_globals", "loop_source"]
@@ -118,16 +119,16 @@ def loop_source(
     return names, lines
 
 
-def loop_globals(goal: Goal) -> dict[str, Any]:
-    """Globals of the source."""
+def loop_globals(goal: Goal, is_placed: bool = False) -> dict[str, Any]:
+    """Globals of the source; `is_placed` for a scene with instances."""
     return {
         "accept": accept_decision(Decision, goal != "trace"),
         "add_one": add_one,
         "close_ray": close_ray,
-        "hit_at": hit_at,
+        "hit_at": placed_hit_at if is_placed else hit_at,
         "ignore": np.int64(Decision.IGNORE),
         "is_open": is_open,
-        "is_skipped": is_skipped,
+        "is_skipped": is_placed_skipped if is_placed else is_skipped,
         "keep_row": keep_row,
         "move_row": move_row,
         "one": np.uint64(1),

@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["as_payload", "as_records"]
+from raystream.core.libraries import library_of
+from raystream.core.library_hits import in_library
+
+__all__ = ["as_payload", "as_records", "returned_payload"]
 
 #: Sizes of supported numbers in bytes, by kind.
 _SIZES = {"b": (1,), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8), "c": (8, 16)}
@@ -18,7 +21,7 @@ def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
 
     Parameters
     ----------
-    payload : ndarray or dtype
+    payload : ndarray, array of another library on the host, or dtype
     shape : tuple of int
         The rays' shape S.
 
@@ -29,6 +32,8 @@ def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
     TypeError
         If it is neither an array nor a dtype, or of another type than numbers and records.
     """
+    if library_of(payload, None) is not None:
+        payload = _shared(payload)
     if not isinstance(payload, np.ndarray):
         try:
             dtype = np.dtype(payload)
@@ -40,12 +45,39 @@ def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
         payload = np.zeros(shape, dtype)
     _check_dtype(payload.dtype)
     if not payload.flags.writeable:
-        raise ValueError("payload: the array is read-only, but programs write to it")
+        raise ValueError(
+            "payload: the array is read-only, but programs write to it; give a dtype for a new one"
+        )
     is_plain = payload.dtype.fields is None
     if payload.shape != shape and not (is_plain and payload.shape[:-1] == shape):
         wanted = f"{shape}, or {shape} + (k,)" if is_plain else f"{shape}"
         raise ValueError(f"payload: expected the rays' shape {wanted}, got {payload.shape}")
     return payload
+
+
+def _shared(payload: Any) -> NDArray[Any]:
+    """An array of another library as NumPy's, in the same memory."""
+    try:
+        return np.asarray(payload)
+    except Exception as error:
+        raise TypeError(f"payload: cannot be read as an array ({error})") from error
+
+
+def returned_payload(payload: Any, result: Any, origins: Any, directions: Any) -> Any:
+    """What a query returns of its payload: the caller's array, or a new one in its library.
+
+    Parameters
+    ----------
+    payload : array or dtype
+        As the caller gave it.
+    result : array or None
+        That of `as_payload`, or on a GPU.
+    origins, directions : array_like
+    """
+    if isinstance(payload, np.ndarray) or library_of(payload, None) is not None:
+        return payload
+    is_plain = result is not None and result.dtype.fields is None
+    return in_library(result, origins, directions) if is_plain else result
 
 
 def as_records(payload: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:

@@ -6,12 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.triangles import Triangles
 from raystream.jit.user_loops import Loop, compile_loop
 from raystream.kernels.hits import HitBatch
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
 from raystream.programs.loop_source import Goal, loop_globals, loop_source
+from raystream.programs.placed import PlacedAt, PlacedSkipsAt
 from raystream.programs.ray_subset import PendingRays
 from raystream.programs.rows import SkipsAt
 
@@ -29,12 +32,12 @@ class Program:
     function : callable
         Takes a `Hit`, for the goal ``"trace"`` a payload record, and constants if there are any.
     goal : {"trace", "first", "count", "multi"}
-    skips : SkipsAt, optional
-        Triangles that rays skip.
+    skipped : ndarray of shape (N, k) or (N, k, 2), int32, optional
+        Triangles that rays skip; see `skips.skipped_triangles`.
     arguments : tuple
         Arguments of the goal's loop: the payload's array or None; the output of hits or counts,
         by rays of the batch; for ``"multi"`` the hits found so far and the most.
-    triangles : Triangles
+    triangles : Triangles or InstancedTriangles
         Those of the scene; the program keeps their arrays alive.
     constants : tuple, optional
         The function's last argument.
@@ -49,19 +52,25 @@ class Program:
         self,
         function: Callable[..., Any],
         goal: Goal,
-        skips: SkipsAt | None,
+        skipped: NDArray[np.int32] | None,
         arguments: tuple[Any, ...],
-        triangles: Triangles,
+        triangles: Triangles | InstancedTriangles,
         constants: tuple[Any, ...] | None = None,
     ) -> None:
         self.name = check_function(function, goal, constants is not None)
         payload = arguments[0] if goal == "trace" else None
         record = _RECORDS[0 if payload is None else payload.ndim]
-        text = _text(goal, skips is not None, constants is not None, record)
-        self._loop: Loop = compile_loop(text, function, loop_globals(goal), __name__)
+        is_placed = isinstance(triangles, InstancedTriangles)
+        text = _text(goal, skipped is not None, constants is not None, record)
+        # Loops are known by their text, which has to say what it is for.
+        text = f"# with instances\n{text}" if is_placed else text
+        self._loop: Loop = compile_loop(text, function, loop_globals(goal, is_placed), __name__)
+        self._scene: SceneAt | PlacedAt
+        self._scene, self._scene_arrays = _scene_at(triangles)
+        skips = None if skipped is None else _skips_at(skipped, self._scene)
         own = [value for value in (skips, constants) if value is not None]
         self._arguments = (*own, *arguments)
-        self._scene, self._scene_arrays = SceneAt.of(triangles)
+        self._kept = skipped
 
     @property
     def compiled_count(self) -> int:
@@ -123,6 +132,20 @@ class Program:
         except Exception as error:
             reason = f": {error}" if str(error) else ""
             raise RuntimeError(f"{self.name}: raised {type(error).__name__}{reason}") from error
+
+
+def _scene_at(
+    triangles: Triangles | InstancedTriangles,
+) -> tuple[SceneAt | PlacedAt, tuple[Any, ...]]:
+    if isinstance(triangles, InstancedTriangles):
+        return PlacedAt.of(triangles)
+    return SceneAt.of(triangles)
+
+
+def _skips_at(skipped: NDArray[np.int32], scene: SceneAt | PlacedAt) -> SkipsAt | PlacedSkipsAt:
+    if isinstance(scene, PlacedAt):
+        return PlacedSkipsAt.of(skipped, scene)
+    return SkipsAt.of(skipped)
 
 
 def _text(goal: Goal, skips: bool, constants: bool, record: str) -> str:

@@ -82,7 +82,9 @@ def _batch(batch: RayBatch, picked: Any, shape: tuple[int, ...]) -> RayBatch:
         limit.reshape(()) if len(limit) == 1 else limit[picked].reshape(shape)
         for limit in batch.limits
     ]
-    return RayBatch(*vectors, *limits)
+    part = RayBatch(*vectors, *limits)
+    part.worlds = None if batch.worlds is None else np.ascontiguousarray(batch.worlds[picked])
+    return part
 
 
 def _vectors(array: NDArray[Any], picked: Any, shape: tuple[int, ...]) -> NDArray[Any]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
@@ -24,7 +25,7 @@ def run_on_hits(
     query: Query,
     rays: RayBatch,
     sink: Sink,
-    triangles: Triangles,
+    triangles: Triangles | InstancedTriangles,
     progress: Progress | None,
 ) -> None:
     """Answer a query that has a filter or a program.
@@ -36,7 +37,7 @@ def run_on_hits(
     query : Query
     rays : RayBatch
     sink : Sink
-    triangles : Triangles
+    triangles : Triangles or InstancedTriangles
     progress : callable, optional
     """
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
@@ -32,7 +33,7 @@ def check_order(order: str) -> None:
 def trace_program(
     find: FindHits,
     batch: RayBatch,
-    triangles: Triangles,
+    triangles: Triangles | InstancedTriangles,
     function: Callable[..., Any],
     records: NDArray[Any] | None,
     is_ordered: bool,
@@ -44,7 +45,7 @@ def trace_program(
     ----------
     find : callable
     batch : RayBatch
-    triangles : Triangles
+    triangles : Triangles or InstancedTriangles
     function : callable
     records : ndarray of shape (N,) or (N, k), or None
         Each ray's payload, of `payloads.as_records`; changed in place.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,11 +50,15 @@ class BlockQuery:
     query : {"first_hit", "any_hit", "multi_hit", "count_hits"}
     options : dict
         Options of the query: ``max_hits``, ``crossings``.
+    names : sequence of str
+        Columns of the rays' shape.
     """
 
-    def __init__(self, tracer: Tracer, query: str, options: dict[str, Any]) -> None:
+    def __init__(
+        self, tracer: Tracer, query: str, options: dict[str, Any], names: Sequence[str]
+    ) -> None:
         self._tracer = tracer
-        self._query = query
+        self._query, self._names = query, names
         self._options = {name: value for name, value in options.items() if name != "max_hits"}
         self._max_hits: int | None = options.get("max_hits")
         self._part = 0  # part size that worked for the previous block
@@ -81,8 +85,7 @@ class BlockQuery:
             return
         found: Any = getattr(self._tracer, self._query)(**rays, **self._options, progress=progress)
         if self._query == "first_hit":
-            names = ("t", "u", "v", "prim_id", "mesh_id", "status")
-            arrays = {name: getattr(found, name) for name in names}
+            arrays = {name: getattr(found, name) for name in self._names}
             rays_hit = int(np.count_nonzero(found.is_hit))
             yield BlockResult(
                 block, arrays, None, rays_hit, rays_hit, int(np.count_nonzero(found.status))

@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,14 @@ from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, crea
 from raystream.ray_files.durable import synchronize
 from raystream.ray_files.open_store import MAX_METADATA_BYTES
 
-__all__ = ["COLUMNS", "HitStore", "is_replaceable", "remove_store", "store_attributes"]
+__all__ = [
+    "COLUMNS",
+    "Columns",
+    "HitStore",
+    "is_replaceable",
+    "remove_store",
+    "store_attributes",
+]
 
 #: Distinct from a miss, which is -1.
 _NOT_TRACED = -2
@@ -42,6 +49,35 @@ COLUMNS: dict[str, dict[str, ColumnType]] = {
 _SPLITS = "ray_splits"
 ROWS: dict[str, dict[str, ColumnType]] = {"multi_hit": {_SPLITS: ColumnType("int64", -1), **_HITS}}
 
+#: In a scene with instances, of queries that report triangles.
+_INSTANCE = {"instance_id": ColumnType("int32", _NOT_TRACED)}
+
+
+class Columns(NamedTuple):
+    """The columns of a query's hits.
+
+    Attributes
+    ----------
+    of_rays : dict of str to ColumnType
+        Arrays of the rays' shape.
+    of_rows : dict of str to ColumnType
+        Arrays of rows.
+    """
+
+    of_rays: dict[str, ColumnType]
+    of_rows: dict[str, ColumnType]
+
+    @classmethod
+    def of(cls, query: str, has_instances: bool) -> Columns:
+        """The columns of a query, in a scene with instances or without."""
+        of_rays, of_rows = COLUMNS[query], ROWS.get(query, {})
+        if has_instances and query == "first_hit":
+            of_rays = {**of_rays, **_INSTANCE}
+        if has_instances and query == "multi_hit":
+            of_rows = {**of_rows, **_INSTANCE}
+        return cls(of_rays, of_rows)
+
+
 #: Rows per chunk. An incomplete chunk is written after each block, so it must be cheap.
 CHUNK_ROWS = 2**18
 
@@ -56,7 +92,7 @@ class HitStore:
     ----------
     path : Path
         A store made by `create`.
-    query : str
+    columns : Columns
     blocks : Blocks
     rays_done : int
     row_count : int
@@ -69,14 +105,14 @@ class HitStore:
     """
 
     def __init__(
-        self, path: Path, query: str, blocks: Blocks, rays_done: int, row_count: int
+        self, path: Path, columns: Columns, blocks: Blocks, rays_done: int, row_count: int
     ) -> None:
         self.path = path
         self._row_count = row_count
         try:
             self._blocks = {
                 name: BlockColumn(self._array(name, kind, blocks.shape, blocks.lengths))
-                for name, kind in COLUMNS[query].items()
+                for name, kind in columns.of_rays.items()
             }
             self._rows = {
                 name: RowColumn(
@@ -84,7 +120,7 @@ class HitStore:
                     rays_done if name == _SPLITS else row_count,
                     grows=name != _SPLITS,
                 )
-                for name, kind in ROWS.get(query, {}).items()
+                for name, kind in columns.of_rows.items()
             }
         except (RaystreamError, MemoryError):
             raise
@@ -104,13 +140,13 @@ class HitStore:
         return array
 
     @staticmethod
-    def create(path: Path, query: str, blocks: Blocks, identity: dict[str, Any]) -> None:
+    def create(path: Path, columns: Columns, blocks: Blocks, identity: dict[str, Any]) -> None:
         """Create an empty store in an empty folder.
 
         Parameters
         ----------
         path : Path
-        query : str
+        columns : Columns
         blocks : Blocks
         identity : dict
             Identity of the query; saved as an attribute.
@@ -119,9 +155,9 @@ class HitStore:
 
         attributes = {"format": _FORMAT, "is_complete": False, "identity": identity}
         group = zarr.create_group(zarr.storage.LocalStore(path), attributes={_KEY: attributes})
-        for name, kind in COLUMNS[query].items():
+        for name, kind in columns.of_rays.items():
             create_array(group, name, kind, blocks.shape, blocks.lengths)
-        for name, kind in ROWS.get(query, {}).items():
+        for name, kind in columns.of_rows.items():
             create_array(group, name, kind, _row_shape(name, blocks) or (0,), (CHUNK_ROWS,))
         synchronize(path.rglob("zarr.json"))
 
@@ -198,7 +234,8 @@ def store_attributes(path: Path) -> dict[str, Any]:
 
 def is_replaceable(path: Path) -> bool:
     """Whether a folder holds only files that `HitStore` writes, judging by names."""
-    known = {name for columns in (*COLUMNS.values(), *ROWS.values()) for name in columns}
+    tables = (*COLUMNS.values(), *ROWS.values(), _INSTANCE)
+    known = {name for columns in tables for name in columns}
     with os.scandir(path) as entries:
         return all(
             entry.name == "zarr.json"

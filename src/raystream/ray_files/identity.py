@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream._version import __version__
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.triangles import Triangles
 from raystream.ray_files.blocks import Blocks
 from raystream.ray_files.ray_store import RayStore
@@ -55,14 +58,25 @@ def identify(
     }
 
 
-def scene_digest(triangles: Triangles) -> str:
-    """Hash the scene as rays see it: triangles, their order and their meshes."""
+def scene_digest(triangles: Triangles | InstancedTriangles) -> str:
+    """Hash the scene as rays see it: triangles, their order, their meshes and instances."""
     digest = hashlib.sha256()
-    for array in (triangles.corners, triangles.mesh_splits, triangles.center):
+    objects: Sequence[Triangles]
+    if isinstance(triangles, InstancedTriangles):
+        objects, placed = triangles.objects, triangles.instances
+        _add_arrays(digest, (placed.object_ids, placed.transforms))
+    else:
+        objects = [triangles]
+    for one in objects:
+        _add_arrays(digest, (one.corners, one.mesh_splits, one.center))
+        digest.update(repr(float(one.scale)).encode())
+    return digest.hexdigest()
+
+
+def _add_arrays(digest: Any, arrays: Sequence[NDArray[Any]]) -> None:
+    for array in arrays:
         digest.update(f"{array.shape} {array.dtype.str}".encode())
         digest.update(np.ascontiguousarray(array).data)
-    digest.update(repr(float(triangles.scale)).encode())
-    return digest.hexdigest()
 
 
 def ray_digest(rays: RayStore, blocks: Blocks) -> str:

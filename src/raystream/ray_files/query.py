@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.errors import FileFormatError
+from raystream.core.instanced_triangles import InstancedTriangles, check_no_worlds
 from raystream.core.query import counts_surfaces
 from raystream.jit.threads import Progress, part_of
 from raystream.ray_files.block_query import BlockQuery, BlockResult
 from raystream.ray_files.durable import locked
 from raystream.ray_files.errors import StoreWriteError, require_zarr
-from raystream.ray_files.hit_store import COLUMNS, HitStore
+from raystream.ray_files.hit_store import COLUMNS, Columns, HitStore
 from raystream.ray_files.identity import identify
 from raystream.ray_files.journal import QueryProgress, journal_path, write_journal
 from raystream.ray_files.pipeline import Waits, run
@@ -90,7 +91,8 @@ def query_zarr(
         ``t``, ``u``, ``v``, ``prim_id``, ``mesh_id`` and ``status``, ``any_hit`` writes ``hit``,
         and ``count_hits`` writes ``count``; each of shape S. ``multi_hit`` writes ``status``
         of shape S, ``ray_splits`` of shape (N + 1,), and ``t``, ``u``, ``v``, ``prim_id`` of
-        shape (K,). The bits equal those of tracing all rays at once.
+        shape (K,). In a scene with instances ``first_hit`` and ``multi_hit`` write ``instance_id``,
+        too. The bits equal those of tracing all rays at once.
     query : {"first_hit", "any_hit", "multi_hit", "count_hits"}
     max_hits : int, optional
         ``multi_hit`` only: keep the nearest hits of each ray.
@@ -103,7 +105,6 @@ def query_zarr(
         output is complete.
     progress : callable, optional
         Called with (rays done, rays) on the calling thread, first with those of earlier runs.
-        Called with (rays done, rays) on the calling thread; first with those of runs before.
 
     Returns
     -------
@@ -145,14 +146,17 @@ def query_zarr(
     source = RayStore(rays)
     _check_separate(Path(rays), target)
     blocks = source.divide(operator.index(block_rays))
+    triangles: Any = tracer.structure.triangles
+    check_no_worlds("query_zarr", triangles)
+    columns = Columns.of(query, isinstance(triangles, InstancedTriangles))
     identity = identify(tracer, source, blocks, query, options)
     with _converting_errors(target), _exclusive(target):
-        done, is_complete = prepare_output(target, query, blocks, identity, resume)
+        done, is_complete = prepare_output(target, columns, blocks, identity, resume)
         before, waits, started = done.rays, Waits(), time.perf_counter()
         if not is_complete:
-            store = HitStore(target, query, blocks, done.rays, done.rows)
+            store = HitStore(target, columns, blocks, done.rays, done.rows)
             writer = _Writer(store, journal_path(target), identity, done)
-            block_query = BlockQuery(tracer, query, options)
+            block_query = BlockQuery(tracer, query, options, tuple(columns.of_rays))
             if progress is not None:
                 progress(before, blocks.ray_count)
             waits = run(

@@ -7,7 +7,13 @@ from typing import Any
 
 from raystream.core.errors import FileFormatError
 from raystream.ray_files.blocks import Blocks
-from raystream.ray_files.hit_store import HitStore, is_replaceable, remove_store, store_attributes
+from raystream.ray_files.hit_store import (
+    Columns,
+    HitStore,
+    is_replaceable,
+    remove_store,
+    store_attributes,
+)
 from raystream.ray_files.journal import (
     QueryProgress,
     differing_names,
@@ -21,7 +27,7 @@ __all__ = ["prepare_output"]
 
 
 def prepare_output(
-    target: Path, query: str, blocks: Blocks, identity: dict[str, Any], resume: bool
+    target: Path, columns: Columns, blocks: Blocks, identity: dict[str, Any], resume: bool
 ) -> tuple[QueryProgress, bool]:
     """Prepare an output for writing, or find its progress.
 
@@ -29,7 +35,7 @@ def prepare_output(
     ----------
     target : Path
         A folder.
-    query : str
+    columns : Columns
     blocks : Blocks
     identity : dict
         Identity of the query.
@@ -76,7 +82,7 @@ def prepare_output(
     # The journal first: until a block is done, it marks the folder's content as replaceable.
     write_journal(record, identity, QueryProgress())
     remove_store(target)
-    HitStore.create(target, query, blocks, identity)
+    HitStore.create(target, columns, blocks, identity)
     return QueryProgress(), False
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.libraries import library_of
 from raystream.core.rays import is_on_gpu
 from raystream.cuda.programs.device_program import Record
 from raystream.cuda.programs.records import aligned_dtype, aligned_records
@@ -90,7 +91,7 @@ def place_payload(scope: StreamScope, payload: Any, shape: tuple[int, ...]) -> P
         return PlacedPayload(None, None, np.uint64(0))
     if isinstance(payload, DeviceArray) or is_on_gpu(payload):
         return _viewed(scope, payload, shape)
-    if isinstance(payload, np.ndarray):
+    if isinstance(payload, np.ndarray) or library_of(payload, None) is not None:
         result = as_payload(payload, shape)
         records = as_records(result, shape)
         own = aligned_records(records)

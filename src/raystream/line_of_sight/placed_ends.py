@@ -1,0 +1,98 @@
+"""How far segments keep from the planes of triangles in instances.
+
+Rays are tested in the spaces of objects, and round there. So a segment starts where `Hits.spawn`
+would start it: off the triangle's plane by the bound in object space, along the normal there. At
+its other end it keeps the bound of `end_points`, with lengths in object space.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.hits import Hits
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
+
+__all__ = ["FAR_UNITS", "PlacedPlanes", "placed_planes"]
+
+#: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
+#: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
+#: rounded, too, by half a unit of that distance in each coordinate.
+FAR_UNITS = 10.0
+
+
+class PlacedPlanes(NamedTuple):
+    """The planes of points on triangles, any shape S, in object space; zeros for misses.
+
+    Attributes
+    ----------
+    step : ndarray of shape S + (3,), float64
+        A local unit of object space along the triangle's normal, in world space.
+    height : ndarray of shape S, float64
+        Distance of that from the triangle's plane in world space.
+    inverse : ndarray of shape S + (3, 3), float64
+        World to object space, in local units.
+    near, far : ndarray of shape S, float64
+        Local units that a segment keeps from the plane where it starts; and where it ends, without
+        what grows with its length.
+    """
+
+    step: NDArray[np.float64]
+    height: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+    near: NDArray[np.float64]
+    far: NDArray[np.float64]
+
+    def at(self, index: Any) -> PlacedPlanes:
+        """Pick points by an index into their shape."""
+        return PlacedPlanes._make(array[index] for array in self)
+
+    def units_at_end(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Local units that segments keep from the plane where they end.
+
+        Parameters
+        ----------
+        directions : ndarray of a shape that broadcasts with S + (3,), float64
+            From their starts to their ends.
+        """
+        inverse = self.inverse
+        length: Any = 0.0
+        x, y, z = np.moveaxis(directions, -1, 0)
+        for k in range(3):
+            row = inverse[..., k, :]
+            length = np.maximum(length, np.abs(row[..., 0] * x + row[..., 1] * y + row[..., 2] * z))
+        units: NDArray[np.float64] = self.far + UNIT * (FAR_UNITS + REACH_UNITS) * length
+        return units
+
+
+def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
+    """The planes of hits of shape (N,)."""
+    count = len(hits.prim_id)
+    found = PlacedPlanes(
+        np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3, 3)), *np.zeros((2, count))
+    )
+    rows = np.flatnonzero(hits.is_hit)
+    if len(rows) == 0:
+        return found
+    some, instances = hits[rows], triangles.instances
+    ids = some.instance_id
+    corners, normals = some._corners(), some._local_normals()
+    extents = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
+    reach = np.abs(some._local_positions()).max(axis=-1)
+    most, world = triangles.reaches_at(ids)
+    scales = np.array([float(one.scale) for one in triangles.objects])
+    scale = scales[instances.object_ids[ids]]
+    found.step[rows] = np.einsum(
+        "nij,nj->ni", instances.transforms[ids, :, :3], normals / scale[:, None]
+    )
+    found.height[rows] = np.abs(np.einsum("nk,nk->n", found.step[rows], some._world_normals()))
+    found.inverse[rows] = instances.inverses[ids, :, :3] * scale[:, None, None]
+    units = np.minimum(EXTENT_UNITS * extents + REACH_UNITS * reach, MOST_UNITS * (most + reach))
+    found.near[rows] = UNIT * units + WORLD_UNIT * world
+    # The start is no farther from the object's origin than the end and the length together.
+    units = FAR_UNITS * extents + 2.0 * REACH_UNITS * reach
+    found.far[rows] = UNIT * units + WORLD_UNIT * world
+    return found

@@ -1,0 +1,132 @@
+"""Crossings of meshes in instances: each mesh of each instance is a solid of its own."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.instances.records import (
+    InstanceRecord,
+    ObjectRecord,
+    instance_records,
+    object_records,
+)
+from raystream.instances.structure import InstancedStructure
+from raystream.instances.traversal import WorldRay, object_ray
+from raystream.jit.cpu import kernel
+from raystream.kernels.ray import prepare_ray
+from raystream.kernels.ray_source import load_direction, load_limits, load_origin
+from raystream.kernels.solids import Solids, solids_of
+from raystream.physics.pairing import classify_crossing
+
+__all__ = ["PlacedSolids", "classify_placed_crossings"]
+
+
+class _RecordsAt(NamedTuple):
+    """Addresses of the first `InstanceRecord` and the first `ObjectRecord`."""
+
+    instances: np.uint64
+    objects: np.uint64
+
+
+class PlacedSolids:
+    """The meshes of all instances, as solids that are numbered one instance after another.
+
+    Parameters
+    ----------
+    structure : InstancedStructure
+
+    Attributes
+    ----------
+    solids : Solids
+        Of the scene's meshes, each in the space of its object.
+    is_closed : ndarray of shape (L,), bool
+        Of each solid.
+    corners : ndarray of shape (F, 3, 3), float32
+        By prim_id, each in its object's local frame.
+    records : tuple of two uint64
+        Addresses of instances and objects, for `classify_placed_crossings`.
+    """
+
+    def __init__(self, structure: InstancedStructure) -> None:
+        triangles: InstancedTriangles = structure.triangles
+        self._triangles = triangles
+        found = [solids_of(one) for one in triangles.objects]
+        none = np.zeros(0, bool)
+        self.solids = Solids(
+            np.concatenate([none, *(one.is_closed for one in found)]),
+            np.concatenate([none, *(one.is_flipped for one in found)]),
+            all(one.is_closed_together for one in found),
+        )
+        counts = np.array([len(one.is_closed) for one in found], np.int64)
+        ids = triangles.instances.object_ids
+        first_meshes = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        of_instances = counts[ids] if len(ids) else np.zeros(0, np.int64)
+        self._first_solids = np.concatenate([[0], np.cumsum(of_instances)]).astype(np.int64)
+        # Of an instance: its first solid's number less its object's first mesh.
+        self._shifts = self._first_solids[:-1] - first_meshes[:-1][ids]
+        rows = np.arange(self._first_solids[-1]) - np.repeat(self._shifts, of_instances)
+        self.is_closed: NDArray[np.bool_] = self.solids.is_closed[rows]
+        self.corners = triangles.object_corners()
+        self._instances = instance_records(triangles, np.arange(len(ids)))
+        self._objects = object_records(structure.objects)
+        addresses = [
+            np.uint64(one.ctypes.data if len(one) else 0)
+            for one in (self._instances, self._objects)
+        ]
+        self.records = _RecordsAt(*addresses)
+
+    def solids_at(
+        self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
+    ) -> NDArray[np.int32]:
+        """The solids of triangles in instances."""
+        meshes = np.searchsorted(self._triangles.mesh_splits, prim_id, side="right") - 1
+        return (meshes + self._shifts[instance_id]).astype(np.int32)
+
+    def split(self, solid_ids: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """The mesh and the instance of each solid."""
+        instance_id = np.searchsorted(self._first_solids, solid_ids, side="right") - 1
+        mesh_id = solid_ids - self._shifts[instance_id]
+        return mesh_id.astype(np.int32), instance_id.astype(np.int32)
+
+
+@kernel
+def classify_placed_crossings(begin, end, source, records, hits, corners, is_flipped, crossings):
+    """Classify crossings as entries or exits, in the spaces of the objects that are crossed.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rays.
+    source : RaySource
+    records : tuple of two uint64
+        See `PlacedSolids`.
+    hits : tuple of two ndarray of shape (K,), int32
+        The instance and the mesh of each crossing.
+    corners : ndarray of shape (F, 3, 3), float32
+    is_flipped : ndarray of shape (M,), bool
+        Of meshes.
+    crossings : Crossings
+        `mesh_id` has solids; `kind` and `slack` are written.
+    """
+    instance_id, mesh_id = hits
+    for i in range(np.uint64(begin), np.uint64(end)):
+        first, last = crossings.splits[i], crossings.splits[i + np.uint64(1)]
+        if first == last:
+            continue
+        ox, oy, oz = load_origin(source, i)
+        dx, dy, dz = load_direction(source, i)
+        t_min, t_max = load_limits(source, i)
+        world = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, True)
+        for row in range(first, last):
+            instance = InstanceRecord(records.instances, np.uint64(instance_id[row]))
+            object_ = ObjectRecord(records.objects, np.uint64(instance.object_id))
+            local = object_ray(instance, world, object_)
+            ray = prepare_ray(
+                local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, object_.max_coordinate
+            )
+            is_inward = is_flipped[mesh_id[row]]
+            classify_crossing(row, local, ray, object_, corners, is_inward, crossings)

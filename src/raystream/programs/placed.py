@@ -1,0 +1,207 @@
+"""Hits of programs and filters in scenes with instances.
+
+Kernels number the triangles of all instances, one instance after another. From such a number
+programs get the triangle, its mesh and the instance, as results have them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.jit.cpu import device
+from raystream.jit.simd import load
+from raystream.programs.hits import Hit, direction_at, faces_front, interval_of
+
+__all__ = [
+    "PlacedAt",
+    "PlacedSkipsAt",
+    "is_placed_skipped",
+    "is_skipped_at",
+    "placed_hit_at",
+    "placed_hit_of",
+]
+
+_WORD, _LONG = np.uint64(4), np.uint64(8)
+_TRIANGLE = np.uint64(36)
+
+#: An instance: the address of its object's corners; the prim_id of the object's first triangle; and
+#: the matrix that moves directions to object space.
+_PART = np.dtype([("corners", "u8"), ("first_prim", "i8"), ("linear", "f8", (3, 3))])
+_PART_BYTES = np.uint64(_PART.itemsize)
+_FIRST_PRIM, _LINEAR = np.uint64(8), np.uint64(16)
+
+
+class PlacedAt(NamedTuple):
+    """Addresses of the triangles of instances; the caller keeps the arrays alive.
+
+    Attributes
+    ----------
+    parts : uint64
+        Address of a record for each instance.
+    first_ids : uint64
+        Address of `InstancedTriangles.first_ids`.
+    instance_count, instance_halvings : uint64
+        And the steps of the binary search for an instance.
+    mesh_splits : uint64
+        Address of `InstancedTriangles.mesh_splits`.
+    mesh_count, mesh_halvings : uint64
+        And the steps of the binary search for a mesh.
+    """
+
+    parts: np.uint64
+    first_ids: np.uint64
+    instance_count: np.uint64
+    instance_halvings: np.uint64
+    mesh_splits: np.uint64
+    mesh_count: np.uint64
+    mesh_halvings: np.uint64
+
+    @classmethod
+    def of(cls, triangles: InstancedTriangles) -> tuple[PlacedAt, tuple[Any, ...]]:
+        """Addresses of triangles, and the arrays to keep alive."""
+        instances = triangles.instances
+        corners = [one.corners for one in triangles.objects]
+        places = np.array([one.ctypes.data for one in corners], np.uint64)
+        parts = np.empty(len(instances), _PART)
+        ids = instances.object_ids
+        if len(ids):
+            parts["corners"] = places[ids]
+            parts["first_prim"] = triangles.first_prims[ids]
+            parts["linear"] = instances.inverses[:, :, :3]
+        numbers = (
+            parts.ctypes.data,
+            triangles.first_ids.ctypes.data,
+            len(ids),
+            _halvings(len(ids)),
+            triangles.mesh_splits.ctypes.data,
+            len(triangles.mesh_splits) - 1,
+            _halvings(len(triangles.mesh_splits) - 1),
+        )
+        kept = parts, triangles, corners
+        return cls(*np.array(numbers, np.uint64)), kept
+
+
+class PlacedSkipsAt(NamedTuple):
+    """Address of the triangles that rays skip, each in one instance or in all.
+
+    Attributes
+    ----------
+    pairs : uint64
+        Address of the first ray's: prim_id and instance_id, int32. A prim_id of -1 skips nothing;
+        an instance_id of -1 is all instances.
+    width : uint64
+        Pairs per ray.
+    scene : PlacedAt
+    """
+
+    pairs: np.uint64
+    width: np.uint64
+    scene: PlacedAt
+
+    @classmethod
+    def of(cls, pairs: NDArray[np.int32], scene: PlacedAt) -> PlacedSkipsAt:
+        """The address of an array of shape (N, k, 2)."""
+        return cls(np.uint64(pairs.ctypes.data), np.uint64(pairs.shape[1]), scene)
+
+
+def _halvings(count: int) -> int:
+    return max(count - 1, 0).bit_length()
+
+
+@device
+def _instance_of(scene, number):
+    return interval_of(
+        scene.first_ids, scene.instance_count, scene.instance_halvings, np.int64(number)
+    )
+
+
+@device
+def _index_in_object(scene, instance, number):
+    return np.int64(number) - load(np.int64, scene.first_ids + instance * _LONG)
+
+
+@device
+def _prim_id_of(scene, instance, index):
+    first = load(np.int64, scene.parts + instance * _PART_BYTES + _FIRST_PRIM)
+    return np.int32(first + index)
+
+
+@device
+def placed_hit_of(ray, t, u, v, number, rays, position, scene):
+    """A `Hit` of the triangle of this number; see `hits.hit_of` for the arguments."""
+    instance = _instance_of(scene, number)
+    index = _index_in_object(scene, instance, number)
+    prim_id = _prim_id_of(scene, instance, index)
+    mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.mesh_halvings, np.int64(prim_id))
+    part = scene.parts + instance * _PART_BYTES
+    corners = load(np.uint64, part) + np.uint64(index) * _TRIANGLE
+    direction = _moved(part + _LINEAR, direction_at(rays, position))
+    return Hit(
+        np.int64(ray),
+        t,
+        u,
+        v,
+        prim_id,
+        np.int32(mesh),
+        faces_front(corners, direction),
+        np.int32(instance),
+    )
+
+
+@device
+def _moved(matrix, direction):
+    x, y, z = direction
+    return (
+        _row(matrix, x, y, z),
+        _row(matrix + _LONG * np.uint64(3), x, y, z),
+        _row(matrix + _LONG * np.uint64(6), x, y, z),
+    )
+
+
+@device
+def _row(at, x, y, z):
+    return (
+        load(np.float64, at) * x
+        + load(np.float64, at + _LONG) * y
+        + load(np.float64, at + _LONG + _LONG) * z
+    )
+
+
+@device
+def placed_hit_at(rows, row, rays, position, ray, scene):
+    """The hit in a row; see `hits.hit_at` for the arguments."""
+    at = row * _WORD
+    t, u, v = (
+        load(np.float32, rows.t + at),
+        load(np.float32, rows.u + at),
+        load(np.float32, rows.v + at),
+    )
+    return placed_hit_of(ray, t, u, v, load(np.int32, rows.prim_id + at), rays, position, scene)
+
+
+@device
+def is_skipped_at(pairs, width, ray, prim_id, instance_id):
+    """Whether a ray skips a triangle in an instance."""
+    at = pairs + ray * width * _LONG
+    end = at + width * _LONG
+    while at != end:
+        if load(np.int32, at) == prim_id:
+            only = load(np.int32, at + _WORD)
+            if only < np.int32(0) or only == instance_id:
+                return True
+        at += _LONG
+    return False
+
+
+@device
+def is_placed_skipped(skips, ray, rows, row):
+    """Whether a ray skips the triangle of a row."""
+    number = load(np.int32, rows.prim_id + row * _WORD)
+    scene = skips.scene
+    instance = _instance_of(scene, number)
+    prim_id = _prim_id_of(scene, instance, _index_in_object(scene, instance, number))
+    return is_skipped_at(skips.pairs, skips.width, ray, prim_id, np.int32(instance))
