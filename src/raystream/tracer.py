@@ -14,6 +14,7 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.library_hits import in_library
 from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
 from raystream.core.rays import RayArrays, RayBatch
+from raystream.core.scene_checks import check_triangles
 from raystream.jit.threads import Progress
 from raystream.machines.answers import all_hits, nearest_hits
 from raystream.machines.memory_needed import MemoryEstimator
@@ -413,6 +414,7 @@ class Tracer(MemoryEstimator, PointQueries):
         """
         surfaces = counts_surfaces(crossings)
         check_order(order)
+        check_triangles("trace", self.structure.triangles)
         query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
         rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         if isinstance(rays, RayArrays):
@@ -475,6 +477,7 @@ class Tracer(MemoryEstimator, PointQueries):
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
         triangles = self.structure.triangles
+        check_triangles("on_hit, skip_prim_ids", triangles)
         if isinstance(rays, RayArrays):
             chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)
         else:

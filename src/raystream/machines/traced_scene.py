@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles, check_plain
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
+from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
@@ -292,12 +293,12 @@ class TracedScene:
         return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
 
     def check_plain(self, what: str) -> None:
-        """Check that the scene has no instances, with which `what` is not supported.
+        """Check that the scene has triangles alone, without instances, as `what` needs.
 
         Raises
         ------
         RaystreamError
-            If it has.
+            If it has instances or other primitives.
         """
         check_plain(what, self.structure.triangles)
 

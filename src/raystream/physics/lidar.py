@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import RayRows
-from raystream.core.instanced_triangles import check_no_worlds
 from raystream.core.primitives import Primitives
 from raystream.core.rays import RayBatch
+from raystream.core.scene_checks import check_no_worlds
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
