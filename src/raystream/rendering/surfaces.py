@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from raystream.core.errors import RaystreamError
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.rendering.shading.placed_tables import ObjectTables, placed_tables
 from raystream.rendering.shading.streams import ShadingBatch
 from raystream.rendering.shading.tables import SceneArrays, SceneTables
@@ -58,6 +57,4 @@ def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | None:
     triangles: Any = scene.triangles
     if not isinstance(triangles, InstancedTriangles):
         return None
-    if not all(material.is_opaque for material in scene.materials):
-        raise RaystreamError(f"materials that are not opaque: {NOT_INSTANCED}")
     return ObjectTables.of(triangles, arrays)
