@@ -136,7 +136,7 @@ class Terrain:
         With `earth_radius` cells at a distance d from the observer, on the map, are lowered by
         (1 - refraction) d**2 / (2 earth_radius), and lines are straight [1]_. That is a sphere's
         drop but for d**4 / (24 earth_radius**3): 2 cm in 100 km. The lowered terrain is built
-        anew for each call.
+        for each call.
 
         References
         ----------
