@@ -14,6 +14,7 @@ from conftest import assert_same_bits
 from extras import need
 from raystream.core.libraries import library_of
 from raystream.core.library_hits import LibraryHits, LibraryMultiHits
+from raystream.physics.library_results import LibraryLidarReturns, LibraryThickness
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +110,47 @@ def test_what_a_gpu_does_not_derive_is_on_the_host(cupy, tracer, rays):
         _ = hits.positions
 
 
+def deepest(hit, payload):
+    payload[0] = hit.t
+
+
+def test_physics_and_programs_answer_in_the_library_of_their_rays(cupy, tracer, rays):
+    given = rays[0], cupy.ndarray(rays[1])
+    found, expected = rs.thickness(tracer, *given), rs.thickness(tracer, *rays)
+    assert type(found) is LibraryThickness
+    for name in ("ray_splits", "t_entry", "mesh_id", "unpaired_t", "status", "is_complete"):
+        column = getattr(found, name)
+        assert type(column) is cupy.ndarray
+        assert_same_bits(column.values, getattr(expected, name))
+    assert type(found.total_length()) is cupy.ndarray
+    assert_same_bits(found.total_length("mesh").values, expected.total_length("mesh"))
+    assert found.mesh_names == expected.mesh_names
+    assert found.material_names == expected.material_names
+    passed = rs.attenuation(found, 0.01, incomplete="ignore")
+    assert type(passed) is cupy.ndarray
+    assert_same_bits(passed.values, rs.attenuation(expected, 0.01, incomplete="ignore"))
+    found, expected = rs.lidar_returns(tracer, *given), rs.lidar_returns(tracer, *rays)
+    assert type(found) is LibraryLidarReturns
+    for name in ("ranges", "positions", "return_number", "prim_id", "status", "counts"):
+        assert type(getattr(found, name)) is cupy.ndarray
+        assert_same_bits(getattr(found, name).values, getattr(expected, name))
+    made = tracer.trace(*given, on_hit=deepest, payload=float)
+    assert type(made) is cupy.ndarray
+    plain = tracer.trace(*rays, on_hit=deepest, payload=float)
+    assert_same_bits(made.values, plain)
+    own = np.zeros(plain.shape)
+    assert tracer.trace(*given, on_hit=deepest, payload=own) is own
+    assert_same_bits(own, plain)
+    records = tracer.trace(*given, on_hit=lambda hit, payload: None, payload=[("a", "f8")])
+    assert type(records) is np.ndarray
+    points = cupy.ndarray([[100.0, 100.0, 100.0], [460.0, 100.0, 300.0]])
+    for form in ("dense", "bits"):
+        seen = rs.visibility(tracer, points, form=form)
+        assert type(seen) is cupy.ndarray
+        assert_same_bits(seen.values, rs.visibility(tracer, points.values, form=form))
+    assert type(rs.visibility(tracer, points, form="sparse").indices) is np.ndarray
+
+
 # ---- xarray.
 
 
@@ -143,3 +185,32 @@ def test_labels_are_left_out_where_shapes_differ(tracer, rays, labelled):
     hits = tracer.first_hit(labelled[0][:, :1], rays[1])
     assert hits.t.shape == (4, 6)
     assert not hits.t.coords
+
+
+def test_labels_of_physics(tracer, rays, labelled):
+    found, expected = rs.thickness(tracer, *labelled), rs.thickness(tracer, *rays)
+    assert found.total_length().dims == ("row", "column")
+    assert_same_bits(found.total_length().sel(row=30).values, expected.total_length()[2])
+    assert found.total_length("mesh").dims == ("row", "column", "component")
+    assert not found.t_entry.coords
+    passed = rs.attenuation(found, 0.01, incomplete="ignore")
+    assert set(passed.coords) == {"row", "time"}
+    assert rs.lidar_returns(tracer, *labelled).counts.dims == ("row", "column")
+    far = tracer.trace(*labelled, on_hit=deepest, payload=float)
+    assert far.dims == ("row", "column")
+    again = far * 0.0
+    assert tracer.trace(*labelled, on_hit=deepest, payload=again) is again
+    assert_same_bits(again.values, far.values)
+
+
+def test_arrays_that_do_not_change_are_no_payloads(tracer, rays):
+    need("jax")
+    import jax.numpy as jnp
+
+    with pytest.raises(ValueError, match=r"payload: the array is read-only.*give a dtype"):
+        tracer.trace(*rays, on_hit=deepest, payload=jnp.zeros((4, 6)))
+    made = tracer.trace(jnp.asarray(rays[0]), rays[1], on_hit=deepest, payload=np.float32)
+    assert isinstance(made, jnp.ndarray)
+    assert_same_bits(np.asarray(made), tracer.trace(*rays, on_hit=deepest, payload=np.float32))
+    found = rs.thickness(tracer, jnp.asarray(rays[0]), jnp.asarray(rays[1]))
+    assert isinstance(found.t_entry, jnp.ndarray)

@@ -126,10 +126,61 @@ def test_animations_move_instances(scenes, tmp_path) -> None:
     np.testing.assert_array_equal(frames[-1][1].pixels, last.pixels)
 
 
-def test_cut_outs_are_refused() -> None:
-    leaf = rs.Scene(textured_cube().meshes, materials=[rs.Material(opacity=0.5), rs.Material()])
-    with pytest.raises(rs.RaystreamError, match=r"not opaque: .*scene.flattened\(\)"):
-        rs.render(rs.Scene.instances(leaf, [np.eye(3, 4)]), size=(8, 8))
+def leaves(opacity: float, cutoff: float | None) -> rs.Scene:
+    """Squares with holes in a chequered texture, some of them mirrored and sheared."""
+    square = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    holes = np.kron(np.indices((4, 4)).sum(axis=0) % 2, np.ones((8, 8))).astype(np.uint8) * 255
+    material = rs.Material(
+        diffuse=(0.2, 0.7, 0.3),
+        opacity=opacity,
+        alpha_cutoff=cutoff,
+        textures={"opacity": rs.Texture(holes[:, :, None])} if cutoff else {},
+    )
+    mesh = rs.Mesh(square, [[0, 1, 2], [0, 2, 3]], texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    transforms = random_transforms(np.random.default_rng(6), 30, 3.0)
+    return rs.Scene.instances(
+        rs.Scene([mesh], materials=[material]),
+        transforms,
+        lights=[rs.DirectionalLight((0.3, -1.0, -0.5), (2.0, 2.0, 2.0))],
+        background=(0.3, 0.4, 0.5),
+        camera=rs.Camera((0.0, 2.0, 12.0), (0.0, 0.0, 0.0), fov=45),
+    )
+
+
+@pytest.mark.parametrize("mode", ["raycast", "shadow", "whitted", "ao", "path"])
+def test_cut_outs_are_those_of_copies(mode) -> None:
+    scene = leaves(1.0, 0.5)
+    options = {"distance": 2.0} if mode == "ao" else {}
+    placed, flat = (
+        rs.render(one, mode, SIZE, samples=2, seed=1, **options).pixels
+        for one in (scene, scene.flattened())
+    )
+    differs = (np.abs(placed - flat) > 2e-4 + 1e-3 * np.abs(flat)).any(axis=2)
+    assert np.count_nonzero(differs) <= 0.02 * differs.size
+    opaque = scene.replace(materials=[rs.Material(diffuse=(0.2, 0.7, 0.3))])
+    solid = rs.render(opaque, mode, SIZE, samples=2, seed=1, **options).pixels
+    assert np.abs(placed - solid).mean() > 10.0 * np.abs(placed - flat).mean()
+
+
+def test_copies_of_a_sheet_let_light_through_on_their_own() -> None:
+    """Ten half-transparent sheets one behind another leave 2**-10, not a half, of the light."""
+    square = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    mesh = rs.Mesh(square, [[0, 1, 2], [0, 2, 3]])
+    places = np.tile(np.eye(3, 4), (10, 1, 1))
+    places[:, 2, 3] = np.arange(10.0)
+    black = rs.Material(diffuse=(0.0, 0.0, 0.0), opacity=0.5)
+    camera = rs.Camera((0.0, 0.0, 60.0), (0.0, 0.0, 0.0), fov=1.0)
+    for count in (1, 2, 10):
+        scene = rs.Scene.instances(
+            rs.Scene([mesh], materials=[black]),
+            places[:count],
+            background=(1.0, 1.0, 1.0),
+            camera=camera,
+        )
+        light = rs.render(scene, "path", (32, 32), samples=64, seed=3).pixels.mean()
+        share = 0.5**count
+        error = 4.0 * np.sqrt(share * (1.0 - share) / (32 * 32 * 64))
+        assert light == pytest.approx(share, abs=error)
 
 
 def test_rays_leave_objects_far_from_their_origin() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -51,8 +51,10 @@ class Terrain:
         Coordinates of columns and of rows.
     """
 
-    def __init__(self, elevation: Elevation, tracer: Tracer) -> None:
-        self._elevation = elevation
+    def __init__(
+        self, elevation: Elevation, tracer: Tracer, options: Mapping[str, Any] | None = None
+    ) -> None:
+        self._elevation, self._options = elevation, dict(options or {})
         self.tracer = tracer
         self.heights, self.x, self.y = elevation[:3]
         low, high = tracer.scene.bounds
@@ -91,6 +93,8 @@ class Terrain:
         *,
         target_height: float = 0.0,
         max_distance: float = math.inf,
+        earth_radius: float | None = None,
+        refraction: float = 0.0,
         progress: Progress | None = None,
     ) -> Any:
         """Find the cells that an observer sees.
@@ -105,6 +109,12 @@ class Terrain:
             Of what is looked at above the ground, in each cell.
         max_distance : float
             From the eye to what is looked at; farther cells are not visible.
+        earth_radius : float, optional
+            Of a curved Earth, in the units of the raster: 6,371,000 m on average [default: the
+            Earth is flat].
+        refraction : float
+            Coefficient of refraction: the curvature of lines of sight, as part of the Earth's. For
+            light 0.13 is usual (Gauss), for radio waves 0.25.
         progress : callable, optional
             Called with (rows done, rows).
 
@@ -119,28 +129,44 @@ class Terrain:
         ------
         ValueError
             If there is no ground at the observer, `height` is not above 0 (or too small for
-            float32, see Notes), or `target_height` or `max_distance` is negative or NaN.
+            float32, see Notes), `target_height` or `max_distance` is negative or NaN, or
+            `earth_radius` is less than the distance of a cell; or `refraction` is given without it.
+        MemoryError
+            If with `earth_radius` a second terrain does not fit into memory.
 
         Notes
         -----
-        The ground is made of flat triangles, lines are straight, and the Earth is flat: for its
-        curvature, lower the heights by distance**2 / (2 * radius) beforehand. Lines that clear the
-        ground by less than 2**-20 of the terrain's size (1 cm in 10 km) may be reported either
-        way. Rays are traced in bands of rows, which bounds the memory.
+        The ground is made of flat triangles. Lines that clear the ground by less than 2**-20 of the
+        terrain's size (1 cm in 10 km) may be reported either way. Rays are traced in bands of rows,
+        which bounds the memory.
+
+        With `earth_radius` cells at a distance d from the observer, on the map, are lowered by
+        (1 - refraction) d**2 / (2 earth_radius), and lines are straight [1]_. That is a sphere's
+        drop but for d**4 / (24 earth_radius**3): 2 cm in 100 km. The lowered terrain is built
+        for each call.
+
+        References
+        ----------
+        .. [1] Torge and Müller, "Geodesy", 4th edition, de Gruyter 2012, section 5.1: the effects
+           of curvature and refraction on heights.
         """
-        eye = self._eye(observer, height)
+        true_eye = self._eye(observer, height)
+        ground = self._lowered(true_eye, earth_radius, refraction)
+        eye = ground._eye(observer, height)
         target_height = _at_least("target_height", target_height, 0.0)
         max_distance = _at_least("max_distance", max_distance, 0.0)
         visible = np.zeros(self.heights.shape, np.bool_)
         for rows in self._bands(progress):
             cells = np.flatnonzero(np.isfinite(self.heights[rows]))
-            targets, vertices = self._centers(rows, cells)
+            targets, vertices = ground._centers(rows, cells)
             targets[:, 2] += target_height
             sight = targets - eye
             if max_distance < math.inf:
-                is_near = np.linalg.norm(sight, axis=1) <= max_distance
+                places, _ = self._centers(rows, cells)
+                places[:, 2] += target_height
+                is_near = np.linalg.norm(places - true_eye, axis=1) <= max_distance
                 cells, sight, vertices = cells[is_near], sight[is_near], vertices[is_near]
-            visible[rows].reshape(-1)[cells] = self._is_clear(eye, sight, vertices)
+            visible[rows].reshape(-1)[cells] = ground._is_clear(eye, sight, vertices)
         return self._elevation.labelled(visible, "viewshed")
 
     def hillshade(
@@ -200,10 +226,29 @@ class Terrain:
             shade[rows].reshape(-1)[cells[~is_lit]] = 0.0
         return self._elevation.labelled(shade, "hillshade")
 
+    def _lowered(self, eye: NDArray[np.float64], earth_radius: Any, refraction: Any) -> Terrain:
+        """The terrain as it is to be seen on a curved Earth in straight lines from an eye."""
+        bending = as_number("refraction", refraction)
+        if not math.isfinite(bending):
+            raise ValueError(f"refraction: expected a finite number, got {bending}")
+        if earth_radius is None:
+            if bending:
+                raise ValueError("refraction: expected 0 without earth_radius")
+            return self
+        radius = as_number("earth_radius", earth_radius)
+        elevation = self._elevation
+        squares = (self.x - eye[0]) ** 2 + ((self.y - eye[1]) ** 2)[:, None]
+        farthest = math.sqrt(squares.max())
+        if not radius > farthest:
+            raise ValueError(
+                "earth_radius: expected more than the distance of the farthest cell, "
+                f"{farthest:.4g}, got {radius:g}; it is in the units of the raster"
+            )
+        lowered = elevation.heights - (1.0 - bending) / (2.0 * radius) * squares
+        return _built(elevation._replace(heights=lowered), self._options, None)
+
     def _eye(self, observer: Any, height: float) -> NDArray[np.float64]:
-        place = as_real_array("observer", observer).astype(np.float64)
-        if place.shape != (2,):
-            raise ValueError(f"observer: expected x and y, got shape {place.shape}")
+        place = _place(observer)
         ground = float(self._elevation.at(*place[:, None])[0])
         if math.isnan(ground):
             raise ValueError(
@@ -341,6 +386,11 @@ def terrain(
     if surface not in ("mesh", "height field"):
         raise ValueError(f"surface: expected 'mesh' or 'height field', got {surface!r:.80}")
     elevation = elevation_of(dem, Georeference(spacing, transform), nodata)
+    return _built(elevation, options, progress)
+
+
+def _built(elevation: Elevation, options: Mapping[str, Any], progress: Progress | None) -> Terrain:
+    """The terrain of an elevation raster; `options` are those of the `Tracer`."""
     cell_count = elevation.heights.size
     is_field = surface == "height field"
     check_memory(
@@ -358,7 +408,14 @@ def terrain(
     if not len(faces):
         raise ValueError(_NO_TRIANGLES)
     scene = Scene([Mesh(vertices, faces, name="terrain")], up=(0.0, 0.0, 1.0), name="terrain")
-    return Terrain(elevation, Tracer(scene, progress=progress, **options))
+    return Terrain(elevation, Tracer(scene, progress=progress, **options), options)
+
+
+def _place(observer: Any) -> NDArray[np.float64]:
+    place = as_real_array("observer", observer).astype(np.float64)
+    if place.shape != (2,):
+        raise ValueError(f"observer: expected x and y, got shape {place.shape}")
+    return place
 
 
 def _at_least(name: str, value: float, low: float) -> float:

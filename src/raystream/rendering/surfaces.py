@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from raystream.core.errors import RaystreamError
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.rendering.shading.placed_tables import ObjectTables, placed_tables
 from raystream.rendering.shading.primitive_tables import MeshTables, primitive_tables
@@ -66,6 +66,4 @@ def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables |
         return MeshTables.of(arrays)
     if not isinstance(triangles, InstancedTriangles):
         return None
-    if not all(material.is_opaque for material in scene.materials):
-        raise RaystreamError(f"materials that are not opaque: {NOT_INSTANCED}")
     return ObjectTables.of(triangles, arrays)

@@ -33,6 +33,9 @@ _ROUNDING = 2.0**-22
 #: Keeps a seed of 0 from the hash's fixed point.
 _OF_OPACITY = np.uint32(0xBB67AE85)
 
+#: Instances of a triangle have numbers of their own.
+_OF_INSTANCE = np.uint32(0x9E3779B9)
+
 
 class OpacityTables(NamedTuple):
     """A scene's opacity, by address.
@@ -81,12 +84,12 @@ def is_there(hit: Any, rays: Any) -> bool:
     kind = gather(np.int32, rays.tables.kinds, material_of(rays.tables, hit.prim_id))
     if kind == OPAQUE:
         return True
-    result: bool = _is_there(hit.prim_id, hit.u, hit.v, hit.ray, kind, rays)
+    result: bool = _is_there(hit.prim_id, hit.instance_id, hit.u, hit.v, hit.ray, kind, rays)
     return result
 
 
 @device_call
-def _is_there(prim_id, u, v, ray, kind, rays):
+def _is_there(prim_id, instance_id, u, v, ray, kind, rays):
     tables = rays.tables
     material = material_of(tables, prim_id)
     alpha = _alpha(tables, prim_id, material, np.float64(u), np.float64(v))
@@ -95,7 +98,7 @@ def _is_there(prim_id, u, v, ray, kind, rays):
         return alpha >= cutoff - _ROUNDING
     if alpha >= 1.0 - _ROUNDING:
         return True
-    return _number(rays, np.uint64(ray), prim_id) < alpha
+    return _number(rays, np.uint64(ray), prim_id, instance_id) < alpha
 
 
 @device_call
@@ -113,8 +116,8 @@ def _alpha(tables, prim, material, u, v):
 
 
 @device_call
-def _number(rays, ray, prim_id):
-    """A number in [0, 1), hashed from the ray's bits, the triangle and the seed."""
+def _number(rays, ray, prim_id, instance_id):
+    """A number in [0, 1), hashed from the ray's bits, the triangle, its instance and the seed."""
     key = mix(rays.seed ^ _OF_OPACITY)
     at = rays.origins + ray * np.uint64(24)
     for k in range(np.uint64(3)):
@@ -123,4 +126,5 @@ def _number(rays, ray, prim_id):
     at = rays.directions + ray * np.uint64(12)
     for k in range(np.uint64(3)):
         key = mix(key ^ as_uint32(float_as_bits(load(np.float32, at + k * _WORD))))
-    return as_float(mix(key ^ as_uint32(prim_id)))
+    of_instance = as_uint32(as_uint32(instance_id) * _OF_INSTANCE)  # 0 for the first
+    return as_float(mix(key ^ as_uint32(prim_id) ^ of_instance))
