@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.instances.streams import BLOCK_PACKETS, CALL_BYTES, trace_instances

@@ -13,13 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.rays import RayStatus
-from raystream.instances.object_groups import (
-    OBJECT_TESTS,
-    MergedGroup,
-    MergedLanes,
-    keep_hits,
-    load_rays,
-)
+from raystream.instances.merged_hits import OBJECT_TESTS, MergedGroup, MergedLanes, keep_hits
+from raystream.instances.object_rays import load_rays
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import MAX_LENGTH, MOST_FAR
 from raystream.jit.cpu import device, device_call, kernel
@@ -61,7 +56,7 @@ from raystream.structures.bvh.packet_rays import (
 __all__ = ["BLOCK_PACKETS", "CALL_BYTES", "trace_instances"]
 
 #: Packets whose rays descend together. Their groups, and those of an instance, are in the L2 cache.
-BLOCK_PACKETS = 16
+BLOCK_PACKETS = 8
 
 #: Bytes that a call needs.
 CALL_BYTES = 2 * (MEMORY_BYTES + 64)
@@ -131,7 +126,7 @@ def _search_instance(tree, index, rays, count, scene, wants_any):
 
 @device
 def _visit_instance(tree, child, rays, memory, small, wants_any, filter_):  # noqa: ARG001
-    at, count = rays.at, rays.count
+    at, count = rays.at, rays.length
     if rays.is_grouped:
         at, count = rays.room, list_rays(at, count, memory, rays.t_in, rays.room)
         if count == _U0:
@@ -175,7 +170,7 @@ def _padded(source, far):
 
 
 @device
-def _refuse(memory, group_count, groups, count, source):
+def _refuse(memory, groups, count, source):
     """Take rays whose directions are too long or too short out of a list; returns its length."""
     kept = _U0
     for j in range(count):
@@ -248,7 +243,7 @@ def trace_instances(begin, end, top, source, wants_any, out):
         far = np.float32(min(top.far_unit * (reach * source.frame.scale), MOST_FAR))
         padded = _padded(source, far)
         count, ray_count = load_block(memory, padded, first, last, groups, True)
-        count = _refuse(memory, group_count, groups, count, source)
+        count = _refuse(memory, groups, count, source)
         _trace_scene(memory, groups, count, ray_count, tree, stack, Small(small), wants_any, None)
         _finish(memory, group_count)
         store_block(memory, source.order, first, last, wants_any, out)

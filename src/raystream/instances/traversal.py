@@ -30,7 +30,15 @@ from raystream.structures.brute.traversal import traverse as traverse_brute
 from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 
-__all__ = ["MAX_LENGTH", "MOST_FAR", "STACK_BYTES", "TopAddresses", "instance_searches", "traverse_all", "traverse_top"]
+__all__ = [
+    "MAX_LENGTH",
+    "MOST_FAR",
+    "STACK_BYTES",
+    "TopAddresses",
+    "instance_searches",
+    "traverse_all",
+    "traverse_top",
+]
 
 _STACK, _TREE = np.uint64(STACK_BYTES), np.uint64(TREE.itemsize)
 _NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)

@@ -116,8 +116,9 @@ def _load_name(source: str, time: float, triangles: int | None, has_instances: b
             if triangles is not None:
                 raise ValueError("triangles: given twice, in the name and as an argument")
             triangles = _size(source, size)
-        if hasattr(triangles, "__index__") and triangles > procedural.MAX_TRIANGLES:
-            has_instances |= procedural.BUILTIN[name].make_instanced is not None
+        if triangles is not None and hasattr(triangles, "__index__"):
+            is_large = triangles > procedural.MAX_TRIANGLES
+            has_instances |= is_large and procedural.BUILTIN[name].make_instanced is not None
         return procedural.generate(name, triangles, has_instances)
     if source in samples.SAMPLES:
         if has_instances:

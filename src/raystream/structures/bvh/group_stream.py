@@ -251,7 +251,7 @@ class RayList(NamedTuple):
 
     Attributes
     ----------
-    at, count : uint64
+    at, length : uint64
         Address and length of a list of rays, or of groups.
     is_grouped : bool
     t_in : float32
@@ -261,7 +261,7 @@ class RayList(NamedTuple):
     """
 
     at: np.uint64
-    count: np.uint64
+    length: np.uint64
     is_grouped: bool
     t_in: np.float32
     room: np.uint64
@@ -274,16 +274,24 @@ def leaf_visit(tests: LeafTests) -> Callable[..., Any]:
     @device
     def visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
         lanes, hits, hit_count = SmallLanes(address_of(small)), memory + HITS_AT, _U0
+        at, length = rays.at, rays.length
         block = leaf_address(tree.leaves, child)
         end = leaf_end(block, child)
         while block != end:
             if rays.is_grouped:
                 hit_count += with_groups(
-                    BlockLanes(block), rays.at, rays.count, memory, small, lanes, wants_any, filter_
+                    BlockLanes(block),
+                    rays.at,
+                    rays.length,
+                    memory,
+                    small,
+                    lanes,
+                    wants_any,
+                    filter_,
                 )
             else:
                 hit_count += with_rays(
-                    Block(block), rays.at, rays.count, memory, small, hits, wants_any, filter_
+                    Block(block), at, length, memory, small, hits, wants_any, filter_
                 )
             block += BLOCK
         return hit_count

@@ -1,13 +1,13 @@
-"""Groups of 16 rays in object space: loaded from the rays of a scene, and their hits.
+"""Groups of 16 rays in the space of an instance's object, loaded from the rays of a scene.
 
 The numbers are those that `kernels.ray_source.local_ray` gives for a single ray, 16 at a time.
-Hits are kept as `kernels.search.offer` keeps them: by their t as it is reported, then prim_id.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from raystream.instances.merged_hits import MergedGroup, MergedLanes, far_limits
 from raystream.instances.records import InstanceRecord, ObjectRecord
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
@@ -40,32 +40,21 @@ from raystream.kernels.ray import (
     MOST_EXPONENT,
     POWER_EXPONENT,
     local_limit,
-    world_t,
 )
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
-from raystream.structures.bvh.group_leaf import leaf_tests
 from raystream.structures.bvh.group_rays import (
     GROUP_SHIFT,
-    HOT_AT,
     LANE_SHIFT,
     LAST_LANE,
     LISTS_AT,
     PLACES_AT,
-    Hot,
     arrange_group,
 )
 from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_load import prepare_group
-from raystream.structures.bvh.packet_rays import (
-    GROUP,
-    NO_PRIM,
-    Group,
-    GroupPlaces,
-    first_ray,
-    three,
-)
+from raystream.structures.bvh.packet_rays import NO_PRIM, Group, GroupPlaces, first_ray, three
 
-__all__ = ["MERGED", "OBJECT_TESTS", "MergedGroup", "MergedLanes", "keep_hits", "load_rays"]
+__all__ = ["load_rays"]
 
 _U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -74,8 +63,6 @@ _ALL = np.uint64(0xFFFF)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _INF64, _ZERO64 = np.float64(np.inf), np.float64(0.0)
-_LARGEST = np.float32(np.finfo(np.float32).max)
-_FOUND = np.int32(1)
 
 #: Origins beyond this are left to the function for single rays, which tells valid ones.
 _MAX_ORIGIN = np.float64(2.0**100)
@@ -83,31 +70,6 @@ _MAX_ORIGIN = np.float64(2.0**100)
 #: An advanced origin that was further away than this many of the object's largest coordinates is
 #: left to the function for single rays: nearer ones are exact to a small part of the object's box.
 _MAX_STEPS = np.float64(2.0**30)
-
-#: A group of `packet_rays`, whose fields for other kernels have the hits that are merged from
-#: several instances: t as it is reported, the number of the triangle, and whether there is one
-#: from this instance.
-_NAMES = {
-    "t_active": ("best_t", "f4"),
-    "t_scale": ("found", "i4"),
-    "slow_t_scale": ("t_scale", "f8"),
-    "slow_t_offset": ("t_offset", "f8"),
-}
-
-
-def _merged(is_indexed: bool) -> np.dtype:
-    fields = []
-    for name in GROUP.names or ():
-        base, shape = GROUP[name].subdtype or (GROUP[name], ())
-        name_, kind = _NAMES.get(name, (name, base.str))
-        fields.append((name_, kind, (*shape, 1) if is_indexed else shape))
-    return np.dtype(fields)
-
-
-MERGED = _merged(False)
-MergedGroup = view(MERGED)
-#: The same with a lane index.
-MergedLanes = view(_merged(True))
 
 #: Numbers of 16 rays in world space, and of their best hits so far.
 _WORLD = [
@@ -121,119 +83,6 @@ _WORLD = [
 _WORLD_BYTES = np.dtype(_WORLD).itemsize
 _World = view(_WORLD)
 _WorldLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _WORLD])
-
-
-# Hits
-
-
-@device
-def _limits(best_t, t_scale, t_offset):
-    """Distances in object space beyond which all are reported as more than `best_t`.
-
-    Not the least ones, as of `kernels.ray.local_limit`: what is kept is decided by reported
-    distances.
-    """
-    t = widen(best_t)
-    slack = absolute(t) * 2.0**-22 + absolute(t_offset) * 2.0**-48 + 2.0**-147
-    near = narrow((t + slack - t_offset) / t_scale)
-    far = near + absolute(near) * np.float32(2.0**-22) + np.float32(2.0**-140)
-    return select(best_t >= _LARGEST, f32x16(_INF), far)
-
-
-@device
-def _reported(t, t_scale, t_offset):
-    """Distances as they are reported; see `kernels.ray.world_t`."""
-    world = narrow(widen(t) * t_scale + t_offset)
-    return minimum(maximum(world, f32x16(-_LARGEST)), f32x16(_LARGEST))
-
-
-@device
-def _keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):  # noqa: ARG001
-    group = MergedGroup(memory, g)
-    t_scale, t_offset = group.t_scale, group.t_offset
-    world = _reported(t, t_scale, t_offset)
-    best_t, best, prim_ids = group.best_t, group.prim_id, i32x16(prim_id)
-    taken = taken & ((world < best_t) | ((world == best_t) & (prim_ids < best)))
-    bits = mask_bits(taken)
-    if bits == _U0:
-        return False
-    nearest = group.t
-    far = f32x16(-_INF) if wants_any else minimum(_limits(world, t_scale, t_offset), nearest)
-    group.t = select(taken, far, nearest)
-    group.best_t, group.prim_id = select(taken, world, best_t), select(taken, prim_ids, best)
-    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
-    group.found = select(taken, i32x16(_FOUND), group.found)
-    lanes = MergedLanes(memory, g)
-    while bits != _U0:
-        k = count_trailing_zeros(bits)
-        bits &= bits - _U1
-        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = lanes.t[k]
-    return True
-
-
-@device
-def _keep_of_ray(memory, number, block, bits, found, wants_any, filter_):  # noqa: ARG001
-    g, k = number >> LANE_SHIFT, number & LAST_LANE
-    lanes, hot, prim_ids = MergedLanes(memory, g), Hot(memory + HOT_AT, number), block.prim_ids
-    best_t, best = lanes.best_t[k], lanes.prim_id[k]
-    t_scale, t_offset = lanes.t_scale[k], lanes.t_offset[k]
-    has_hit = False
-    while bits != _U0:
-        lane = count_trailing_zeros(bits)
-        bits &= bits - _U1
-        t, prim_id = world_t(found.t[lane], t_scale, t_offset), prim_ids[lane]
-        if t < best_t or (t == best_t and prim_id < best):
-            best_t, best, has_hit = t, prim_id, True
-            lanes.u[k], lanes.v[k] = found.u[lane], found.v[lane]
-    if has_hit:
-        far = -_INF if wants_any else min(local_limit(best_t, t_scale, t_offset), lanes.t[k])
-        lanes.best_t[k], lanes.prim_id[k], lanes.found[k] = best_t, best, _FOUND
-        lanes.t[k], hot.t = far, far
-
-
-#: The tests of the leaves of objects.
-OBJECT_TESTS = leaf_tests(_keep_in_group, _keep_of_ray)
-
-
-@device
-def keep_hits(scene, inside, rays, count, first_id, wants_any):
-    """Merge the hits of an instance's rays with those of the scene's; returns their number.
-
-    Parameters
-    ----------
-    scene, inside : uint64
-        Memory of the groups in the scene and in the instance's object.
-    rays : uint64
-        Address of the numbers of these rays in the scene.
-    count : uint64
-    first_id : int32
-        See `InstanceRay`.
-    wants_any : bool
-    """
-    hit_count = _U0
-    for g in range((count + LAST_LANE) >> LANE_SHIFT):
-        bits = mask_bits(MergedGroup(inside, g).found != np.int32(0))
-        lanes = MergedLanes(inside, g)
-        while bits != _U0:
-            k = count_trailing_zeros(bits)
-            bits &= bits - _U1
-            at = (g << LANE_SHIFT) | k
-            if at >= count:  # a copy of the last ray
-                break
-            hit_count += _U1
-            number = np.uint64(load(np.uint32, rays + at * LANE))
-            to, own = MergedLanes(scene, number >> LANE_SHIFT), number & LAST_LANE
-            hot = Hot(scene + HOT_AT, number)
-            best_t, far = lanes.best_t[k], -_INF
-            to.prim_id[own] = np.int32(lanes.prim_id[k] + first_id)
-            if not wants_any:
-                to.best_t[own], to.u[own], to.v[own] = best_t, lanes.u[k], lanes.v[k]
-                far = min(local_limit(best_t, to.t_scale[own], to.t_offset[own]), to.t[own])
-            to.t[own], hot.t = far, far
-    return hit_count
-
-
-# Rays
 
 
 @device
@@ -360,9 +209,7 @@ def _load_group(group, world, instance, object_):
     box_low, box_high = object_.low, object_.high
     far = FAR * np.float64(object_.max_coordinate)
     outside = maximum(
-        maximum(
-            _outside_by(ox, box_low[0], box_high[0]), _outside_by(oy, box_low[1], box_high[1])
-        ),
+        maximum(_outside_by(ox, box_low[0], box_high[0]), _outside_by(oy, box_low[1], box_high[1])),
         _outside_by(oz, box_low[2], box_high[2]),
     )
     advanced = is_usual & (outside > far)
@@ -391,7 +238,7 @@ def _load_group(group, world, instance, object_):
         ox, oy, oz = select(missed, zero, ox), select(missed, zero, oy), select(missed, zero, oz)
         t_offset = select(missed, zero, t_offset)
         low = select(missed, f32x16(_INF), low)
-    high = select(has_hit | advanced, _limits(best_t, t_scale, t_offset), high)
+    high = select(has_hit | advanced, far_limits(best_t, t_scale, t_offset), high)
     high = select(low == _INF, f32x16(-_INF), high)
 
     origin, to = group.origin, group.direction
