@@ -138,13 +138,13 @@ def test_batches_are_traced_by_any_kernel() -> None:
     camera = rs.Camera((0.0, 0.0, 30.0), (0.0, 0.0, 0.0))
     origins, directions = camera.rays(320, 256)
     expected = rs.Tracer(scene, kernel="single")
+    reported: list[tuple[int, int]] = []
     for one in (
         rays,
         {"origins": origins, "directions": directions},
         {"origins": origins.reshape(-1, 3), "directions": directions.reshape(-1, 3)},
         {"origins": origins[0, 0], "directions": directions[90:160, 100:201], "t_max": 31.0},
     ):
-        reported: list[tuple[int, int]] = []
         wanted, seen = expected.first_hit(**one), expected.any_hit(**one)
         for kernel in ("auto", "auto", "groups", "packet"):
             tracer = rs.Tracer(scene, kernel=kernel)
