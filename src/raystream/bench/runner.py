@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from raystream.bench.agreement import Agreement, compare
 from raystream.bench.contender_process import ContenderError, ContenderProcess
 from raystream.bench.contenders import Entry, make_contender
-from raystream.bench.contenders.base import Geometry, Rays, warmup_geometry
+from raystream.bench.contenders.base import Geometry, Placed, Rays, warmup_geometry
 from raystream.bench.machine import describe_machine
 from raystream.bench.memory import Memory
 from raystream.bench.ray_sets import DEFAULT_SETS, RAY_SETS, make_ray_sets
@@ -24,6 +24,7 @@ from raystream.bench.results import NO_QUERY, BenchResult, BuildResult, SceneRes
 from raystream.bench.roofline import Peaks, count_tests, measure_peaks
 from raystream.bench.worker import OUTCOME, save_geometry, save_rays
 from raystream.jit.threads import Progress
+from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 from raystream.structures.bvh.options import Bvh
 from raystream.tracer import Tracer
@@ -244,7 +245,7 @@ class Bench:
         started = time.perf_counter()
         plan = self._plan
         geometry = geometry_of(scene)
-        found = SceneResult(name, len(geometry.faces))
+        found = SceneResult(name, geometry.triangle_count)
         self.result.scenes.append(found)
         self.result.skipped.pop(name, None)
         steps = _StepCounter(1 + len(plan.sets) * (plan.repeats + 1), progress)
@@ -280,6 +281,7 @@ class Bench:
         options = plan.entries[0].options
         is_counted = options.get("structure", "bvh") == "bvh" and "machine" not in options
         kept = {key: options[key] for key in ("quality", "max_leaf_size") if key in options}
+        is_counted = is_counted and scene.placements is None
         is_counted = is_counted and kept.get("max_leaf_size", Bvh.max_leaf_size) <= 4
         tracer = Tracer(scene, counters=True, **(kept if is_counted else {}))
         width, height = plan.size
@@ -416,12 +418,21 @@ class _Blaming:
 def geometry_of(scene: Scene) -> Geometry:
     """Merge a scene's meshes, as float32 in world space; face indices are `prim_id`.
 
+    In a scene with instances, meshes are merged by object.
+
     Raises
     ------
     ValueError
         If the scene has no triangles, so that there is nothing to compare.
     """
-    meshes = [mesh for mesh in scene.meshes if len(mesh.faces)]
+    geometry: Any = scene.geometry
+    if scene.placements is not None:
+        return _placed_geometry(scene, geometry.mesh_ranges)
+    return _merged(scene.meshes)
+
+
+def _merged(meshes: Sequence[Mesh]) -> Geometry:
+    meshes = [mesh for mesh in meshes if len(mesh.faces)]
     if not meshes:
         raise ValueError("the scene has no triangles")
     firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
@@ -429,6 +440,22 @@ def geometry_of(scene: Scene) -> Geometry:
         np.concatenate([mesh.vertices.astype(np.float32, copy=False) for mesh in meshes]),
         np.concatenate([m.faces + np.int32(n) for m, n in zip(meshes, firsts, strict=False)]),
     )
+
+
+def _placed_geometry(scene: Scene, ranges: Sequence[tuple[int, int]]) -> Geometry:
+    instances = scene.placements
+    assert instances is not None
+    objects = [_merged(scene.meshes[first:end]) for first, end in ranges]
+    placed = Placed(
+        np.cumsum([0, *(len(one.vertices) for one in objects)]),
+        np.cumsum([0, *(len(one.faces) for one in objects)]),
+        instances.object_ids,
+        instances.transforms,
+    )
+    vertices, faces = (
+        np.concatenate([getattr(one, name) for one in objects]) for name in ("vertices", "faces")
+    )
+    return Geometry(vertices, faces, placed)
 
 
 def _changes(before: dict[str, str], now: dict[str, str]) -> str:

@@ -23,8 +23,10 @@ import numpy as np
 from raystream.bench.agreement import count_hits, outcome
 from raystream.bench.contenders import Peer, load_contender
 from raystream.bench.contenders.base import (
+    NO_INSTANCES,
     Contender,
     Geometry,
+    Placed,
     Points,
     Query,
     Rays,
@@ -40,6 +42,9 @@ Item = TypeVar("Item")
 #: ``PR_SET_PDEATHSIG`` of ``linux/prctl.h``.
 _PARENT_DEATH_SIGNAL = 1
 
+#: File of a scene's instances.
+_PLACED = "placed.npz"
+
 #: File of a kept outcome.
 OUTCOME = "outcome.npy"
 
@@ -51,11 +56,17 @@ def save_geometry(folder: Path, geometry: Geometry) -> None:
     """Write triangles for `load_geometry`."""
     np.save(folder / "vertices.npy", geometry.vertices)
     np.save(folder / "faces.npy", geometry.faces)
+    if geometry.placed is not None:
+        np.savez(folder / _PLACED, **geometry.placed._asdict())
 
 
 def load_geometry(folder: Path) -> Geometry:
     """Read the triangles of a scene."""
-    return Geometry(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"))
+    placed = None
+    if (folder / _PLACED).exists():
+        with np.load(folder / _PLACED) as arrays:
+            placed = Placed(**arrays)
+    return Geometry(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"), placed)
 
 
 def save_rays(folder: Path, rays: Rays | Points) -> None:
@@ -129,6 +140,8 @@ class _Worker:
         self.contender.release()
         gauge = MemoryGauge() if measured else None
         geometry = load_geometry(Path(folder))
+        if geometry.placed is not None and not self.contender.has_instances:
+            raise UnavailableError(NO_INSTANCES)
         seconds, _ = _timed(self.contender.build, geometry)
         if gauge is None:
             return {"seconds": seconds}

@@ -245,7 +245,8 @@ class Terrain:
                 f"{farthest:.4g}, got {radius:g}; it is in the units of the raster"
             )
         lowered = elevation.heights - (1.0 - bending) / (2.0 * radius) * squares
-        return _built(elevation._replace(heights=lowered), self._options, None)
+        lowered_elevation = elevation._replace(heights=lowered)
+        return _built(lowered_elevation, self.scene.has_primitives, self._options, None)
 
     def _eye(self, observer: Any, height: float) -> NDArray[np.float64]:
         place = _place(observer)
@@ -386,13 +387,14 @@ def terrain(
     if surface not in ("mesh", "height field"):
         raise ValueError(f"surface: expected 'mesh' or 'height field', got {surface!r:.80}")
     elevation = elevation_of(dem, Georeference(spacing, transform), nodata)
-    return _built(elevation, options, progress)
+    return _built(elevation, surface == "height field", options, progress)
 
 
-def _built(elevation: Elevation, options: Mapping[str, Any], progress: Progress | None) -> Terrain:
+def _built(
+    elevation: Elevation, is_field: bool, options: Mapping[str, Any], progress: Progress | None
+) -> Terrain:
     """The terrain of an elevation raster; `options` are those of the `Tracer`."""
     cell_count = elevation.heights.size
-    is_field = surface == "height field"
     check_memory(
         (FIELD_BYTES_PER_CELL if is_field else BYTES_PER_CELL) * cell_count,
         f"dem: a terrain of {cell_count:,} cells would",

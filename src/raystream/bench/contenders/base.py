@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -11,11 +12,13 @@ from numpy.typing import NDArray
 
 __all__ = [
     "MISS_T",
+    "NO_INSTANCES",
     "AllHits",
     "Closest",
     "Contender",
     "FirstHits",
     "Geometry",
+    "Placed",
     "Points",
     "Query",
     "Rays",
@@ -34,6 +37,29 @@ class UnavailableError(Exception):
     """A contender is not available; the message says why, and what to do."""
 
 
+#: What is reported of a contender that has no instances, in a scene of them.
+NO_INSTANCES = "no instances"
+
+
+class Placed(NamedTuple):
+    """The instances of a scene.
+
+    Parameters
+    ----------
+    vertex_splits, face_splits : ndarray of shape (O + 1,), int64
+        Object i has the vertices and faces from splits[i] to splits[i + 1]; its faces count from
+        its own first vertex.
+    object_ids : ndarray of shape (K,), int32
+    transforms : ndarray of shape (K, 3, 4), float64
+        Object to world space.
+    """
+
+    vertex_splits: NDArray[np.int64]
+    face_splits: NDArray[np.int64]
+    object_ids: NDArray[np.int32]
+    transforms: NDArray[np.float64]
+
+
 class Geometry(NamedTuple):
     """A scene's triangles, in a user's arrays.
 
@@ -41,10 +67,31 @@ class Geometry(NamedTuple):
     ----------
     vertices : ndarray of shape (V, 3), float32
     faces : ndarray of shape (F, 3), int32
+    placed : Placed, optional
+        Where the triangles are; None for once, in world space.
     """
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
+    placed: Placed | None = None
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles, in all instances."""
+        if self.placed is None:
+            return len(self.faces)
+        return int(np.diff(self.placed.face_splits)[self.placed.object_ids].sum())
+
+    def objects(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.int32]]]:
+        """The vertices and faces of each object."""
+        if self.placed is None:
+            yield self.vertices, self.faces
+            return
+        splits = zip(
+            pairwise(self.placed.vertex_splits), pairwise(self.placed.face_splits), strict=True
+        )
+        for (first, end), (first_face, end_face) in splits:
+            yield self.vertices[first:end], self.faces[first_face:end_face]
 
 
 def warmup_geometry() -> Geometry:
@@ -161,11 +208,14 @@ class Contender(ABC):
         Supported queries, each with its method.
     notes : str
         A note for readers of its figures.
+    has_instances : bool
+        Whether it builds scenes of instances.
     """
 
     modes: ClassVar[tuple[str, ...]] = ("",)
     queries: frozenset[Query] = frozenset(("first", "any", "multi"))
     notes: ClassVar[str] = ""
+    has_instances: ClassVar[bool] = False
 
     @abstractmethod
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:

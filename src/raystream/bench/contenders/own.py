@@ -29,6 +29,8 @@ __all__ = ["Raystream"]
 class Raystream(Contender):
     """A `Tracer` with the given options."""
 
+    has_instances = True
+
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
         set_thread_count(threads)
         self._options = dict(options)
@@ -51,7 +53,11 @@ class Raystream(Contender):
 
     def build(self, geometry: Geometry) -> None:
         """Make a scene from the arrays, and its structure."""
-        self._tracer = Tracer(Scene.from_arrays(*geometry), **self._options)
+        objects = [Scene.from_arrays(vertices, faces) for vertices, faces in geometry.objects()]
+        scene, placed = objects[0], geometry.placed
+        if placed is not None:
+            scene = Scene.instances(objects, placed.transforms, placed.object_ids)
+        self._tracer = Tracer(scene, **self._options)
 
     def release(self) -> None:
         """Free the structure."""
