@@ -398,14 +398,15 @@ def _built(
     check_memory(
         (FIELD_BYTES_PER_CELL if is_field else BYTES_PER_CELL) * cell_count,
         f"dem: a terrain of {cell_count:,} cells would",
-        "use fewer cells, as in dem[::2, ::2]" + ("" if is_field else ", or 'height field'"),
+        "use fewer cells, as in dem[::2, ::2]"
+        + ("" if is_field else ", or surface='height field'"),
     )
     if is_field:
         field = HeightField(*elevation[:3])
         if field.is_empty:
             raise ValueError(_NO_TRIANGLES)
         scene = Scene.of_field(field, name="terrain")
-        return Terrain(elevation, Tracer(scene, progress=progress, **options))
+        return Terrain(elevation, Tracer(scene, progress=progress, **options), options)
     vertices, faces = triangulated(elevation)
     if not len(faces):
         raise ValueError(_NO_TRIANGLES)

@@ -40,7 +40,7 @@ from raystream.jit.simd import (
     square_root,
     store,
 )
-from raystream.kernels.ray_source import MANTISSA_BITS, POWER_EXPONENT
+from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.kernels.search import is_full, offer
 from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle_lanes import slab_interval
