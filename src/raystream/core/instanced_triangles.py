@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 from raystream.core.errors import RaystreamError
+from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.instances import Instances
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
@@ -305,7 +306,7 @@ class InstancedTriangles:
 
 
 def check_plain(what: str, triangles: Any) -> None:
-    """Check that triangles belong to no instances, with which `what` is not supported.
+    """Check that triangles belong to no instances and are in float32, as `what` needs.
 
     Raises
     ------
@@ -314,6 +315,8 @@ def check_plain(what: str, triangles: Any) -> None:
     """
     if isinstance(triangles, InstancedTriangles):
         raise RaystreamError(f"{what}: {NOT_INSTANCED}")
+    if isinstance(triangles, Float64Triangles):
+        raise RaystreamError(f"{what}: {NOT_IN_FLOAT64}")
 
 
 #: Attributes of `Triangles` that instances cannot have.

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.float64_hits import Float64Hits
+from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import RayStatus
@@ -80,10 +82,12 @@ class RayHit(_Columns):
     @cached_property
     def hits(self) -> Hits:
         """The same as `Hits` of shape (), for all else that they know: materials, `spawn`."""
-        t, u, v = (np.array(one, np.float32) for one in self[:3])
+        is_double = isinstance(self._triangles, Float64Triangles)
+        kind, dtype = (Float64Hits, np.float64) if is_double else (Hits, np.float32)
+        t, u, v = (np.array(one, dtype) for one in self[:3])
         prim_id, status = np.array(self.prim_id, np.int32), np.array(self.status, np.uint8)
         instance_id = np.array(self.instance_id, np.int32)
-        return Hits(t, u, v, prim_id, status, self._triangles, None, instance_id)
+        return kind(t, u, v, prim_id, status, self._triangles, None, instance_id)
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from raystream.core.float64_hits import Float64Hits, Float64MultiHits
+from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.triangles import Triangles
@@ -19,16 +21,19 @@ def nearest_hits(
     t, u, v, prim_id = sink.hits
     status, sectors = sink.status, sink.sectors
     instance_id = None
+    kind = Hits
     if isinstance(triangles, InstancedTriangles):
         prim_id, instance_id = triangles.split_ids(prim_id)
+    elif isinstance(triangles, Float64Triangles):
+        kind = Float64Hits
     if len(shape) == 1:
-        return Hits(t, u, v, prim_id, status, triangles, sectors, instance_id)
+        return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
     columns: list[Any] = [
         None if one is None else one.reshape(shape)
         for one in (t, u, v, prim_id, status, sectors, instance_id)
     ]
     t, u, v, prim_id, status, sectors, instance_id = columns
-    return Hits(t, u, v, prim_id, status, triangles, sectors, instance_id)
+    return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
 
 
 def all_hits(
@@ -37,7 +42,10 @@ def all_hits(
     """The results of `Kind.MULTI_HIT` for rays of a leading shape."""
     t, u, v, prim_id = sink.hits
     instance_id = None
+    kind = MultiHits
     if isinstance(triangles, InstancedTriangles):
         prim_id, instance_id = triangles.split_ids(prim_id)
+    elif isinstance(triangles, Float64Triangles):
+        kind = Float64MultiHits
     status = sink.status.reshape(shape)
-    return MultiHits(sink.splits, t, u, v, prim_id, status, triangles, instance_id)
+    return kind(sink.splits, t, u, v, prim_id, status, triangles, instance_id)

@@ -36,6 +36,7 @@ from raystream.structures.bvh.packet_rays import (
 __all__ = [
     "BLOCK_PACKETS",
     "COLD_AT",
+    "FLAGS_AT",
     "GROUP_SHIFT",
     "HITS_AT",
     "HOT_AT",
@@ -90,9 +91,9 @@ _HOT_BYTES, _COLD_BYTES = np.uint64(_HOT.itemsize), np.uint64(_COLD.itemsize)
 _GROUP_BYTES = np.uint64(GROUP.itemsize)
 HOT_AT = np.uint64(_GROUPS * GROUP.itemsize)
 COLD_AT = HOT_AT + np.uint64(BLOCK_RAYS * _HOT.itemsize)
-_FLAGS_AT = COLD_AT + np.uint64(BLOCK_RAYS * _COLD.itemsize)
+FLAGS_AT = COLD_AT + np.uint64(BLOCK_RAYS * _COLD.itemsize)
 #: With a filter: where each group begins in the batch, see `packet_rays.GroupPlaces`.
-PLACES_AT = _FLAGS_AT + np.uint64(_GROUPS + 64)
+PLACES_AT = FLAGS_AT + np.uint64(_GROUPS + 64)
 HITS_AT = PLACES_AT + np.uint64(8 * _GROUPS)
 LISTS_AT = HITS_AT + np.uint64(4 * BLOCK_RAYS + 64)
 MEMORY_BYTES = int(LISTS_AT) + 4 * (MAX_DEPTH + 1) * 9 * (BLOCK_RAYS + 16) + 64
@@ -176,7 +177,7 @@ def load_block(memory, source, first, last, groups, has_filter):
                 if not is_slow:
                     set_slow(group)
             _arrange(group, memory, g << LANE_SHIFT)
-            store(memory + _FLAGS_AT + g, np.uint8(is_slow))
+            store(memory + FLAGS_AT + g, np.uint8(is_slow))
             bits = mask_bits(group.t_min <= group.t)
             store(groups + count * LANE, np.uint32((g << GROUP_SHIFT) | bits))
             count += np.uint64(bits != _U0)
@@ -194,7 +195,7 @@ def store_block(memory, order, first, last, wants_any, out):
             ray, length = group_rows(order, packet, row)
             if length == _U0:
                 continue
-            is_slow = load(np.uint8, memory + _FLAGS_AT + g) != np.uint8(0)
+            is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
             store_group(memory + g * _GROUP_BYTES, ray, length, is_slow, wants_any, out)
             g += _U1
 

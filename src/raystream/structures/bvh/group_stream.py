@@ -78,7 +78,7 @@ from raystream.structures.bvh.node_layout import (
 from raystream.structures.bvh.packet_filter import block_filter
 from raystream.structures.bvh.packet_rays import Group, three
 
-__all__ = ["BLOCK_PACKETS", "trace_groups"]
+__all__ = ["BLOCK_PACKETS", "GROUP_STACK_BYTES", "block_trace", "trace_groups"]
 
 _PACKETS = np.uint64(BLOCK_PACKETS)
 #: Fewer rays than this per group, on average, continue as single rays.
@@ -105,7 +105,9 @@ _ENTRY = np.dtype(
     ]
 )
 _Entry = view(_ENTRY)
-_STACK_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
+
+#: Bytes of the stack.
+GROUP_STACK_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
 
 
 @device
@@ -236,54 +238,85 @@ def _still_wanted(rays, count, memory, t_in):
 
 
 @device
-def _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_):
-    """Trace the groups of a list."""
-    lanes = SmallLanes(address_of(small))
-    hits = memory + HITS_AT
-    hit_count = _U0
-    root = _Entry(stack)
-    root.child, root.count, root.list = np.int32(0), np.uint32(count), groups
-    root.room, root.t_in = groups + (count + _LANES) * LANE, -_INF
-    root.hit_count, root.ray_count = np.uint32(0), ray_count
-    top = np.uint64(count != _U0)
-    while top != _U0:
-        top -= _U1
-        entry = _Entry(stack, top)
-        child, at, length, room = entry.child, entry.list, np.uint64(entry.count), entry.room
-        is_grouped = entry.ray_count >= length * _FEW
-        if not is_grouped:
-            if entry.ray_count != _U0:
-                length = _expand(at, length, memory, entry.t_in, room)
-                at = room
-                room += length * LANE
-            elif entry.hit_count != np.uint32(hit_count):
-                length = _still_wanted(at, length, memory, entry.t_in)
-            if length == _U0:
-                continue
-        if child < np.int32(0):
-            block = leaf_address(tree.leaves, child)
-            end = leaf_end(block, child)
-            while block != end:
-                if is_grouped:
-                    hit_count += leaf_with_groups(
-                        BlockLanes(block), at, length, memory, small, lanes, wants_any, filter_
-                    )
-                else:
-                    hit_count += leaf_with_rays(
-                        Block(block), at, length, memory, small, hits, wants_any, filter_
-                    )
-                block += BLOCK
-            continue
-        number = np.uint64(child)
+def _search_leaf(tree, child, at, length, is_grouped, memory, small, wants_any, filter_):
+    """Test a leaf against the groups or rays of a list; returns the number of hits."""
+    lanes, hits, hit_count = SmallLanes(address_of(small)), memory + HITS_AT, _U0
+    block = leaf_address(tree.leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
         if is_grouped:
-            room = _visit_with_groups(
-                NodeLanes(tree.nodes, number), at, length, memory, small, lanes, room
+            hit_count += leaf_with_groups(
+                BlockLanes(block), at, length, memory, small, lanes, wants_any, filter_
             )
         else:
-            room = _visit_with_rays(
-                Node(tree.nodes, number), at, length, memory, small, lanes, hits, room
+            hit_count += leaf_with_rays(
+                Block(block), at, length, memory, small, hits, wants_any, filter_
             )
-        top = _push(stack, top, NodeLanes(tree.nodes, number), small, lanes, room, hit_count, tree)
+        block += BLOCK
+    return hit_count
+
+
+def block_trace(search_leaf):
+    """Make the function that traces the groups of a list.
+
+    Parameters
+    ----------
+    search_leaf : device function
+        ``search_leaf(tree, child, at, length, is_grouped, memory, small, wants_any, filter_)``
+        tests the triangles of a leaf against a list of groups or rays at the address `at`, keeps
+        their hits, and returns how many there were.
+
+    Returns
+    -------
+    device function
+        ``trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_)``
+    """
+
+    @device
+    def trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_):
+        lanes = SmallLanes(address_of(small))
+        hits = memory + HITS_AT
+        hit_count = _U0
+        root = _Entry(stack)
+        root.child, root.count, root.list = np.int32(0), np.uint32(count), groups
+        root.room, root.t_in = groups + (count + _LANES) * LANE, -_INF
+        root.hit_count, root.ray_count = np.uint32(0), ray_count
+        top = np.uint64(count != _U0)
+        while top != _U0:
+            top -= _U1
+            entry = _Entry(stack, top)
+            child, at, length, room = entry.child, entry.list, np.uint64(entry.count), entry.room
+            is_grouped = entry.ray_count >= length * _FEW
+            if not is_grouped:
+                if entry.ray_count != _U0:
+                    length = _expand(at, length, memory, entry.t_in, room)
+                    at = room
+                    room += length * LANE
+                elif entry.hit_count != np.uint32(hit_count):
+                    length = _still_wanted(at, length, memory, entry.t_in)
+                if length == _U0:
+                    continue
+            if child < np.int32(0):
+                hit_count += search_leaf(
+                    tree, child, at, length, is_grouped, memory, small, wants_any, filter_
+                )
+                continue
+            number = np.uint64(child)
+            if is_grouped:
+                room = _visit_with_groups(
+                    NodeLanes(tree.nodes, number), at, length, memory, small, lanes, room
+                )
+            else:
+                room = _visit_with_rays(
+                    Node(tree.nodes, number), at, length, memory, small, lanes, hits, room
+                )
+            node = NodeLanes(tree.nodes, number)
+            top = _push(stack, top, node, small, lanes, room, hit_count, tree)
+
+    return trace_block
+
+
+_trace_block = block_trace(_search_leaf)
 
 
 @kernel
@@ -303,7 +336,7 @@ def trace_groups(begin, end, tree, source, wants_any, filter_, out):
     """
     array = np.empty(MEMORY_BYTES + 64, np.uint8)
     memory = (address(array) + np.uint64(63)) & ~np.uint64(63)
-    stack = scratch(_STACK_BYTES)
+    stack = scratch(GROUP_STACK_BYTES)
     small = Small(scratch(SMALL_BYTES))
     groups = memory + LISTS_AT
     mine = block_filter(filter_, memory + PLACES_AT)
