@@ -22,21 +22,21 @@ from raystream.float64.double_numbers import (
 from raystream.float64.expansions import determinant_value, rounded_ratio
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import load
+from raystream.jit.simd import absolute, load, maximum, minimum
 
-__all__ = ["resolve"]
+__all__ = ["resolve", "settle"]
 
 #: Errors of weights, as parts of h (M + h), see `float64.block`: 2**-96 with a margin.
-_SIGN_ERROR = 2.0**-94
+_SIGN_ERROR = np.float64(2.0**-94)
 
 #: Errors of the numerator of a distance, as a part of M h h, of its denominator, as a part of
 #: h h, and of the division.
-_TOP_ERROR = 2.0**-96
-_BASE_ERROR = 2.0**-96
-_RATIO_ERROR = 2.0**-98
+_TOP_ERROR = np.float64(2.0**-96)
+_BASE_ERROR = np.float64(2.0**-96)
+_RATIO_ERROR = np.float64(2.0**-98)
 
 #: With a smaller sum of the weights, as a part of h (M + h), they are computed exactly.
-_LEAST_BASE = 2.0**-40
+_LEAST_BASE = np.float64(2.0**-40)
 
 _ZERO = np.float64(0.0)
 _ONE = np.float64(1.0)
@@ -55,7 +55,69 @@ def _differences(x, y):
 
 @device
 def _largest(x):
-    return max(abs(x[0][0]), abs(x[1][0]), abs(x[2][0]))
+    return maximum(maximum(absolute(x[0][0]), absolute(x[1][0])), absolute(x[2][0]))
+
+
+@device
+def _estimate(a, b, c, origin, direction):
+    """Weights and distance with numbers of twice the precision.
+
+    Parameters
+    ----------
+    a, b, c, origin, direction : triple of float64 numbers or vectors
+
+    Returns
+    -------
+    vectors : tuple
+        Vertex 0 from the origin, and the two edges there, exactly.
+    weights : tuple
+        Numbers in proportion to the weights of vertices 0, 1, 2, and their sum.
+    is_sure : bool or mask
+        Whether the signs of the three are known, and the sum well enough for the quotients.
+    t : number or vector
+        About the distance.
+    is_rounded : bool or mask
+        Whether `t` is the distance, rounded to nearest, for sure. If all numbers within the bounds
+        round to the same one, that is it. (Ziv, "Fast Evaluation of Elementary Mathematical
+        Functions with Correctly Rounded Last Bit", ACM TOMS 17(3), 1991.)
+    """
+    corner = _differences(a, origin)
+    p, q = _differences(b, a), _differences(c, a)
+    reach, h = _largest(corner), maximum(_largest(p), _largest(q))
+    moment, normal = cross_with(corner, direction), cross_double(p, q)
+    v, w = dot_double(q, moment), negate_double(dot_double(p, moment))
+    base, top = dot_with(normal, direction), dot_double(corner, normal)
+    u = add_double(add_double(base, negate_double(v)), negate_double(w))
+    size = h * (reach + h)
+    least = minimum(minimum(absolute(u[0]), absolute(v[0])), absolute(w[0]))
+    total = absolute(base[0])
+    is_sure = (least > size * _SIGN_ERROR) & (total > size * _LEAST_BASE)
+    t, rest = divide_double(top, base)
+    length = absolute(t)
+    slack = h * h * (reach * _TOP_ERROR + length * _BASE_ERROR) / total + length * _RATIO_ERROR
+    is_rounded = (t + (rest + slack) == t) & (t + (rest - slack) == t)
+    weights = u[0], v[0], w[0], base[0]
+    return (corner, p, q), weights, is_sure, t, is_rounded
+
+
+@device
+def settle(a, b, c, origin, direction):
+    """Distances and weights of rays that hit triangles for sure, where that is easily known.
+
+    Parameters
+    ----------
+    a, b, c, origin, direction : triple of float64 vectors
+
+    Returns
+    -------
+    is_settled : mask
+        The others are left to `resolve`, with which these have equal bits.
+    t, u, v : float64 vector
+    """
+    _, weights, is_sure, t, is_rounded = _estimate(a, b, c, origin, direction)
+    _, weight_v, weight_w, total = weights
+    u, v = absolute(weight_v / total), absolute(weight_w / total)
+    return is_sure & is_rounded, t, minimum(u, _ONE), minimum(v, _ONE)
 
 
 @device
@@ -127,23 +189,10 @@ def resolve(line, place, surfaces):
     no_inline()
     o, d = line.origin, line.direction
     a, b, c = _corner(place), _corner(place + SECOND), _corner(place + THIRD)
-    corner = _differences(a, o)
-    p, q = _differences(b, a), _differences(c, a)
-    reach, h = _largest(corner), max(_largest(p), _largest(q))
-
-    # Step 1: the weights, and the distance as a ratio, with numbers of twice the precision.
-    moment, normal = cross_with(corner, d), cross_double(p, q)
-    v, w = dot_double(q, moment), negate_double(dot_double(p, moment))
-    base, top = dot_with(normal, d), dot_double(corner, normal)
-    u = add_double(add_double(base, negate_double(v)), negate_double(w))
-    size = h * (reach + h)
-    error = _SIGN_ERROR * size
-
-    # Step 2: exact weights where a sign is in doubt, or their sum is too small.
-    weight_u, weight_v, weight_w, total = u[0], v[0], w[0], base[0]
-    is_clear = abs(total) > _LEAST_BASE * size
-    doubtful = min(abs(weight_u), abs(weight_v), abs(weight_w)) <= error
-    if doubtful or not is_clear:
+    vectors, weights, is_sure, t, is_rounded = _estimate(a, b, c, o, d)
+    corner, p, q = vectors
+    weight_u, weight_v, weight_w, total = weights
+    if not is_sure:
         way = _alone(d)
         weight_u = determinant_value(way, _differences(b, o), _differences(c, o))
         weight_v = determinant_value(q, corner, way)
@@ -158,14 +207,7 @@ def resolve(line, place, surfaces):
         sign_w = weight_w if weight_w != 0.0 else _moved_sign(p, d)
         if not (min(sign_u, sign_v, sign_w) > 0.0 or max(sign_u, sign_v, sign_w) < 0.0):
             return False, _INF, _ZERO, _ZERO
-
-    # Step 3: the distance, rounded once. If all numbers within the bounds round to the same one,
-    # that is it. (Ziv, "Fast Evaluation of Elementary Mathematical Functions with Correctly Rounded
-    # Last Bit", ACM TOMS 17(3), 1991.)
-    t, rest = divide_double(top, base)
-    slack = h * h * (_TOP_ERROR * reach + _BASE_ERROR * abs(t)) / abs(base[0])
-    slack += _RATIO_ERROR * abs(t)
-    if not is_clear or t + (rest + slack) != t or t + (rest - slack) != t:
+    if not is_rounded:
         t = rounded_ratio(corner, p, q, _alone(d))
     first, second = abs(weight_v / total), abs(weight_w / total)
-    return True, t + _ZERO, min(first, _ONE), min(second, _ONE)
+    return True, t, min(first, _ONE), min(second, _ONE)

@@ -20,6 +20,9 @@ from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS
 
 __all__ = [
     "LEAST",
+    "LEAST_EXPONENT",
+    "MOST_COORDINATE",
+    "MOST_EXPONENT",
     "ExactRay",
     "Line",
     "exact_line",
@@ -36,7 +39,7 @@ __all__ = [
 LEAST = 2.0**-200
 
 #: Coordinates of larger magnitude make a ray invalid.
-_MOST = 2.0**200
+MOST_COORDINATE = 2.0**200
 
 #: Boxes are padded by this part of the scene's and the origin's largest coordinates together:
 #: the origin is rounded twice, the reciprocal direction twice, and the distance twice, which is
@@ -51,7 +54,7 @@ _TINY = 2.0**-56
 _SLACK = 2.0**-50
 
 #: Biased exponents of direction lengths that one product scales to [1, 2).
-_LEAST_EXPONENT, _MOST_EXPONENT = np.int64(1023 - 900), np.int64(1023 + 900)
+LEAST_EXPONENT, MOST_EXPONENT = np.int64(1023 - 900), np.int64(1023 + 900)
 
 _LARGEST = np.float64(np.finfo(np.float64).max)
 _VALID = np.uint8(RayStatus.VALID)
@@ -151,7 +154,7 @@ def _is_valid(origin, direction, t_min, t_max):
     # Written so that a NaN fails.
     ox, oy, oz = origin
     dx, dy, dz = direction
-    if not (abs(ox) <= _MOST and abs(oy) <= _MOST and abs(oz) <= _MOST):
+    if not (abs(ox) <= MOST_COORDINATE and abs(oy) <= MOST_COORDINATE and abs(oz) <= MOST_COORDINATE):
         return False
     if not (abs(dx) < np.inf and abs(dy) < np.inf and abs(dz) < np.inf):
         return False
@@ -196,7 +199,7 @@ def exact_line(origin, direction, t_min, t_max):
         origin, direction = (_ZERO, _ZERO, _ZERO), (_ONE, _ONE, _ONE)
     dx, dy, dz = direction
     exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
-    if exponent >= _LEAST_EXPONENT and exponent <= _MOST_EXPONENT:
+    if exponent >= LEAST_EXPONENT and exponent <= MOST_EXPONENT:
         half, rest = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS), _ONE
         inverse = bits_as_float(exponent << MANTISSA_BITS)
         t_min, t_max = t_min * inverse, t_max * inverse
