@@ -140,6 +140,7 @@ _ALL = np.uint64(0xFF)
 _MOST_AT = np.uint64(128)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _INF, _ZERO, _UNIT = np.float64(np.inf), np.float64(0.0), np.float64(1.0)
+_INF32 = np.float32(np.inf)
 _LARGEST = np.float64(np.finfo(np.float64).max)
 _NO_PLACE, _SHIFT64 = np.int64(0), np.int64(3)
 _MISS = np.int32(-1)
@@ -272,8 +273,10 @@ def load_sixteen(at, source, first, count, frame, is_slow, local):
 @device
 def short_far(lanes, k):
     """The end of a ray's interval in float32, in the local frame, rounded up."""
-    offset = lanes.offset[k]
-    local = lanes.far[k] * lanes.scale[k] - offset
+    far, offset = lanes.far[k], lanes.offset[k]
+    if far == -_INF:
+        return -_INF32
+    local = far * lanes.scale[k] - offset
     return next_float_up(np.float32(local + abs(offset) * _OFFSET_SLACK))
 
 

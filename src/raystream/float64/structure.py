@@ -28,7 +28,7 @@ from raystream.structures.registry import StructureOptions
 __all__ = ["ExactBrute", "ExactBvh", "ExactStructure", "build_exact"]
 
 #: Kernels of a BVH that trace in float64.
-_KERNELS = ("auto", "groups", "single")
+_KERNELS = ("auto", "packet", "groups", "single")
 
 #: Blocks that are filled at a time.
 _ROWS = 1 << 16

@@ -11,18 +11,24 @@ from raystream.core.memory import check_memory
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch, as_real_array
 from raystream.float64.queries import ExactRows, ExactSource
+from raystream.float64.packets import trace_exact_packets
 from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_exact
 from raystream.float64.structure import ExactStructure
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
+from raystream.structures.bvh.coherence import choose_kernel, probe
+from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packet_rays import PACKET_RAYS, PacketOrder
 
 __all__ = ["Float64Backend", "Float64Rays"]
 
 #: Smaller batches are traced ray by ray.
 _FEW = 256
+
+#: Most packets of a call.
+_MOST_PACKETS = 64
 
 #: Hits that are sorted at a time, about, and bytes of a hit with what sorting needs.
 _HITS = 1 << 20
@@ -108,13 +114,13 @@ class Float64Backend(Backend):
         target: Any = sink
         if query.kind is Kind.FIRST_HIT:
             target.hits = rows = ExactRows.empty(count)
-            if self._streams(count):
+            if self._kernel(count) != "single":
                 self._trace_many(rays, sink.status, False, rows, progress)
             else:
                 self._loop(loops.first_hit, rays, sink.status, (rows,), progress)
         elif query.kind is Kind.ANY_HIT:
             sink.seen = np.empty(count, np.bool_)
-            if self._streams(count):
+            if self._kernel(count) != "single":
                 rows = ExactRows.empty(0)._replace(prim_id=sink.seen.view(np.int8))
                 self._trace_many(rays, sink.status, True, rows, progress)
             else:
@@ -124,12 +130,14 @@ class Float64Backend(Backend):
             output = query.surfaces, sink.counts
             self._loop(loops.count_hits, rays, sink.status, output, progress)
 
-    def _streams(self, count: int) -> bool:
-        """Whether rays are traced in streams of groups."""
+    def _kernel(self, count: int) -> str:
+        """The kernel that traces so many rays; "auto" if that depends on the rays."""
         options: Any = self.structure.options
-        if len(self.structure.memory["nodes"]) == 0 or options.kernel == "single":
-            return False
-        return options.kernel == "groups" or count > _FEW
+        if len(self.structure.memory["nodes"]) == 0 or count == 0:
+            return "single"
+        if options.kernel == "auto" and count <= _FEW:
+            return "single"
+        return str(options.kernel)
 
     def _source(self, rays: Any, packed: bool = False) -> tuple[ExactSource, object]:
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, packed)
@@ -165,22 +173,33 @@ class Float64Backend(Backend):
         rows: ExactRows,
         progress: Progress | None,
     ) -> None:
-        """Trace streams of groups on all threads."""
+        """Trace packets, or streams of groups, on all threads."""
         source, kept = self._source(rays, True)
-        order = PacketOrder.of(rays.shape)
-        shared = self.structure.arrays, self.structure.frame, source, order, wants_any
-        count, packets = len(rays), order.packet_count
-        per_call = min(BLOCK_RAYS // PACKET_RAYS, max(1, -(-packets // (4 * thread_count()))))
+        order, count, frame = PacketOrder.of(rays.shape), len(rays), self.structure.frame
+        name, tiles = self._kernel(count), BatchOrder(order)
+        if name == "auto":
+            size = sum(array.nbytes for array in self.structure.memory.values()) // 2
+            found = probe(source.rays, order, frame, size)
+            name = choose_kernel(found, count, size)
+        kernel, per_call = trace_exact, BLOCK_RAYS // PACKET_RAYS
+        if name == "packet":
+            kernel, per_call = trace_exact_packets, _MOST_PACKETS
+            if order.width == 0 and count >= LEAST_RAYS:
+                tiles = find_order(source.rays, count, frame)
+        packets = tiles.packets.packet_count
+        shared = self.structure.arrays, frame, source, tiles.packets, wants_any
 
         def body(begin: int, end: int) -> None:
-            trace_exact(begin, end, *shared, status, rows)
+            kernel(begin, end, *shared, status, rows)
 
         def report(done: int, _: int) -> object:
             assert progress is not None
             return progress(done * count // max(packets, 1), count)
 
-        parallel_for(body, packets, per_call, None if progress is None else report)
-        del kept
+        share = max(1, -(-packets // (4 * thread_count())))
+        shown = None if progress is None else report
+        parallel_for(body, packets, min(per_call, share), shown)
+        del kept, tiles
 
     def _find_all(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
