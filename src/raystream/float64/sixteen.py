@@ -261,7 +261,8 @@ def load_sixteen(at, source, first, count, frame, is_slow, local):
                 lanes.far[k] = -_INF
     group.low, group.high = f64x16(_INF), f64x16(_INF)
     group.place, group.prim_id = i64x16(_NO_PLACE), i32x16(NO_PRIM)
-    group.scale, group.offset = f64x16(np.float64(frame.scale)), f64x16(_ZERO)
+    group.scale = f64x16(np.float64(frame.scale))
+    group.offset = f64x16(_ZERO)
     if is_slow:
         for k in range(_LANES):
             lanes.offset[k] = local.slow_t_offset[k] / local.slow_t_scale[k]
@@ -361,8 +362,15 @@ def _vertex(leaves, index, at):
 @device
 def _finish_eight(halves, part, i, tree, rows):
     """Write the nearest hits of eight rays from i on; returns bits of those that are unsettled."""
-    place, far_of = halves.place[part], halves.origin
-    is_hit = place != _NO_PLACE
+    place, at = halves.place[part], i << _DOUBLE
+    is_hit, zero = place != _NO_PLACE, f64x8(_ZERO)
+    if not any_lane(is_hit):
+        store(address(rows.t) + at, f64x8(_INF))
+        store(address(rows.u) + at, zero)
+        store(address(rows.v) + at, zero)
+        store(address(rows.prim_id) + (i << _WORD), i32x8(_MISS))
+        return _NONE
+    starts = halves.origin
     index = select(is_hit, (place - np.int64(tree.leaves)) >> _SHIFT64, i64x8(_NO_PLACE))
     ways = halves.direction
     second = part + _TWO
@@ -371,13 +379,11 @@ def _finish_eight(halves, part, i, tree, rows):
         _vertex(tree.leaves, index, _NONE),
         _vertex(tree.leaves, index, SECOND),
         _vertex(tree.leaves, index, THIRD),
-        (far_of[part], far_of[second], far_of[third]),
+        (starts[part], starts[second], starts[third]),
         (ways[part], ways[second], ways[third]),
     )
     t = t * halves.half[part] * halves.rest[part]
     t = minimum(maximum(t, f64x8(-_LARGEST)), f64x8(_LARGEST))
-    zero = f64x8(_ZERO)
-    at = i << _DOUBLE
     store(address(rows.t) + at, select(is_hit, t, f64x8(_INF)))
     store(address(rows.u) + at, select(is_hit, u, zero))
     store(address(rows.v) + at, select(is_hit, v, zero))
@@ -428,7 +434,13 @@ def finish_sixteen(at, first, count, tree, frame, wants_any, status, rows, memor
         Addresses of a stack (`traversal.STACK_BYTES`), and of 64 bytes.
     """
     group, lanes = Sixteen(at), SixteenLanes(at)
-    if wants_any or count != _LANES or any_lane(group.state != np.int32(0)):
+    is_usual = count == _LANES and not any_lane(group.state != np.int32(0))
+    if is_usual and wants_any:
+        bits, to = mask_bits(group.prim_id != NO_PRIM), address(rows.prim_id) + first
+        for k in range(_LANES):
+            store(to + k, np.uint8((bits >> k) & _ONE))
+        return
+    if not is_usual:
         for k in range(count):
             _finish_one(lanes, k, first + k, tree, frame, wants_any, status, rows, memory)
         return
