@@ -116,7 +116,9 @@ def _candidates(
         v, w = moment @ q, -(moment @ p)
         u = directions @ np.cross(p, q) - v - w
         slack = _SLACK * length * size * (reach + size)
-        may = ~((np.minimum(np.minimum(u, v), w) < -slack) & (np.maximum(np.maximum(u, v), w) > slack))
+        may = ~(
+            (np.minimum(np.minimum(u, v), w) < -slack) & (np.maximum(np.maximum(u, v), w) > slack)
+        )
         found = np.flatnonzero(may)
         rays.append(found)
         prims.append(np.full(len(found), prim_id))
@@ -126,7 +128,8 @@ def _candidates(
 def _whole(numbers: NDArray[Any]) -> NDArray[Any]:
     """Multiples of the grain as Python's integers."""
     scaled = np.ldexp(numbers, GRAIN_BITS)
-    assert (scaled == np.round(scaled)).all() and (np.abs(scaled) < 2.0**62).all()
+    assert (scaled == np.round(scaled)).all()
+    assert (np.abs(scaled) < 2.0**62).all()
     return scaled.astype(np.int64).astype(object)
 
 

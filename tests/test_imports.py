@@ -21,6 +21,7 @@ ROOMS = (
     "scene",
     "structures",
     "instances",
+    "float64",
     "streams",
     "programs",
     "machines",

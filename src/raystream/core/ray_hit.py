@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +83,8 @@ class RayHit(_Columns):
     def hits(self) -> Hits:
         """The same as `Hits` of shape (), for all else that they know: materials, `spawn`."""
         is_double = isinstance(self._triangles, Float64Triangles)
-        kind, dtype = (Float64Hits, np.float64) if is_double else (Hits, np.float32)
+        kind: type[Hits] = Float64Hits if is_double else Hits
+        dtype: Any = np.float64 if is_double else np.float32
         t, u, v = (np.array(one, dtype) for one in self[:3])
         prim_id, status = np.array(self.prim_id, np.int32), np.array(self.status, np.uint8)
         instance_id = np.array(self.instance_id, np.int32)

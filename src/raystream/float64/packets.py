@@ -160,7 +160,12 @@ def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
 @device
 def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, sixteens, filter_):
     """Test a leaf in float64; see `packet_leaf.visit_leaf`. `sixteens` is an address."""
-    spans, edges, has_hit, wants_any = scratch(_SPAN_BYTES), scratch(_EDGES_BYTES), False, goal == ANY
+    spans, edges, has_hit, wants_any = (
+        scratch(_SPAN_BYTES),
+        scratch(_EDGES_BYTES),
+        False,
+        goal == ANY,
+    )
     block = leaf_address(leaves, child)
     end = leaf_end(block, child)
     while block != end:

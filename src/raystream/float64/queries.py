@@ -168,14 +168,14 @@ def _far_of_all(ray, search):
 
 
 class _Counted(NamedTuple):
-    count: np.uint64
+    total: np.uint64
     surfaces: bool
 
 
 @device
 def _visit_count(block, ray, search, lanes):
     found, sure = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
-    count = search.count
+    count = search.total
     while found != _NONE:
         lane = count_trailing_zeros(found)
         found &= found - _ONE
@@ -249,7 +249,7 @@ def _queries(blocks: Callable[..., Any]) -> ExactQueries:
         for i in range(np.uint64(begin), np.uint64(end)):
             ray = load_exact(source, i, frame, status)
             search = counted(tree, ray, _Counted(_NONE, surfaces), stack, lanes, False)
-            counts[i] = np.int64(search.count)
+            counts[i] = np.int64(search.total)
 
     @kernel
     def multi_hit(begin, end, source, frame, tree, status, surfaces, base, splits, rows):

@@ -154,7 +154,9 @@ def _is_valid(origin, direction, t_min, t_max):
     # Written so that a NaN fails.
     ox, oy, oz = origin
     dx, dy, dz = direction
-    if not (abs(ox) <= MOST_COORDINATE and abs(oy) <= MOST_COORDINATE and abs(oz) <= MOST_COORDINATE):
+    if not (
+        abs(ox) <= MOST_COORDINATE and abs(oy) <= MOST_COORDINATE and abs(oz) <= MOST_COORDINATE
+    ):
         return False
     if not (abs(dx) < np.inf and abs(dy) < np.inf and abs(dz) < np.inf):
         return False

@@ -12,12 +12,10 @@ import numpy as np
 
 from raystream.core.rays import RayStatus
 from raystream.float64.block import (
-    AXIS,
     SECOND,
     THIRD,
     interval_of,
     sides_of,
-    triangle_edges,
 )
 from raystream.float64.exact import settle
 from raystream.float64.queries import tree_searches, write_nearest
@@ -57,7 +55,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.jit.views import address_of, view
+from raystream.jit.views import view
 from raystream.kernels.ray_source import (
     MANTISSA_BITS,
     POWER_EXPONENT,

@@ -49,9 +49,7 @@ class ExactStructure(Structure):
     loops: ClassVar[ExactQueries]
     triangles: Float64Triangles
 
-    def _set(
-        self, nodes: NDArray[np.float32], prim_ids: NDArray[np.int32], started: float
-    ) -> None:
+    def _set(self, nodes: NDArray[np.float32], prim_ids: NDArray[np.int32], started: float) -> None:
         blocks = _filled_blocks(self.triangles, prim_ids)
         self._memory: dict[str, NDArray[Any]] = {"nodes": nodes, "leaves": blocks}
         at = [np.uint64(one.ctypes.data if len(one) else 0) for one in (nodes, blocks)]
@@ -186,9 +184,7 @@ def _round_outward(planes: NDArray[np.float32], toward: float) -> None:
     planes[...] = np.where(np.isfinite(planes), moved, planes)
 
 
-def _filled_blocks(
-    triangles: Float64Triangles, prim_ids: NDArray[np.int32]
-) -> NDArray[np.float64]:
+def _filled_blocks(triangles: Float64Triangles, prim_ids: NDArray[np.int32]) -> NDArray[np.float64]:
     """The blocks of triangles, by their prim_ids of shape (B, 4); -1 for an unused lane."""
     blocks = aligned_array(len(prim_ids), 2 * BLOCK_NUMBERS).view(np.float64)
     for first in range(0, len(prim_ids), _ROWS):

@@ -96,5 +96,6 @@ def make_machine(machine: str, structure: Structure, options: Mapping[str, Any])
     if structure.precision == "float64":
         from raystream.machines.float64 import Float64Backend
 
-        return Float64Backend(structure)
+        exact: Any = structure
+        return Float64Backend(exact)
     return Branching(structure)

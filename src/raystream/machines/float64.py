@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch, as_real_array
-from raystream.float64.queries import ExactRows, ExactSource
 from raystream.float64.packets import trace_exact_packets
+from raystream.float64.queries import ExactRows, ExactSource
 from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_exact
 from raystream.float64.structure import ExactStructure
 from raystream.jit.threads import Progress, parallel_for, thread_count
@@ -86,8 +86,10 @@ class Float64Backend(Backend):
 
     def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
         """See `Backend.working_bytes`."""
-        many = thread_count() * WORKING_BYTES if ray_count > _FEW else 0
-        return many + 16 * ray_count + _HIT_BYTES * min(max(hit_count, _HITS), hit_count)
+        limits = 8 * ray_count
+        if kind is Kind.MULTI_HIT:
+            return limits + 16 * ray_count + _HIT_BYTES * hit_count
+        return limits + (thread_count() * WORKING_BYTES if ray_count > _FEW else 0)
 
     def answer(
         self,
@@ -243,7 +245,7 @@ class Float64Backend(Backend):
         counts: NDArray[np.int64],
         part: slice,
     ) -> tuple[NDArray[Any], ...]:
-        """The hits of some rays, whose numbers are `counts`, by t, then prim_id, up to the limit."""
+        """The hits of some rays, so many of each, by t, then prim_id, up to the limit."""
         splits = np.zeros(len(counts) + 1, np.int64)
         np.cumsum(counts, out=splits[1:])
         rows = ExactRows.empty(int(splits[-1]))
