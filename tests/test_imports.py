@@ -22,6 +22,7 @@ ROOMS = (
     "structures",
     "instances",
     "primitives",
+    "float64",
     "streams",
     "programs",
     "machines",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from raystream.jit.threads import Progress
 from raystream.machines.answers import all_hits, nearest_hits
 from raystream.machines.memory_needed import MemoryEstimator
 from raystream.machines.point_queries import PointQueries
+from raystream.machines.precision import triangles_of
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records, returned_payload
 from raystream.programs.trace import Order, check_order
@@ -53,6 +54,9 @@ class Tracer(MemoryEstimator, PointQueries):
         ``"multipass"`` is slower, and reports its passes. On ``"graphics"`` these two are
         fragment programs, and ``"compute"`` is faster [default: ``"compute"`` on
         ``"graphics"``, else ``"branching"``].
+    precision : {"float32", "float64"}
+        Of triangles, rays and results: ``"float64"`` for scenes where float32 distances are too
+        coarse; see the guide "Planets and millimetres".
     counters : bool
         Count traversal steps, leaves and tests per ray: see `counters`. Rays are then traced one
         by one, without the many-ray kernels of ``"bvh"``. Disabled counters cost nothing.
@@ -118,6 +122,7 @@ class Tracer(MemoryEstimator, PointQueries):
         device: str | DeviceOptions = "cpu",
         *,
         machine: str | MachineOptions | None = None,
+        precision: Literal["float32", "float64"] = "float32",
         counters: bool = False,
         progress: Progress | None = None,
         **options: Any,
@@ -125,7 +130,8 @@ class Tracer(MemoryEstimator, PointQueries):
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
         configuration = self._configure(structure, device, machine, counters, options)
-        self._set(scene, self._built(configuration, scene.triangles, progress))
+        triangles = triangles_of(self, scene, precision)
+        self._set(scene, self._built(configuration, triangles, progress))
 
     def first_hit(
         self,

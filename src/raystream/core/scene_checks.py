@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from raystream.core.errors import RaystreamError
+from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 
@@ -12,24 +13,26 @@ __all__ = ["check_no_worlds", "check_plain", "check_triangles"]
 
 
 def check_triangles(what: str, triangles: Any) -> None:
-    """Check that a scene has triangles alone, in instances or not, as `what` needs.
+    """Check that a scene has triangles in float32 alone, in instances or not, as `what` needs.
 
     Raises
     ------
     RaystreamError
-        If there are other primitives.
+        If there are other primitives, or the triangles are in float64.
     """
     if isinstance(triangles, Primitives):
         raise RaystreamError(f"{what}: {NOT_TRIANGLES}")
+    if isinstance(triangles, Float64Triangles):
+        raise RaystreamError(f"{what}: {NOT_IN_FLOAT64}")
 
 
 def check_plain(what: str, triangles: Any) -> None:
-    """Check that a scene has triangles alone, without instances, as `what` needs.
+    """Check that a scene has triangles in float32 alone, without instances, as `what` needs.
 
     Raises
     ------
     RaystreamError
-        If there are instances or other primitives.
+        If there are others.
     """
     if isinstance(triangles, InstancedTriangles):
         raise RaystreamError(f"{what}: {NOT_INSTANCED}")

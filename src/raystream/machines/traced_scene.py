@@ -22,10 +22,10 @@ from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
-from raystream.kernels.move_triangles import move_triangles
 from raystream.machines.backend import Backend
 from raystream.machines.configuration import Configuration, configure
 from raystream.machines.devices import device_of
+from raystream.machines.precision import moved_triangles
 from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
@@ -267,7 +267,7 @@ class TracedScene:
         else:
             meshes = moved_meshes(scene.meshes, vertices)
         parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
-        triangles = move_triangles(self.structure.triangles, parts)
+        triangles = moved_triangles(self.structure.triangles, parts)
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
         self._set(scene.moved(meshes, triangles), structure)
         return report
@@ -413,7 +413,7 @@ class TracedScene:
                 if worlds is not None:
                     raise ValueError("worlds: expected None for rays on a GPU")
                 return arrays
-        rays = RayBatch(rows_of(origins), rows_of(directions), t_min, t_max)
+        rays = self._backend.batch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
         if worlds is not None or self._world_count:
