@@ -56,9 +56,8 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
+from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.kernels.ray_source import (
-    MANTISSA_BITS,
-    POWER_EXPONENT,
     load_direction,
     load_origin,
 )
