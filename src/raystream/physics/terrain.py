@@ -346,7 +346,8 @@ def terrain(
     check_memory(
         (FIELD_BYTES_PER_CELL if is_field else BYTES_PER_CELL) * cell_count,
         f"dem: a terrain of {cell_count:,} cells would",
-        "use fewer cells, as in dem[::2, ::2]" + ("" if is_field else ", or 'height field'"),
+        "use fewer cells, as in dem[::2, ::2]"
+        + ("" if is_field else ", or surface='height field'"),
     )
     if is_field:
         field = HeightField(*elevation[:3])
