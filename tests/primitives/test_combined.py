@@ -141,6 +141,10 @@ def test_bad_parts_are_named() -> None:
     placed = rs.Scene.instances(rs.load("cornell"), np.eye(3, 4))
     with pytest.raises(ValueError, match=r"scenes\[0\]: has instances.*flattened"):
         rs.Scene.combine([placed])
+    with pytest.raises(
+        ValueError, match=r"objects\[1\]: spheres and height fields cannot be placed"
+    ):
+        rs.Scene.instances([rs.load("cornell"), ball], np.eye(3, 4), [0])
     with pytest.raises(ValueError, match="meshes: spheres and height fields would be lost"):
         rs.Scene.combine(parts()).replace(meshes=[])
 

@@ -213,6 +213,14 @@ def test_a_spacing_that_float32_cannot_tell_apart_is_refused() -> None:
         rs.Tracer(rs.Scene.combine([ground, ball]))
 
 
+def test_heights_that_change_between_scene_and_tracer_are_noticed() -> None:
+    heights = np.zeros((20, 20))
+    scene = rs.Scene.height_field(heights)
+    heights[3, 4] = np.inf
+    with pytest.raises(ValueError, match="heights: the array has changed"):
+        rs.Tracer(scene)
+
+
 @pytest.mark.parametrize("structure", ["bvh", "brute"])
 def test_a_field_without_data_is_empty(structure) -> None:
     scene = rs.Scene.height_field(np.full((6, 6), np.nan))

@@ -134,7 +134,9 @@ class HeightField:
     def _examine(self) -> None:
         """Find the bounds of the triangles, and how many are missing."""
         lows, highs, missing = [], [], 0
+        self._range = (np.inf, -np.inf)
         for first, band in self._bands():
+            self._range = _widened(self._range, band)
             with np.errstate(invalid="ignore"):
                 if (np.abs(band) > MAX_COORDINATE).any():
                     raise ValueError(
@@ -178,7 +180,8 @@ class HeightField:
         Raises
         ------
         ValueError
-            If neighbouring rows or columns are the same in float32.
+            If neighbouring rows or columns are the same in float32, or the extremes of the caller's
+            array have changed.
         """
 
         def moved(values: NDArray[np.float64], axis: int) -> NDArray[np.float32]:
@@ -195,8 +198,12 @@ class HeightField:
             )
         heights = np.full(self.heights.size + LANES, np.nan, np.float32)
         rows = heights[: self.heights.size].reshape(self.heights.shape)
+        seen = (np.inf, -np.inf)
         for first, band in self._bands():
             rows[first : first + len(band)] = moved(band, 2)
+            seen = _widened(seen, band)
+        if seen != self._range:
+            raise ValueError("heights: the array has changed since the scene was made")
         return LocalField(heights, x, y)
 
     def samples_of(self, numbers: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -214,6 +221,12 @@ class HeightField:
         heights = local.heights[rows * len(self.x) + columns]
         corners = np.stack([local.x[columns], local.y[rows], heights], axis=-1)
         return corners.astype(np.float64)
+
+
+def _widened(extremes: tuple[float, float], band: NDArray[np.float64]) -> tuple[float, float]:
+    """The lowest and highest of numbers and of a band, without NaN."""
+    low, high = np.fmin.reduce(band, axis=None), np.fmax.reduce(band, axis=None)
+    return float(np.fmin(low, extremes[0])), float(np.fmax(high, extremes[1]))
 
 
 def _used(known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], int]:

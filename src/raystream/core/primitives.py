@@ -87,9 +87,6 @@ class Primitives:
         self.triangles = self._in_frame(triangles)
         bounds = (world - self.center) * self.scale
         self.bounds = bounds.astype(np.float32)
-        if len(spheres):  # their boxes are rounded outwards
-            self.bounds[0] = np.nextafter(self.bounds[0], np.float32(-np.inf))
-            self.bounds[1] = np.nextafter(self.bounds[1], np.float32(np.inf))
         self.max_coordinate = np.float32(np.abs(self.bounds).max())
 
     def _bounds(self, triangles: Triangles) -> NDArray[np.float64]:

@@ -345,8 +345,8 @@ def terrain(
         A height that stands for no data.
     surface : {"mesh", "height field"}
         How the triangles are kept: as a mesh, or as `Scene.height_field`, which is ready at once
-        and takes a fifteenth of the memory. Rays of a mesh are up to two or three times as fast,
-        and all structures, devices and queries support it. Results are the same.
+        and takes a fifteenth of the memory. Rays of all directions are about twice as fast with a
+        mesh, and all structures, devices and queries support it. Results are the same.
     progress : callable, optional
         Called with (triangles done, triangles) during a long build.
     **options
