@@ -45,8 +45,6 @@ _MITSUBA_HINT = (
 )
 _MITSUBA = ("mitsuba", "drjit"), _MITSUBA_HINT
 
-_POINTS = {"for_rays": False, "for_points": True}
-
 #: The peers by name, in the order of the tables' columns.
 PEERS: Mapping[str, Peer] = MappingProxyType(
     {
@@ -62,8 +60,20 @@ PEERS: Mapping[str, Peer] = MappingProxyType(
             f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA, {"embree_use_robust_intersections": True}
         ),
         "warp": Peer(f"{_FOLDER}.warp:Warp", ("warp",), "pip install warp-lang", for_points=True),
-        "fcpw": Peer(f"{_FOLDER}.fcpw:Fcpw", ("fcpw",), "pip install fcpw", **_POINTS),
-        "libigl": Peer(f"{_FOLDER}.libigl:Libigl", ("igl",), "pip install libigl", **_POINTS),
+        "fcpw": Peer(
+            f"{_FOLDER}.fcpw:Fcpw",
+            ("fcpw",),
+            "pip install fcpw",
+            for_rays=False,
+            for_points=True,
+        ),
+        "libigl": Peer(
+            f"{_FOLDER}.libigl:Libigl",
+            ("igl",),
+            "pip install libigl",
+            for_rays=False,
+            for_points=True,
+        ),
     }
 )
 
