@@ -27,14 +27,14 @@ LIMITS |= {"fcpw": 2e-3, "libigl": 1e-9}
 
 #: Peers that find all hits, and closest points.
 MULTI_PEERS = ("open3d", "embreex")
-POINT_PEERS = ("open3d", "warp", "fcpw", "libigl")
+POINT_PEERS = tuple(name for name, peer in PEERS.items() if peer.for_points)
 
 #: Spheres and cubes touch the floor: where two surfaces are in one place, both peers that find
 #: all hits lose one of the two.
 MULTI_LIMIT = 0.1
 
 
-RAY_PEERS = tuple(name for name, peer in PEERS.items() if peer.is_for_rays)
+RAY_PEERS = tuple(name for name, peer in PEERS.items() if peer.for_rays)
 
 
 def need_peer(name):

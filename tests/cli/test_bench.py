@@ -13,7 +13,7 @@ from raystream.bench.report import REPORT_SUFFIXES
 from raystream.bench.results import read_result, write_result
 from raystream.bench.runner import Bench
 from raystream.cli import options
-from raystream.cli.bench import DEFAULT_SCENES, bench
+from raystream.cli.bench import DEFAULT_SCENES, ContenderOptions, _entries, bench
 
 pytestmark = pytest.mark.usefixtures("few_objects")
 
@@ -64,6 +64,19 @@ def test_variants_and_a_stored_result(run, tmp_path):
     assert "| bounce |" in (tmp_path / "table.md").read_text()
     assert run("bench", "--report", "result.json", "-o", "chart.svg").code == 0
     assert (tmp_path / "chart.svg").read_text().startswith("<svg")
+
+
+@pytest.mark.parametrize(
+    ("sets", "peers"),
+    [
+        (["primary", "multi"], ["open3d", "embreex", "mitsuba", "mitsuba-robust", "warp"]),
+        (["closest_near"], ["open3d", "warp", "fcpw", "libigl"]),
+        (["ao", "closest"], list(PEERS)),
+    ],
+)
+def test_peers_by_default_have_a_query_of_the_sets(sets, peers):
+    entries = _entries(ContenderOptions(), sets)
+    assert [entry.name for entry in entries] == ["raystream", *peers]
 
 
 def test_points_without_a_structure_for_them_are_no_figures(run):

@@ -51,8 +51,8 @@ class ContenderOptions:
         typer.Option(
             metavar="NAMES",
             help=f"Comma-separated peers to compare against, from {', '.join(options.PEERS)}, or "
-            "'none'. Peers that are not installed are listed as absent. [default: all, but those "
-            "for points only if a set has points]",
+            "'none'. Peers that are not installed are listed as absent. [default: all that have a "
+            "query of the sets]",
         ),
     ] = None
     option: Annotated[
@@ -277,8 +277,12 @@ def _entries(contenders: ContenderOptions, sets: list[str]) -> list[Entry]:
 
     peers = contenders.peers
     if peers is None:
-        has_points = any(RAY_SETS[name].query == "closest" for name in sets)
-        names = [name for name, peer in PEERS.items() if peer.is_for_rays or has_points]
+        points = {RAY_SETS[name].query == "closest" for name in sets}
+        names = [
+            name
+            for name, peer in PEERS.items()
+            if (peer.for_points and True in points) or (peer.for_rays and False in points)
+        ]
     else:
         names = [] if peers == "none" else _names("--peers", peers, options.PEERS)
     shared = parse_keywords("--option", contenders.option or [])
