@@ -138,6 +138,9 @@ def test_physics_and_programs_answer_in_the_library_of_their_rays(cupy, tracer, 
     assert type(made) is cupy.ndarray
     plain = tracer.trace(*rays, on_hit=deepest, payload=float)
     assert_same_bits(made.values, plain)
+    hits, bare = tracer.first_hit(*given), tracer.first_hit(*rays)
+    beyond = tracer.first_hit(*given, skip_prim_ids=hits)
+    assert_same_bits(beyond.t.values, tracer.first_hit(*rays, skip_prim_ids=bare.prim_id).t)
     own = np.zeros(plain.shape)
     assert tracer.trace(*given, on_hit=deepest, payload=own) is own
     assert_same_bits(own, plain)

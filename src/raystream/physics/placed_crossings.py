@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ class _RecordsAt(NamedTuple):
 
 class PlacedSolids:
     """The meshes of all instances, as solids that are numbered one instance after another.
+
+    Made by `of`, once for each structure, which has to be kept alive.
 
     Parameters
     ----------
@@ -79,6 +82,14 @@ class PlacedSolids:
         ]
         self.records = _RecordsAt(*addresses)
 
+    @classmethod
+    def of(cls, structure: InstancedStructure) -> PlacedSolids:
+        """The solids of a structure's instances."""
+        found = _known.get(structure)
+        if found is None:
+            found = _known[structure] = cls(structure)
+        return found
+
     def solids_at(
         self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> NDArray[np.int32]:
@@ -91,6 +102,9 @@ class PlacedSolids:
         instance_id = np.searchsorted(self._first_solids, solid_ids, side="right") - 1
         mesh_id = solid_ids - self._shifts[instance_id]
         return mesh_id.astype(np.int32), instance_id.astype(np.int32)
+
+
+_known: WeakKeyDictionary[InstancedStructure, PlacedSolids] = WeakKeyDictionary()
 
 
 @kernel

@@ -141,7 +141,7 @@ class _Worker:
         self._tracer, self._batch, self._clips = tracer, batch, clips
         structure = tracer.structure
         self._triangles = structure.triangles
-        placed = PlacedSolids(structure) if isinstance(structure, InstancedStructure) else None
+        placed = PlacedSolids.of(structure) if isinstance(structure, InstancedStructure) else None
         self._placed = placed
         self._frame = SceneFrame.of(self._triangles)
         self.solids: Solids = solids_of(self._triangles) if placed is None else placed.solids

@@ -7,6 +7,7 @@ programs get the triangle, its mesh and the instance, as results have them.
 from __future__ import annotations
 
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,13 @@ class PlacedAt(NamedTuple):
     @classmethod
     def of(cls, triangles: InstancedTriangles) -> tuple[PlacedAt, tuple[Any, ...]]:
         """Addresses of triangles, and the arrays to keep alive."""
+        known = _known.get(triangles)
+        if known is None:
+            known = _known[triangles] = cls._made(triangles)
+        return known
+
+    @classmethod
+    def _made(cls, triangles: InstancedTriangles) -> tuple[PlacedAt, tuple[Any, ...]]:
         instances = triangles.instances
         corners = [one.corners for one in triangles.objects]
         places = np.array([one.ctypes.data for one in corners], np.uint64)
@@ -81,7 +89,8 @@ class PlacedAt(NamedTuple):
             len(triangles.mesh_splits) - 1,
             _halvings(len(triangles.mesh_splits) - 1),
         )
-        kept = parts, triangles, corners
+        # Not the triangles themselves: they would keep each other's entry.
+        kept = parts, triangles.first_ids, triangles.mesh_splits, corners
         return cls(*np.array(numbers, np.uint64)), kept
 
 
@@ -106,6 +115,10 @@ class PlacedSkipsAt(NamedTuple):
     def of(cls, pairs: NDArray[np.int32], scene: PlacedAt) -> PlacedSkipsAt:
         """The address of an array of shape (N, k, 2)."""
         return cls(np.uint64(pairs.ctypes.data), np.uint64(pairs.shape[1]), scene)
+
+
+_known: WeakKeyDictionary[InstancedTriangles, tuple[PlacedAt, tuple[Any, ...]]]
+_known = WeakKeyDictionary()
 
 
 def _halvings(count: int) -> int:

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.library_hits import LibraryHits
+from raystream.core.rays import as_host_array
 from raystream.core.triangles import Triangles
 from raystream.programs.rows import as_skips
 
@@ -18,7 +17,12 @@ __all__ = ["prim_ids_of", "skipped_triangles"]
 
 def prim_ids_of(skipped: Any) -> Any:
     """`skip_prim_ids` as an array: the triangles of hits, or what is given."""
-    return skipped.prim_id if isinstance(skipped, Hits | LibraryHits) else skipped
+    return skipped.prim_id if _are_hits(skipped) else skipped
+
+
+def _are_hits(skipped: Any) -> bool:
+    """Whether they are the nearest hits of rays, here, in another library or on a GPU."""
+    return hasattr(skipped, "prim_id") and not hasattr(skipped, "ray_splits")
 
 
 def skipped_triangles(
@@ -48,10 +52,8 @@ def skipped_triangles(
         return prim_ids
     pairs = np.full((*prim_ids.shape, 2), -1, np.int32)
     pairs[:, :, 0] = prim_ids
-    if isinstance(skipped, LibraryHits):
-        skipped = skipped.host()
-    if isinstance(skipped, Hits):
-        instance_id = skipped.instance_id.reshape(prim_ids.shape)
+    if _are_hits(skipped):
+        instance_id = as_host_array("skip_prim_ids", skipped.instance_id).reshape(prim_ids.shape)
         if instance_id.max(initial=-1) >= len(triangles.instances):
             raise ValueError("skip_prim_ids: the hits are of another scene than the tracer's")
         pairs[:, :, 1] = np.where(prim_ids < 0, -1, instance_id)
