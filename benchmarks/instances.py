@@ -5,9 +5,10 @@
 
 A patch of trees stands 4,096 times, turned and mirrored. Each contender is a process that
 waits while the other traces; they take turns, round by round. Printed are medians of the rounds,
-and the median and range of their ratios; the better of Mitsuba's two hints counts. Rays are those
-of a camera above the trees, in rows, and rays of any direction from anywhere among the trees. Needs
-mitsuba and libLLVM.
+and the median and range of their ratios; the better of Mitsuba's two hints counts. Where other
+programs run, the ratio of the processor times of all threads says more. Rays are those of a camera
+above the trees, in rows, and rays of any direction from anywhere among the trees. Needs mitsuba and
+libLLVM.
 """
 
 from __future__ import annotations
@@ -144,12 +145,14 @@ def contend(name: str, side: int) -> None:
     print(json.dumps({"build": took, "memory": memory, "triangles": total}), flush=True)
     for line in sys.stdin:
         key, query = line.split()
-        times = []
+        walls, processors = [], []
         for mode in contender.modes:
-            started = time.perf_counter()
+            started = time.perf_counter(), time.process_time()
             share = getattr(contender, query)(rays[key], mode)
-            times.append(time.perf_counter() - started)
-        print(json.dumps({"seconds": min(times), "share": share}), flush=True)
+            walls.append(time.perf_counter() - started[0])
+            processors.append(time.process_time() - started[1])
+        answer = {"seconds": min(walls), "processor": min(processors), "share": share}
+        print(json.dumps(answer), flush=True)
 
 
 def main() -> None:
@@ -174,10 +177,11 @@ def main() -> None:
         )
     count = SIZE[0] * SIZE[1]
     print(f"\n{'rays':8} {'query':10} " + " ".join(f"{name:>10}" for name in running), end="")
-    print("  Mrays/s; ratio (range)")
+    print("  Mrays/s; ratio (range), of processor times")
     for key in ("camera", "random"):
         for query in QUERIES:
             times: dict[str, list[float]] = {name: [] for name in running}
+            spent: dict[str, list[float]] = {name: [] for name in running}
             shares = {}
             for _ in range(options.rounds + 1):
                 for name, process in running.items():
@@ -185,15 +189,17 @@ def main() -> None:
                     process.stdin.flush()
                     answer = json.loads(process.stdout.readline())
                     times[name].append(answer["seconds"])
+                    spent[name].append(answer["processor"])
                     shares[name] = answer["share"]
             rounds = {name: some[1:] for name, some in times.items()}  # the first compiles
             rates = " ".join(
                 f"{count / statistics.median(some) / 1e6:10.2f}" for some in rounds.values()
             )
             ratios = [b / a for a, b in zip(*rounds.values(), strict=True)]
+            own, other = (statistics.median(some[1:]) for some in spent.values())
             print(
                 f"{key:8} {query:10} {rates}  {statistics.median(ratios):.2f} "
-                f"({min(ratios):.2f} to {max(ratios):.2f}); hit: "
+                f"({min(ratios):.2f} to {max(ratios):.2f}), {other / own:.2f}; hit: "
                 + ", ".join(f"{share:.4%}" for share in shares.values()),
                 flush=True,
             )
