@@ -134,7 +134,7 @@ _nearest, _anything = tree_searches
 _NONE, _ONE, _TWO = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD, _DOUBLE = np.uint64(2), np.uint64(3)
 _LANES, _EIGHT = np.uint64(16), np.uint64(8)
-_ALL = np.uint64(0xFF)
+_ALL = np.uint64(0xFFFF)
 _MOST_AT = np.uint64(128)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _INF, _ZERO, _UNIT = np.float64(np.inf), np.float64(0.0), np.float64(1.0)
@@ -358,35 +358,31 @@ def _vertex(leaves, index, at):
 
 
 @device
-def _finish_eight(halves, part, i, tree, rows):
-    """Write the nearest hits of eight rays from i on; returns bits of those that are unsettled."""
-    place, at = halves.place[part], i << _DOUBLE
-    is_hit, zero = place != _NO_PLACE, f64x8(_ZERO)
+def _finish_all(group, first, tree, rows):
+    """Write the nearest hits of 16 rays; returns bits of those that are unsettled."""
+    place, at = group.place, first << _DOUBLE
+    is_hit, zero = place != _NO_PLACE, f64x16(_ZERO)
+    t_at, u_at, v_at = address(rows.t) + at, address(rows.u) + at, address(rows.v) + at
+    prim_id = select(is_hit, group.prim_id, i32x16(_MISS))
+    store(address(rows.prim_id) + (first << _WORD), prim_id)
     if not any_lane(is_hit):
-        store(address(rows.t) + at, f64x8(_INF))
-        store(address(rows.u) + at, zero)
-        store(address(rows.v) + at, zero)
-        store(address(rows.prim_id) + (i << _WORD), i32x8(_MISS))
+        store(t_at, f64x16(_INF))
+        store(u_at, zero)
+        store(v_at, zero)
         return _NONE
-    starts = halves.origin
-    index = select(is_hit, (place - np.int64(tree.leaves)) >> _SHIFT64, i64x8(_NO_PLACE))
-    ways = halves.direction
-    second = part + _TWO
-    third = second + _TWO
+    index = select(is_hit, (place - np.int64(tree.leaves)) >> _SHIFT64, i64x16(_NO_PLACE))
     is_settled, t, u, v = settle(
         _vertex(tree.leaves, index, _NONE),
         _vertex(tree.leaves, index, SECOND),
         _vertex(tree.leaves, index, THIRD),
-        (starts[part], starts[second], starts[third]),
-        (ways[part], ways[second], ways[third]),
+        three(group.origin),
+        three(group.direction),
     )
-    t = t * halves.half[part] * halves.rest[part]
-    t = minimum(maximum(t, f64x8(-_LARGEST)), f64x8(_LARGEST))
-    store(address(rows.t) + at, select(is_hit, t, f64x8(_INF)))
-    store(address(rows.u) + at, select(is_hit, u, zero))
-    store(address(rows.v) + at, select(is_hit, v, zero))
-    prim_id = select(is_hit, halves.prim_id[part], i32x8(_MISS))
-    store(address(rows.prim_id) + (i << _WORD), prim_id)
+    t = t * group.half * group.rest
+    t = minimum(maximum(t, f64x16(-_LARGEST)), f64x16(_LARGEST))
+    store(t_at, select(is_hit, t, f64x16(_INF)))
+    store(u_at, select(is_hit, u, zero))
+    store(v_at, select(is_hit, v, zero))
     return mask_bits(is_hit) & (mask_bits(is_settled) ^ _ALL)
 
 
@@ -442,9 +438,7 @@ def finish_sixteen(at, first, count, tree, frame, wants_any, status, rows, memor
         for k in range(count):
             _finish_one(lanes, k, first + k, tree, frame, wants_any, status, rows, memory)
         return
-    halves = _Halves(at)
-    left = _finish_eight(halves, _NONE, first, tree, rows)
-    left |= _finish_eight(halves, _ONE, first + _EIGHT, tree, rows) << _EIGHT
+    left = _finish_all(group, first, tree, rows)
     while left != _NONE:
         k = count_trailing_zeros(left)
         left &= left - _ONE

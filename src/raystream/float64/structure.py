@@ -76,9 +76,9 @@ class ExactStructure(Structure):
     @classmethod
     def from_arrays(
         cls,
-        triangles: Triangles,  # noqa: ARG003
-        arrays: Mapping[str, NDArray[Any]],  # noqa: ARG003
-        options: Any,  # noqa: ARG003
+        triangles: Triangles,
+        arrays: Mapping[str, NDArray[Any]],
+        options: Any,
     ) -> Structure:
         """Not supported."""
         raise RaystreamError(f"load: {NOT_IN_FLOAT64}")
