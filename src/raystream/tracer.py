@@ -56,7 +56,7 @@ class Tracer(MemoryEstimator, PointQueries):
         ``"graphics"``, else ``"branching"``].
     precision : {"float32", "float64"}
         Of triangles, rays and results: ``"float64"`` for scenes where float32 distances are too
-        coarse; see the guide "Planets and millimetres".
+        coarse; on ``"bvh"`` and ``"brute"`` on the CPU.
     counters : bool
         Count traversal steps, leaves and tests per ray: see `counters`. Rays are then traced one
         by one, without the many-ray kernels of ``"bvh"``. Disabled counters cost nothing.
@@ -457,12 +457,6 @@ class Tracer(MemoryEstimator, PointQueries):
         """The machine that runs a renderer as one loop, see `machines.ray_loop`; or None."""
         loops = self._backend.capabilities.loops and not self._needs_queries()
         return self._backend if loops else None
-
-    @property
-    def has_cheap_queries(self) -> bool:
-        """Whether a query of few rays is quick, as on the branching CPU: no passes, no GPU."""
-        capabilities = self._backend.capabilities
-        return not (capabilities.shading or capabilities.loops)
 
     def _needs_queries(self) -> bool:
         """Whether a renderer must call the queries: they count, or a subclass overrides them."""

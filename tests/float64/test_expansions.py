@@ -106,10 +106,10 @@ def test_double_numbers_are_as_exact_as_stated(a, b, c, d):
     y = (c, 0.0) if c == 0.0 else (c, d * 2.0**-54 if abs(d) < abs(c) else 0.0)
     total, product, quotient = arithmetic(x, y)
     exact_x, exact_y = sum(map(Fraction, x)), sum(map(Fraction, y))
-    for found, wanted, bound in (
-        (total, exact_x + exact_y, 3 * 2.0**-106),
-        (product, exact_x * exact_y, 7 * 2.0**-106),
-        (quotient, exact_x / exact_y if exact_y else None, 2.0**-100),
-    ):
-        if wanted is not None:
-            assert abs(sum(map(Fraction, found)) - wanted) <= abs(wanted) * Fraction(bound)
+    error = abs(sum(map(Fraction, total)) - exact_x - exact_y)
+    assert error <= (abs(exact_x) + abs(exact_y)) * Fraction(2) ** -104
+    error = abs(sum(map(Fraction, product)) - exact_x * exact_y)
+    assert error <= abs(exact_x * exact_y) * 7 * Fraction(2) ** -106
+    if exact_y:
+        error = abs(sum(map(Fraction, quotient)) - exact_x / exact_y)
+        assert error <= abs(exact_x / exact_y) * Fraction(2) ** -100

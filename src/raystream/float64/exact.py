@@ -71,7 +71,7 @@ def _estimate(a, b, c, origin, direction):
     vectors : tuple
         Vertex 0 from the origin, and the two edges there, exactly.
     weights : tuple
-        Numbers in proportion to the weights of vertices 0, 1, 2, and their sum.
+        Numbers in proportion to the weights of vertices 0, 1, 2, and the inverse of their sum.
     is_sure : bool or mask
         Whether the signs of the three are known, and the sum well enough for the quotients.
     t : number or vector
@@ -93,10 +93,11 @@ def _estimate(a, b, c, origin, direction):
     total = absolute(base[0])
     is_sure = (least > size * _SIGN_ERROR) & (total > size * _LEAST_BASE)
     t, rest = divide_double(top, base)
-    length = absolute(t)
-    slack = h * h * (reach * _TOP_ERROR + length * _BASE_ERROR) / total + length * _RATIO_ERROR
+    length, inverse = absolute(t), _ONE / base[0]
+    slack = h * h * (reach * _TOP_ERROR + length * _BASE_ERROR) * absolute(inverse)
+    slack += length * _RATIO_ERROR
     is_rounded = (t + (rest + slack) == t) & (t + (rest - slack) == t)
-    weights = u[0], v[0], w[0], base[0]
+    weights = u[0], v[0], w[0], inverse
     return (corner, p, q), weights, is_sure, t, is_rounded
 
 
@@ -115,8 +116,8 @@ def settle(a, b, c, origin, direction):
     t, u, v : float64 vector
     """
     _, weights, is_sure, t, is_rounded = _estimate(a, b, c, origin, direction)
-    _, weight_v, weight_w, total = weights
-    u, v = absolute(weight_v / total), absolute(weight_w / total)
+    _, weight_v, weight_w, inverse = weights
+    u, v = absolute(weight_v * inverse), absolute(weight_w * inverse)
     return is_sure & is_rounded, t, minimum(u, _ONE), minimum(v, _ONE)
 
 
@@ -191,13 +192,13 @@ def resolve(line, place, surfaces):
     a, b, c = _corner(place), _corner(place + SECOND), _corner(place + THIRD)
     vectors, weights, is_sure, t, is_rounded = _estimate(a, b, c, o, d)
     corner, p, q = vectors
-    weight_u, weight_v, weight_w, total = weights
+    weight_u, weight_v, weight_w, inverse = weights
     if not is_sure:
         way = _alone(d)
         weight_u = determinant_value(way, _differences(b, o), _differences(c, o))
         weight_v = determinant_value(q, corner, way)
         weight_w = -determinant_value(p, corner, way)
-        total = determinant_value(way, p, q)
+        inverse = _ONE / determinant_value(way, p, q)
     low, high = min(weight_u, weight_v, weight_w), max(weight_u, weight_v, weight_w)
     if (low < 0.0 and high > 0.0) or (low == 0.0 and high == 0.0):
         return False, _INF, _ZERO, _ZERO
@@ -209,5 +210,5 @@ def resolve(line, place, surfaces):
             return False, _INF, _ZERO, _ZERO
     if not is_rounded:
         t = rounded_ratio(corner, p, q, _alone(d))
-    first, second = abs(weight_v / total), abs(weight_w / total)
+    first, second = abs(weight_v * inverse), abs(weight_w * inverse)
     return True, t, min(first, _ONE), min(second, _ONE)

@@ -33,11 +33,15 @@ from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
+    any_lane,
     count_trailing_zeros,
     f64x4,
+    lanes_from_bits,
     load,
+    mask16,
     popcount,
     scratch,
+    select,
     store,
 )
 from raystream.structures.bvh.node_layout import leaf_address
@@ -48,6 +52,7 @@ from raystream.structures.bvh.packet_rays import (
     GROUPS,
     PACKET_BYTES,
     PACKET_RAYS,
+    Group,
     GroupLanes,
     PacketSource,
     group_rows,
@@ -142,16 +147,28 @@ def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
     """Test rays of a group against a triangle; returns whether one of them has a nearer hit."""
     place, own = block + (lane << _DOUBLE), edges + (lane << _DOUBLE)
     sides = _triple(own + _P), _triple(own + _Q), _triple(own + _N), load(np.float64, own + _H)
-    found, sure = test_sixteen(Sixteen(at), _triple(own), sides, spans)
-    found &= bits
     has_hit, lanes = False, SixteenLanes(at)
     prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
-    while found != _NONE:
-        k = count_trailing_zeros(found)
-        found &= found - _ONE
+    taken, far, doubtful = test_sixteen(
+        Sixteen(at),
+        lanes_from_bits(mask16, bits),
+        _triple(own),
+        sides,
+        place,
+        prim_id,
+        wants_any,
+        spans,
+    )
+    if any_lane(taken):
+        group = Group(packet, g)
+        group.t_active = select(taken, far, group.t_active)
+        has_hit = True
+    while doubtful != _NONE:
+        k = count_trailing_zeros(doubtful)
+        doubtful &= doubtful - _ONE
         low = load(np.float64, spans + (k << _DOUBLE))
         high = load(np.float64, spans + _MOST_AT + (k << _DOUBLE))
-        is_sure = (sure >> k) & _ONE != _NONE
+        is_sure = high < _INF
         if _offer(packet, lanes, g, k, low, high, is_sure, place, prim_id, wants_any):
             has_hit = True
     return has_hit

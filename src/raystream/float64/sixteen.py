@@ -39,18 +39,17 @@ from raystream.jit.simd import (
     any_lane,
     bits_as_float,
     count_trailing_zeros,
-    f64x8,
+    f32x16,
     f64x16,
     float_as_bits,
     gather,
-    i32x8,
     i32x16,
-    i64x8,
     i64x16,
     load,
     mask_bits,
     maximum,
     minimum,
+    narrow,
     next_float_up,
     select,
     store,
@@ -90,7 +89,7 @@ _NUMBERS = (
     ("state", "i4"),
 )
 
-#: Rays and their nearest hits; with a lane index; and in halves of eight.
+#: Rays and their nearest hits; and with a lane index.
 SIXTEEN = np.dtype(
     [
         ("origin", "f8", (3, 16)),
@@ -108,15 +107,6 @@ SixteenLanes = view(
         *((name, kind, (16, 1)) for name, kind in _NUMBERS),
     ]
 )
-_Halves = view(
-    [
-        ("origin", "f8", (6, 8)),
-        ("direction", "f8", (6, 8)),
-        ("t_max", "f8", (2, 8)),
-        *((name, kind, (2, 8)) for name, kind in _NUMBERS),
-    ]
-)
-
 #: `state`: of an invalid ray, and of one that is traced by itself.
 _INVALID = np.int32(RayStatus.INVALID)
 _ALONE = np.int32(2)
@@ -128,15 +118,19 @@ _FAR = 2.0**20
 #: Distances are rounded up by this part of the offset, whose own rounding it covers.
 _OFFSET_SLACK = 2.0**-50
 
+#: More than a step of float32, as a part of a number, and near 0.
+_STEPS, _LEAST_STEP = np.float32(2.0**-22), np.float32(2.0**-126)
+
 _nearest, _anything = tree_searches
 
 _NONE, _ONE, _TWO = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD, _DOUBLE = np.uint64(2), np.uint64(3)
-_LANES, _EIGHT = np.uint64(16), np.uint64(8)
-_ALL = np.uint64(0xFF)
+_LANES = np.uint64(16)
+_ALL = np.uint64(0xFFFF)
 _MOST_AT = np.uint64(128)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _INF, _ZERO, _UNIT = np.float64(np.inf), np.float64(0.0), np.float64(1.0)
+_ZERO32 = np.float32(0.0)
 _INF32 = np.float32(np.inf)
 _LARGEST = np.float64(np.finfo(np.float64).max)
 _NO_PLACE, _SHIFT64 = np.int64(0), np.int64(3)
@@ -308,38 +302,70 @@ def keep(lanes, k, low, high, is_sure, place, prim_id, wants_any):
 
 
 @device
-def test_sixteen(group, a, edges, spans):
-    """Test 16 rays against a triangle.
+def _short(far, group):
+    """`short_far` of all rays, or a little more."""
+    local = far * group.scale - group.offset
+    short = narrow(local + absolute(group.offset) * _OFFSET_SLACK)
+    return short + absolute(short) * _STEPS + _LEAST_STEP
+
+
+@device
+def test_sixteen(group, allowed, a, edges, place, prim_id, wants_any, spans):
+    """Test 16 rays against a triangle, and keep the hits that are certain.
 
     Parameters
     ----------
     group : Sixteen
+    allowed : mask16
+        The rays to test.
     a : triple of float64
         Vertex 0.
     edges : tuple
         See `block.triangle_edges`.
+    place : uint64
+    prim_id : int32
+    wants_any : bool
     spans : uint64
-        Address of 256 bytes: of the rays that may hit it, the least and, 128 bytes behind, the
-        largest distance are written.
+        Address of 256 bytes: of the rays in doubt, the least and, 128 bytes behind, the largest
+        distance are written.
 
     Returns
     -------
-    found, sure : uint64
-        Bits of the rays that may hit it; and of those that do for sure.
+    taken : mask16
+        The rays whose nearest hit this is now.
+    far : float32 vector
+        The ends of their intervals, rounded up; -inf with `wants_any`.
+    doubtful : uint64
+        Bits of the rays that `keep` must decide.
     """
     origin, direction = three(group.origin), three(group.direction)
     low, high, error, base, corner, reach = sides_of(a, edges, origin, direction)
-    found = (low >= -error) | (high <= error)
+    found = allowed & ((low >= -error) | (high <= error))
     if not any_lane(found):
-        return _NONE, _NONE
+        return found, f32x16(_ZERO32), _NONE
     is_clear, least, most = interval_of(corner, reach, edges, base, error)
     least, most = select(is_clear, least, f64x16(-_INF)), select(is_clear, most, f64x16(_INF))
     found = found & (least <= group.far) & (most >= group.t_min)
     if not any_lane(found):
-        return _NONE, _NONE
-    store(spans, least)
-    store(spans + _MOST_AT, most)
-    return mask_bits(found), mask_bits(is_clear & ((low > error) | (high < -error)))
+        return found, f32x16(_ZERO32), _NONE
+    best = group.low
+    is_sure = is_clear & ((low > error) | (high < -error))
+    taken = found & is_sure & (least >= group.t_min) & (most <= group.t_max) & (most < best)
+    far = f32x16(-_INF32)
+    if any_lane(taken):
+        group.prim_id = select(taken, i32x16(prim_id), group.prim_id)
+        if wants_any:
+            group.far = select(taken, f64x16(-_INF), group.far)
+        else:
+            group.low, group.high = select(taken, least, best), select(taken, most, group.high)
+            group.place = select(taken, i64x16(np.int64(place)), group.place)
+            group.far = select(taken, most, group.far)
+            far = _short(most, group)
+    doubtful = mask_bits(found & ~taken)
+    if doubtful != _NONE:
+        store(spans, least)
+        store(spans + _MOST_AT, select(is_sure, most, f64x16(_INF)))
+    return taken, far, doubtful
 
 
 # Results
@@ -357,35 +383,31 @@ def _vertex(leaves, index, at):
 
 
 @device
-def _finish_eight(halves, part, i, tree, rows):
-    """Write the nearest hits of eight rays from i on; returns bits of those that are unsettled."""
-    place, at = halves.place[part], i << _DOUBLE
-    is_hit, zero = place != _NO_PLACE, f64x8(_ZERO)
+def _finish_all(group, first, tree, rows):
+    """Write the nearest hits of 16 rays; returns bits of those that are unsettled."""
+    place, at = group.place, first << _DOUBLE
+    is_hit, zero = place != _NO_PLACE, f64x16(_ZERO)
+    t_at, u_at, v_at = address(rows.t) + at, address(rows.u) + at, address(rows.v) + at
+    prim_id = select(is_hit, group.prim_id, i32x16(_MISS))
+    store(address(rows.prim_id) + (first << _WORD), prim_id)
     if not any_lane(is_hit):
-        store(address(rows.t) + at, f64x8(_INF))
-        store(address(rows.u) + at, zero)
-        store(address(rows.v) + at, zero)
-        store(address(rows.prim_id) + (i << _WORD), i32x8(_MISS))
+        store(t_at, f64x16(_INF))
+        store(u_at, zero)
+        store(v_at, zero)
         return _NONE
-    starts = halves.origin
-    index = select(is_hit, (place - np.int64(tree.leaves)) >> _SHIFT64, i64x8(_NO_PLACE))
-    ways = halves.direction
-    second = part + _TWO
-    third = second + _TWO
+    index = select(is_hit, (place - np.int64(tree.leaves)) >> _SHIFT64, i64x16(_NO_PLACE))
     is_settled, t, u, v = settle(
         _vertex(tree.leaves, index, _NONE),
         _vertex(tree.leaves, index, SECOND),
         _vertex(tree.leaves, index, THIRD),
-        (starts[part], starts[second], starts[third]),
-        (ways[part], ways[second], ways[third]),
+        three(group.origin),
+        three(group.direction),
     )
-    t = t * halves.half[part] * halves.rest[part]
-    t = minimum(maximum(t, f64x8(-_LARGEST)), f64x8(_LARGEST))
-    store(address(rows.t) + at, select(is_hit, t, f64x8(_INF)))
-    store(address(rows.u) + at, select(is_hit, u, zero))
-    store(address(rows.v) + at, select(is_hit, v, zero))
-    prim_id = select(is_hit, halves.prim_id[part], i32x8(_MISS))
-    store(address(rows.prim_id) + (i << _WORD), prim_id)
+    t = t * group.half * group.rest
+    t = minimum(maximum(t, f64x16(-_LARGEST)), f64x16(_LARGEST))
+    store(t_at, select(is_hit, t, f64x16(_INF)))
+    store(u_at, select(is_hit, u, zero))
+    store(v_at, select(is_hit, v, zero))
     return mask_bits(is_hit) & (mask_bits(is_settled) ^ _ALL)
 
 
@@ -441,9 +463,7 @@ def finish_sixteen(at, first, count, tree, frame, wants_any, status, rows, memor
         for k in range(count):
             _finish_one(lanes, k, first + k, tree, frame, wants_any, status, rows, memory)
         return
-    halves = _Halves(at)
-    left = _finish_eight(halves, _NONE, first, tree, rows)
-    left |= _finish_eight(halves, _ONE, first + _EIGHT, tree, rows) << _EIGHT
+    left = _finish_all(group, first, tree, rows)
     while left != _NONE:
         k = count_trailing_zeros(left)
         left &= left - _ONE

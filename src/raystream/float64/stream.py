@@ -32,7 +32,16 @@ from raystream.float64.sixteen import (
 )
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, count_trailing_zeros, load, scratch
+from raystream.jit.simd import (
+    address,
+    count_trailing_zeros,
+    lanes_from_bits,
+    load,
+    mask16,
+    mask_bits,
+    scratch,
+    select,
+)
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.group_rays import (
     FLAGS_AT,
@@ -49,6 +58,7 @@ from raystream.structures.bvh.node_layout import LANE, leaf_address
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
     PACKET_RAYS,
+    Group,
     GroupLanes,
     PacketSource,
     group_rows,
@@ -70,6 +80,7 @@ _NONE, _ONE = np.uint64(0), np.uint64(1)
 _WORD, _DOUBLE = np.uint64(2), np.uint64(3)
 _BLOCK_LANES, _LAST_LANE = np.uint64(4), np.uint64(15)
 _LANES = np.uint64(16)
+_ALL = np.uint64(0xFFFF)
 _MOST_AT = np.uint64(128)
 _SPAN_BYTES = 256
 _INF = np.float64(np.inf)
@@ -115,6 +126,11 @@ def _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any):
 
 
 @device
+def _all_rays():
+    return lanes_from_bits(mask16, _ALL)
+
+
+@device
 def _triple(at):
     return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
 
@@ -132,13 +148,26 @@ def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
         edges = triangle_edges(a, _triple(place + SECOND), _triple(place + THIRD))
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            found, sure = test_sixteen(Sixteen(_sixteen(memory, g)), a, edges, spans)
-            while found != _NONE:
-                k = count_trailing_zeros(found)
-                found &= found - _ONE
+            group = Sixteen(_sixteen(memory, g))
+            taken, far, doubtful = test_sixteen(
+                group, _all_rays(), a, edges, place, prim_id, wants_any, spans
+            )
+            bits = mask_bits(taken)
+            if bits != _NONE:
+                hit_count += _ONE
+                local = Group(memory, g)
+                local.t = select(taken, far, local.t)
+                lanes = GroupLanes(memory, g)
+                while bits != _NONE:
+                    k = count_trailing_zeros(bits)
+                    bits &= bits - _ONE
+                    Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = lanes.t[k]
+            while doubtful != _NONE:
+                k = count_trailing_zeros(doubtful)
+                doubtful &= doubtful - _ONE
                 low = load(np.float64, spans + (k << _DOUBLE))
                 high = load(np.float64, spans + _MOST_AT + (k << _DOUBLE))
-                is_sure = (sure >> k) & _ONE != _NONE
+                is_sure = high < _INF
                 hit_count += np.uint64(
                     _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any)
                 )

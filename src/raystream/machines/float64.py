@@ -133,7 +133,7 @@ class Float64Backend(Backend):
             self._loop(loops.count_hits, rays, sink.status, output, progress)
 
     def _kernel(self, count: int) -> str:
-        """The kernel that traces so many rays; "auto" if that depends on the rays."""
+        """The kernel that traces this number of rays; "auto" if that depends on the rays."""
         options: Any = self.structure.options
         if len(self.structure.memory["nodes"]) == 0 or count == 0:
             return "single"
@@ -245,7 +245,7 @@ class Float64Backend(Backend):
         counts: NDArray[np.int64],
         part: slice,
     ) -> tuple[NDArray[Any], ...]:
-        """The hits of some rays, so many of each, by t, then prim_id, up to the limit."""
+        """The hits of some rays by t, then prim_id, up to the limit; `counts` are their numbers."""
         splits = np.zeros(len(counts) + 1, np.int64)
         np.cumsum(counts, out=splits[1:])
         rows = ExactRows.empty(int(splits[-1]))

@@ -292,6 +292,12 @@ class TracedScene:
         self._set(scene, old.moved(old.triangles.moved(scene.placements)))
         return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
 
+    @property
+    def has_cheap_queries(self) -> bool:
+        """Whether a query of few rays is quick, as on the branching CPU: no passes, no GPU."""
+        capabilities = self._backend.capabilities
+        return not (capabilities.shading or capabilities.loops)
+
     def check_plain(self, what: str) -> None:
         """Check that the scene has triangles alone, without instances, as `what` needs.
 
