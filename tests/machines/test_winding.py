@@ -153,9 +153,9 @@ def test_errors_are_below_the_accuracy(accuracy):
 def test_small_scenes_and_few_points_are_summed():
     tracer = rs.Tracer(rs.Scene.from_arrays(*open_sphere(2)))
     points = points_of(tracer.structure.triangles, 1000)
-    for given in (points, points[:9]):
+    for some in (points, points[:9]):
         np.testing.assert_array_equal(
-            tracer.winding_number(given, accuracy=0.1), tracer.winding_number(given)
+            tracer.winding_number(some, accuracy=0.1), tracer.winding_number(some)
         )
 
 
