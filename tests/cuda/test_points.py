@@ -91,6 +91,19 @@ def test_a_moved_scene_is_searched_where_it_is(gpu):
     assert tracer.closest_point([9.0, 0.0, 0.0]).distance == expected == before - 5.0
 
 
+def test_a_tree_that_was_built_on_the_device_is_searched_there(device):
+    vertices, faces = soup(40, 5)
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), device="cuda", build="device")
+    points = points_around(vertices, np.random.default_rng(6), COUNT)
+    for _ in range(2):
+        expected = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute").closest_points(
+            points, 2
+        )
+        assert_same_bits(tracer.closest_points(points, 2), expected)
+        vertices = vertices[::-1] * [1.0, -1.0, 1.0]
+        tracer.update(vertices)
+
+
 def test_what_finds_no_points_says_what_does(gpu):
     scene = rs.load("cornell")
     for options in ({"structure": "grid"}, {"machine": "multipass", "structure": "kdtree"}):

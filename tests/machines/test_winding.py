@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 import raystream as rs
 from meshes import dented_sphere, grid_floor, icosphere, soup, sticks
 from raystream.machines import winding
 from raystream.machines.winding import _by_tree, _exact
+from test_closest_point import scenes_and_points
 
 
 def open_sphere(level):
@@ -73,6 +76,25 @@ def test_errors_are_within_their_bounds(name):
             assert np.mean(np.abs(found - exact) > 1e-12) > 0.01  # the tree is used
 
 
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(scenes_and_points(), st.floats(0.001, 0.999))
+def test_bounds_hold_for_any_triangles(drawn, opening):
+    vertices, faces, points = drawn
+    triangles = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute").structure.triangles
+    if not len(triangles.prim_ids):
+        return
+    local = (np.asarray(points, np.float64) - triangles.center) * triangles.scale
+    corners = triangles.corners[triangles.prim_ids].astype(np.float64).reshape(-1, 3)
+    # On the surface exact sums count no solid angle at a corner or an edge.
+    away = np.abs(local[:, None] - corners).max(axis=2).min(axis=1) > 1e-6 * np.ptp(corners)
+    local = np.concatenate([local[away], corners.max(axis=0) + np.eye(3) * np.ptp(corners)])
+    found, errors = _by_tree(triangles, local, opening, None)
+    off = np.abs(found - _exact(triangles, local, None))
+    # By whole turns where a point is in the plane of a triangle: there the sides are by chance.
+    assert (np.abs(off - np.round(off)) <= errors + 1e-9).all()
+    assert (off[-3:] <= errors[-3:] + 1e-9).all()  # outside, where no side is in doubt
+
+
 def test_expansions_are_the_sums_of_numpy():
     triangles = triangles_of("soup")
     points = points_of(triangles, 20)
@@ -131,9 +153,9 @@ def test_errors_are_below_the_accuracy(accuracy):
 def test_small_scenes_and_few_points_are_summed():
     tracer = rs.Tracer(rs.Scene.from_arrays(*open_sphere(2)))
     points = points_of(tracer.structure.triangles, 1000)
-    for given in (points, points[:9]):
+    for some in (points, points[:9]):
         np.testing.assert_array_equal(
-            tracer.winding_number(given, accuracy=0.1), tracer.winding_number(given)
+            tracer.winding_number(some, accuracy=0.1), tracer.winding_number(some)
         )
 
 
