@@ -241,12 +241,19 @@ def small(tiny):
         for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
             found, expected = (getattr(one, query)(*rays) for one in (ours, theirs))
             wrong += not _same(found, expected)
+    # Points around the scene, most of them nearest to an edge or a corner.
+    points = rays[0] + 300.0 * rays[1]
+    for name in ("brute", "bvh"):
+        ours, theirs = rs.Tracer(scene, name, "cuda"), rs.Tracer(scene, name)
+        found, expected = (one.closest_points(points, 3) for one in (ours, theirs))
+        wrong += not _same(found, expected)
     print(f"{len(ways)} tracers, {wrong} queries with other bits than the CPU's")
     return 1 if wrong else 0
 
 
 def _same(ours, theirs):
-    columns = [name for name in ("t", "prim_id", "ray_splits") if hasattr(ours, name)]
+    names = ("t", "distance", "positions", "prim_id", "ray_splits")
+    columns = [name for name in names if hasattr(ours, name)]
     if not columns:
         return ours.tobytes() == theirs.tobytes()
     return all(getattr(ours, one).tobytes() == getattr(theirs, one).tobytes() for one in columns)

@@ -21,6 +21,8 @@ ROOMS = (
     "scene",
     "structures",
     "instances",
+    "primitives",
+    "float64",
     "streams",
     "programs",
     "machines",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,12 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.library_hits import in_library
 from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
 from raystream.core.rays import RayArrays, RayBatch
+from raystream.core.scene_checks import check_triangles
 from raystream.jit.threads import Progress
 from raystream.machines.answers import all_hits, nearest_hits
 from raystream.machines.memory_needed import MemoryEstimator
 from raystream.machines.point_queries import PointQueries
+from raystream.machines.precision import triangles_of
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records, returned_payload
 from raystream.programs.trace import Order, check_order
@@ -52,6 +54,9 @@ class Tracer(MemoryEstimator, PointQueries):
         ``"multipass"`` is slower, and reports its passes. On ``"graphics"`` these two are
         fragment programs, and ``"compute"`` is faster [default: ``"compute"`` on
         ``"graphics"``, else ``"branching"``].
+    precision : {"float32", "float64"}
+        Of triangles, rays and results: ``"float64"`` for scenes where float32 distances are too
+        coarse; on ``"bvh"`` and ``"brute"`` on the CPU.
     counters : bool
         Count traversal steps, leaves and tests per ray: see `counters`. Rays are then traced one
         by one, without the many-ray kernels of ``"bvh"``. Disabled counters cost nothing.
@@ -117,6 +122,7 @@ class Tracer(MemoryEstimator, PointQueries):
         device: str | DeviceOptions = "cpu",
         *,
         machine: str | MachineOptions | None = None,
+        precision: Literal["float32", "float64"] = "float32",
         counters: bool = False,
         progress: Progress | None = None,
         **options: Any,
@@ -124,7 +130,8 @@ class Tracer(MemoryEstimator, PointQueries):
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
         configuration = self._configure(structure, device, machine, counters, options)
-        self._set(scene, self._built(configuration, scene.triangles, progress))
+        triangles = triangles_of(self, scene, precision)
+        self._set(scene, self._built(configuration, triangles, progress))
 
     def first_hit(
         self,
@@ -413,6 +420,7 @@ class Tracer(MemoryEstimator, PointQueries):
         """
         surfaces = counts_surfaces(crossings)
         check_order(order)
+        check_triangles("trace", self.structure.triangles)
         query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
         rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         if isinstance(rays, RayArrays):
@@ -450,12 +458,6 @@ class Tracer(MemoryEstimator, PointQueries):
         loops = self._backend.capabilities.loops and not self._needs_queries()
         return self._backend if loops else None
 
-    @property
-    def has_cheap_queries(self) -> bool:
-        """Whether a query of few rays is quick, as on the branching CPU: no passes, no GPU."""
-        capabilities = self._backend.capabilities
-        return not (capabilities.shading or capabilities.loops)
-
     def _needs_queries(self) -> bool:
         """Whether a renderer must call the queries: they count, or a subclass overrides them."""
         queries = type(self).first_hit, type(self).any_hit
@@ -475,6 +477,7 @@ class Tracer(MemoryEstimator, PointQueries):
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
         triangles = self.structure.triangles
+        check_triangles("on_hit, skip_prim_ids", triangles)
         if isinstance(rays, RayArrays):
             chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)
         else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.bench.agreement import compare, count_hits, outcome
-from raystream.bench.contenders.base import AllHits, FirstHits
+from raystream.bench.contenders.base import AllHits, Closest, FirstHits, Points
 
 
 def first(*t: float) -> np.ndarray:
@@ -38,6 +38,17 @@ def test_any_hits():
 def test_all_hits_by_their_number():
     assert compare("multi", multi(2, 0, 1), multi(2, 1, 0)) == (2 / 3, 3)
     assert count_hits("multi", multi(2, 0, 1)) == 3
+
+
+def test_distances_of_points_in_units_of_the_scene():
+    given = Points(np.zeros((3, 3), np.float32), 10.0)
+    ours = outcome(Closest(np.array([1.0, 2.0, np.inf])), given)
+    assert ours.tolist() == [0.1, 0.2, np.inf]
+    theirs = outcome(Closest(None, np.array([[1.000009, 0, 0], [0, 2.0001, 0], [5, 0, 0]])), given)
+    assert theirs[2] == 0.5
+    assert compare("closest", ours, theirs) == (2 / 3, 3)
+    assert compare("closest", ours, np.full(3, np.nan)).differing == 1.0
+    assert count_hits("closest", ours) == 2
 
 
 def test_no_rays():

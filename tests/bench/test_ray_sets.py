@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.bench.point_sets import NEAR
 from raystream.bench.ray_sets import AO_LENGTH, DEFAULT_SETS, RAY_SETS, make_ray_sets
 from raystream.bench.worker import load_rays, save_rays
 
 SIZE = (16, 12)
+
+POINT_SETS = ("closest", "closest_near", "closest_grid")
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +42,9 @@ def test_all_are_plain_arrays(sets, scene, tracer):
         "random": (192, 3),
         "random_multi": (192, 3),
     }
+    shapes |= dict.fromkeys(POINT_SETS, (192, 3)) | {"closest_grid": (125, 3)}
     for name, (_, _, rays) in sets.items():
-        for array in rays[:2]:
+        for array in rays[: 1 if name in POINT_SETS else 2]:
             assert array.shape == shapes[name], name
             assert array.dtype == np.float32
             assert array.flags.c_contiguous
@@ -96,6 +100,29 @@ def test_rays_reach_other_processes_as_they_are(sets, tmp_path):
         assert np.array_equal(there.origins, rays.origins)
         assert np.array_equal(there.directions, rays.directions)
         assert there.origins.flags.c_contiguous
+
+
+def test_points_lie_where_their_sets_say(sets, scene, tracer):
+    low, high = scene.bounds
+    diagonal = np.linalg.norm(high - low)
+    around, near, grid = (sets[name].rays for name in POINT_SETS)
+    assert [one.unit for one in (around, near, grid)] == [pytest.approx(diagonal)] * 3
+    places = (around.points - low) / (high - low)  # from -1/4 to 5/4
+    assert -0.25 <= places.min() < -0.1
+    assert 1.1 < places.max() <= 1.25 + 1e-6
+    away = tracer.closest_point(near.points).distance
+    assert 0.2 * NEAR * diagonal < np.mean(away) < 2.0 * NEAR * diagonal
+    for k in range(3):
+        lines = np.unique(grid.points[:, k])
+        assert np.allclose(lines, np.linspace(low[k], high[k], 5), atol=1e-5 * diagonal)
+
+
+def test_points_reach_other_processes_as_they_are(sets, tmp_path):
+    points = sets["closest_near"].rays
+    save_rays(tmp_path, points)
+    there = load_rays(tmp_path)
+    assert there.unit == points.unit
+    assert np.array_equal(there.points, points.points)
 
 
 def test_nothing_to_see(scene, tracer):

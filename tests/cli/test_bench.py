@@ -13,7 +13,7 @@ from raystream.bench.report import REPORT_SUFFIXES
 from raystream.bench.results import read_result, write_result
 from raystream.bench.runner import Bench
 from raystream.cli import options
-from raystream.cli.bench import DEFAULT_SCENES, bench
+from raystream.cli.bench import DEFAULT_SCENES, ContenderOptions, _entries, bench
 
 pytestmark = pytest.mark.usefixtures("few_objects")
 
@@ -23,6 +23,7 @@ QUICK = ("--width", 8, "--height", 6, "--repeats", 1)
 def test_names_are_the_librarys():
     assert tuple(RAY_SETS) == options.RAY_SETS
     assert tuple(PEERS) == options.PEERS
+    assert DEFAULT_SETS == options.DEFAULT_SETS
     assert inspect.signature(bench).parameters["sets"].default == ",".join(DEFAULT_SETS)
     assert REPORT_SUFFIXES == (".md", ".rst", ".svg")
 
@@ -63,6 +64,31 @@ def test_variants_and_a_stored_result(run, tmp_path):
     assert "| bounce |" in (tmp_path / "table.md").read_text()
     assert run("bench", "--report", "result.json", "-o", "chart.svg").code == 0
     assert (tmp_path / "chart.svg").read_text().startswith("<svg")
+
+
+@pytest.mark.parametrize(
+    ("sets", "peers"),
+    [
+        (["primary", "multi"], ["open3d", "embreex", "mitsuba", "mitsuba-robust", "warp"]),
+        (["closest_near"], ["open3d", "warp", "fcpw", "libigl"]),
+        (["ao", "closest"], list(PEERS)),
+    ],
+)
+def test_peers_by_default_have_a_query_of_the_sets(sets, peers):
+    entries = _entries(ContenderOptions(), sets)
+    assert [entry.name for entry in entries] == ["raystream", *peers]
+
+
+def test_points_without_a_structure_for_them_are_no_figures(run):
+    asked = ("bench", "cornell", *QUICK, "--peers", "none", "--sets", "closest", "--json")
+    ((rays,),) = (scene["sets"] for scene in run(*asked).figures["scenes"])
+    assert (rays["query"], rays["ray_count"], rays["hit_count"]) == ("closest", 48, 48)
+    assert rays["figures"]["mrays_per_second"]["raystream"] > 0.0
+    assert rays["figures"]["share_of_roofline"] is None
+    (scene,) = run(*asked, "--option", "structure=grid").figures["scenes"]
+    (rays,) = scene["sets"]
+    assert rays["failures"] == {"raystream": "does not support this query"}
+    assert rays["figures"]["mrays_per_second"] == {}
 
 
 def test_an_interrupt_shows_what_there_is_and_the_run_can_go_on(run, monkeypatch, tmp_path):

@@ -20,7 +20,7 @@ from raystream.jit.simd import load, store
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
-from raystream.cuda.precompile import ARRAY_KERNELS, structure_kernels
+from raystream.cuda.precompile import ARRAY_KERNELS, point_kernels, structure_kernels
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.structures import STRUCTURES
 
@@ -81,6 +81,16 @@ def test_every_kernel_compiles(scene, name, query):
     # Nothing is left to a linker, such as a function that only CPUs have.
     assert ".extern .func" not in compiled.ptx
     # Small numbers are not flushed to 0; divisions and roots are those of IEEE 754.
+    assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
+
+
+@pytest.mark.parametrize("name", ["brute", "bvh"])
+def test_every_kernel_of_points_compiles(scene, name):
+    made, arguments = point_kernels(scene)[name]
+    compiled = made.compiled(arguments, CAPABILITIES[0])
+    assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
+    assert ".extern .func" not in compiled.ptx
+    assert "fma.rn.f64" in compiled.ptx  # of the products of normals, and no others
     assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
 
 

@@ -18,6 +18,7 @@ import fake_driver
 import raystream as rs
 from cases import CASES
 from conftest import CUDA_TRACERS, GPU_TRACERS
+from meshes import soup
 from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
 from ptx.memory import room_for
@@ -25,6 +26,7 @@ from raystream.jit.cpu import kernel
 from raystream.jit.cuda import CAPABILITIES, RangeKernel, devices, is_simulated, open_gpu
 from raystream.jit.views import view
 from test_agreement import answers_of, assert_expected, case_of, rays_of
+from test_closest_point import assert_same_bits, points_around
 
 pytestmark = pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
 
@@ -92,6 +94,17 @@ def test_structures_equal_brute_force(tracer, name):
 @pytest.mark.parametrize("tracer", GPU_TRACERS)
 def test_builds_orders_and_packets_equal_brute_force(tracer):
     assert_brute_force("random_soup", **GPU_TRACERS[tracer])
+
+
+@pytest.mark.parametrize("structure", ["brute", "bvh"])
+def test_closest_points_equal_brute_force(driver, structure):
+    vertices, faces = soup(24, 3)
+    scene = rs.Scene.from_arrays(vertices, faces)
+    points = points_around(vertices, np.random.default_rng(4), 6)
+    expected = rs.Tracer(scene, "brute").closest_points(points, 2)
+    found = rs.Tracer(scene, structure, "cuda", gpu=NUMBER).closest_points(points, 2)
+    assert_same_bits(found, expected)
+    assert any("find_nearest" in name for name in driver.launched)
 
 
 class Lent:

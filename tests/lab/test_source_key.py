@@ -1,8 +1,7 @@
-"""The key of the sources that can change counts, and the stored report's."""
+"""The key of the sources that can change counts."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -14,41 +13,7 @@ need("raystream_lab")
 import raystream
 import raystream_lab
 from raystream_lab import source_key as keys
-from raystream_lab.source_key import counting_files, key_of, source_key
-
-STORED = Path(__file__).resolve().parents[2] / "docs" / "lab" / "cpu" / "about.json"
-
-
-def check_stored(path: Path) -> None:
-    """Fail if the report is of other sources; skip if there is none."""
-    if not path.exists():
-        pytest.skip(f"no stored report: {path} is missing")
-    about = json.loads(path.read_text(encoding="utf-8"))
-    if not about.get("source"):
-        pytest.skip(f"the stored report has no key of its sources: {path}")
-    if about["source"] != source_key():
-        pytest.fail(
-            f"{path} is of other sources ({about['source']}, now {source_key()}): run "
-            f"`{about.get('command', 'raystream lab all')}` and store its report"
-        )
-
-
-def test_the_stored_report_is_of_these_sources() -> None:
-    check_stored(STORED)
-
-
-def test_a_stale_report_fails_with_its_command(tmp_path: Path) -> None:
-    path = tmp_path / "about.json"
-    with pytest.raises(pytest.skip.Exception, match="no stored report"):
-        check_stored(path)
-    path.write_text("{}")
-    with pytest.raises(pytest.skip.Exception, match="no key"):
-        check_stored(path)
-    path.write_text(json.dumps({"source": "0" * 16, "command": "raystream lab all -o x"}))
-    with pytest.raises(pytest.fail.Exception, match="run `raystream lab all -o x`"):
-        check_stored(path)
-    path.write_text(json.dumps({"source": source_key()}))
-    check_stored(path)
+from raystream_lab.source_key import counting_files, key_of
 
 
 def test_the_key_covers_what_counts() -> None:

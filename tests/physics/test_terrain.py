@@ -390,7 +390,30 @@ def test_other_tracers():
         rs.terrain(heights, qualty="fast")
 
 
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, -0.5)])
+def test_a_height_field_has_the_results_of_the_mesh(spacing):
+    heights = hills(60, 5)
+    heights[np.random.default_rng(0).random(heights.shape) < 0.03] = np.nan
+    heights[28:32, 28:32] = 30.0
+    mesh = rs.terrain(heights, spacing=spacing)
+    field = rs.terrain(heights, spacing=spacing, surface="height field")
+    eye = (29.6 * spacing[0], 29.2 * spacing[1])
+    for target_height in (0.0, 2.0):
+        options = {"height": 5.0, "target_height": target_height}
+        assert (field.viewshed(eye, **options) == mesh.viewshed(eye, **options)).all()
+    shade = {"azimuth": 200.0, "altitude": 20.0, "shadows": True}
+    np.testing.assert_array_equal(field.hillshade(**shade), mesh.hillshade(**shade))
+    assert repr(field) == f"Terrain(60 x 60 cells, {2 * 59 * 59:,} triangles)"
+    assert field.tracer.structure.report.byte_count < 8 * heights.size + 4096
+
+
 BAD = [
+    ({"surface": "triangles"}, ValueError, "surface: expected 'mesh' or 'height field'"),
+    (
+        {"dem": np.full((4, 4), np.nan), "surface": "height field"},
+        ValueError,
+        "dem: no square of four",
+    ),
     ({"dem": np.zeros((5, 1))}, ValueError, r"dem: expected shape \(H, W\)"),
     ({"dem": np.zeros(5)}, ValueError, r"dem: expected shape \(H, W\)"),
     ({"dem": np.full((4, 4), np.nan)}, ValueError, "dem: no square of four"),
@@ -445,6 +468,10 @@ def test_too_large_a_raster_is_refused_beforehand(monkeypatch):
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10_000_000)
     with pytest.raises(MemoryError, match=r"dem: a terrain of 40,000 cells would take 0.0 GB"):
         rs.terrain(np.zeros((200, 200)))
+    rs.terrain(np.zeros((200, 200)), surface="height field")
+    monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 1_000_000)
+    with pytest.raises(MemoryError, match=r"dem: a terrain of 40,000 cells would take 0.0 GB"):
+        rs.terrain(np.zeros((200, 200)), surface="height field")
 
 
 def test_memory_per_cell_is_as_stated():

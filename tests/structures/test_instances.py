@@ -22,6 +22,9 @@ from strategies import COORDINATES, meshes
 
 STRUCTURES = ("bvh", "brute")
 
+#: Options of tracers that must agree: rays one by one, in groups, and without trees.
+TRACERS = ({"kernel": "single"}, {"kernel": "groups"}, {"structure": "brute"})
+
 
 def scene_of(vertices, faces) -> rs.Scene:
     return rs.Scene.from_arrays(vertices, faces)
@@ -49,19 +52,21 @@ def random_rays(seed: int, count: int, spread: float = 10.0) -> dict:
 
 
 def assert_agrees(scene: rs.Scene, parts: list[rs.Scene], rays) -> int:
-    """All queries of both structures agree with the oracle; returns the number of hits."""
+    """All queries of all kernels agree with the oracle; returns the number of hits."""
     expected = {
         crossings: instanced.all_hits(scene, parts, rays, crossings)
         for crossings in ("triangles", "surfaces")
     }
     splits, columns = expected["triangles"]
     first = instanced.nearest(splits, columns)
-    for structure in STRUCTURES:
-        tracer = rs.Tracer(scene, structure)
+    for options in TRACERS:
+        tracer = rs.Tracer(scene, **options)
         hits = tracer.first_hit(**rays)
         for name in COLUMNS:
             assert_same_bits(getattr(hits, name), first[name])
         assert_same_bits(tracer.any_hit(**rays), splits[1:] > splits[:-1])
+        if options == {"kernel": "groups"}:
+            continue  # of these two queries only
         for crossings, (all_splits, all_columns) in expected.items():
             counts = tracer.count_hits(**rays, crossings=crossings)
             assert_same_bits(counts, np.diff(all_splits))
@@ -84,6 +89,90 @@ def test_random_instances_agree_with_tracers_of_the_objects() -> None:
 def test_a_million_queries_agree(seed) -> None:
     scene, rays = random_scene(seed, 200, 20.0), random_rays(seed + 9, 25_000, 20.0)
     assert assert_agrees(scene, objects(), rays) > 25_000
+
+
+def varied_rays(seed: int, count: int, spread: float) -> dict:
+    """Rays near and far, with directions of any length, in tiles that share an origin, and lone."""
+    rng = np.random.default_rng(seed)
+    rays = random_rays(seed, count, spread)
+    origins, aims = rays["origins"], rays["origins"] + rays["directions"]
+    origins[: count // 4] = origins[0]
+    origins[count // 4 : count // 2] *= 10.0 ** rng.uniform(0.0, 6.0, (count // 4, 1))
+    aims[: count // 8] = aims[0] + 0.05 * spread * rng.normal(size=(count // 8, 3))
+    rays["directions"] = aims - origins
+    lengths = 10.0 ** rng.uniform(-18.0, 18.0, (count // 8, 1))
+    rays["directions"][-(count // 8) :] *= lengths
+    rays["t_max"][-(count // 8) :] = np.inf
+    return rays
+
+
+def assert_first_and_any_agree(scene: rs.Scene, rays) -> int:
+    """All kernels have the oracle's first and any hits; returns the number of rays that hit."""
+    splits, columns = instanced.all_hits(scene, objects(), rays)
+    first = instanced.nearest(splits, columns)
+    for options in TRACERS:
+        tracer = rs.Tracer(scene, **options)
+        hits = tracer.first_hit(**rays)
+        for name in COLUMNS:
+            assert_same_bits(getattr(hits, name), first[name])
+        assert_same_bits(tracer.any_hit(**rays), splits[1:] > splits[:-1])
+    return int(np.count_nonzero(first["prim_id"] >= 0))
+
+
+def test_varied_rays_agree() -> None:
+    scene = random_scene(61, 12)
+    assert assert_first_and_any_agree(scene, varied_rays(62, 8192, 10.0)) > 500
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("seed", range(8))
+def test_a_million_varied_rays_agree(seed) -> None:
+    scene = random_scene(seed + 71, 12)
+    assert assert_first_and_any_agree(scene, varied_rays(seed + 81, 1 << 17, 10.0)) > 1 << 12
+
+
+def test_batches_are_traced_by_any_kernel() -> None:
+    """Large ones race; images, lists of their rows and single rays have the same hits."""
+    scene = random_scene(63, 60)
+    rays = varied_rays(64, 1 << 17, 10.0)
+    camera = rs.Camera((0.0, 0.0, 30.0), (0.0, 0.0, 0.0))
+    origins, directions = camera.rays(320, 256)
+    expected = rs.Tracer(scene, kernel="single")
+    reported: list[tuple[int, int]] = []
+    for one in (
+        rays,
+        {"origins": origins, "directions": directions},
+        {"origins": origins.reshape(-1, 3), "directions": directions.reshape(-1, 3)},
+        {"origins": origins[0, 0], "directions": directions[90:160, 100:201], "t_max": 31.0},
+    ):
+        wanted, seen = expected.first_hit(**one), expected.any_hit(**one)
+        for kernel in ("auto", "auto", "groups", "packet"):
+            tracer = rs.Tracer(scene, kernel=kernel)
+            for _ in range(2):
+                hits = tracer.first_hit(**one, progress=lambda *done: reported.append(done))
+                for name in (*COLUMNS, "status"):
+                    assert_same_bits(getattr(hits, name), getattr(wanted, name))
+                assert_same_bits(tracer.any_hit(**one), seen)
+            assert reported[-1] == (seen.size, seen.size)
+        assert seen.any()
+        assert not seen.all()
+
+
+def test_invalid_rays_are_named_in_groups() -> None:
+    scene = random_scene(65, 20)
+    rays = random_rays(66, 4000)
+    directions, origins = rays["directions"], rays["origins"]
+    directions[::7] = np.nan
+    directions[1::7] *= 1e160
+    directions[2::7] = 0.0
+    origins[3::7] = np.inf
+    directions[4::7] *= 1e-160
+    wanted = rs.Tracer(scene, kernel="single").first_hit(origins, directions)
+    hits = rs.Tracer(scene, kernel="groups").first_hit(origins, directions)
+    for name in (*COLUMNS, "status"):
+        assert_same_bits(getattr(hits, name), getattr(wanted, name))
+    assert (hits.status.reshape(-1)[1::7] == 1).all()
+    assert (hits.status.reshape(-1)[5::7] == 0).all()
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -17,7 +17,10 @@ from raystream.structures.bvh.options import MAX_LEAF_SIZE
 
 SOURCE = Path(raystream.__file__).resolve().parents[1]
 
-FORMS = ("nearest", "multipass", "cuda kernels", "cuda build", "graphics", "graphics multipass")
+FORMS = (
+    *("nearest", "nearest search", "multipass"),
+    *("cuda kernels", "cuda build", "graphics", "graphics multipass"),
+)
 
 
 def test_the_default_comes_first():

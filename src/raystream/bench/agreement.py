@@ -7,12 +7,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import MISS_T, AllHits, FirstHits, Query, Result
+from raystream.bench.contenders.base import (
+    MISS_T,
+    AllHits,
+    Closest,
+    FirstHits,
+    Points,
+    Query,
+    Rays,
+    Result,
+)
 
-__all__ = ["T_TOLERANCE", "Agreement", "compare", "count_hits", "outcome"]
+__all__ = ["POINT_TOLERANCE", "T_TOLERANCE", "Agreement", "compare", "count_hits", "outcome"]
 
 #: Relative difference of t below which two hits agree.
 T_TOLERANCE = 1e-4
+
+#: Difference below which two distances of a point agree, relative to the scene's diagonal.
+POINT_TOLERANCE = 1e-6
 
 
 class Agreement(NamedTuple):
@@ -22,7 +34,8 @@ class Agreement(NamedTuple):
     ----------
     differing : float
         Share of rays whose results differ: in hit or miss; for first hits, also in t by
-        more than `T_TOLERANCE`; for all hits, in their number.
+        more than `T_TOLERANCE`; for all hits, in their number. Share of points whose distances
+        differ by more than `POINT_TOLERANCE`.
     hits : int
         Number of rays that hit; for all hits, number of hits.
     """
@@ -31,19 +44,30 @@ class Agreement(NamedTuple):
     hits: int
 
 
-def outcome(result: Result) -> NDArray[Any]:
-    """The part of a result that is compared, one number per ray.
+def outcome(result: Result, rays: Rays | Points | None = None) -> NDArray[Any]:
+    """The part of a result that is compared, one number per ray or point.
 
     Parameters
     ----------
-    result : FirstHits, AllHits or ndarray of bool
+    result : FirstHits, AllHits, Closest or ndarray of bool
+    rays : Rays or Points, optional
+        Of the query; needed for `Closest`.
 
     Returns
     -------
     ndarray of shape (N,)
         For first hits t, inf for a miss; for any hits whether there is one; for all hits their
-        number.
+        number; for points their distances, in `Points.unit`.
     """
+    if isinstance(result, Closest):
+        assert isinstance(rays, Points), "distances are of points"
+        distance = result.distance
+        if distance is None:
+            assert result.positions is not None, "expected a distance or positions"
+            away = result.positions.astype(np.float64) - rays.points
+            distance = np.sqrt(np.einsum("ij,ij->i", away, away))
+        found: NDArray[Any] = np.asarray(distance, np.float64) / rays.unit
+        return found
     if isinstance(result, FirstHits):
         t = np.ravel(result.t)
         return np.where(t < MISS_T, t, np.inf)
@@ -57,18 +81,24 @@ def compare(query: Query, ours: NDArray[Any], theirs: NDArray[Any]) -> Agreement
 
     Parameters
     ----------
-    query : {"first", "any", "multi"}
+    query : {"first", "any", "multi", "closest"}
     ours, theirs : ndarray of shape (N,)
         See `outcome`.
     """
-    differs = _first_differs(ours, theirs) if query == "first" else ours != theirs
+    if query == "closest":
+        differs = ~(np.abs(ours - theirs) <= POINT_TOLERANCE)
+    else:
+        differs = _first_differs(ours, theirs) if query == "first" else ours != theirs
     share = float(np.count_nonzero(differs)) / max(1, differs.size)
     return Agreement(share, count_hits(query, theirs))
 
 
 def count_hits(query: Query, result: NDArray[Any]) -> int:
-    """Count the rays that hit; for all hits, count the hits. See `outcome`."""
-    if query == "first":
+    """Count the rays that hit; for all hits, count the hits; or points with a distance.
+
+    See `outcome`.
+    """
+    if query in ("first", "closest"):
         return int(np.count_nonzero(np.isfinite(result)))
     return int(np.sum(result, dtype=np.int64))
 

@@ -9,9 +9,11 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Collection
 from typing import IO, Any
 
 from raystream.bench.contenders import Entry, peer_of
+from raystream.bench.contenders.base import Query
 
 __all__ = ["ContenderError", "ContenderProcess", "how_it_ended"]
 
@@ -36,12 +38,14 @@ class ContenderProcess:
     ----------
     entry : Entry
     threads : int
+    queries : collection of str
+        Those that are tried at once; a first call takes longer.
 
     Attributes
     ----------
     about : dict
         ``version``, ``notes``, ``modes``, ``queries``, and the ``seconds`` of the import, a small
-        build and some rays.
+        build and the queries of some rays or points.
 
     Raises
     ------
@@ -49,7 +53,9 @@ class ContenderProcess:
         If it is unavailable or cannot build a small scene.
     """
 
-    def __init__(self, entry: Entry, threads: int) -> None:
+    def __init__(
+        self, entry: Entry, threads: int, queries: Collection[Query] = ("first", "any", "multi")
+    ) -> None:
         # A process group of its own keeps a Ctrl-C in the terminal from it. If this process is
         # killed, Linux ends the worker, which asks for that; elsewhere the system may leave it
         # stopped. Its path is ours, however we came by it.
@@ -68,7 +74,8 @@ class ContenderProcess:
         peer = peer_of(entry)
         adapter = [peer.adapter, peer.packages, peer.install_hint, dict(peer.options)]
         try:
-            self.about = self.ask("open", adapter=adapter, options=entry.options, threads=threads)
+            own = {"options": entry.options, "threads": threads, "queries": list(queries)}
+            self.about = self.ask("open", adapter=adapter, **own)
         except BaseException:
             self.close()
             raise

@@ -1,15 +1,16 @@
-"""Ray sets: the same rays for all contenders, generated from a scene and its camera."""
+"""Ray sets: the same rays or points for all contenders, generated from a scene and its camera."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import Query, Rays
+from raystream.bench.contenders.base import Points, Query, Rays
+from raystream.bench.point_sets import diagonal_of, grid_points, near_points, points_around
 from raystream.core.hits import Hits
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
@@ -31,13 +32,13 @@ class RaySet(NamedTuple):
     ----------
     name : str
         A key of `RAY_SETS`.
-    query : {"first", "any", "multi"}
-    rays : Rays
+    query : {"first", "any", "multi", "closest"}
+    rays : Rays or Points
     """
 
     name: str
     query: Query
-    rays: Rays
+    rays: Any
 
 
 class _View(NamedTuple):
@@ -54,7 +55,7 @@ class _RaySetSpec(NamedTuple):
     query: Query
     title: str
     stream: int  # of random numbers: sets that are added leave the others as they are
-    make: Callable[[_View], Rays]
+    make: Callable[[_View], Rays | Points]
 
 
 def make_ray_sets(
@@ -79,7 +80,8 @@ def make_ray_sets(
     RaySet
         All arrays are float32 and C-contiguous, of shape (N, 3), in the order of the pixels;
         those of ``image`` have the shape (height, width, 3). Rays that start at hits leave out
-        pixels that miss. If no hits remain, or the scene has no extent, there are 0 rays.
+        pixels that miss. If no hits remain, or the scene has no extent, there are 0 rays. There
+        are as many points as pixels, or at most as many in a grid.
     """
     width, height = size
     origins, directions = camera.rays(width, height)
@@ -151,6 +153,26 @@ def _random(view: _View) -> Rays:
     return Rays(origins, directions, np.inf)
 
 
+def _around(view: _View) -> Points:
+    """Uniform points in the scene's box, grown by half."""
+    bounds = view.tracer.structure.triangles.world_bounds
+    made = points_around(bounds, len(view.primary), view.generator)
+    return Points(made, diagonal_of(bounds))
+
+
+def _near(view: _View) -> Points:
+    """Points near the surface."""
+    triangles = view.tracer.structure.triangles
+    made = near_points(triangles, len(view.primary), view.generator)
+    return Points(made, diagonal_of(triangles.world_bounds))
+
+
+def _grid(view: _View) -> Points:
+    """A grid of points in the scene's box, in order."""
+    bounds = view.tracer.structure.triangles.world_bounds
+    return Points(grid_points(bounds, len(view.primary)), diagonal_of(bounds))
+
+
 def _unit_vectors(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
     vectors = generator.normal(size=(count, 3))
     result: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -177,6 +199,9 @@ RAY_SETS: Mapping[str, _RaySetSpec] = MappingProxyType(
         "random": _RaySetSpec("first", "random", 4, _random),
         "multi": _RaySetSpec("multi", "all hits, primary", 5, _primary),
         "random_multi": _RaySetSpec("multi", "all hits, random", 6, _random),
+        "closest": _RaySetSpec("closest", "closest, around", 7, _around),
+        "closest_near": _RaySetSpec("closest", "closest, near", 8, _near),
+        "closest_grid": _RaySetSpec("closest", "closest, grid", 9, _grid),
     }
 )
 

@@ -87,7 +87,9 @@ def _speed_table(result: BenchResult, scene: SceneResult) -> Table:
         ]
         for rays in scene.sets
     ]
-    title = f"{scene.scene}: {scene.triangle_count:,} triangles; millions of rays per second"
+    with_points = any(rays.query == "closest" for rays in scene.sets)
+    unit = "rays or points" if with_points else "rays"
+    title = f"{scene.scene}: {scene.triangle_count:,} triangles; millions of {unit} per second"
     return Table(title, columns, rows)
 
 

@@ -68,8 +68,9 @@ class SetResult:
     Attributes
     ----------
     name : str
-    query : {"first", "any", "multi"}
+    query : {"first", "any", "multi", "closest"}
     ray_count : int
+        Of rays or points.
     hit_count : int
         raystream's number of hits.
     counts : Counts or None

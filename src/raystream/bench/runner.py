@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from raystream.bench.agreement import Agreement, compare
 from raystream.bench.contender_process import ContenderError, ContenderProcess
 from raystream.bench.contenders import Entry, make_contender
-from raystream.bench.contenders.base import Geometry, warmup_geometry
+from raystream.bench.contenders.base import Geometry, Placed, Rays, warmup_geometry
 from raystream.bench.machine import describe_machine
 from raystream.bench.memory import Memory
-from raystream.bench.ray_sets import DEFAULT_SETS, make_ray_sets
+from raystream.bench.ray_sets import DEFAULT_SETS, RAY_SETS, make_ray_sets
 from raystream.bench.results import NO_QUERY, BenchResult, BuildResult, SceneResult, SetResult
 from raystream.bench.roofline import Peaks, count_tests, measure_peaks
 from raystream.bench.worker import OUTCOME, save_geometry, save_rays
 from raystream.jit.threads import Progress
+from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 from raystream.structures.bvh.options import Bvh
 from raystream.tracer import Tracer
@@ -244,7 +245,7 @@ class Bench:
         started = time.perf_counter()
         plan = self._plan
         geometry = geometry_of(scene)
-        found = SceneResult(name, len(geometry.faces))
+        found = SceneResult(name, geometry.triangle_count)
         self.result.scenes.append(found)
         self.result.skipped.pop(name, None)
         steps = _StepCounter(1 + len(plan.sets) * (plan.repeats + 1), progress)
@@ -280,6 +281,7 @@ class Bench:
         options = plan.entries[0].options
         is_counted = options.get("structure", "bvh") == "bvh" and "machine" not in options
         kept = {key: options[key] for key in ("quality", "max_leaf_size") if key in options}
+        is_counted = is_counted and scene.placements is None
         is_counted = is_counted and kept.get("max_leaf_size", Bvh.max_leaf_size) <= 4
         tracer = Tracer(scene, counters=True, **(kept if is_counted else {}))
         width, height = plan.size
@@ -287,7 +289,7 @@ class Bench:
         stored = []
         for rays in make_ray_sets(tracer, camera, plan.size, plan.sets, plan.seed):
             measured = SetResult(rays.name, rays.query, len(rays.rays))
-            if is_counted and len(rays.rays):
+            if is_counted and isinstance(rays.rays, Rays) and len(rays.rays):
                 measured.counts = count_tests(tracer, rays.query, rays.rays)
             place = folder / rays.name
             place.mkdir()
@@ -296,7 +298,8 @@ class Bench:
         return stored
 
     def _start(self, entry: Entry) -> dict[str, Any]:
-        process = ContenderProcess(entry, self._plan.threads)
+        queries = {RAY_SETS[name].query for name in self._plan.sets}
+        process = ContenderProcess(entry, self._plan.threads, queries)
         self._processes[entry.label] = process
         return process.about
 
@@ -374,10 +377,10 @@ class Bench:
             spent[turn] = answer["seconds"]
             measured.warm_up.setdefault(turn.label, {})[turn.mode] = answer["seconds"]
             result = np.load(stored.folder / OUTCOME)
-            if reference is None:
+            if reference is None and turn.label == self._own:
                 reference = result
                 measured.hit_count = answer["hits"]
-            else:
+            elif reference is not None:
                 agreement = compare(measured.query, reference, result)
                 before = measured.agreement.get(turn.label, Agreement(0.0, agreement.hits))
                 measured.agreement[turn.label] = max(before, agreement)
@@ -415,12 +418,21 @@ class _Blaming:
 def geometry_of(scene: Scene) -> Geometry:
     """Merge a scene's meshes, as float32 in world space; face indices are `prim_id`.
 
+    In a scene with instances, meshes are merged by object.
+
     Raises
     ------
     ValueError
         If the scene has no triangles, so that there is nothing to compare.
     """
-    meshes = [mesh for mesh in scene.meshes if len(mesh.faces)]
+    geometry: Any = scene.geometry
+    if scene.placements is not None:
+        return _placed_geometry(scene, geometry.mesh_ranges)
+    return _merged(scene.meshes)
+
+
+def _merged(meshes: Sequence[Mesh]) -> Geometry:
+    meshes = [mesh for mesh in meshes if len(mesh.faces)]
     if not meshes:
         raise ValueError("the scene has no triangles")
     firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
@@ -428,6 +440,22 @@ def geometry_of(scene: Scene) -> Geometry:
         np.concatenate([mesh.vertices.astype(np.float32, copy=False) for mesh in meshes]),
         np.concatenate([m.faces + np.int32(n) for m, n in zip(meshes, firsts, strict=False)]),
     )
+
+
+def _placed_geometry(scene: Scene, ranges: Sequence[tuple[int, int]]) -> Geometry:
+    instances = scene.placements
+    assert instances is not None
+    objects = [_merged(scene.meshes[first:end]) for first, end in ranges]
+    placed = Placed(
+        np.cumsum([0, *(len(one.vertices) for one in objects)]),
+        np.cumsum([0, *(len(one.faces) for one in objects)]),
+        instances.object_ids,
+        instances.transforms,
+    )
+    vertices, faces = (
+        np.concatenate([getattr(one, name) for one in objects]) for name in ("vertices", "faces")
+    )
+    return Geometry(vertices, faces, placed)
 
 
 def _changes(before: dict[str, str], now: dict[str, str]) -> str:

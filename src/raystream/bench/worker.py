@@ -23,8 +23,11 @@ import numpy as np
 from raystream.bench.agreement import count_hits, outcome
 from raystream.bench.contenders import Peer, load_contender
 from raystream.bench.contenders.base import (
+    NO_INSTANCES,
     Contender,
     Geometry,
+    Placed,
+    Points,
     Query,
     Rays,
     UnavailableError,
@@ -39,30 +42,48 @@ Item = TypeVar("Item")
 #: ``PR_SET_PDEATHSIG`` of ``linux/prctl.h``.
 _PARENT_DEATH_SIGNAL = 1
 
+#: File of a scene's instances.
+_PLACED = "placed.npz"
+
 #: File of a kept outcome.
 OUTCOME = "outcome.npy"
+
+#: File of a set of points.
+_POINTS = "points.npy"
 
 
 def save_geometry(folder: Path, geometry: Geometry) -> None:
     """Write triangles for `load_geometry`."""
     np.save(folder / "vertices.npy", geometry.vertices)
     np.save(folder / "faces.npy", geometry.faces)
+    if geometry.placed is not None:
+        np.savez(folder / _PLACED, **geometry.placed._asdict())
 
 
 def load_geometry(folder: Path) -> Geometry:
     """Read the triangles of a scene."""
-    return Geometry(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"))
+    placed = None
+    if (folder / _PLACED).exists():
+        with np.load(folder / _PLACED) as arrays:
+            placed = Placed(**arrays)
+    return Geometry(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"), placed)
 
 
-def save_rays(folder: Path, rays: Rays) -> None:
-    """Write rays for `load_rays`."""
+def save_rays(folder: Path, rays: Rays | Points) -> None:
+    """Write rays or points for `load_rays`."""
+    if isinstance(rays, Points):
+        np.save(folder / _POINTS, rays.points)
+        np.save(folder / "unit.npy", np.float64(rays.unit))
+        return
     np.save(folder / "origins.npy", rays.origins)
     np.save(folder / "directions.npy", rays.directions)
     np.save(folder / "t_max.npy", np.float64(rays.t_max))
 
 
-def load_rays(folder: Path) -> Rays:
-    """Read the rays of a set, C-contiguous and in memory."""
+def load_rays(folder: Path) -> Rays | Points:
+    """Read the rays or points of a set, C-contiguous and in memory."""
+    if (folder / _POINTS).exists():
+        return Points(np.load(folder / _POINTS), float(np.load(folder / "unit.npy")))
     origins, directions = np.load(folder / "origins.npy"), np.load(folder / "directions.npy")
     return Rays(origins, directions, float(np.load(folder / "t_max.npy")))
 
@@ -72,7 +93,7 @@ class _Worker:
 
     def __init__(self) -> None:
         self._contender: Contender | None = None
-        self._rays: tuple[str, Rays] | None = None
+        self._rays: tuple[str, Rays | Points] | None = None
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out a request: ``do`` is a method's name, the rest its arguments."""
@@ -89,16 +110,21 @@ class _Worker:
         return self._contender
 
     def _open(
-        self, adapter: Sequence[Any], options: dict[str, Any], threads: int
+        self,
+        adapter: Sequence[Any],
+        options: dict[str, Any],
+        threads: int,
+        queries: Sequence[Query],
     ) -> dict[str, Any]:
-        """Import the package, and try it: triggers loading and compilation."""
+        """Import the package, and try the queries: triggers loading and compilation."""
         started = time.perf_counter()
         contender = load_contender(Peer(*adapter), options, threads)
         contender.build(warmup_geometry())
         rays = Rays(np.zeros((2048, 3), np.float32), np.ones((2048, 3), np.float32), np.inf)
-        for query in sorted(contender.queries):
+        points = Points(np.linspace([0, 0, 0], [1, 1, 1], 2048, dtype=np.float32), 1.0)
+        for query in sorted(contender.queries.intersection(queries)):
             for mode in contender.modes:
-                contender.run(query, rays, mode)
+                contender.run(query, points if query == "closest" else rays, mode)
         contender.release()
         self._contender = contender
         return {
@@ -114,6 +140,8 @@ class _Worker:
         self.contender.release()
         gauge = MemoryGauge() if measured else None
         geometry = load_geometry(Path(folder))
+        if geometry.placed is not None and not self.contender.has_instances:
+            raise UnavailableError(NO_INSTANCES)
         seconds, _ = _timed(self.contender.build, geometry)
         if gauge is None:
             return {"seconds": seconds}
@@ -129,7 +157,7 @@ class _Worker:
         seconds, result = _timed(self.contender.run, query, self._rays[1], mode)
         answer: dict[str, Any] = {"seconds": seconds}
         if keep is not None:
-            found = outcome(result)
+            found = outcome(result, self._rays[1])
             np.save(Path(keep) / OUTCOME, found)
             answer["hits"] = count_hits(query, found)
         return answer

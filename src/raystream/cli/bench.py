@@ -47,13 +47,14 @@ class ContenderOptions:
     """Options of what is compared."""
 
     peers: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAMES",
-            help="Comma-separated peers to compare against, or 'none'. Peers that are not "
-            "installed are listed as absent.",
+            help=f"Comma-separated peers to compare against, from {', '.join(options.PEERS)}, or "
+            "'none'. Peers that are not installed are listed as absent. [default: all that have a "
+            "query of the sets]",
         ),
-    ] = ",".join(options.PEERS)
+    ] = None
     option: Annotated[
         list[str] | None,
         typer.Option(
@@ -112,7 +113,7 @@ def bench(
         typer.Option(
             metavar="NAMES", help=f"Comma-separated ray sets, from {', '.join(options.RAY_SETS)}."
         ),
-    ] = ",".join(options.RAY_SETS[:-1]),
+    ] = ",".join(options.DEFAULT_SETS),
     *,
     contenders: ContenderOptions,
     measuring: MeasureOptions,
@@ -152,7 +153,7 @@ def bench(
         options.check_output(output, (".json",), inputs=scenes or ())
     elif resume:
         raise BadInputError("--resume: needs the --output to resume")
-    entries = _entries(contenders)
+    entries = _entries(contenders, chosen_sets)
     choose_threads(measuring.threads)
     from raystream.bench.cores import limit_cores
     from raystream.bench.runner import Bench, Plan
@@ -270,11 +271,20 @@ def _names(option: str, text: str, known: tuple[str, ...]) -> list[str]:
     return names
 
 
-def _entries(contenders: ContenderOptions) -> list[Entry]:
-    from raystream.bench.contenders import Entry
+def _entries(contenders: ContenderOptions, sets: list[str]) -> list[Entry]:
+    from raystream.bench.contenders import PEERS, Entry
+    from raystream.bench.ray_sets import RAY_SETS
 
     peers = contenders.peers
-    names = [] if peers == "none" else _names("--peers", peers, options.PEERS)
+    if peers is None:
+        points = {RAY_SETS[name].query == "closest" for name in sets}
+        names = [
+            name
+            for name, peer in PEERS.items()
+            if (peer.for_points and True in points) or (peer.for_rays and False in points)
+        ]
+    else:
+        names = [] if peers == "none" else _names("--peers", peers, options.PEERS)
     shared = parse_keywords("--option", contenders.option or [])
     entries = [Entry("raystream", "raystream", shared)]
     for text in contenders.variant or []:

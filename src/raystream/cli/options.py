@@ -21,6 +21,7 @@ from raystream.cli.console import BadInputError
 __all__ = [
     "DEFAULT_MACHINES",
     "DEFAULT_MODE",
+    "DEFAULT_SETS",
     "DEVICES",
     "HEATMAPS",
     "LIGHTS",
@@ -66,8 +67,10 @@ DEFAULT_MODE = "path"
 DEVICES = ("cpu", "graphics", "cuda")
 #: Default machine of each device.
 DEFAULT_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
-RAY_SETS = ("primary", "image", "shadow", "ao", "bounce", "random", "multi", "random_multi")
-PEERS = ("open3d", "embreex", "mitsuba", "mitsuba-robust", "warp")
+#: Ray sets of a benchmark; those by default, and on request.
+DEFAULT_SETS = ("primary", "image", "shadow", "ao", "bounce", "random", "multi")
+RAY_SETS = (*DEFAULT_SETS, "random_multi", "closest", "closest_near", "closest_grid")
+PEERS = ("open3d", "embreex", "mitsuba", "mitsuba-robust", "warp", "fcpw", "libigl")
 
 
 def complete(names: Collection[str]) -> Callable[[str], list[str]]:

@@ -240,7 +240,7 @@ class Hits(HitColumns):
 
     def __getitem__(self, index: Any) -> Hits:
         """Pick rays, with any index that NumPy takes for the leading shape."""
-        return Hits(
+        return type(self)(
             np.asarray(self.t[index]),
             np.asarray(self.u[index]),
             np.asarray(self.v[index]),
@@ -253,7 +253,7 @@ class Hits(HitColumns):
 
     def ravel(self) -> Hits:
         """The same hits in shape (N,)."""
-        return Hits(
+        return type(self)(
             self.t.ravel(),
             self.u.ravel(),
             self.v.ravel(),
@@ -328,7 +328,7 @@ class MultiHits(RayRows, HitColumns):
         ids = None if self._instance_id is None else self._instance_id[rows]
         columns = self.t[rows], self.u[rows], self.v[rows], self.prim_id[rows]
         splits = np.array([0, len(columns[0])])
-        return MultiHits(splits, *columns, np.zeros(1, np.uint8), self._triangles, ids)
+        return type(self)(splits, *columns, np.zeros(1, np.uint8), self._triangles, ids)
 
     def __repr__(self) -> str:
         return f"MultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

@@ -14,7 +14,7 @@ from raystream.core.errors import RaystreamError
 from raystream.core.instances import Instances
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-__all__ = ["NOT_INSTANCED", "InstancedTriangles", "check_no_worlds", "check_plain"]
+__all__ = ["NOT_INSTANCED", "InstancedTriangles"]
 
 #: What to do where scenes with instances are not supported.
 NOT_INSTANCED = (
@@ -324,33 +324,6 @@ class InstancedTriangles:
         firsts = np.flatnonzero(np.diff(objects, prepend=-1))
         parts = np.split(rows, firsts[1:]) if len(rows) else []
         return [(int(objects[first]), part) for first, part in zip(firsts, parts, strict=True)]
-
-
-def check_plain(what: str, triangles: Any) -> None:
-    """Check that triangles belong to no instances, with which `what` is not supported.
-
-    Raises
-    ------
-    RaystreamError
-        If they do.
-    """
-    if isinstance(triangles, InstancedTriangles):
-        raise RaystreamError(f"{what}: {NOT_INSTANCED}")
-
-
-def check_no_worlds(what: str, triangles: Any) -> None:
-    """Check that triangles belong to no instances in worlds, with which `what` is not supported.
-
-    Raises
-    ------
-    RaystreamError
-        If they do.
-    """
-    if isinstance(triangles, InstancedTriangles) and triangles.instances.world_count:
-        raise RaystreamError(
-            f"{what}: not supported in a scene whose instances are in worlds; a scene of the "
-            "instances of one world is"
-        )
 
 
 #: Attributes of `Triangles` that instances cannot have.

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hit_kinds import distance_type, hits_type
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.primitives import Primitives
 from raystream.core.rays import RayStatus
 from raystream.core.triangles import Triangles
 
@@ -65,6 +67,9 @@ class RayHit(_Columns):
             ids = triangles.split_ids(np.array(columns[3], np.int32))
             prim_id, instance_id = (one.item() for one in ids)
             columns = (*columns[:3], prim_id)
+        if isinstance(triangles, Primitives):
+            prim_id = triangles.prim_ids_of(np.array(columns[3], np.int32)).item()
+            columns = (*columns[:3], prim_id)
         hit = tuple.__new__(cls, columns)
         hit._triangles, hit._instance_id = triangles, instance_id
         return hit
@@ -80,10 +85,11 @@ class RayHit(_Columns):
     @cached_property
     def hits(self) -> Hits:
         """The same as `Hits` of shape (), for all else that they know: materials, `spawn`."""
-        t, u, v = (np.array(one, np.float32) for one in self[:3])
+        held = self._triangles
+        t, u, v = (np.array(one, distance_type(held)) for one in self[:3])
         prim_id, status = np.array(self.prim_id, np.int32), np.array(self.status, np.uint8)
         instance_id = np.array(self.instance_id, np.int32)
-        return Hits(t, u, v, prim_id, status, self._triangles, None, instance_id)
+        return hits_type(held)(t, u, v, prim_id, status, held, None, instance_id)
 
     @property
     def position(self) -> NDArray[np.float64]:

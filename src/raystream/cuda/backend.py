@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
+from raystream.cuda.bvh.kernels import kernel_of
 from raystream.cuda.host_rays import trace_from_host
 from raystream.cuda.launch import DeviceScene
+from raystream.cuda.point_kernels import LAYOUT
+from raystream.cuda.points import DevicePoints
 from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.cuda.programs.payload import record_of
 from raystream.cuda.queries import QUERIES, trace_on_device
@@ -23,7 +26,11 @@ from raystream.machines.backend import Backend, Capabilities
 from raystream.structures import Structure
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from raystream.cuda.rendering import CudaBands
+    from raystream.kernels.point_queries import NearestArrays
     from raystream.rendering.integrator import RenderContext
 
 __all__ = ["CudaBackend"]
@@ -61,7 +68,7 @@ class CudaBackend(Backend):
         If `kernel` is given for a structure other than a BVH.
     """
 
-    capabilities = Capabilities(device_arrays=True, shading=True)
+    capabilities = Capabilities(device_arrays=True, shading=True, points=True)
 
     def __init__(
         self,
@@ -78,7 +85,7 @@ class CudaBackend(Backend):
         self.rays_at_once = operator.index(rays_at_once)
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
-        kernel = kernel_for(structure, gpu, kernel)
+        self._kernel = kernel = kernel_for(structure, gpu, kernel)
         kernels = kernels_of(structure.name, kernel, launch, order)
         self._scene = DeviceScene(
             gpu,
@@ -90,6 +97,7 @@ class CudaBackend(Backend):
             DeviceTriangles(gpu, structure.triangles),
         )
         self._staging_streams = StagingStreams(gpu)
+        self._points: DevicePoints | None = None
         usual_limits(gpu)  # now, so that no query waits for them
 
     def run(
@@ -130,6 +138,21 @@ class CudaBackend(Backend):
     ) -> Any:
         """Answer a query of rays in device memory; see `trace_on_device`."""
         return trace_on_device(self._scene, query, rays, progress, payload)
+
+    def find_nearest(
+        self,
+        points: NDArray[np.float64],
+        limits: NDArray[np.float64],
+        capacity: int,
+        out: NearestArrays,
+        progress: Progress | None = None,
+    ) -> None:
+        """Find the triangles nearest to points in host memory; see `Backend.find_nearest`."""
+        if self._points is None:
+            same = kernel_of(self.structure.name, self._kernel) in (None, LAYOUT)
+            resident = self._scene.resident if same else None
+            self._points = DevicePoints(self.gpu, self.structure, self.rays_at_once, resident)
+        self._points.find(points, limits, capacity, out, progress)
 
     def bands_on_device(self, context: RenderContext) -> CudaBands | None:
         """Render samples of an image on the device; see `Tracer.bands_on_device`."""

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
-from raystream.cuda.bvh.kernels import KERNELS, lay_out
+from raystream.cuda.bvh.kernels import KERNELS, kernel_of, lay_out
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
+from raystream.cuda.point_kernels import LAYOUT, nearest_kernel
 from raystream.cuda.programs.precompile import program_kernels
 from raystream.cuda.query_kernels import CountAddresses, RowAddresses
 from raystream.cuda.ray_order import MAKE_KEY
@@ -19,12 +20,13 @@ from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
+from raystream.kernels.point_queries import NearestAddresses, PointSource
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with
 
-__all__ = ["ARRAY_KERNELS", "all_kernels", "structure_kernels"]
+__all__ = ["ARRAY_KERNELS", "all_kernels", "point_kernels", "structure_kernels"]
 
 #: Compiles a kernel for GPUs of a capability.
 Compiler = Callable[[tuple[int, int]], Compiled]
@@ -87,8 +89,21 @@ def structure_kernels(
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
 
 
+def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
+    """The kernels that find closest points, by structure, with arguments of the right types."""
+    to = NearestAddresses(*[_AT] * 6)
+    made = {}
+    for name in names_with("nearest search"):
+        structure = build_structure(name, scene.triangles)
+        has_layouts = kernel_of(name, "auto") is not None
+        tree = lay_out(structure, LAYOUT if has_layouts else "auto").tree
+        arguments = PointSource(_AT, _AT, _AT), structure.frame, tree, _AT, _AT, to
+        made[name] = nearest_kernel(name), arguments
+    return made
+
+
 def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
-    """All kernels: queries, passes, programs, device arrays, builders and renderers.
+    """All kernels: queries, passes, points, programs, device arrays, builders and renderers.
 
     Parameters
     ----------
@@ -117,6 +132,7 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
             group = f"{name}, passes" if kernel.endswith("pass") else "passes"
             listed[group, kernel] = one
     del listed["passes", "decide in loop"]
+    listed |= {("points", name): one for name, one in point_kernels(scene).items()}
     listed |= {("arrays", name): one for name, one in ARRAY_KERNELS.items()}
     programs = program_kernels(scene.triangles)
     listed |= {("programs", name): one for name, one in programs.items()}

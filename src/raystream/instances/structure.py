@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
-from raystream.core.query import Query
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
+from raystream.instances.batches import InstanceTree, instance_bytes, trace_batch
 from raystream.instances.records import (
     INSTANCE_BYTES,
     TREE,
@@ -40,6 +41,7 @@ from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.layout import NODE_BYTES
 from raystream.structures.bvh.options import Bvh
+from raystream.structures.bvh.race import Races
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.registry import StructureOptions
 
@@ -165,6 +167,34 @@ class InstancedBvh(InstancedStructure):
 
     traverse = staticmethod(traverse_top)
     stack_bytes = 2 * STACK_BYTES
+
+    def __init__(
+        self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
+    ) -> None:
+        super().__init__(triangles, objects, options)
+        self._races = Races()
+
+    def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
+        """See `InstancedStructure.moved`."""
+        moved = InstancedBvh(triangles, self.objects, self.options)
+        moved._races = self._races
+        return moved
+
+    def trace_batch(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> bool:
+        """Find first or any hits with a kernel for many rays; see `instances.batches`."""
+        if rays.worlds is not None or len(self.memory["nodes"]) == 0:
+            return False
+        size = self.report.byte_count
+        tree = InstanceTree(self._addresses, self.frame, size, self.queries)
+        kernel = getattr(self.options, "kernel", "auto")
+        return trace_batch(tree, query, rays, sink, progress, kernel, self._races)
+
+    def working_bytes(self, kind: Kind, ray_count: int) -> int:
+        """See `Structure.working_bytes`."""
+        is_batched = kind is Kind.FIRST_HIT or kind is Kind.ANY_HIT
+        return instance_bytes(ray_count) if is_batched else 0
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         return TopTrees.of(boxes, self.triangles.instances)

@@ -31,6 +31,8 @@ from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 
 __all__ = [
+    "MAX_LENGTH",
+    "MOST_FAR",
     "STACK_BYTES",
     "TopAddresses",
     "WorldRay",
@@ -49,11 +51,11 @@ _VALID, _INVALID = np.uint8(RayStatus.VALID), np.uint8(RayStatus.INVALID)
 
 #: Directions must not be longer than this, or shorter than its inverse: moved to object space they
 #: stay within float64.
-_MAX_LENGTH = 2.0**500
+MAX_LENGTH = 2.0**500
 
 #: Padding of this many units of `kernels.ray.PAD` holds all of any local frame, whose coordinates
 #: are below 2**40; and slab distances stay finite.
-_MOST_FAR = 2.0**60
+MOST_FAR = 2.0**60
 
 
 class TopAddresses(NamedTuple):
@@ -218,9 +220,9 @@ def instance_searches(traverse) -> Searches:
         top, frame = scene.arrays, scene.frame
         ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
         length = max(abs(dx), abs(dy), abs(dz))
-        is_valid = ray.status == _VALID and 1.0 / _MAX_LENGTH <= length <= _MAX_LENGTH
+        is_valid = ray.status == _VALID and 1.0 / MAX_LENGTH <= length <= MAX_LENGTH
         reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
-        far = np.float32(min(top.far_unit * reach, _MOST_FAR))
+        far = np.float32(min(top.far_unit * reach, MOST_FAR))
         local = prepare_ray(
             ray.ox,
             ray.oy,

@@ -26,6 +26,7 @@ ORDER_WORDS = 2 * (1 << 11)
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # four bytes, as a shift
+_DOUBLE, _VECTOR = np.uint64(8), np.uint64(24)  # bytes
 _LAST_CELL = 2.0**_SIDE_BITS - 1.0
 
 #: Coordinates beyond this do not count: points there may be in any order.
@@ -57,13 +58,24 @@ def _widened(x, low, high):
 
 
 @device
+def _point(points, i):
+    at = points + i * _VECTOR
+    return (
+        load(np.float64, at),
+        load(np.float64, at + _DOUBLE),
+        load(np.float64, at + (_DOUBLE + _DOUBLE)),
+    )
+
+
+@device
 def _bounds(points, begin, end):
     low_x, low_y, low_z = _FARTHEST, _FARTHEST, _FARTHEST
     high_x, high_y, high_z = -_FARTHEST, -_FARTHEST, -_FARTHEST
     for i in range(begin, end):
-        low_x, high_x = _widened(points[i, 0], low_x, high_x)
-        low_y, high_y = _widened(points[i, 1], low_y, high_y)
-        low_z, high_z = _widened(points[i, 2], low_z, high_z)
+        x, y, z = _point(points, i)
+        low_x, high_x = _widened(x, low_x, high_x)
+        low_y, high_y = _widened(y, low_y, high_y)
+        low_z, high_z = _widened(z, low_z, high_z)
     size = max(max(high_x - low_x, high_y - low_y), high_z - low_z)
     return (low_x, low_y, low_z), ((_LAST_CELL + 1.0) / size if size > 0.0 else 0.0)
 
@@ -74,7 +86,8 @@ def order_points(points, begin, end, words):
 
     Parameters
     ----------
-    points : ndarray of shape (N, 3), float64
+    points : uint64
+        Address of three float64 a point.
     begin, end : uint64
     words : uint64
         Address of ``WORDS_PER_POINT * (end - begin) + ORDER_WORDS`` uint32.
@@ -93,11 +106,11 @@ def order_points(points, begin, end, words):
         store(places + (k << _WORD), np.uint32(0))
     low, scale = _bounds(points, begin, end)
     for k in range(count):
-        i = begin + k
+        x, y, z = _point(points, begin + k)
         key = (
-            _spread(_cell(points[i, 0], low[0], scale))
-            | (_spread(_cell(points[i, 1], low[1], scale)) << _ONE)
-            | (_spread(_cell(points[i, 2], low[2], scale)) << (_ONE + _ONE))
+            _spread(_cell(x, low[0], scale))
+            | (_spread(_cell(y, low[1], scale)) << _ONE)
+            | (_spread(_cell(z, low[2], scale)) << (_ONE + _ONE))
         )
         store(keys + (k << _WORD), np.uint32(key))
         _count(places, key & _DIGIT_MASK)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, load, scratch
+from raystream.jit.simd import load, scratch, store
 from raystream.kernels.nearest import (
     ROW,
     NearestRow,
@@ -22,11 +22,22 @@ from raystream.kernels.nearest import (
 from raystream.kernels.point_order import ORDER_WORDS, WORDS_PER_POINT, order_points
 from raystream.kernels.point_triangle import foot_on_triangle
 
-__all__ = ["NearestArrays", "PointSource", "point_queries", "work_bytes"]
+__all__ = [
+    "NearestAddresses",
+    "NearestArrays",
+    "PointSearch",
+    "PointSource",
+    "begin_point",
+    "point_queries",
+    "read_point",
+    "step_of",
+    "work_bytes",
+    "write_nearest",
+]
 
 _NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _WORD = np.uint64(2)  # four bytes, as a shift
+_FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
 _VALID = np.uint8(RayStatus.VALID)
 _INVALID = np.uint8(RayStatus.INVALID)
@@ -57,14 +68,33 @@ class PointSource(NamedTuple):
 
     Attributes
     ----------
-    points : ndarray of shape (N, 3), float64
-        C-contiguous.
-    limits : ndarray of shape (N,) or (1,), float64
-        Greatest distance of each point, or of all.
+    points : uint64
+        Address of three float64 a point.
+    limits : uint64
+        Address of the greatest distance, float64, of the first point or of all.
+    limit_step : uint64
+        Bytes from a point's limit to the next; 0 if all have the same.
     """
 
-    points: NDArray[np.float64]
-    limits: NDArray[np.float64]
+    points: np.uint64
+    limits: np.uint64
+    limit_step: np.uint64
+
+    @classmethod
+    def of(cls, points: NDArray[np.float64], limits: NDArray[np.float64]) -> PointSource:
+        """The source of C-contiguous arrays of shape (N, 3), and (N,) or (1,); keep them."""
+        return cls(_at(points), _at(limits), step_of(limits))
+
+
+class NearestAddresses(NamedTuple):
+    """Addresses of the arrays of `NearestArrays`."""
+
+    distance: np.uint64
+    positions: np.uint64
+    u: np.uint64
+    v: np.uint64
+    prim_id: np.uint64
+    status: np.uint64
 
 
 class NearestArrays(NamedTuple):
@@ -103,6 +133,65 @@ class NearestArrays(NamedTuple):
             np.empty(count, np.uint8),
         )
 
+    @property
+    def addresses(self) -> NearestAddresses:
+        """Where a loop writes; keep the arrays."""
+        distance, positions, u, v, prim_id, status = self
+        return NearestAddresses(
+            *(_at(distance), _at(positions), _at(u), _at(v), _at(prim_id), _at(status))
+        )
+
+
+class PointSearch(NamedTuple):
+    """A structure's search for the triangles nearest to a point.
+
+    Attributes
+    ----------
+    find : device function
+        ``find(view, frame, point, search, stack)`` offers the triangles of `view`, the structure's
+        `arrays`, that may be among those nearest to `point`, a triple of float64 in the local
+        frame, to the search (`kernels.nearest`), and returns it. The search may have found some of
+        them before.
+    stack_bytes : int
+        Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
+    """
+
+    find: Callable[..., Any]
+    stack_bytes: int
+
+
+class PointQuery(NamedTuple):
+    """A point and what is asked of it.
+
+    Attributes
+    ----------
+    point : triple of float64
+        In the local frame.
+    moved : triple of float64
+        The point to search for; see `_NEAREST_FAR`.
+    is_moved : bool
+        Whether it is another one.
+    limit : float64
+        Greatest distance, world units.
+    status : uint8
+        A `RayStatus`.
+    """
+
+    point: tuple[float, float, float]
+    moved: tuple[float, float, float]
+    is_moved: bool
+    limit: float
+    status: np.uint8
+
+
+def step_of(limits: NDArray[np.float64]) -> np.uint64:
+    """Bytes from a limit to the next: none if there is only one for all points."""
+    return np.uint64(8 if len(limits) > 1 else 0)
+
+
+def _at(array: NDArray[Any]) -> np.uint64:
+    return np.uint64(array.ctypes.data)
+
 
 def work_bytes(count: int, capacity: int) -> int:
     """Bytes of memory that a call of the loop needs for `count` points."""
@@ -112,7 +201,10 @@ def work_bytes(count: int, capacity: int) -> int:
 @device
 def _local(source, i, frame):
     """Point i in the local frame, and its status."""
-    x, y, z = source.points[i, 0], source.points[i, 1], source.points[i, 2]
+    at = source.points + i * _VECTOR
+    x = load(np.float64, at)
+    y = load(np.float64, at + _DOUBLE)
+    z = load(np.float64, at + (_DOUBLE + _DOUBLE))
     world = max(max(abs(x), abs(y)), abs(z))
     is_number = abs(x) <= _FARTHEST and abs(y) <= _FARTHEST and abs(z) <= _FARTHEST
     x = (x - frame.center[0]) * frame.scale
@@ -141,30 +233,51 @@ def _length(p, q):
 
 
 @device
-def _write_missing(out, row):
-    out.distance[row] = np.inf
-    out.positions[row, 0] = np.nan
-    out.positions[row, 1] = np.nan
-    out.positions[row, 2] = np.nan
-    out.u[row] = _ZERO
-    out.v[row] = _ZERO
-    out.prim_id[row] = _MISS
+def read_point(source, i, frame):
+    """Read point i of a `PointSource`; a `PointQuery`."""
+    limit = load(np.float64, source.limits + i * source.limit_step)
+    point, status = _local(source, i, frame)
+    moved, is_moved = _moved(point, frame)
+    return PointQuery(point, moved, is_moved, limit, status)
 
 
 @device
-def _write_found(out, row, found, points, least, limit, frame):
+def begin_point(query, frame, rows, capacity):
+    """Begin the search for a point's nearest triangles; see `kernels.nearest.begin_nearest`."""
+    within = np.inf if query.is_moved else query.limit * frame.scale
+    return begin_nearest(rows, capacity, within * within * _SLACK + _TINY)
+
+
+@device
+def _write(out, row, distance, position, weights, prim_id):
+    """Write a row of `NearestAddresses`."""
+    store(out.distance + row * _DOUBLE, distance)
+    at = out.positions + row * _VECTOR
+    store(at, position[0])
+    store(at + _DOUBLE, position[1])
+    store(at + (_DOUBLE + _DOUBLE), position[2])
+    store(out.u + row * _FLOAT, weights[0])
+    store(out.v + row * _FLOAT, weights[1])
+    store(out.prim_id + row * _FLOAT, prim_id)
+
+
+@device
+def _write_missing(out, row):
+    _write(out, row, np.inf, (np.nan, np.nan, np.nan), (_ZERO, _ZERO), _MISS)
+
+
+@device
+def _write_found(out, row, found, query, least, frame):
     """Write the triangle of a row, if it is within the limit.
 
     Parameters
     ----------
-    out : NearestArrays
+    out : NearestAddresses
     row : uint64
     found : NearestRow
-    points : tuple
-        The point, the one that was searched for, and whether they differ.
+    query : PointQuery
     least : float64
         Distance of the row before.
-    limit : float64
     frame : SceneFrame
 
     Returns
@@ -172,80 +285,88 @@ def _write_found(out, row, found, points, least, limit, frame):
     float64
         The distance.
     """
-    point, moved, is_moved = points
     a, b, c = corners_at(found.place, found.stride)
-    foot = foot_on_triangle(moved, a, b, c)
+    foot = foot_on_triangle(query.moved, a, b, c)
     distance = math.sqrt(foot.squared) * frame.inverse_scale
-    if is_moved:
-        distance = _length(point, (foot.x, foot.y, foot.z)) * frame.inverse_scale
+    if query.is_moved:
+        distance = _length(query.point, (foot.x, foot.y, foot.z)) * frame.inverse_scale
         distance = max(distance, least)
-    if not distance <= limit:
+    if not distance <= query.limit:
         _write_missing(out, row)
         return np.inf
-    out.distance[row] = distance
-    out.positions[row, 0] = foot.x * frame.inverse_scale + frame.center[0]
-    out.positions[row, 1] = foot.y * frame.inverse_scale + frame.center[1]
-    out.positions[row, 2] = foot.z * frame.inverse_scale + frame.center[2]
-    out.u[row] = np.float32(foot.u)
-    out.v[row] = np.float32(foot.v)
-    out.prim_id[row] = found.prim_id
+    position = (
+        foot.x * frame.inverse_scale + frame.center[0],
+        foot.y * frame.inverse_scale + frame.center[1],
+        foot.z * frame.inverse_scale + frame.center[2],
+    )
+    weights = np.float32(foot.u), np.float32(foot.v)
+    _write(out, row, distance, position, weights, found.prim_id)
     return distance
 
 
-def point_queries(find: Callable[..., Any], stack_bytes: int) -> Callable[..., None]:
+@device
+def write_nearest(out, i, query, rows, found_count, capacity, frame):
+    """Write the answer of point i.
+
+    Parameters
+    ----------
+    out : NearestAddresses
+    i : uint64
+    query : PointQuery
+    rows : uint64
+        Address of the rows that the search found.
+    found_count, capacity : uint64
+    frame : SceneFrame
+    """
+    store(out.status + i, query.status)
+    distance = 0.0
+    for k in range(capacity):
+        if k < found_count:
+            row, at = NearestRow(rows, k), i * capacity + k
+            distance = _write_found(out, at, row, query, distance, frame)
+        else:
+            _write_missing(out, i * capacity + k)
+
+
+def point_queries(search: PointSearch) -> Callable[..., None]:
     """Make the loop over points with a structure's search.
 
     Parameters
     ----------
-    find : device function
-        ``find(view, frame, point, search, stack)`` offers the triangles of `view`, the structure's
-        `arrays`, that may be among those nearest to `point`, a triple of float64 in the local
-        frame, to the search (`kernels.nearest`), and returns it. The search may have found some of
-        them before.
-    stack_bytes : int
-        Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
+    search : PointSearch
 
     Returns
     -------
     kernel
         ``find_nearest(begin, end, source, frame, arrays, capacity, work, out)``: of points begin
-        to end of a `PointSource` writes the `capacity` nearest triangles to `NearestArrays`.
-        `work` is an array of `work_bytes` bytes.
+        to end of a `PointSource` writes the `capacity` nearest triangles to `NearestAddresses`.
+        `work` is the address of `work_bytes` bytes.
     """
+    find, stack_bytes = search
 
     @kernel
     def find_nearest(begin, end, source, frame, arrays, capacity, work, out):
-        first, last, wanted = np.uint64(begin), np.uint64(end), np.uint64(capacity)
+        first, last = np.uint64(begin), np.uint64(end)
         stack = scratch(stack_bytes)
-        rows, others = address(work), address(work) + wanted * _ROW_BYTES
+        rows, others = work, work + capacity * _ROW_BYTES
         known = _NONE  # rows of the previous point
         is_sorted = last - first >= _LEAST_SORTED
         order = _NONE
         if is_sorted:
-            order = order_points(source.points, first, last, others + wanted * _ROW_BYTES)
+            order = order_points(source.points, first, last, others + capacity * _ROW_BYTES)
         for number in range(last - first):
             i = first + number
             if is_sorted:
                 i = first + np.uint64(load(np.uint32, order + (number << _WORD)))
-            limit = source.limits[i if len(source.limits) > 1 else _NONE]
-            point, status = _local(source, i, frame)
-            moved, is_moved = _moved(point, frame)
-            out.status[i] = status
+            query = read_point(source, i, frame)
             found = _NONE
-            if status == _VALID:
-                within = np.inf if is_moved else limit * frame.scale
-                search = begin_nearest(rows, wanted, within * within * _SLACK + _TINY)
-                search = offer_again(search, moved, others, known)
-                search = find(arrays, frame, moved, search, stack)
-                found = search.found_count
+            if query.status == _VALID:
+                nearest = begin_point(query, frame, rows, capacity)
+                nearest = offer_again(nearest, query.moved, others, known)
+                nearest = find(arrays, frame, query.moved, nearest, stack)
+                found = nearest.found_count
                 known = found
                 rows, others = others, rows
-            points, distance = (point, moved, is_moved), 0.0
-            for k in range(wanted):
-                if k < found:
-                    row, at = NearestRow(others, k), i * wanted + k
-                    distance = _write_found(out, at, row, points, distance, limit, frame)
-                else:
-                    _write_missing(out, i * wanted + k)
+            write_nearest(out, i, query, others, found, capacity, frame)
 
     return find_nearest

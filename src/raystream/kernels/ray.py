@@ -16,11 +16,15 @@ from raystream.core.rays import RayStatus
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import copy_sign, next_float_up
+from raystream.jit.simd import bits_as_float, copy_sign, float_as_bits, next_float_up
 
 __all__ = [
     "FAR",
+    "LEAST_EXPONENT",
+    "MANTISSA_BITS",
+    "MOST_EXPONENT",
     "PAD",
+    "POWER_EXPONENT",
     "TINY_DIRECTION",
     "LocalRay",
     "Ray",
@@ -31,6 +35,13 @@ __all__ = [
     "to_local",
     "world_t",
 ]
+
+# Biased float64 exponents of direction lengths that one product scales to [1, 2): all that
+# float32 has, and few more.
+MANTISSA_BITS = np.int64(52)
+POWER_EXPONENT = np.int64(2046)
+LEAST_EXPONENT = np.int64(1023 - 149)
+MOST_EXPONENT = np.int64(1023 + 127)
 
 _VALID = np.uint8(RayStatus.VALID)
 _INVALID = np.uint8(RayStatus.INVALID)
@@ -264,16 +275,26 @@ def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
     ox = (ox - frame.center[0]) * frame.scale
     oy = (oy - frame.center[1]) * frame.scale
     oz = (oz - frame.center[2]) * frame.scale
-    exponent = math.frexp(max(abs(dx), abs(dy), abs(dz)))[1]
-    # Products with a power of two are exact; in two steps no factor overflows, even for the
-    # smallest directions.
-    half = math.ldexp(1.0, (1 - exponent) // 2)
-    rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
-    dx = dx * half * rest
-    dy = dy * half * rest
-    dz = dz * half * rest
-    # Beyond 2**800 distances leave float32 anyway; the bound keeps t_scale finite.
-    t_scale = math.ldexp(1.0 / frame.scale, max(-800, min(1 - exponent, 800)))
+    length = max(abs(dx), abs(dy), abs(dz))
+    biased = float_as_bits(length) >> MANTISSA_BITS
+    if biased >= LEAST_EXPONENT and biased <= MOST_EXPONENT:
+        # One exact product, without functions that take as long as the rest.
+        power = bits_as_float((POWER_EXPONENT - biased) << MANTISSA_BITS)
+        dx *= power
+        dy *= power
+        dz *= power
+        t_scale = power * frame.inverse_scale
+    else:
+        exponent = math.frexp(length)[1]
+        # Products with a power of two are exact; in two steps no factor overflows, even for the
+        # smallest directions.
+        half = math.ldexp(1.0, (1 - exponent) // 2)
+        rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
+        dx = dx * half * rest
+        dy = dy * half * rest
+        dz = dz * half * rest
+        # Beyond 2**800 distances leave float32 anyway; the bound keeps t_scale finite.
+        t_scale = math.ldexp(1.0 / frame.scale, max(-800, min(1 - exponent, 800)))
 
     # Step 2: advance an origin that is far outside. A second step corrects the rounding error of
     # the first, which is 2**-53 of the distance.

@@ -18,14 +18,18 @@ from raystream.core.rays import DEFAULT_LIMITS, RayStatus
 from raystream.jit.cpu import device
 from raystream.jit.simd import bits_as_float, float_as_bits, load
 from raystream.kernels.adjacent_rows import adjacent_rows
-from raystream.kernels.ray import FAR, LocalRay, to_local
+from raystream.kernels.ray import (
+    FAR,
+    LEAST_EXPONENT,
+    MANTISSA_BITS,
+    MOST_EXPONENT,
+    POWER_EXPONENT,
+    LocalRay,
+    to_local,
+)
 
 __all__ = [
-    "LEAST_EXPONENT",
-    "MANTISSA_BITS",
-    "MOST_EXPONENT",
     "NEAR_REACH",
-    "POWER_EXPONENT",
     "RaySource",
     "ResultAddresses",
     "load_direction",
@@ -43,13 +47,6 @@ _Z = np.uint64(8)
 #: `to_local` does not advance origins whose local coordinates are within this many times the
 #: scene's largest, however it rounds.
 NEAR_REACH = np.float32(FAR - 1.1)
-
-# Biased float64 exponents of direction lengths that one product scales to [1, 2): all that
-# float32 has, and few more.
-MANTISSA_BITS = np.int64(52)
-POWER_EXPONENT = np.int64(2046)
-LEAST_EXPONENT = np.int64(1023 - 149)
-MOST_EXPONENT = np.int64(1023 + 127)
 
 
 class RaySource(NamedTuple):

@@ -22,7 +22,7 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import absolute, f64x8, load, scratch, select, square_root, store
 
-__all__ = ["LANES", "winding_numbers"]
+__all__ = ["LANES", "half_angle", "to_corner", "turned", "winding_numbers"]
 
 #: Points side by side.
 LANES = 8
@@ -40,7 +40,7 @@ def _dot(p, q):
 
 
 @device
-def _to_corner(corners, prim_id, corner, point):
+def to_corner(corners, prim_id, corner, point):
     """From eight points to a corner of a triangle."""
     return (
         np.float64(corners[prim_id, corner, 0]) - point[0],
@@ -50,7 +50,7 @@ def _to_corner(corners, prim_id, corner, point):
 
 
 @device
-def _half_angle(a, b, c):
+def half_angle(a, b, c):
     """Real and imaginary part of a number whose argument is half of the solid angle."""
     x = b[1] * c[2] - b[2] * c[1]
     y = b[2] * c[0] - b[0] * c[2]
@@ -61,7 +61,7 @@ def _half_angle(a, b, c):
 
 
 @device
-def _turned(angle, by):
+def turned(angle, by):
     """Multiply two numbers and count the turns: arguments are above -pi, and at most pi.
 
     Parameters
@@ -113,10 +113,10 @@ def winding_numbers(begin, end, points, corners, prim_ids, numbers):
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
         for k in range(np.uint64(len(prim_ids))):
             prim_id = prim_ids[k]
-            a = _to_corner(corners, prim_id, 0, point)
-            b = _to_corner(corners, prim_id, 1, point)
-            c = _to_corner(corners, prim_id, 2, point)
-            angle = _turned(angle, _half_angle(a, b, c))
+            a = to_corner(corners, prim_id, 0, point)
+            b = to_corner(corners, prim_id, 1, point)
+            c = to_corner(corners, prim_id, 2, point)
+            angle = turned(angle, half_angle(a, b, c))
         store(lanes + _X, angle[0])
         store(lanes + _Y, angle[1])
         store(lanes + _Z, angle[2])

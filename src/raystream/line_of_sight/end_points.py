@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.scene_checks import check_triangles
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.core.triangles import MAX_COORDINATE, Triangles
 from raystream.line_of_sight.placed_ends import FAR_UNITS, PlacedPlanes, placed_planes
@@ -147,6 +148,7 @@ def end_points(
     if isinstance(values, Hits):
         hits = values.ravel()
         own = hits._triangles
+        check_triangles(f"{name}: points on surfaces", own)
         is_same = own.scale == triangles.scale and np.array_equal(own.center, triangles.center)
         if not (is_same and type(own) is type(triangles)):
             raise ValueError(f"{name}: the hits are of another scene than the tracer's")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.scene_checks import check_triangles
 from raystream.core.triangles import Triangles
 from raystream.line_of_sight.end_points import check_tracer
 from raystream.tracer import Tracer
@@ -56,6 +57,7 @@ def surface_points(
     """
     check_tracer(tracer)
     triangles = tracer.structure.triangles
+    check_triangles("surface_points", triangles)
     ids = as_host_array("prim_ids", prim_ids)
     if ids.size == 0:
         ids = ids.astype(np.int32)

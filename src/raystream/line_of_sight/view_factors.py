@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.instanced_triangles import check_plain
 from raystream.core.memory import check_memory
+from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.balance import Shares, balanced
 from raystream.line_of_sight.patches import Emitter, Patches, make_patches, patch_ids

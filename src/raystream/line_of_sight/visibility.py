@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream._version import __version__
-from raystream.core.instanced_triangles import check_no_worlds
 from raystream.core.libraries import library_of
 from raystream.core.memory import available_memory
+from raystream.core.scene_checks import check_no_worlds, check_triangles
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import (
     EndPoints,
@@ -163,6 +163,8 @@ def visibility(
     path = None if out is None else _checked_path(out, form)
     triangles = tracer.structure.triangles
     check_no_worlds("visibility", triangles)
+    if path is not None:
+        check_triangles("out", triangles)
     starts = end_points("a", a, skip_a, triangles)
     stops = starts if b is None else end_points("b", b, skip_b, triangles)
     job = _Job(tracer, starts, stops, bool(front_only), form, b is None)

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import InstancedTriangles, check_no_worlds
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
+from raystream.core.scene_checks import check_no_worlds, check_triangles
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import check_tracer, end_points, is_clear
 from raystream.line_of_sight.image_frame import seen_from
@@ -115,6 +116,7 @@ def visible_faces(
     if points < 0:
         raise ValueError(f"points_per_face: expected at least 0, got {points}")
     triangles: Any = tracer.structure.triangles
+    check_triangles("visible_faces", triangles)
     check_no_worlds("visible_faces", triangles)
     is_placed = isinstance(triangles, InstancedTriangles)
     count = int(triangles.first_ids[-1]) if is_placed else len(triangles)

@@ -93,4 +93,9 @@ def make_machine(machine: str, structure: Structure, options: Mapping[str, Any])
         from raystream.machines.multipass import MultipassBackend
 
         return MultipassBackend(structure, **options)
+    if structure.precision == "float64":
+        from raystream.machines.float64 import Float64Backend
+
+        exact: Any = structure
+        return Float64Backend(exact)
     return Branching(structure)

@@ -16,6 +16,9 @@ from raystream.programs.run import run_on_hits
 from raystream.structures import Structure
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from raystream.kernels.point_queries import NearestArrays
     from raystream.machines.passes import Passes
 
 __all__ = ["Backend", "Capabilities"]
@@ -40,6 +43,8 @@ class Capabilities(NamedTuple):
         It runs in passes, and can record them: `recording`.
     loops : bool
         It runs a renderer's rays and shading in one loop: `run_loop`.
+    points : bool
+        It finds the triangles nearest to points: `find_nearest`.
     """
 
     device_arrays: bool = False
@@ -47,6 +52,7 @@ class Capabilities(NamedTuple):
     shading: bool = False
     passes: bool = False
     loops: bool = False
+    points: bool = False
 
 
 class Backend(ABC):
@@ -82,6 +88,10 @@ class Backend(ABC):
         MemoryError
             If the hits do not fit into memory.
         """
+
+    def batch(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch:
+        """The rays of a query as flat arrays on the host; see `RayBatch`."""
+        return RayBatch(origins, directions, t_min, t_max)
 
     def caster(self) -> Callable[..., Any] | None:
         """A function for the nearest hit of a single ray; None if only `run` finds it.
@@ -203,6 +213,29 @@ class Backend(ABC):
         -------
         object
             The result of the tracer's query of this kind for rays on a device.
+        """
+        raise NotImplementedError
+
+    def find_nearest(
+        self,
+        points: NDArray[np.float64],
+        limits: NDArray[np.float64],
+        capacity: int,
+        out: NearestArrays,
+        progress: Progress | None = None,
+    ) -> None:
+        """Find the `capacity` triangles nearest to each point, for backends with `points`.
+
+        Parameters
+        ----------
+        points : ndarray of shape (N, 3), float64
+            World space.
+        limits : ndarray of shape (N,) or (1,), float64
+            Greatest distance of each point, or of all.
+        capacity : int
+        out : NearestArrays
+        progress : callable, optional
+            Called with (points done, points).
         """
         raise NotImplementedError
 

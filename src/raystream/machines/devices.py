@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from raystream.core.choices import Cpu, DeviceOptions
+from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.primitives import Primitives
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.machines import MACHINES, make_machine, own_options
@@ -85,17 +87,26 @@ class Device(NamedTuple):
 
 def build_on_cpu(
     structure: StructureOptions,
-    triangles: Triangles | InstancedTriangles,
+    triangles: Triangles | InstancedTriangles | Primitives,
     *,
     progress: Progress | None = None,
     device: DeviceOptions | None = None,  # noqa: ARG001 - part of `DeviceFactory`
 ) -> Structure:
     """Build a structure on the CPU; a `DeviceFactory`."""
+    if isinstance(triangles, Float64Triangles):
+        # Here, not above: few tracers are in float64.
+        from raystream.float64.structure import build_exact
+
+        return build_exact(structure, triangles, progress)
     if isinstance(triangles, InstancedTriangles):
         # Here, not above: few scenes have instances.
         from raystream.instances.structure import build_instanced
 
         return build_instanced(structure, triangles, progress)
+    if isinstance(triangles, Primitives):
+        from raystream.primitives.structure import build_primitives
+
+        return build_primitives(structure, triangles, progress)
     return build_structure(structure, triangles, progress=progress)
 
 

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress
 from raystream.kernels.solids import solids_of
-from raystream.kernels.winding import LANES, winding_numbers
+from raystream.machines.winding import inside_by_winding
 
 if TYPE_CHECKING:
     from raystream.machines.point_queries import PointQueries
 
-__all__ = ["InsideTest", "share_of", "winding_of"]
+__all__ = ["InsideTest", "share_of"]
 
 #: Directions of the three rays: in no plane that people's models are likely to have.
 _DIRECTIONS = (
@@ -24,14 +23,8 @@ _DIRECTIONS = (
     (0.2281, -0.6911, -0.6857),
 )
 
-#: Solid angles per call of the kernel: some 20 milliseconds.
-_ANGLES_PER_CALL = 1 << 23
-
 #: Steps of an equal part of a query.
 _STEPS = 1 << 20
-
-#: Coordinates beyond this are invalid, as those of rays.
-_FARTHEST = 2.0**200
 
 
 class InsideTest:
@@ -65,7 +58,7 @@ class InsideTest:
         """Test points of shape S + (3,); the result has shape (N,)."""
         points = points.reshape(-1, 3)
         if not self._uses_rays:
-            return self._by_winding(points, progress)
+            return inside_by_winding(self._triangles, points, progress)
         count = len(points)
         crossed = np.zeros(count, np.uint8)
         for k, direction in enumerate(_DIRECTIONS):
@@ -79,39 +72,11 @@ class InsideTest:
         inside: NDArray[np.bool_] = crossed == len(_DIRECTIONS)
         doubtful = np.flatnonzero((crossed != 0) & ~inside)
         if len(doubtful):
-            inside[doubtful] = self._by_winding(points[doubtful], share_of(progress, 3, 1, 4))
+            rest = share_of(progress, 3, 1, 4)
+            inside[doubtful] = inside_by_winding(self._triangles, points[doubtful], rest)
         elif progress:
             progress(count, count)
         return inside
-
-    def _by_winding(self, points: NDArray[Any], progress: Progress | None) -> NDArray[np.bool_]:
-        numbers = winding_of(self._triangles, points, progress)
-        with np.errstate(invalid="ignore"):
-            inside: NDArray[np.bool_] = np.abs(numbers) > 0.5
-        return inside
-
-
-def winding_of(
-    triangles: Triangles, points: NDArray[Any], progress: Progress | None = None
-) -> NDArray[np.float64]:
-    """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        is_valid = (np.abs(points) <= _FARTHEST).all(axis=-1)
-        local = (np.asarray(points[is_valid], np.float64) - triangles.center) * triangles.scale
-    found = np.zeros(len(local))
-    corners, prim_ids = triangles.corners, np.ascontiguousarray(triangles.prim_ids)
-
-    def body(begin: int, end: int) -> None:
-        winding_numbers(begin, end, local, corners, prim_ids, found)
-
-    if len(prim_ids):
-        most = max(_ANGLES_PER_CALL // len(prim_ids) // LANES, 1) * LANES
-        parallel_for(body, len(local), most, progress)
-    elif progress:
-        progress(len(local), len(local))
-    numbers = np.full(len(points), np.nan)
-    numbers[is_valid] = found
-    return numbers
 
 
 def share_of(progress: Progress | None, first: int, parts: int, total: int) -> Progress | None:

@@ -136,6 +136,8 @@ class MemoryEstimator(RayCaster):
         if isinstance(triangles, InstancedTriangles) and kind in _ROWS:
             results += 4 * (count if kind is Kind.FIRST_HIT else hits)
             working += _SPLIT_BYTES * (count if kind is Kind.FIRST_HIT else hits)
+        if self.structure.precision == "float64" and kind in _ROWS:
+            results += 12 * (count if kind is Kind.FIRST_HIT else hits)
         if self._counts:
             results += ROW_BYTES * count
         return MemoryNeeded(results, working)

@@ -14,16 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles, check_plain
+from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
+from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
-from raystream.kernels.move_triangles import move_triangles
 from raystream.machines.backend import Backend
 from raystream.machines.configuration import Configuration, configure
 from raystream.machines.devices import device_of
+from raystream.machines.precision import moved_triangles
 from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
@@ -117,6 +119,8 @@ class TracedScene:
                 f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
                 "with machine='branching' supports them"
             )
+        if isinstance(triangles, Primitives) and not is_supported:
+            raise ValueError(f"device={self.device!r}, machine={self.machine!r}: {NOT_TRIANGLES}")
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._check_instances(structure.triangles)
@@ -245,6 +249,7 @@ class TracedScene:
         if not max_cost_growth >= 0.0:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
+        self._check_update(vertices)
         if (vertices is None) == (transforms is None):
             raise ValueError("update: expected either vertices or transforms")
         if transforms is not None:
@@ -262,10 +267,16 @@ class TracedScene:
         else:
             meshes = moved_meshes(scene.meshes, vertices)
         parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
-        triangles = move_triangles(self.structure.triangles, parts)
+        triangles = moved_triangles(self.structure.triangles, parts)
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
         self._set(scene.moved(meshes, triangles), structure)
         return report
+
+    def _check_update(self, vertices: Any) -> None:
+        held: Any = self.structure.triangles
+        other = isinstance(vertices, Scene) and vertices.has_primitives
+        if isinstance(held, Primitives) or other:
+            raise ValueError(f"update: {NOT_TRIANGLES}; make another tracer")
 
     def _update_instances(self, scene: Any) -> UpdateReport:
         """Place the instances as in another scene of the same objects."""
@@ -281,13 +292,19 @@ class TracedScene:
         self._set(scene, old.moved(old.triangles.moved(scene.placements)))
         return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
 
+    @property
+    def has_cheap_queries(self) -> bool:
+        """Whether a query of few rays is quick, as on the branching CPU: no passes, no GPU."""
+        capabilities = self._backend.capabilities
+        return not (capabilities.shading or capabilities.loops)
+
     def check_plain(self, what: str) -> None:
-        """Check that the scene has no instances, with which `what` is not supported.
+        """Check that the scene has triangles alone, without instances, as `what` needs.
 
         Raises
         ------
         RaystreamError
-            If it has.
+            If it has instances or other primitives.
         """
         check_plain(what, self.structure.triangles)
 
@@ -402,7 +419,7 @@ class TracedScene:
                 if worlds is not None:
                     raise ValueError("worlds: expected None for rays on a GPU")
                 return arrays
-        rays = RayBatch(rows_of(origins), rows_of(directions), t_min, t_max)
+        rays = self._backend.batch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
         if worlds is not None or self._world_count:
@@ -443,8 +460,8 @@ class TracedScene:
         return sink
 
     def __repr__(self) -> str:
-        triangle_count = len(self.structure.triangles)
         placed: Any = self.structure.triangles
+        what = "primitives" if isinstance(placed, Primitives) else "triangles"
         instances = ""
         if isinstance(placed, InstancedTriangles):
             instances = f", {len(placed.instances):,} instances"
@@ -452,7 +469,7 @@ class TracedScene:
         is_default = self.machine == device_of(self.device).machines.names[0]
         machine = "" if is_default else f", machine={self.machine!r}"
         return (
-            f"Tracer({triangle_count:,} triangles{instances}, structure={self.structure.name!r}"
+            f"Tracer({len(placed):,} {what}{instances}, structure={self.structure.name!r}"
             f"{device}{machine})"
         )
 

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import RayRows
-from raystream.core.instanced_triangles import InstancedTriangles, check_no_worlds
+from raystream.core.primitives import Primitives
 from raystream.core.rays import RayBatch
+from raystream.core.scene_checks import check_no_worlds
+from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
 from raystream.physics.library_results import LibraryLidarReturns, in_library_of
@@ -148,8 +150,8 @@ def lidar_returns(
     >>> glass.ranges.round().astype(int).tolist(), glass.return_number.tolist()
     ([1092, 1138, 1359], [1, 2, 3])
     """
-    triangles: Any = tracer.structure.triangles
-    check_no_worlds("lidar_returns", triangles)
+    held: Any = tracer.structure.triangles
+    check_no_worlds("lidar_returns", held)
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
@@ -160,7 +162,7 @@ def lidar_returns(
         "transmission", transmission, names, "material", high=1.0, default=0.0
     )
     surfaces = Surfaces(
-        None if isinstance(triangles, InstancedTriangles) else triangles.corners,
+        held.corners if isinstance(held, Triangles) else None,
         scene.attributes.material_ids,
         reflectances,
         transmissions,
@@ -182,12 +184,17 @@ def lidar_returns(
         if progress:
             progress(rows.stop, len(batch))
     returns = Returns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    mesh_splits = triangles.mesh_splits
+    material_ids = (
+        held.materials_at(returns.prim_id)
+        if isinstance(held, Primitives)
+        else surfaces.material_ids[returns.prim_id]
+    )
+    mesh_splits = held.mesh_splits
     found = LidarReturns(
         np.concatenate([[0], np.cumsum(counts)]),
         returns,
         (np.searchsorted(mesh_splits, returns.prim_id, side="right") - 1).astype(np.int32),
-        surfaces.material_ids[returns.prim_id],
+        material_ids,
         status.reshape(batch.shape),
     )
     return in_library_of(origins, directions, found, LibraryLidarReturns)

@@ -185,13 +185,15 @@ class Scan:
         return _Echoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def _follow(self, axes: NDArray[np.float64], hits: MultiHits) -> Echoes:
-        splits, prim_id = hits.ray_splits, hits.prim_id
+        splits, prim_id, surfaces = hits.ray_splits, hits.prim_id, self._surfaces
         echoes = Echoes.empty(len(axes), len(prim_id))
-        if self._surfaces.corners is None:
+        if surfaces.corners is None:  # the hits know their normals and materials
             _measure_cosines(axes, hits, echoes.cosine)
+            surfaces = surfaces._replace(material_ids=hits.material_id)
+            prim_id = np.arange(len(prim_id), dtype=np.int32)
 
         def body(begin: int, end: int) -> None:
-            follow_pulses(begin, end, axes, splits, prim_id, self._surfaces, echoes)
+            follow_pulses(begin, end, axes, splits, prim_id, surfaces, echoes)
 
         parallel_for(body, len(axes), _CHUNK)
         return echoes
@@ -200,7 +202,7 @@ class Scan:
 def _measure_cosines(
     axes: NDArray[np.float64], hits: MultiHits, cosine: NDArray[np.float64]
 ) -> None:
-    """Write cosines of angles of incidence on triangles in instances."""
+    """Write cosines of angles of incidence."""
     for first in range(0, len(cosine), _ROWS):
         rows = slice(first, min(first + _ROWS, len(cosine)))
         normals = hits.part(rows)._world_normals()

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import MultiHits
-from raystream.core.instanced_triangles import check_no_worlds
 from raystream.core.rays import RayBatch
+from raystream.core.scene_checks import check_no_worlds, check_triangles
 from raystream.instances.structure import InstancedStructure
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.ray import SceneFrame
@@ -108,6 +108,7 @@ def thickness(
     """
     if ends not in ("report", "clip"):
         raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
+    check_triangles("thickness", tracer.structure.triangles)
     check_no_worlds("thickness", tracer.structure.triangles)
     batch = RayBatch(origins, directions, t_min, t_max)
     worker = _Worker(tracer, batch, ends == "clip")

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.errors import FileFormatError
-from raystream.core.instanced_triangles import InstancedTriangles, check_no_worlds
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.query import counts_surfaces
+from raystream.core.scene_checks import check_no_worlds, check_triangles
 from raystream.jit.threads import Progress, part_of
 from raystream.ray_files.block_query import BlockQuery, BlockResult
 from raystream.ray_files.durable import locked
@@ -147,6 +148,7 @@ def query_zarr(
     _check_separate(Path(rays), target)
     blocks = source.divide(operator.index(block_rays))
     triangles: Any = tracer.structure.triangles
+    check_triangles("query_zarr", triangles)
     check_no_worlds("query_zarr", triangles)
     columns = Columns.of(query, isinstance(triangles, InstancedTriangles))
     identity = identify(tracer, source, blocks, query, options)

@@ -31,6 +31,7 @@ from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers, write_aovs
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.placed_tables import ObjectTables
+from raystream.rendering.shading.primitive_tables import MeshTables
 from raystream.rendering.shading.punctual_lights import PunctualLights, punctual_lights_of
 from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
 from raystream.rendering.shading.streams import Paths
@@ -106,7 +107,7 @@ class RenderContext:
     chosen_lights: str = "auto"
     is_light_added: bool = False
     bands: DeviceBands | None = None
-    objects: ObjectTables | None = None
+    objects: ObjectTables | MeshTables | None = None
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
         """The filter (``on_hit``) of the tracer's queries for rays of shape (N, 3)."""

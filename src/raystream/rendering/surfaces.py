@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from raystream.core.errors import RaystreamError
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.rendering.shading.placed_tables import ObjectTables, placed_tables
+from raystream.rendering.shading.primitive_tables import MeshTables, primitive_tables
 from raystream.rendering.shading.streams import ShadingBatch
 from raystream.rendering.shading.tables import SceneArrays, SceneTables
 from raystream.scene.scene import Scene
@@ -48,13 +51,19 @@ def tables_at(
 ) -> tuple[SceneTables, tuple[Any, ...], object]:
     """The tables of the surfaces that are hit, the hits' columns for them, and what to keep."""
     if context.objects is not None:
+        if isinstance(context.objects, MeshTables):
+            return primitive_tables(context.tables, context.objects, hits)
         return placed_tables(context.tables, context.objects, hits)
     return context.tables, (hits.t, hits.u, hits.v, hits.prim_id), None
 
 
-def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | None:
-    """The tables of the objects of a scene with instances."""
+def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables | None:
+    """The tables of the objects of a scene with instances, or of the meshes beside primitives."""
     triangles: Any = scene.triangles
+    if isinstance(triangles, Primitives):
+        if not all(material.is_opaque for material in scene.materials):
+            raise RaystreamError(f"materials that are not opaque: {NOT_TRIANGLES}")
+        return MeshTables.of(arrays)
     if not isinstance(triangles, InstancedTriangles):
         return None
     return ObjectTables.of(triangles, arrays)

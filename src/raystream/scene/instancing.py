@@ -105,6 +105,10 @@ class Objects(NamedTuple):
                     f"objects[{index}]: expected a Mesh, a Scene or a list of meshes, "
                     f"got {type(one).__name__}"
                 )
+            if isinstance(one, Scene) and one.has_primitives:
+                raise ValueError(
+                    f"objects[{index}]: spheres and height fields cannot be placed as instances"
+                )
         object_ids, transforms, worlds = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
         known = list(materials)

@@ -36,11 +36,14 @@ def load(
         For animated scenes (AFF, glTF): the time to show, in the file's units. At 0, glTF
         shows its rest pose; see also `Scene.at`.
     triangles : int, optional
-        For built-in scenes: the approximate number of triangles.
+        For built-in scenes: the approximate number of triangles. More than 500 million are made
+        with instances, where the scene has such a form.
     instances : bool
         For glTF files: keep a mesh that several nodes have, or that has copies by
         ``EXT_mesh_gpu_instancing``, once, with instances; see `Scene.instances`. Such a scene is
-        not animated. Otherwise each is a copy.
+        not animated. Otherwise each is a copy. For the built-in scenes ``"forest"`` and
+        ``"robots"``: keep each kind of tree, or each part of a robot, once, for up to two billion
+        triangles.
 
     Returns
     -------
@@ -76,9 +79,7 @@ def load(
         if triangles is not None:
             raise ValueError("triangles: only for built-in scenes, not for files")
         return _load_file(name, time, instances)
-    if instances:
-        raise ValueError("instances: only for glTF files, not for names")
-    return _load_name(name, time, triangles)
+    return _load_name(name, time, triangles, instances)
 
 
 def _names_file(source: str) -> bool:
@@ -104,7 +105,7 @@ def _load_file(name: str, time: float, has_instances: bool) -> Scene:
     return read_model(path, time=time, has_instances=has_instances)
 
 
-def _load_name(source: str, time: float, triangles: int | None) -> Scene:
+def _load_name(source: str, time: float, triangles: int | None, has_instances: bool) -> Scene:
     from raystream.scene import procedural, samples
 
     name, colon, size = source.partition(":")
@@ -115,8 +116,13 @@ def _load_name(source: str, time: float, triangles: int | None) -> Scene:
             if triangles is not None:
                 raise ValueError("triangles: given twice, in the name and as an argument")
             triangles = _size(source, size)
-        return procedural.generate(name, triangles)
+        if triangles is not None and hasattr(triangles, "__index__"):
+            is_large = triangles > procedural.MAX_TRIANGLES
+            has_instances |= is_large and procedural.BUILTIN[name].make_instanced is not None
+        return procedural.generate(name, triangles, has_instances)
     if source in samples.SAMPLES:
+        if has_instances:
+            raise ValueError("instances: only for glTF files and built-in scenes, not for samples")
         if triangles is not None:
             raise ValueError("triangles: only for built-in scenes, not for samples")
         scene = read_model(samples.fetch(source), time=time)

@@ -19,10 +19,10 @@ from raystream.scene.animation import FPS, Animation, Timeline
 from raystream.scene.camera import Camera, unit_vector
 from raystream.scene.camera_track import CameraMotion
 from raystream.scene.geometry import Geometry
-from raystream.scene.instanced_scene import InstancedScene
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.primitive_scene import PrimitiveScene
 from raystream.scene.views import Views
 
 __all__ = ["Scene"]
@@ -46,7 +46,7 @@ class _Parts(TypedDict, total=False):
     name: str
 
 
-class Scene(InstancedScene):
+class Scene(PrimitiveScene):
     """Geometry to trace rays against, with materials, lights and cameras to render it.
 
     A scene is immutable: `replace` makes another one, which shares unchanged parts.
@@ -217,6 +217,8 @@ class Scene(InstancedScene):
             scene._geometry = self._geometry
         elif self.placements is not None:
             raise ValueError("meshes: a scene with instances keeps them; see Scene.instances")
+        elif self.has_primitives:
+            raise ValueError("meshes: spheres and height fields would be lost; see Scene.combine")
         return scene
 
     def moved(self, meshes: Sequence[Mesh], triangles: Triangles) -> Scene:
@@ -302,7 +304,8 @@ class Scene(InstancedScene):
     @property
     def has_lights(self) -> bool:
         """Whether the scene has lights, or surfaces that emit light."""
-        glows = self.placements is not None and any(one.emits for one in self.materials)
+        is_plain = self.placements is None and not self.has_primitives
+        glows = not is_plain and any(one.emits for one in self.materials)
         return bool(self.lights) or bool(self.area_lights) or glows
 
     @property
@@ -439,10 +442,10 @@ class Scene(InstancedScene):
 
         Excludes materials whose emission is a texture, and those that are not opaque: they
         glow, but are not sampled as lights, since such textures are mostly black and cut-outs
-        emit nothing. So do all in a scene with instances.
+        emit nothing. So do all in a scene with instances, spheres or height fields.
         """
         lights: list[AreaLight] = []
-        if self.placements is not None:
+        if self.placements is not None or self.has_primitives:
             return lights
         first = 0
         emissive = {
@@ -463,7 +466,7 @@ class Scene(InstancedScene):
         name = f"{self.name!r}, " if self.name else ""
         placed = "" if self.placements is None else f", {len(self.placements):,} instances"
         counts = f"{len(self.meshes)} meshes, {self.triangle_count:,} triangles"
-        return f"Scene({name}{counts}{placed})"
+        return f"Scene({name}{counts}{placed}{self.primitive_counts})"
 
     def _repr_html_(self) -> str:
         """Show the contents of the scene in a notebook."""

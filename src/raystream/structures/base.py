@@ -82,12 +82,15 @@ class Structure(ABC):
         Build and traversal options.
     make_searches : callable
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
+    precision : {"float32", "float64"}
+        Of triangles and distances.
     """
 
     traverse: ClassVar[Callable[..., Any]]
     stack_bytes: ClassVar[int] = 8
     make_searches: ClassVar[Callable[..., Searches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
+    precision: ClassVar[str] = "float32"
     triangles: Triangles
     report: BuildReport
     options: StructureOptions

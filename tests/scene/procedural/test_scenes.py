@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from raystream.scene.procedural import BUILTIN, MAX_TRIANGLES, MIN_TRIANGLES, generate
+import raystream as rs
+from raystream.scene.procedural import (
+    BUILTIN,
+    MAX_INSTANCED_TRIANGLES,
+    MAX_TRIANGLES,
+    MIN_TRIANGLES,
+    generate,
+)
 from raystream.scene.procedural.building import inside_camera
 from raystream.scene.procedural.forest import inside_camera as forest_inside_camera
 from raystream.scene.procedural.forest import top_camera
@@ -225,6 +232,60 @@ def test_sizes_out_of_range_are_refused(name):
     for size in (1e6, "1000", True):
         with pytest.raises(TypeError, match="triangles: expected an integer"):
             generate(name, size)
+
+
+INSTANCED = [name for name, one in BUILTIN.items() if one.make_instanced]
+
+
+@pytest.mark.parametrize("target", [60, 1000, 30_000])
+@pytest.mark.parametrize("name", INSTANCED)
+def test_scenes_of_instances_have_the_same_triangles(name, target):
+    """In the same order, by mesh; trees have another shade."""
+    plain, instanced = generate(name, target), generate(name, target, instances=True)
+    assert instanced.placements is not None
+    copies = {mesh.name: [] for mesh in plain.meshes}
+    for mesh in instanced.flattened().meshes:
+        copies[mesh.name].append(mesh)
+    for mesh in plain.meshes:
+        own = copies[mesh.name]
+        placed = np.concatenate([one.vertices[one.faces] for one in own])
+        reach = np.abs(mesh.vertices).max()
+        np.testing.assert_allclose(placed, mesh.vertices[mesh.faces], atol=4e-7 * reach, rtol=0)
+        ids = np.concatenate([one.material_ids for one in own])
+        np.testing.assert_array_equal(ids, mesh.material_ids)
+        if name != "forest":
+            colors = np.concatenate(
+                [np.ones((len(m.vertices), 3)) if m.colors is None else m.colors for m in own]
+            )
+            np.testing.assert_allclose(colors, 1.0 if mesh.colors is None else mesh.colors)
+    for part in ("camera", "lights", "background", "name"):
+        assert repr(getattr(instanced, part)) == repr(getattr(plain, part))
+
+
+@pytest.mark.parametrize("name", INSTANCED)
+def test_a_billion_triangles_are_few_in_memory(name):
+    """Scenes that are too large for copies are made of instances."""
+    scene = rs.load(f"{name}:1000000000")
+    placed = scene.placements
+    assert scene.triangle_count < 3_000_000
+    first_ids = scene.geometry.triangles.first_ids
+    assert abs(first_ids[-1] - 1e9) < 1e6
+    assert len(first_ids) == len(placed) + 1
+
+
+def test_only_some_scenes_have_instances():
+    message = "instances: only for glTF files and the built-in scenes forest, robots, not for"
+    with pytest.raises(ValueError, match=message):
+        rs.load("cornell", instances=True)
+    for name in INSTANCED:
+        with pytest.raises(ValueError, match="expected 24 to 2,000,000,000"):
+            rs.load(name, triangles=MAX_INSTANCED_TRIANGLES + 1)
+        assert rs.load(name, triangles=500, instances=True).placements is not None
+        assert rs.load(name, triangles=500).placements is None
+    with pytest.raises(ValueError, match="expected 24 to 500,000,000"):
+        rs.load("building", triangles=MAX_TRIANGLES + 1)
+    with pytest.raises(ValueError, match="not for samples"):
+        rs.load("bunny", instances=True)
 
 
 def test_numpy_integers_are_sizes():

@@ -25,12 +25,16 @@ class Peer(NamedTuple):
         Installation hint, shown if the import fails.
     options : mapping of str to any, optional
         Options of the package.
+    for_rays, for_points : bool
+        Whether it has queries of rays, and of points.
     """
 
     adapter: str
     packages: tuple[str, ...]
     install_hint: str
     options: Mapping[str, Any] = MappingProxyType({})
+    for_rays: bool = True
+    for_points: bool = False
 
 
 _FOLDER = "raystream.bench.contenders"
@@ -48,13 +52,28 @@ PEERS: Mapping[str, Peer] = MappingProxyType(
             f"{_FOLDER}.open3d:Open3D",
             ("open3d",),
             "pip install open3d; it also needs the system's libusb-1.0, libGL and libgomp",
+            for_points=True,
         ),
         "embreex": Peer(f"{_FOLDER}.embreex:Embreex", ("embreex",), "pip install embreex"),
         "mitsuba": Peer(f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA),
         "mitsuba-robust": Peer(
             f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA, {"embree_use_robust_intersections": True}
         ),
-        "warp": Peer(f"{_FOLDER}.warp:Warp", ("warp",), "pip install warp-lang"),
+        "warp": Peer(f"{_FOLDER}.warp:Warp", ("warp",), "pip install warp-lang", for_points=True),
+        "fcpw": Peer(
+            f"{_FOLDER}.fcpw:Fcpw",
+            ("fcpw",),
+            "pip install fcpw",
+            for_rays=False,
+            for_points=True,
+        ),
+        "libigl": Peer(
+            f"{_FOLDER}.libigl:Libigl",
+            ("igl",),
+            "pip install libigl",
+            for_rays=False,
+            for_points=True,
+        ),
     }
 )
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -11,10 +12,14 @@ from numpy.typing import NDArray
 
 __all__ = [
     "MISS_T",
+    "NO_INSTANCES",
     "AllHits",
+    "Closest",
     "Contender",
     "FirstHits",
     "Geometry",
+    "Placed",
+    "Points",
     "Query",
     "Rays",
     "Result",
@@ -22,7 +27,7 @@ __all__ = [
     "warmup_geometry",
 ]
 
-Query = Literal["first", "any", "multi"]
+Query = Literal["first", "any", "multi", "closest"]
 
 #: Packages report a miss as infinity, float32's maximum or 1e37; no scene is this large.
 MISS_T = 1e30
@@ -32,6 +37,29 @@ class UnavailableError(Exception):
     """A contender is not available; the message says why, and what to do."""
 
 
+#: What is reported of a contender that has no instances, in a scene of them.
+NO_INSTANCES = "no instances"
+
+
+class Placed(NamedTuple):
+    """The instances of a scene.
+
+    Parameters
+    ----------
+    vertex_splits, face_splits : ndarray of shape (O + 1,), int64
+        Object i has the vertices and faces from splits[i] to splits[i + 1]; its faces count from
+        its own first vertex.
+    object_ids : ndarray of shape (K,), int32
+    transforms : ndarray of shape (K, 3, 4), float64
+        Object to world space.
+    """
+
+    vertex_splits: NDArray[np.int64]
+    face_splits: NDArray[np.int64]
+    object_ids: NDArray[np.int32]
+    transforms: NDArray[np.float64]
+
+
 class Geometry(NamedTuple):
     """A scene's triangles, in a user's arrays.
 
@@ -39,10 +67,31 @@ class Geometry(NamedTuple):
     ----------
     vertices : ndarray of shape (V, 3), float32
     faces : ndarray of shape (F, 3), int32
+    placed : Placed, optional
+        Where the triangles are; None for once, in world space.
     """
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
+    placed: Placed | None = None
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles, in all instances."""
+        if self.placed is None:
+            return len(self.faces)
+        return int(np.diff(self.placed.face_splits)[self.placed.object_ids].sum())
+
+    def objects(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.int32]]]:
+        """The vertices and faces of each object."""
+        if self.placed is None:
+            yield self.vertices, self.faces
+            return
+        splits = zip(
+            pairwise(self.placed.vertex_splits), pairwise(self.placed.face_splits), strict=True
+        )
+        for (first, end), (first_face, end_face) in splits:
+            yield self.vertices[first:end], self.faces[first_face:end_face]
 
 
 def warmup_geometry() -> Geometry:
@@ -78,6 +127,25 @@ class Rays(NamedTuple):
         return self.origins.reshape(-1, 3), self.directions.reshape(-1, 3)
 
 
+class Points(NamedTuple):
+    """Points, in a user's plain C-contiguous NumPy array.
+
+    Parameters
+    ----------
+    points : ndarray of shape (N, 3), float32
+        World space.
+    unit : float
+        Length in whose units distances are compared: the scene's diagonal.
+    """
+
+    points: NDArray[np.float32]
+    unit: float
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+
 class FirstHits(NamedTuple):
     """The nearest hit of each ray.
 
@@ -101,7 +169,22 @@ class AllHits(NamedTuple):
     prim_id: NDArray[Any]
 
 
-Result = FirstHits | AllHits | NDArray[np.bool_]
+class Closest(NamedTuple):
+    """The nearest point of the triangles to each point.
+
+    Parameters
+    ----------
+    distance : array_like of N floats or None
+        World units. None if the package returns positions only: the distances that are compared
+        follow from them, outside of the time.
+    positions : ndarray of shape (N, 3) or None
+    """
+
+    distance: Any
+    positions: NDArray[Any] | None = None
+
+
+Result = FirstHits | AllHits | Closest | NDArray[np.bool_]
 
 
 class Contender(ABC):
@@ -122,14 +205,17 @@ class Contender(ABC):
     modes : tuple of str
         Ways to run a query, all timed; the fastest counts.
     queries : frozenset of str
-        Supported queries.
+        Supported queries, each with its method.
     notes : str
         A note for readers of its figures.
+    has_instances : bool
+        Whether it builds scenes of instances.
     """
 
     modes: ClassVar[tuple[str, ...]] = ("",)
-    queries: ClassVar[frozenset[Query]] = frozenset(("first", "any", "multi"))
+    queries: frozenset[Query] = frozenset(("first", "any", "multi"))
     notes: ClassVar[str] = ""
+    has_instances: ClassVar[bool] = False
 
     @abstractmethod
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
@@ -148,28 +234,35 @@ class Contender(ABC):
     def release(self) -> None:
         """Free the structure."""
 
-    @abstractmethod
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:
         """Find the nearest hit of each ray."""
+        raise NotImplementedError
 
-    @abstractmethod
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:
         """Test whether each ray hits anything."""
+        raise NotImplementedError
 
     def multi_hit(self, rays: Rays, mode: str) -> AllHits:
         """Find all hits of each ray, sorted."""
         raise NotImplementedError
 
-    def run(self, query: Query, rays: Rays, mode: str) -> Result:
+    def closest_point(self, points: Points, mode: str) -> Closest:
+        """Find the nearest point of the triangles to each point."""
+        raise NotImplementedError
+
+    def run(self, query: Query, rays: Rays | Points, mode: str) -> Result:
         """Run one of the queries.
 
         Parameters
         ----------
-        query : {"first", "any", "multi"}
-        rays : Rays
+        query : {"first", "any", "multi", "closest"}
+        rays : Rays or Points
+            Points for ``"closest"``.
         mode : str
             One of `modes`.
         """
+        if isinstance(rays, Points):
+            return self.closest_point(rays, mode)
         if query == "first":
             return self.first_hit(rays, mode)
         if query == "any":

@@ -30,6 +30,7 @@ class Mitsuba(Contender):
 
     modes = ("incoherent", "coherent")
     queries = frozenset(("first", "any"))
+    has_instances = True
     notes = "no query for all hits; both of its modes are timed, and the better one counts"
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
@@ -48,13 +49,22 @@ class Mitsuba(Contender):
         return str(mitsuba.__version__)
 
     def build(self, geometry: Geometry) -> None:
-        """Make a scene with one mesh."""
-        mesh = mitsuba.Mesh("triangles", len(geometry.vertices), len(geometry.faces))
-        parameters = mitsuba.traverse(mesh)
-        parameters["vertex_positions"] = geometry.vertices.ravel()
-        parameters["faces"] = geometry.faces.view(np.uint32).ravel()
-        parameters.update()
-        self._scene = mitsuba.load_dict({"type": "scene", "triangles": mesh, **self._options})
+        """Make a scene with one mesh, or of instances of shape groups."""
+        scene: dict[str, Any] = {"type": "scene", **self._options}
+        if geometry.placed is None:
+            scene["triangles"] = _mesh(geometry.vertices, geometry.faces)
+        else:
+            for k, one in enumerate(geometry.objects()):
+                scene[f"object{k}"] = {"type": "shapegroup", "triangles": _mesh(*one)}
+            placed = zip(geometry.placed.object_ids, geometry.placed.transforms, strict=True)
+            for k, (object_id, transform) in enumerate(placed):
+                matrix = np.vstack([transform, [0.0, 0.0, 0.0, 1.0]])
+                scene[f"instance{k}"] = {
+                    "type": "instance",
+                    "to_world": mitsuba.ScalarTransform4f(matrix),
+                    "shape": {"type": "ref", "id": f"object{object_id}"},
+                }
+        self._scene = mitsuba.load_dict(scene)
         drjit.sync_thread()
 
     def release(self) -> None:
@@ -74,6 +84,15 @@ class Mitsuba(Contender):
             _rays(rays), coherent=mode == "coherent"
         ).numpy()
         return seen
+
+
+def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:
+    mesh = mitsuba.Mesh("triangles", len(vertices), len(faces))
+    parameters = mitsuba.traverse(mesh)
+    parameters["vertex_positions"] = vertices.ravel()
+    parameters["faces"] = faces.view(np.uint32).ravel()
+    parameters.update()
+    return mesh
 
 
 def _rays(rays: Rays) -> Any:

@@ -9,14 +9,23 @@ import numpy as np
 import open3d
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import AllHits, Contender, FirstHits, Geometry, Rays
+from raystream.bench.contenders.base import (
+    AllHits,
+    Closest,
+    Contender,
+    FirstHits,
+    Geometry,
+    Points,
+    Rays,
+)
 
 __all__ = ["Open3D"]
 
 
 class Open3D(Contender):
-    """``cast_rays``, ``test_occlusions`` and ``list_intersections``."""
+    """``cast_rays``, ``test_occlusions``, ``list_intersections``, ``compute_closest_points``."""
 
+    queries = frozenset(("first", "any", "multi", "closest"))
     notes = (
         "cast_rays also returns weights and normals, and takes no t_max; list_intersections "
         "does not sort, so its hits are sorted here with NumPy"
@@ -65,6 +74,12 @@ class Open3D(Contender):
         key |= t.view(np.uint32)
         order = np.argsort(key)
         return AllHits(found["ray_splits"].numpy(), t[order], found["primitive_ids"].numpy()[order])
+
+    def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
+        """Find the nearest point of the triangles to each point; it gives no distances."""
+        given = open3d.core.Tensor.from_numpy(points.points)
+        found = self._scene.compute_closest_points(given, nthreads=self._threads)
+        return Closest(None, found["points"].numpy())
 
 
 def _tensor(rays: Rays) -> Any:

@@ -9,9 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream._version import __version__
-from raystream.bench.contenders.base import AllHits, Contender, FirstHits, Geometry, Rays
+from raystream.bench.contenders.base import (
+    AllHits,
+    Closest,
+    Contender,
+    FirstHits,
+    Geometry,
+    Points,
+    Rays,
+)
 from raystream.jit.threads import set_thread_count
 from raystream.scene.scene import Scene
+from raystream.structures import names_with
 from raystream.tracer import Tracer
 
 __all__ = ["Raystream"]
@@ -20,9 +29,15 @@ __all__ = ["Raystream"]
 class Raystream(Contender):
     """A `Tracer` with the given options."""
 
+    has_instances = True
+
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
         set_thread_count(threads)
         self._options = dict(options)
+        is_plain = options.get("machine", "branching") == "branching"
+        is_plain = is_plain and options.get("device", "cpu") in ("cpu", "cuda")
+        if is_plain and options.get("structure", "bvh") in names_with("nearest"):
+            self.queries = self.queries | {"closest"}
         self._tracer: Tracer | None = None
 
     @property
@@ -38,7 +53,11 @@ class Raystream(Contender):
 
     def build(self, geometry: Geometry) -> None:
         """Make a scene from the arrays, and its structure."""
-        self._tracer = Tracer(Scene.from_arrays(*geometry), **self._options)
+        objects = [Scene.from_arrays(vertices, faces) for vertices, faces in geometry.objects()]
+        scene, placed = objects[0], geometry.placed
+        if placed is not None:
+            scene = Scene.instances(objects, placed.transforms, placed.object_ids)
+        self._tracer = Tracer(scene, **self._options)
 
     def release(self) -> None:
         """Free the structure."""
@@ -57,3 +76,8 @@ class Raystream(Contender):
         """Find all hits of each ray, sorted."""
         hits = self.tracer.multi_hit(rays.origins, rays.directions, t_max=rays.t_max)
         return AllHits(hits.ray_splits, hits.t, hits.prim_id)
+
+    def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
+        """Find the nearest point of the triangles to each point."""
+        found = self.tracer.closest_point(points.points)
+        return Closest(found.distance, found.positions)

@@ -9,11 +9,22 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import Contender, FirstHits, Geometry, Rays, UnavailableError
+from raystream.bench.contenders.base import (
+    Closest,
+    Contender,
+    FirstHits,
+    Geometry,
+    Points,
+    Rays,
+    UnavailableError,
+)
 
 __all__ = ["Warp"]
 
 wp.config.log_level = wp.LOG_ERROR
+
+#: Its queries of points take the greatest distance.
+_FARTHEST = 1e30
 
 
 @wp.kernel(enable_backward=False)
@@ -43,8 +54,24 @@ def _any(
     seen[i] = wp.mesh_query_ray_anyhit(mesh, origins[i], directions[i], t_max)
 
 
+@wp.kernel(enable_backward=False)
+def _closest(
+    mesh: wp.uint64,
+    points: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
+    limit: float,
+    distance: wp.array(dtype=float),  # type: ignore[valid-type]
+    positions: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
+    prim_id: wp.array(dtype=int),  # type: ignore[valid-type]
+) -> None:
+    i = wp.tid()
+    found = wp.mesh_query_point_no_sign(mesh, points[i], limit)
+    positions[i] = wp.mesh_eval_position(mesh, found.face, found.u, found.v)
+    prim_id[i] = found.face
+    distance[i] = wp.length(positions[i] - points[i])
+
+
 class Warp(Contender):
-    """``mesh_query_ray`` and ``mesh_query_ray_anyhit`` in a kernel.
+    """``mesh_query_ray``, ``_ray_anyhit`` and ``_point_no_sign`` in a kernel.
 
     Parameters
     ----------
@@ -60,7 +87,7 @@ class Warp(Contender):
         Kernel time of the latest query on a GPU, without copies.
     """
 
-    queries = frozenset(("first", "any"))
+    queries = frozenset(("first", "any", "closest"))
     notes = "on the CPU its kernels run on one thread; no query for all hits"
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
@@ -103,19 +130,29 @@ class Warp(Contender):
         result: NDArray[np.bool_] = seen.numpy()
         return result
 
+    def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
+        """Find the nearest point of the triangles to each point."""
+        count = len(points)
+        distance = wp.empty(count, dtype=wp.float32, device=self._device)
+        positions = wp.empty(count, dtype=wp.vec3, device=self._device)
+        prim_id = wp.empty(count, dtype=wp.int32, device=self._device)
+        inputs = [self._array(points.points, wp.vec3), _FARTHEST]
+        self._run(_closest, count, inputs, [distance, positions, prim_id])
+        prim_id.numpy()
+        return Closest(distance.numpy(), positions.numpy())
+
     def _launch(self, kernel: Any, rays: Rays, outputs: list[Any]) -> None:
-        origins, directions = rays.rows()
-        inputs = [
-            self._mesh.id,
-            self._array(origins, wp.vec3),
-            self._array(directions, wp.vec3),
-            min(rays.t_max, float(np.finfo(np.float32).max)),
-        ]
+        origins, directions = (self._array(one, wp.vec3) for one in rays.rows())
+        inputs = [origins, directions, min(rays.t_max, float(np.finfo(np.float32).max))]
+        self._run(kernel, len(rays), inputs, outputs)
+
+    def _run(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
+        inputs = [self._mesh.id, *inputs]
         begin = end = None
         if self._device != "cpu":
             stream = wp.get_stream(self._device)
             begin = stream.record_event(wp.Event(self._device, enable_timing=True))
-        wp.launch(kernel, dim=len(rays), inputs=inputs, outputs=outputs, device=self._device)
+        wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self._device)
         if begin is not None:
             end = stream.record_event(wp.Event(self._device, enable_timing=True))
             self.kernel_seconds = wp.get_event_elapsed_time(begin, end) / 1e3

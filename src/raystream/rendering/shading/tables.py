@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.primitives import Primitives
 from raystream.rendering.shading.sheen import sheen_table
 from raystream.rendering.shading.tangents import vertex_tangents
 from raystream.rendering.shading.textures import TextureTables, address_of, pack_textures
@@ -142,6 +143,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, SceneArrays]:
     """The tables of a scene, and the arrays to keep alive while they are used.
 
     With instances, triangles are those of the objects, in their own frames: see `placed_tables`.
+    With spheres or height fields, those of the meshes: see `primitive_tables`.
 
     Warns
     -----
@@ -154,8 +156,10 @@ def tables_of(scene: Scene) -> tuple[SceneTables, SceneArrays]:
         If the scene has too many triangles or vertices, see `check_rows`.
     """
     triangles: Any = scene.triangles
-    placed = isinstance(triangles, InstancedTriangles)
-    corners = triangles.object_corners() if placed else triangles.corners
+    if isinstance(triangles, InstancedTriangles):
+        corners = triangles.object_corners()
+    else:
+        corners = (triangles.triangles if isinstance(triangles, Primitives) else triangles).corners
     check_rows(len(corners), 9, "triangles")
     vertices = VertexAttributes.of(scene)
     material_ids = scene.attributes.material_ids

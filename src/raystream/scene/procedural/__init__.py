@@ -15,10 +15,21 @@ from raystream.scene.procedural import forest as _forest
 from raystream.scene.procedural import robots as _robots
 from raystream.scene.procedural import spheres as _spheres
 from raystream.scene.procedural import three_boxes as _three_boxes
-from raystream.scene.procedural.size import MAX_TRIANGLES, MIN_TRIANGLES
+from raystream.scene.procedural.size import (
+    MAX_INSTANCED_TRIANGLES,
+    MAX_TRIANGLES,
+    MIN_TRIANGLES,
+)
 from raystream.scene.scene import Scene
 
-__all__ = ["BUILTIN", "MAX_TRIANGLES", "MIN_TRIANGLES", "Builtin", "generate"]
+__all__ = [
+    "BUILTIN",
+    "MAX_INSTANCED_TRIANGLES",
+    "MAX_TRIANGLES",
+    "MIN_TRIANGLES",
+    "Builtin",
+    "generate",
+]
 
 
 class Builtin(NamedTuple):
@@ -32,11 +43,14 @@ class Builtin(NamedTuple):
         One line.
     triangles : int
         The default target count.
+    make_instanced : callable, optional
+        ``make_instanced(triangles)`` returns it with instances; None if it has no such form.
     """
 
     make: Callable[[int], Scene]
     description: str
     triangles: int
+    make_instanced: Callable[[int], Scene] | None = None
 
 
 #: The built-in scenes by name, in display order.
@@ -86,11 +100,13 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
             _forest.forest,
             "trees of many tiny triangles on hilly ground (for Purcell's forest)",
             _forest.DEFAULT_TRIANGLES,
+            _forest.instanced_forest,
         ),
         "robots": Builtin(
             _robots.robots,
             "detailed robots in a huge, plain city (for BART's robots)",
             _robots.DEFAULT_TRIANGLES,
+            _robots.instanced_robots,
         ),
         "engine": Builtin(
             _engine.engine,
@@ -101,7 +117,7 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
 )
 
 
-def generate(name: str, triangles: int | None = None) -> Scene:
+def generate(name: str, triangles: int | None = None, instances: bool = False) -> Scene:
     """Make a built-in scene.
 
     The same arguments give the same arrays, bit for bit, on one machine and one version of
@@ -114,6 +130,8 @@ def generate(name: str, triangles: int | None = None) -> Scene:
     triangles : int, optional
         Target count, `MIN_TRIANGLES` to `MAX_TRIANGLES` [default: the count of the paper's
         scene]. Each scene documents its tolerance, at most half the target.
+    instances : bool
+        Make it with instances; then it may have up to `MAX_INSTANCED_TRIANGLES`.
 
     Returns
     -------
@@ -123,11 +141,18 @@ def generate(name: str, triangles: int | None = None) -> Scene:
     Raises
     ------
     ValueError
-        If there is no such scene, or the target is out of range.
+        If there is no such scene, it has no form with instances, or the target is out of range.
     TypeError
         If the target is not an integer.
     """
     if name not in BUILTIN:
         raise ValueError(f"no built-in scene {name!r}: expected one of {', '.join(BUILTIN)}")
     scene = BUILTIN[name]
-    return scene.make(scene.triangles if triangles is None else triangles)
+    make = scene.make_instanced if instances else scene.make
+    if make is None:
+        with_instances = ", ".join(key for key, one in BUILTIN.items() if one.make_instanced)
+        raise ValueError(
+            f"instances: only for glTF files and the built-in scenes {with_instances}, not for "
+            f"{name!r}"
+        )
+    return make(scene.triangles if triangles is None else triangles)

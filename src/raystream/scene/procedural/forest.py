@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,11 +14,11 @@ from raystream.scene.material import Material
 from raystream.scene.procedural.layout import floor_cells
 from raystream.scene.procedural.parts import Part, instance, merge, to_mesh, yaw
 from raystream.scene.procedural.shapes import grid
-from raystream.scene.procedural.size import check_triangles
-from raystream.scene.procedural.tree import LEAST_TRIANGLES, tree
+from raystream.scene.procedural.size import MAX_INSTANCED_TRIANGLES, check_triangles
+from raystream.scene.procedural.tree import LEAST_TRIANGLES, Tree, tree
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "forest", "inside_camera", "top_camera"]
+__all__ = ["DEFAULT_TRIANGLES", "forest", "inside_camera", "instanced_forest", "top_camera"]
 
 DEFAULT_TRIANGLES = 1_000_000
 
@@ -26,6 +27,12 @@ SPACING = 4.2
 
 #: Number of tree models; every other one is a conifer.
 KINDS = 6
+
+#: Most cells of the ground along a side, in a forest of instances: half a million triangles.
+MOST_CELLS = 512
+
+#: The mean shade of trees.
+MEAN_TINT = 0.8
 
 MATERIALS = (
     Material("ground", diffuse=(0.15, 0.17, 0.06)),
@@ -62,29 +69,76 @@ def forest(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     Purcell 2002, section 4 (Forest Top Down, Forest Inside).
     """
     target = check_triangles(triangles)
-    cells = max(1, math.isqrt(target // 40))
-    wanted = target - 2 * cells * cells
-    size = max(float(LEAST_TRIANGLES), 8.0 * math.sqrt(wanted)) if wanted > 400 else LEAST_TRIANGLES
-    tree_count = max(1, round(wanted / size))
-    half = max(6.0, 0.5 * SPACING * math.sqrt(1.1 * tree_count))
+    cells = _cells(target)
+    planting = _planting(target - 2 * cells * cells)
+    wood, leaves = _trees(planting)
+    ground = _ground(cells, planting.half)
+    meshes = [to_mesh(ground, "ground"), to_mesh(wood, "wood"), to_mesh(leaves, "leaves")]
+    return Scene(meshes, materials=MATERIALS, **_surroundings(planting.half))
 
-    generator = np.random.default_rng(1987)
-    meshes = [to_mesh(_ground(cells, half), "ground")]
-    wood, leaves = _trees(wanted // tree_count, tree_count, half, generator)
-    meshes += [to_mesh(wood, "wood"), to_mesh(leaves, "leaves")]
+
+def instanced_forest(triangles: int = DEFAULT_TRIANGLES) -> Scene:
+    """Make the same forest of instances: its memory is that of the ground and of a few trees.
+
+    Parameters
+    ----------
+    triangles : int
+        As of `forest`, in all instances. The ground has at most half a million.
+
+    Returns
+    -------
+    Scene
+        The trees stand where those of `forest` do, if that has no finer ground. All of a kind have
+        the same shade.
+
+    Raises
+    ------
+    ValueError
+        If the target is out of range.
+    """
+    target = check_triangles(triangles, MAX_INSTANCED_TRIANGLES)
+    cells = min(_cells(target), MOST_CELLS)
+    planting = _planting(target - 2 * cells * cells)
+    order = np.argsort(planting.kinds, kind="stable")
+    transforms = np.zeros((1 + len(order), 3, 4))
+    transforms[0, :, :3] = np.eye(3)
+    transforms[1:, :, :3], transforms[1:, :, 3] = planting.turns[order], planting.base[order]
+    objects = [[to_mesh(_ground(cells, planting.half), "ground")]]
+    tint = np.full((1, 3), MEAN_TINT)
+    for kind in range(KINDS):
+        model = _model(planting, kind)
+        place = np.eye(3)[None], np.zeros((1, 3))
+        parts = {"wood": model.wood, "leaves": model.leaves}
+        objects.append(
+            [to_mesh(instance(one, *place, colors=tint), name) for name, one in parts.items()]
+        )
+    return Scene.instances(
+        objects,
+        transforms,
+        np.append(0, 1 + planting.kinds[order]),
+        materials=MATERIALS,
+        **_surroundings(planting.half),
+    )
+
+
+def _cells(target: int) -> int:
+    """Cells of the ground along a side."""
+    return max(1, math.isqrt(target // 40))
+
+
+def _surroundings(half: float) -> dict[str, Any]:
+    """Lights, background, camera and name of the scene."""
     # Above the edge, so that both the crowns and the ground between the trunks are visible.
     eye = (0.5 * half, 0.5 * half + 8.0, 1.2 * half + 10.0)
-    return Scene(
-        meshes,
-        materials=MATERIALS,
-        lights=(
+    return {
+        "lights": (
             DirectionalLight((0.8, -0.7, -0.6), (4.2, 3.8, 3.1)),
             EnvironmentLight((0.42, 0.5, 0.6)),
         ),
-        background=(0.55, 0.7, 0.88),
-        camera=Camera(eye, (0.0, 2.0, 0.1 * half), fov=42.0),
-        name="forest",
-    )
+        "background": (0.55, 0.7, 0.88),
+        "camera": Camera(eye, (0.0, 2.0, 0.1 * half), fov=42.0),
+        "name": "forest",
+    }
 
 
 def inside_camera(scene: Scene) -> Camera:
@@ -138,9 +192,33 @@ def _ground(cells: int, half: float) -> Part:
     return grid(lines, lines, _height(lines[None, :], lines[:, None], half))
 
 
-def _trees(
-    triangles: int, count: int, half: float, generator: np.random.Generator
-) -> tuple[Part, Part]:
+class _Planting(NamedTuple):
+    """The trees of a forest.
+
+    Attributes
+    ----------
+    triangles : int
+        Of each tree.
+    half : float
+        Half the side of the wooded square.
+    base, turns, kinds, tints : ndarray
+        Of each tree: where it stands, its matrix, its model, and its shade.
+    """
+
+    triangles: int
+    half: float
+    base: NDArray[np.float64]
+    turns: NDArray[np.float32]
+    kinds: NDArray[np.int64]
+    tints: NDArray[np.float64]
+
+
+def _planting(wanted: int) -> _Planting:
+    """Plan trees of a total number of triangles."""
+    size = max(float(LEAST_TRIANGLES), 8.0 * math.sqrt(wanted)) if wanted > 400 else LEAST_TRIANGLES
+    count = max(1, round(wanted / size))
+    half = max(6.0, 0.5 * SPACING * math.sqrt(1.1 * count))
+    generator = np.random.default_rng(1987)
     spots, _ = floor_cells(
         math.ceil(1.1 * count), (-half, -half), (half, half), generator, jitter=0.3
     )
@@ -158,10 +236,21 @@ def _trees(
     conifer = field + generator.normal(0.0, 0.8, count) > 0.2
     kinds = 2 * generator.integers(0, KINDS // 2, count) + ~conifer
     tints = generator.uniform(0.72, 1.0, (count, 1)) * generator.uniform(0.85, 1.0, (count, 3))
+    return _Planting(wanted // count, half, base, turns, kinds, tints)
+
+
+def _model(planting: _Planting, kind: int) -> Tree:
+    """A tree of a kind, at the origin."""
+    return tree(planting.triangles, kind % 2 == 0, np.random.default_rng(kind))
+
+
+def _trees(planting: _Planting) -> tuple[Part, Part]:
+    """Wood and leaves of all trees."""
+    turns, base, tints = planting.turns, planting.base, planting.tints
     wood, leaves = [], []
     for kind in range(KINDS):
-        own = kinds == kind
-        model = tree(triangles, kind % 2 == 0, np.random.default_rng(kind))
+        own = planting.kinds == kind
+        model = _model(planting, kind)
         wood.append(instance(model.wood, turns[own], base[own], colors=tints[own]))
         leaves.append(instance(model.leaves, turns[own], base[own], colors=tints[own]))
     return merge(wood), merge(leaves)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.scene.procedural.parts import Part, instance, merge, yaw
 from raystream.scene.procedural.shapes import rounded_box, sphere
 
-__all__ = ["PART_COUNT", "robot_parts"]
+__all__ = ["PART_COUNT", "PlacedPiece", "placed_pieces", "robot_parts"]
 
 #: Offsets from the first of the robots' materials.
 PAINT, METAL, VISOR, EYE, RUBBER = range(5)
@@ -106,6 +107,43 @@ def robot_parts(
     Part
         Ordered by part, then by robot: N part_count 12 divisions^2 triangles.
     """
+    parts = [
+        instance(
+            one.shape,
+            one.matrices,
+            one.offsets,
+            material_ids=np.full(count, first_material + one.material),
+            colors=one.colors,
+        )
+        for one in placed_pieces(divisions, count, part_count, generator)
+    ]
+    return merge(parts)
+
+
+class PlacedPiece(NamedTuple):
+    """A part of all robots.
+
+    Attributes
+    ----------
+    shape : Part
+        Around the origin.
+    material : int
+        0 to 4.
+    matrices, offsets, colors : ndarray of shape (N, 3, 3), (N, 3) and (N, 3), float64
+        Of each robot.
+    """
+
+    shape: Part
+    material: int
+    matrices: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    colors: NDArray[np.float64]
+
+
+def placed_pieces(
+    divisions: int, count: int, part_count: int, generator: np.random.Generator
+) -> Iterator[PlacedPiece]:
+    """The parts of robots and where they are; see `robot_parts` for the parameters."""
     turns = yaw(generator.normal(0.1, 0.25, count))
     paints = PAINTS[np.arange(count) % len(PAINTS)]
     swings = _swings(count, generator)
@@ -114,7 +152,6 @@ def robot_parts(
     lift = HIP * (np.cos(stride) - 1.0) + 0.24 * np.sin(stride)
     spots = _column(count, generator)
     base = np.stack([spots[:, 0], lift, spots[:, 1]], axis=1)
-    parts = []
     for piece in PIECES[:part_count]:
         if piece.radius:
             shape = rounded_box(divisions, piece.half_size, piece.radius)
@@ -127,9 +164,7 @@ def robot_parts(
         offsets = np.einsum("nij,nj->ni", turns, centers) + base
         matrices = np.einsum("nij,njk->nik", turns, swing)
         colors = paints if piece.material == PAINT else np.ones((count, 3))
-        ids = np.full(count, first_material + piece.material)
-        parts.append(instance(shape, matrices, offsets, material_ids=ids, colors=colors))
-    return merge(parts)
+        yield PlacedPiece(shape, piece.material, matrices, offsets, colors)
 
 
 def _column(count: int, generator: np.random.Generator) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,13 +11,13 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.material import Material
 from raystream.scene.procedural.city import city
-from raystream.scene.procedural.parts import to_mesh
-from raystream.scene.procedural.robot import PART_COUNT, robot_parts
+from raystream.scene.procedural.parts import Part, instance, to_mesh
+from raystream.scene.procedural.robot import PART_COUNT, placed_pieces, robot_parts
 from raystream.scene.procedural.shapes import patch
-from raystream.scene.procedural.size import check_triangles
+from raystream.scene.procedural.size import MAX_INSTANCED_TRIANGLES, check_triangles
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "robots"]
+__all__ = ["DEFAULT_TRIANGLES", "instanced_robots", "robots"]
 
 DEFAULT_TRIANGLES = 71_708
 
@@ -92,30 +93,103 @@ def robots(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     Foley 2005, section 4 (Robots); Lext, Assarsson and Möller, "BART: A Benchmark for
     Animated Ray Tracing", Chalmers, 2000.
     """
-    # Every part of a robot has a multiple of 12 triangles, everything else 12.
-    units = max(2, round((check_triangles(triangles) - 2) / 12))
-    city_count = max(1, int(min(0.35 * units, 6.5 * math.sqrt(units))))
-    divisions, robot_count, part_count = _crowd(units - city_count)
-    city_count = units - robot_count * part_count * divisions**2
-
+    plan = _Plan.of(check_triangles(triangles))
     generator = np.random.default_rng(2000)
-    figures = robot_parts(divisions, robot_count, part_count, ROBOT_MATERIALS, generator)
-    ground = patch([(-REACH, 0, REACH), (REACH, 0, REACH), (REACH, 0, -REACH), (-REACH, 0, -REACH)])
+    figures = robot_parts(*plan.crowd, ROBOT_MATERIALS, generator)
+    towers = city(plan.city_count, generator)
     return Scene(
         [
-            to_mesh(ground, "ground"),
-            to_mesh(city(city_count, generator), "city"),
+            to_mesh(_ground(), "ground"),
+            to_mesh(towers, "city"),
             to_mesh(figures, "robots"),
         ],
         materials=MATERIALS,
-        lights=(
+        **_surroundings(),
+    )
+
+
+def instanced_robots(triangles: int = DEFAULT_TRIANGLES) -> Scene:
+    """Make the same scene with the robots' parts as instances.
+
+    Parameters
+    ----------
+    triangles : int
+        As of `robots`, in all instances.
+
+    Returns
+    -------
+    Scene
+        The city is an object of its own; each part of a robot is one, in each of the colours that
+        robots have.
+
+    Raises
+    ------
+    ValueError
+        If the target is out of range.
+    """
+    plan = _Plan.of(check_triangles(triangles, MAX_INSTANCED_TRIANGLES))
+    generator = np.random.default_rng(2000)
+    pieces = list(placed_pieces(*plan.crowd, generator))
+    towers = city(plan.city_count, generator)
+    objects = [[to_mesh(_ground(), "ground"), to_mesh(towers, "city")]]
+    ids, transforms = [np.zeros(1, np.int64)], [np.eye(3, 4)[None]]
+    for piece in pieces:
+        colors, which = np.unique(piece.colors, axis=0, return_inverse=True)
+        ids.append(len(objects) + which.reshape(-1))
+        transforms.append(np.concatenate([piece.matrices, piece.offsets[:, :, None]], axis=2))
+        for color in colors:
+            shape = piece.shape.painted(ROBOT_MATERIALS + piece.material)
+            one = instance(shape, [np.eye(3)], np.zeros((1, 3)), colors=[color])
+            objects.append([to_mesh(one, "robots")])
+    return Scene.instances(
+        objects,
+        np.concatenate(transforms),
+        np.concatenate(ids),
+        materials=MATERIALS,
+        **_surroundings(),
+    )
+
+
+class _Plan(NamedTuple):
+    """How many triangles go where.
+
+    Attributes
+    ----------
+    city_count : int
+        Boxes of the city.
+    crowd : tuple of three int
+        Divisions of each part, robots, and parts of a robot.
+    """
+
+    city_count: int
+    crowd: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, triangles: int) -> _Plan:
+        """Plan a scene of a number of triangles."""
+        # Every part of a robot has a multiple of 12 triangles, everything else 12.
+        units = max(2, round((triangles - 2) / 12))
+        city_count = max(1, int(min(0.35 * units, 6.5 * math.sqrt(units))))
+        divisions, robot_count, part_count = _crowd(units - city_count)
+        city_count = units - robot_count * part_count * divisions**2
+        return cls(city_count, (divisions, robot_count, part_count))
+
+
+def _ground() -> Part:
+    return patch([(-REACH, 0, REACH), (REACH, 0, REACH), (REACH, 0, -REACH), (-REACH, 0, -REACH)])
+
+
+def _surroundings() -> dict[str, Any]:
+    """Lights, background, camera and name of the scene."""
+    return {
+        "lights": (
             DirectionalLight((0.34, -0.75, -0.9), (3.3, 3.0, 2.5)),
             EnvironmentLight((0.32, 0.4, 0.52)),
         ),
-        background=(0.42, 0.6, 0.86),
-        camera=Camera((1.7, 1.6, 8.0), (0.2, 1.95, -3.0), fov=40.0),
-        name="robots",
-    )
+        "background": (0.42, 0.6, 0.86),
+        "camera": Camera((1.7, 1.6, 8.0), (0.2, 1.95, -3.0), fov=40.0),
+        "name": "robots",
+    }
 
 
 def _crowd(units: int) -> tuple[int, int, int]:

@@ -6,7 +6,13 @@ import math
 import operator
 from collections.abc import Callable
 
-__all__ = ["MAX_TRIANGLES", "MIN_TRIANGLES", "check_triangles", "closest_divisions"]
+__all__ = [
+    "MAX_INSTANCED_TRIANGLES",
+    "MAX_TRIANGLES",
+    "MIN_TRIANGLES",
+    "check_triangles",
+    "closest_divisions",
+]
 
 #: Below this a scene would be unrecognisable.
 MIN_TRIANGLES = 24
@@ -14,8 +20,11 @@ MIN_TRIANGLES = 24
 #: Above this a scene needs more than a few tens of gigabytes.
 MAX_TRIANGLES = 500_000_000
 
+#: Above this a scene has more triangles in its instances than can be numbered, or nearly so.
+MAX_INSTANCED_TRIANGLES = 2_000_000_000
 
-def check_triangles(triangles: int) -> int:
+
+def check_triangles(triangles: int, most: int = MAX_TRIANGLES) -> int:
     """Return the target count as an int.
 
     Raises
@@ -23,7 +32,7 @@ def check_triangles(triangles: int) -> int:
     TypeError
         If it is not an integer.
     ValueError
-        If it lies outside [`MIN_TRIANGLES`, `MAX_TRIANGLES`].
+        If it lies outside [`MIN_TRIANGLES`, `most`].
     """
     if isinstance(triangles, bool):
         raise TypeError("triangles: expected an integer, got bool")
@@ -32,10 +41,8 @@ def check_triangles(triangles: int) -> int:
     except TypeError:
         kind = type(triangles).__name__
         raise TypeError(f"triangles: expected an integer, got {kind}") from None
-    if not MIN_TRIANGLES <= count <= MAX_TRIANGLES:
-        raise ValueError(
-            f"triangles: expected {MIN_TRIANGLES:,} to {MAX_TRIANGLES:,}, got {count:,}"
-        )
+    if not MIN_TRIANGLES <= count <= most:
+        raise ValueError(f"triangles: expected {MIN_TRIANGLES:,} to {most:,}, got {count:,}")
     return count
 
 

@@ -8,10 +8,10 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.leaf_block import TRIANGLE_BYTES
 from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
-from raystream.kernels.point_queries import point_queries
+from raystream.kernels.point_queries import PointSearch, point_queries
 from raystream.kernels.point_triangle import squared_distance
 
-__all__ = ["find_nearest"]
+__all__ = ["POINT_SEARCH", "find_nearest"]
 
 _WORD = np.uint64(2)  # four bytes, as a shift
 _STRIDE = np.int32(4)
@@ -19,7 +19,7 @@ _STRIDE = np.int32(4)
 
 @device
 def _find(tree, frame, point, search, stack):
-    """Test every triangle; see `kernels.point_queries.point_queries` for the arguments."""
+    """Test every triangle; see `kernels.point_queries.PointSearch` for the arguments."""
     for k in range(tree.triangle_count):
         prim_id = load(np.int32, tree.references + (k << _WORD))
         place = tree.corners + np.uint64(prim_id) * TRIANGLE_BYTES
@@ -30,5 +30,8 @@ def _find(tree, frame, point, search, stack):
     return search
 
 
+#: The search of a point.
+POINT_SEARCH = PointSearch(_find, 8)
+
 #: The loop over points.
-find_nearest = point_queries(_find, 8)
+find_nearest = point_queries(POINT_SEARCH)

@@ -22,6 +22,7 @@ class Brute(StructureOptions):
     structure = "raystream.structures.brute.structure:BruteStructure"
     forms: ClassVar = {
         "nearest": "raystream.structures.brute.nearest:find_nearest",
+        "nearest search": "raystream.structures.brute.nearest:POINT_SEARCH",
         "multipass": "raystream.machines.steps.brute:steps",
         "graphics": "raystream.graphics.structures.brute:shader_structure",
         "graphics multipass": "raystream.graphics.multipass.kernels.brute:kernels",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device
@@ -33,6 +36,7 @@ from raystream.structures.bvh.group_rays import (
     GROUP_SHIFT,
     HOT_AT,
     LANE_SHIFT,
+    LAST_LANE,
     Cold,
     Hot,
     axis_kinds,
@@ -43,13 +47,12 @@ from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_filter import kept_lanes, ray_filter
 from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
 
-__all__ = ["SMALL_BYTES", "Small", "SmallLanes", "leaf_with_groups", "leaf_with_rays"]
+__all__ = ["SMALL_BYTES", "TESTS", "LeafTests", "Small", "SmallLanes", "leaf_tests"]
 
 _U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _BLOCK_LANES = np.uint64(4)
-_LAST_LANE = np.uint64(15)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 
@@ -118,91 +121,6 @@ def _write_normals(block, small):
 
 
 @device
-def _test_with_group(g, memory, block, lane, lanes, wants_any, filter_):
-    """Test a triangle against a group; returns whether a ray has a nearer hit."""
-    group = Group(memory, g)
-    is_y, is_z = axis_kinds(group)
-    corners = block.corners
-    a = _corner_in_frame(is_y, is_z, corners, _FIRST, lane)
-    b = _corner_in_frame(is_y, is_z, corners, _SECOND, lane)
-    c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
-    origin, shear = three(group.origin), group.shear
-    sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
-    candidates = signs_agree(sheared)
-    if not any_lane(candidates):
-        return False
-    low_x, high_x = _extent_of(corners, _X, lane)
-    low_y, high_y = _extent_of(corners, _Y, lane)
-    low_z, high_z = _extent_of(corners, _Z, lane)
-    t_in, t_out = interval(
-        low_x,
-        low_y,
-        low_z,
-        high_x,
-        high_y,
-        high_z,
-        three(group.inv),
-        three(group.near),
-        three(group.far),
-    )
-    nearest, t_min = group.t, group.t_min
-    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-    if not any_lane(candidates):
-        return False
-    normal = lanes.normal
-    n = in_frame(
-        is_y,
-        is_z,
-        f64x16(normal[_X, lane]),
-        f64x16(normal[_Y, lane]),
-        f64x16(normal[_Z, lane]),
-    )
-    # The distance first: rays that leave a surface meet its triangle behind their origin.
-    t = minimum(maximum(distance_along(a, n, origin, three(group.direction)), t_in), t_out) + _ZERO
-    candidates = candidates & (t >= t_min) & (t <= nearest)
-    if not any_lane(candidates):
-        return False
-    hit, u, v = barycentrics(sheared, False)
-    prim_id, best = i32x16(block.prim_ids[lane]), group.prim_id
-    taken = candidates & hit & ((t < nearest) | (prim_id < best))
-    bits = mask_bits(taken)
-    if bits == _U0:
-        return False
-    if filter_ is not None:
-        taken = kept_lanes(filter_, taken, t, u, v, block.prim_ids[lane], group, g)
-        bits = mask_bits(taken)
-        if bits == _U0:
-            return False
-    group.prim_id = select(taken, prim_id, best)
-    if wants_any:
-        t = f32x16(-_INF)
-    group.t = select(taken, t, nearest)
-    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
-    at = GroupLanes(memory, g)
-    while bits != _U0:
-        k = count_trailing_zeros(bits)
-        bits &= bits - _U1
-        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = at.t[k]
-    return True
-
-
-@device
-def leaf_with_groups(block, groups, count, memory, small, lanes, wants_any, filter_):
-    """Test a block's triangles against the groups of a list; returns the number of hits."""
-    _write_normals(Block(address_of(block)), small)
-    hit_count = _U0
-    for lane in range(_BLOCK_LANES):
-        if block.prim_ids[lane] < np.int32(0):
-            break
-        for j in range(count):
-            g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            hit_count += np.uint64(
-                _test_with_group(g, memory, block, lane, lanes, wants_any, filter_)
-            )
-    return hit_count
-
-
-@device
 def _vertices(hot, block):
     """The vertices of a block's four triangles, in the order of a ray's axes."""
     kx, ky, kz = hot.axes
@@ -231,55 +149,181 @@ def _distances(hot, cold, block, small):
     return distance_along(a, n, hot.origin, cold.direction)
 
 
-@device
-def leaf_with_rays(block, rays, count, memory, small, hits, wants_any, filter_):
-    """Test a block's triangles against the rays of a list; returns the number of hits."""
-    # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one per
-    # ray, mispredictions would take half the time of a leaf.)
-    hots, colds = memory + HOT_AT, memory + COLD_AT
-    candidate_count = _U0
-    for j in range(count):
-        number = load(np.uint32, rays + j * LANE)
-        hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
-        store(hits + candidate_count * LANE, number)
-        candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
-    if candidate_count == _U0:
-        return _U0
+class LeafTests(NamedTuple):
+    """The tests of a block's triangles.
 
-    # Step 2: test these exactly.
-    hit_count = _U0
-    low_x, high_x = _extent(block, _X)
-    low_y, high_y = _extent(block, _Y)
-    low_z, high_z = _extent(block, _Z)
-    _write_normals(block, small)
-    found = small.hits
-    for j in range(candidate_count):
-        number = np.uint64(load(np.uint32, hits + j * LANE))
-        hot, cold = Hot(hots, number), Cold(colds, number)
+    Attributes
+    ----------
+    with_groups, with_rays : device function
+        Against the groups, or the rays, of a list; they return the number of hits.
+    """
+
+    with_groups: Callable[..., Any]
+    with_rays: Callable[..., Any]
+
+
+def leaf_tests(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any]) -> LeafTests:
+    """Make the tests of leaves, which differ in what is kept of the hits.
+
+    Parameters
+    ----------
+    keep_in_group : device function
+        ``keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_)`` keeps the hits of
+        some lanes with a triangle; returns whether there was one.
+    keep_of_ray : device function
+        ``keep_of_ray(memory, number, block, bits, found, wants_any, filter_)`` keeps the hits of a
+        ray with some triangles of a block.
+    """
+
+    @device
+    def test_with_group(g, memory, block, lane, lanes, wants_any, filter_):
+        """Test a triangle against a group; returns whether a ray has a nearer hit."""
+        group = Group(memory, g)
+        is_y, is_z = axis_kinds(group)
+        corners = block.corners
+        a = _corner_in_frame(is_y, is_z, corners, _FIRST, lane)
+        b = _corner_in_frame(is_y, is_z, corners, _SECOND, lane)
+        c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
+        origin, shear = three(group.origin), group.shear
+        sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
+        candidates = signs_agree(sheared)
+        if not any_lane(candidates):
+            return False
+        low_x, high_x = _extent_of(corners, _X, lane)
+        low_y, high_y = _extent_of(corners, _Y, lane)
+        low_z, high_z = _extent_of(corners, _Z, lane)
         t_in, t_out = interval(
-            low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high
+            low_x,
+            low_y,
+            low_z,
+            high_x,
+            high_y,
+            high_z,
+            three(group.inv),
+            three(group.near),
+            three(group.far),
         )
-        nearest, t_min = hot.t, hot.t_min
-        sheared = _sheared(hot, cold, block)
-        candidates = signs_agree(sheared) & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+        nearest, t_min = group.t, group.t_min
+        candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+        if not any_lane(candidates):
+            return False
+        normal = lanes.normal
+        n = in_frame(
+            is_y,
+            is_z,
+            f64x16(normal[_X, lane]),
+            f64x16(normal[_Y, lane]),
+            f64x16(normal[_Z, lane]),
+        )
         # The distance first: rays that leave a surface meet its triangle behind their origin.
-        t = minimum(maximum(_distances(hot, cold, block, small), t_in), t_out) + _ZERO
+        t = distance_along(a, n, origin, three(group.direction))
+        t = minimum(maximum(t, t_in), t_out) + _ZERO
         candidates = candidates & (t >= t_min) & (t <= nearest)
         if not any_lane(candidates):
-            continue
+            return False
         hit, u, v = barycentrics(sheared, False)
-        bits = mask_bits(candidates & hit)
-        if bits != _U0:
-            hit_count += _U1
-            g, k = number >> LANE_SHIFT, number & _LAST_LANE
-            group = GroupLanes(memory, g)
-            own = ray_filter(filter_, group, g, k)
-            found.t, found.u, found.v = t, u, v
-            if not wants_any:
-                _keep_nearest(hot, group, k, block, bits, HitLanes(address_of(found)), own)
-            elif any_kept(own, block, bits, HitLanes(address_of(found))):
-                group.prim_id[k], group.t[k], hot.t = np.int32(0), -_INF, -_INF
-    return hit_count
+        prim_id = block.prim_ids[lane]
+        return keep_in_group(memory, g, candidates & hit, t, u, v, prim_id, wants_any, filter_)
+
+    @device
+    def with_groups(block, groups, count, memory, small, lanes, wants_any, filter_):
+        _write_normals(Block(address_of(block)), small)
+        hit_count = _U0
+        for lane in range(_BLOCK_LANES):
+            if block.prim_ids[lane] < np.int32(0):
+                break
+            for j in range(count):
+                g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
+                hit_count += np.uint64(
+                    test_with_group(g, memory, block, lane, lanes, wants_any, filter_)
+                )
+        return hit_count
+
+    @device
+    def with_rays(block, rays, count, memory, small, hits, wants_any, filter_):
+        # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one
+        # per ray, mispredictions would take half the time of a leaf.)
+        hots, colds = memory + HOT_AT, memory + COLD_AT
+        candidate_count = _U0
+        for j in range(count):
+            number = load(np.uint32, rays + j * LANE)
+            hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
+            store(hits + candidate_count * LANE, number)
+            candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
+        if candidate_count == _U0:
+            return _U0
+
+        # Step 2: test these exactly.
+        hit_count = _U0
+        low_x, high_x = _extent(block, _X)
+        low_y, high_y = _extent(block, _Y)
+        low_z, high_z = _extent(block, _Z)
+        _write_normals(block, small)
+        found = small.hits
+        for j in range(candidate_count):
+            number = np.uint64(load(np.uint32, hits + j * LANE))
+            hot, cold = Hot(hots, number), Cold(colds, number)
+            t_in, t_out = interval(
+                low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high
+            )
+            nearest, t_min = hot.t, hot.t_min
+            sheared = _sheared(hot, cold, block)
+            candidates = signs_agree(sheared)
+            candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+            # The distance first: rays that leave a surface meet its triangle behind their origin.
+            t = minimum(maximum(_distances(hot, cold, block, small), t_in), t_out) + _ZERO
+            candidates = candidates & (t >= t_min) & (t <= nearest)
+            if not any_lane(candidates):
+                continue
+            hit, u, v = barycentrics(sheared, False)
+            bits = mask_bits(candidates & hit)
+            if bits != _U0:
+                hit_count += _U1
+                found.t, found.u, found.v = t, u, v
+                lanes = HitLanes(address_of(found))
+                keep_of_ray(memory, number, block, bits, lanes, wants_any, filter_)
+        return hit_count
+
+    return LeafTests(with_groups, with_rays)
+
+
+@device
+def _keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):
+    """Keep the nearest hits, by t, then prim_id."""
+    group, at = Group(memory, g), GroupLanes(memory, g)
+    nearest, best, prim_ids = group.t, group.prim_id, i32x16(prim_id)
+    taken = taken & ((t < nearest) | (prim_ids < best))
+    bits = mask_bits(taken)
+    if bits == _U0:
+        return False
+    if filter_ is not None:
+        taken = kept_lanes(filter_, taken, t, u, v, prim_id, group, g)
+        bits = mask_bits(taken)
+        if bits == _U0:
+            return False
+    group.prim_id = select(taken, prim_ids, best)
+    if wants_any:
+        t = f32x16(-_INF)
+    group.t = select(taken, t, nearest)
+    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
+    while bits != _U0:
+        k = count_trailing_zeros(bits)
+        bits &= bits - _U1
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = at.t[k]
+    return True
+
+
+@device
+def _keep_of_ray(memory, number, block, bits, found, wants_any, filter_):
+    """Keep the nearest hit of a ray."""
+    hot = Hot(memory + HOT_AT, number)
+    g, k = number >> LANE_SHIFT, number & LAST_LANE
+    group = GroupLanes(memory, g)
+    own = ray_filter(filter_, group, g, k)
+    if not wants_any:
+        _keep_nearest(hot, group, k, block, bits, found, own)
+    elif any_kept(own, block, bits, found):
+        group.prim_id[k], group.t[k], hot.t = np.int32(0), -_INF, -_INF
 
 
 @device
@@ -296,3 +340,7 @@ def _keep_nearest(hot, group, k, block, bits, found, filter_):
             nearest, best = t, prim_id
             group.u[k], group.v[k] = u, v
     hot.t, group.t[k], group.prim_id[k] = nearest, nearest, best
+
+
+#: The tests of a scene's leaves.
+TESTS = leaf_tests(_keep_in_group, _keep_of_ray)

@@ -36,16 +36,19 @@ from raystream.structures.bvh.packet_rays import (
 __all__ = [
     "BLOCK_PACKETS",
     "COLD_AT",
+    "FLAGS_AT",
     "GROUP_SHIFT",
     "HITS_AT",
     "HOT_AT",
     "LANE_SHIFT",
+    "LAST_LANE",
     "LISTS_AT",
     "MEMORY_BYTES",
     "PLACES_AT",
     "RAY_BITS",
     "Cold",
     "Hot",
+    "arrange_group",
     "axis_kinds",
     "in_frame",
     "interval",
@@ -62,6 +65,7 @@ _GROUPS = BLOCK_RAYS // 16
 GROUP_SHIFT = np.uint64(16)
 RAY_BITS = np.uint64(0xFFFF)
 LANE_SHIFT = np.uint64(4)
+LAST_LANE = np.uint64(15)
 _PLACE_SHIFT = np.uint64(3)
 _U0, _U1, _U3 = np.uint64(0), np.uint64(1), np.uint64(3)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -90,9 +94,9 @@ _HOT_BYTES, _COLD_BYTES = np.uint64(_HOT.itemsize), np.uint64(_COLD.itemsize)
 _GROUP_BYTES = np.uint64(GROUP.itemsize)
 HOT_AT = np.uint64(_GROUPS * GROUP.itemsize)
 COLD_AT = HOT_AT + np.uint64(BLOCK_RAYS * _HOT.itemsize)
-_FLAGS_AT = COLD_AT + np.uint64(BLOCK_RAYS * _COLD.itemsize)
+FLAGS_AT = COLD_AT + np.uint64(BLOCK_RAYS * _COLD.itemsize)
 #: With a filter: where each group begins in the batch, see `packet_rays.GroupPlaces`.
-PLACES_AT = _FLAGS_AT + np.uint64(_GROUPS + 64)
+PLACES_AT = FLAGS_AT + np.uint64(_GROUPS + 64)
 HITS_AT = PLACES_AT + np.uint64(8 * _GROUPS)
 LISTS_AT = HITS_AT + np.uint64(4 * BLOCK_RAYS + 64)
 MEMORY_BYTES = int(LISTS_AT) + 4 * (MAX_DEPTH + 1) * 9 * (BLOCK_RAYS + 16) + 64
@@ -126,7 +130,7 @@ def axis_kinds(group):
 
 
 @device
-def _arrange(group, memory, number):
+def arrange_group(group, memory, number):
     """Put a loaded group's numbers into the order of this kernel, and write its rays' records.
 
     `near` and `far` become the slab constants of the low and the high planes; origin and direction
@@ -175,8 +179,8 @@ def load_block(memory, source, first, last, groups, has_filter):
                 store(memory + PLACES_AT + (g << _PLACE_SHIFT), group_entry(ray, length))
                 if not is_slow:
                     set_slow(group)
-            _arrange(group, memory, g << LANE_SHIFT)
-            store(memory + _FLAGS_AT + g, np.uint8(is_slow))
+            arrange_group(group, memory, g << LANE_SHIFT)
+            store(memory + FLAGS_AT + g, np.uint8(is_slow))
             bits = mask_bits(group.t_min <= group.t)
             store(groups + count * LANE, np.uint32((g << GROUP_SHIFT) | bits))
             count += np.uint64(bits != _U0)
@@ -194,7 +198,7 @@ def store_block(memory, order, first, last, wants_any, out):
             ray, length = group_rows(order, packet, row)
             if length == _U0:
                 continue
-            is_slow = load(np.uint8, memory + _FLAGS_AT + g) != np.uint8(0)
+            is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
             store_group(memory + g * _GROUP_BYTES, ray, length, is_slow, wants_any, out)
             g += _U1
 

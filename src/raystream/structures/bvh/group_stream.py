@@ -15,6 +15,9 @@ Ray Distributions on the Intel MIC Architecture", IEEE TVCG 18(9), 2012.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
@@ -44,10 +47,10 @@ from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, Block, BlockLanes
 from raystream.structures.bvh.group_leaf import (
     SMALL_BYTES,
+    TESTS,
+    LeafTests,
     Small,
     SmallLanes,
-    leaf_with_groups,
-    leaf_with_rays,
 )
 from raystream.structures.bvh.group_rays import (
     BLOCK_PACKETS,
@@ -78,7 +81,15 @@ from raystream.structures.bvh.node_layout import (
 from raystream.structures.bvh.packet_filter import block_filter
 from raystream.structures.bvh.packet_rays import Group, three
 
-__all__ = ["BLOCK_PACKETS", "trace_groups"]
+__all__ = [
+    "BLOCK_PACKETS",
+    "STREAM_STACK_BYTES",
+    "RayList",
+    "block_trace",
+    "leaf_visit",
+    "list_rays",
+    "trace_groups",
+]
 
 _PACKETS = np.uint64(BLOCK_PACKETS)
 #: Fewer rays than this per group, on average, continue as single rays.
@@ -105,7 +116,7 @@ _ENTRY = np.dtype(
     ]
 )
 _Entry = view(_ENTRY)
-_STACK_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
+STREAM_STACK_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
 
 
 @device
@@ -211,7 +222,7 @@ def _visit_with_rays(node, rays, count, memory, small, lanes, hits, room):
 
 
 @device
-def _expand(groups, count, memory, t_in, rays):
+def list_rays(groups, count, memory, t_in, rays):
     """List the rays of a list of groups without a hit before t_in; returns their number."""
     kept = _U0
     for j in range(count):
@@ -235,55 +246,117 @@ def _still_wanted(rays, count, memory, t_in):
     return kept
 
 
-@device
-def _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_):
-    """Trace the groups of a list."""
-    lanes = SmallLanes(address_of(small))
-    hits = memory + HITS_AT
-    hit_count = _U0
-    root = _Entry(stack)
-    root.child, root.count, root.list = np.int32(0), np.uint32(count), groups
-    root.room, root.t_in = groups + (count + _LANES) * LANE, -_INF
-    root.hit_count, root.ray_count = np.uint32(0), ray_count
-    top = np.uint64(count != _U0)
-    while top != _U0:
-        top -= _U1
-        entry = _Entry(stack, top)
-        child, at, length, room = entry.child, entry.list, np.uint64(entry.count), entry.room
-        is_grouped = entry.ray_count >= length * _FEW
-        if not is_grouped:
-            if entry.ray_count != _U0:
-                length = _expand(at, length, memory, entry.t_in, room)
-                at = room
-                room += length * LANE
-            elif entry.hit_count != np.uint32(hit_count):
-                length = _still_wanted(at, length, memory, entry.t_in)
-            if length == _U0:
+class RayList(NamedTuple):
+    """The rays that reach a leaf.
+
+    Attributes
+    ----------
+    at, length : uint64
+        Address and length of a list of rays, or of groups.
+    is_grouped : bool
+    t_in : float32
+        No ray enters before.
+    room : uint64
+        Address of memory behind all lists in use.
+    """
+
+    at: np.uint64
+    length: np.uint64
+    is_grouped: bool
+    t_in: np.float32
+    room: np.uint64
+
+
+def leaf_visit(tests: LeafTests) -> Callable[..., Any]:
+    """Make the visit of a leaf of triangles; see `block_trace`."""
+    with_groups, with_rays = tests
+
+    @device
+    def visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
+        lanes, hits, hit_count = SmallLanes(address_of(small)), memory + HITS_AT, _U0
+        at, length = rays.at, rays.length
+        block = leaf_address(tree.leaves, child)
+        end = leaf_end(block, child)
+        while block != end:
+            if rays.is_grouped:
+                hit_count += with_groups(
+                    BlockLanes(block),
+                    rays.at,
+                    rays.length,
+                    memory,
+                    small,
+                    lanes,
+                    wants_any,
+                    filter_,
+                )
+            else:
+                hit_count += with_rays(
+                    Block(block), at, length, memory, small, hits, wants_any, filter_
+                )
+            block += BLOCK
+        return hit_count
+
+    return visit_leaf
+
+
+def block_trace(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the descent of the groups of a list.
+
+    Parameters
+    ----------
+    visit_leaf : device function
+        ``visit_leaf(tree, child, rays, memory, small, wants_any, filter_)`` finds the hits of a
+        `RayList`; returns their number.
+
+    Returns
+    -------
+    device function
+        ``trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_)``.
+    """
+
+    def trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_):
+        lanes = SmallLanes(address_of(small))
+        hits = memory + HITS_AT
+        hit_count = _U0
+        root = _Entry(stack)
+        root.child, root.count, root.list = np.int32(0), np.uint32(count), groups
+        root.room, root.t_in = groups + (count + _LANES) * LANE, -_INF
+        root.hit_count, root.ray_count = np.uint32(0), ray_count
+        top = np.uint64(count != _U0)
+        while top != _U0:
+            top -= _U1
+            entry = _Entry(stack, top)
+            child, at, length, room = entry.child, entry.list, np.uint64(entry.count), entry.room
+            is_grouped = entry.ray_count >= length * _FEW
+            if not is_grouped:
+                if entry.ray_count != _U0:
+                    length = list_rays(at, length, memory, entry.t_in, room)
+                    at = room
+                    room += length * LANE
+                elif entry.hit_count != np.uint32(hit_count):
+                    length = _still_wanted(at, length, memory, entry.t_in)
+                if length == _U0:
+                    continue
+            if child < np.int32(0):
+                rays = RayList(at, length, is_grouped, entry.t_in, room)
+                hit_count += visit_leaf(tree, child, rays, memory, small, wants_any, filter_)
                 continue
-        if child < np.int32(0):
-            block = leaf_address(tree.leaves, child)
-            end = leaf_end(block, child)
-            while block != end:
-                if is_grouped:
-                    hit_count += leaf_with_groups(
-                        BlockLanes(block), at, length, memory, small, lanes, wants_any, filter_
-                    )
-                else:
-                    hit_count += leaf_with_rays(
-                        Block(block), at, length, memory, small, hits, wants_any, filter_
-                    )
-                block += BLOCK
-            continue
-        number = np.uint64(child)
-        if is_grouped:
-            room = _visit_with_groups(
-                NodeLanes(tree.nodes, number), at, length, memory, small, lanes, room
-            )
-        else:
-            room = _visit_with_rays(
-                Node(tree.nodes, number), at, length, memory, small, lanes, hits, room
-            )
-        top = _push(stack, top, NodeLanes(tree.nodes, number), small, lanes, room, hit_count, tree)
+            number = np.uint64(child)
+            if is_grouped:
+                room = _visit_with_groups(
+                    NodeLanes(tree.nodes, number), at, length, memory, small, lanes, room
+                )
+            else:
+                room = _visit_with_rays(
+                    Node(tree.nodes, number), at, length, memory, small, lanes, hits, room
+                )
+            node = NodeLanes(tree.nodes, number)
+            top = _push(stack, top, node, small, lanes, room, hit_count, tree)
+
+    return trace_block
+
+
+_trace_block = device(block_trace(leaf_visit(TESTS)))
 
 
 @kernel
@@ -303,7 +376,7 @@ def trace_groups(begin, end, tree, source, wants_any, filter_, out):
     """
     array = np.empty(MEMORY_BYTES + 64, np.uint8)
     memory = (address(array) + np.uint64(63)) & ~np.uint64(63)
-    stack = scratch(_STACK_BYTES)
+    stack = scratch(STREAM_STACK_BYTES)
     small = Small(scratch(SMALL_BYTES))
     groups = memory + LISTS_AT
     mine = block_filter(filter_, memory + PLACES_AT)

@@ -33,6 +33,8 @@ __all__ = [
     "Tree",
     "count_batch",
     "kernel_bytes",
+    "packet_order",
+    "reported_rays",
     "trace_batch",
     "visit_batch",
 ]
@@ -135,7 +137,7 @@ def trace_batch(
         _trace_wavefront(work, 0, count, progress)
         return
     if kernel == "packet":
-        work = work._replace(order=_order_of(work.order, source, tree.frame))
+        work = work._replace(order=packet_order(work.order, source, tree.frame))
     if kernel != "auto":
         _TRACERS[kernel](work, 0, count, progress)
         return
@@ -145,7 +147,7 @@ def trace_batch(
     if races is not None and count >= LEAST_RACE:
         names += rivals(found, guess)
     if "packet" in names:
-        work = work._replace(order=_order_of(work.order, source, tree.frame))
+        work = work._replace(order=packet_order(work.order, source, tree.frame))
     if len(names) > 1 and races is not None:
         kind = (wants_any, filter_ is not None, count.bit_length(), *found.kind())
         _trace_raced(names, kind, work, races, progress)
@@ -179,7 +181,7 @@ def _trace_raced(
         run(name, 0, count, progress)
 
 
-def _order_of(order: BatchOrder, source: RaySource, frame: SceneFrame) -> BatchOrder:
+def packet_order(order: BatchOrder, source: RaySource, frame: SceneFrame) -> BatchOrder:
     """The order of a batch's packets: tiles of its rows, if it is flat and they are found."""
     count = int(order.packets.ray_count)
     if order.packets.width or count < LEAST_RAYS:
@@ -227,7 +229,7 @@ def visit_batch(
     if only_if_narrow and not _suits_packets(tree, source):
         return False
     source, order = _tiled(source)
-    report = _of_rays(progress, len(rays), source.order.packet_count)
+    report = reported_rays(progress, len(rays), source.order.packet_count)
     visit_all(tree.addresses, source, query, sink, report)
     del kept, order
     return True
@@ -246,7 +248,7 @@ def count_batch(
     if only_if_narrow and not _suits_packets(tree, source):
         return False
     source, order = _tiled(source)
-    report = _of_rays(progress, len(rays), source.order.packet_count)
+    report = reported_rays(progress, len(rays), source.order.packet_count)
     sink.counts = count_all(tree.addresses, source, query, report)
     del kept, order
     return True
@@ -266,7 +268,7 @@ def _suits_packets(tree: Tree, source: PacketSource) -> bool:
 
 def _tiled(source: PacketSource) -> tuple[PacketSource, object]:
     """The same rays in tiles, if they are a flat image, and what to keep until traced."""
-    order = _order_of(BatchOrder(source.order), source.rays, source.frame)
+    order = packet_order(BatchOrder(source.order), source.rays, source.frame)
     return source._replace(order=order.packets), order
 
 
@@ -316,7 +318,7 @@ def _trace_packets(work: _Batch, first: int, end: int, progress: Progress | None
         )
 
     share = -(-packet_count // (8 * thread_count()))
-    report = _of_rays(progress, end - first, packet_count)
+    report = reported_rays(progress, end - first, packet_count)
     chunk = max(4, min(share, MOST_PACKETS))
     parallel_for(body, packet_count, chunk, report, joins_chunks=True)
 
@@ -335,11 +337,11 @@ def _trace_groups(work: _Batch, first: int, end: int, progress: Progress | None)
     share = -(-packet_count // (8 * thread_count()))
     if share > BLOCK_PACKETS:  # whole blocks
         share = min(share // BLOCK_PACKETS * BLOCK_PACKETS, MOST_PACKETS)
-    report = _of_rays(progress, end - first, packet_count)
+    report = reported_rays(progress, end - first, packet_count)
     parallel_for(body, packet_count, max(4, share), report, joins_chunks=True)
 
 
-def _of_rays(progress: Progress | None, ray_count: int, packet_count: int) -> Progress | None:
+def reported_rays(progress: Progress | None, ray_count: int, packet_count: int) -> Progress | None:
     """A callback that takes packets done, and reports rays done."""
     if progress is None:
         return None

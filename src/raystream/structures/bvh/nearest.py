@@ -20,7 +20,9 @@ from raystream.jit.simd import (
     fma,
     i32x8,
     lane_numbers,
+    lanes_from_bits,
     load,
+    mask8,
     mask_bits,
     maximum,
     minimum,
@@ -31,21 +33,22 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
-from raystream.kernels.nearest import is_wanted, offer_nearest
-from raystream.kernels.point_queries import point_queries
+from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
+from raystream.kernels.point_queries import PointSearch, point_queries
 from raystream.kernels.point_triangle import squared_distance
 from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.node_layout import CHILDREN, LANE, NODE, Node
+from raystream.structures.bvh.node_layout import BOX_FLIP, CHILDREN, LANE, NODE, NODE_AXIS, Node
 from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
 from raystream.structures.bvh.traversal import STACK_BYTES
 
-__all__ = ["find_nearest"]
+__all__ = ["POINT_SEARCH", "find_nearest"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # four bytes, as a shift
 _DOUBLE = np.uint64(3)  # eight bytes, as a shift
 _STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
+_CHILD_COUNT, _BLOCK_COUNT = np.uint64(8), np.uint64(4)
 _KEY_BITS = np.int32(~7)
 _ZERO = np.float32(0.0)
 _ZERO64 = np.float64(0.0)
@@ -93,15 +96,43 @@ def _keys(distances):
 
 
 @device
-def _enter(planes, point, near, search, limit):
-    """Find the boxes within the limit; see `steps.enter` for the results."""
-    below, above, is_far = near
-    if is_far:
-        x = _far_gap(planes[_LOW_X], planes[_HIGH_X], point[0])
-        y = _far_gap(planes[_LOW_Y], planes[_HIGH_Y], point[1])
-        z = _far_gap(planes[_LOW_Z], planes[_HIGH_Z], point[2])
+def _enter_far(node, point, search, lanes):
+    """Find the boxes within the limit of a point from afar; see `steps.enter` for the results."""
+    planes = Node(node).planes
+    x = _far_gap(planes[_LOW_X], planes[_HIGH_X], point[0])
+    y = _far_gap(planes[_LOW_Y], planes[_HIGH_Y], point[1])
+    z = _far_gap(planes[_LOW_Z], planes[_HIGH_Z], point[2])
+    squared = (x * x + y * y + z * z) * _SHRINK64
+    return _keys(minimum(narrow(squared), f32x8(_MOST))), squared <= search.limit
+
+
+@device
+def _lane_gap(node, axis, lane, x):
+    at = node + axis * NODE_AXIS + (lane << _WORD)
+    low, high = np.float64(load(np.float32, at)), np.float64(load(np.float32, at + BOX_FLIP))
+    return maximum(maximum(low - x, x - high), _ZERO64)
+
+
+@device
+def _enter_far_by_lane(node, point, search, lanes):
+    """The same one child at a time, for threads with few registers."""
+    bits = _NONE
+    for lane in range(_CHILD_COUNT):
+        x = _lane_gap(node, _NONE, lane, point[0])
+        y = _lane_gap(node, _ONE, lane, point[1])
+        z = _lane_gap(node, _ONE + _ONE, lane, point[2])
         squared = (x * x + y * y + z * z) * _SHRINK64
-        return _keys(minimum(narrow(squared), f32x8(_MOST))), squared <= search.limit
+        bits |= np.uint64(squared <= search.limit) << lane
+        key = float_as_bits(minimum(np.float32(squared), _MOST)) & _KEY_BITS
+        store(lanes + (lane << _WORD), np.int32(key | np.int32(lane)))
+    return load(i32x8, lanes), lanes_from_bits(mask8, bits)
+
+
+@device
+def _enter_near(node, near, limit):
+    """Find the boxes within the limit; see `steps.enter` for the results."""
+    planes = Node(node).planes
+    below, above, _ = near
     x = _gap(planes[_LOW_X], planes[_HIGH_X], below[0], above[0])
     y = _gap(planes[_LOW_Y], planes[_HIGH_Y], below[1], above[1])
     z = _gap(planes[_LOW_Z], planes[_HIGH_Z], below[2], above[2])
@@ -165,36 +196,62 @@ def _offer_block(block, point, search, lanes):
 
 
 @device
-def _find(tree, frame, point, search, stack):
-    """Search the tree; see `kernels.point_queries.point_queries` for the arguments."""
-    lanes = scratch(64)
-    near = _near(point, frame)
-    limit = _limit(search)
-    top = begin(tree, _ZERO, limit, stack, _HALF)
-    found, child, top = next_entry(stack, _HALF, top, limit)
-    while found:
-        if is_leaf(child):
-            block, end = leaf_blocks(tree, child)
-            while block != end:
-                search = _offer_block(block, point, search, lanes)
-                block += BLOCK
-            limit = _limit(search)
-        else:
-            node = tree.nodes + np.uint64(child) * NODE
-            keys, entered = _enter(Node(node).planes, point, near, search, limit)
-            bits = mask_bits(entered)
-            if bits != _NONE:
-                if bits & (bits - _ONE) == _NONE:
-                    at = node + CHILDREN + (count_trailing_zeros(bits) << _WORD)
-                    child = load(np.int32, at)
-                    continue
-                top = push(node, keys, entered, False, stack, _HALF, top)
-                top -= LANE  # the last one is within the limit
-                child = load(np.int32, stack + _HALF + top)
-                continue
-        found, child, top = next_entry(stack, _HALF, top, limit)
+def _offer_block_by_lane(block, point, search, lanes):
+    """The same one triangle at a time, for threads with few registers."""
+    for lane in range(_BLOCK_COUNT):
+        place = block + (lane << _WORD)
+        a, b, c = corners_at(place, _STRIDE)
+        squared = squared_distance(point, a, b, c)
+        prim_id = load(np.int32, place + PRIM_IDS)
+        if is_wanted(search, squared, prim_id):
+            search = offer_nearest(search, squared, prim_id, place, _STRIDE)
     return search
 
 
+def _tree_search(enter_far, offer_block):
+    """Make the search of the tree; see `kernels.point_queries.PointSearch`."""
+
+    def find(tree, frame, point, search, stack):
+        lanes = scratch(64)
+        near = _near(point, frame)
+        limit = _limit(search)
+        top = begin(tree, _ZERO, limit, stack, _HALF)
+        found, child, top = next_entry(stack, _HALF, top, limit)
+        while found:
+            if is_leaf(child):
+                block, end = leaf_blocks(tree, child)
+                while block != end:
+                    search = offer_block(block, point, search, lanes)
+                    block += BLOCK
+                limit = _limit(search)
+            else:
+                node = tree.nodes + np.uint64(child) * NODE
+                if near[2]:
+                    keys, entered = enter_far(node, point, search, lanes)
+                else:
+                    keys, entered = _enter_near(node, near, limit)
+                bits = mask_bits(entered)
+                if bits != _NONE:
+                    if bits & (bits - _ONE) == _NONE:
+                        at = node + CHILDREN + (count_trailing_zeros(bits) << _WORD)
+                        child = load(np.int32, at)
+                        continue
+                    top = push(node, keys, entered, False, stack, _HALF, top)
+                    top -= LANE  # the last one is within the limit
+                    child = load(np.int32, stack + _HALF + top)
+                    continue
+            found, child, top = next_entry(stack, _HALF, top, limit)
+        return search
+
+    return find
+
+
+#: The search of a point by a thread of a GPU.
+POINT_SEARCH = PointSearch(
+    device(_tree_search(_enter_far_by_lane, _offer_block_by_lane)), STACK_BYTES
+)
+
 #: The loop over points.
-find_nearest = point_queries(_find, STACK_BYTES)
+find_nearest = point_queries(
+    PointSearch(device(_tree_search(_enter_far, _offer_block)), STACK_BYTES)
+)

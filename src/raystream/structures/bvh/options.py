@@ -42,6 +42,7 @@ class Bvh(StructureOptions):
     structure = "raystream.structures.bvh.structure:BvhStructure"
     forms: ClassVar = {
         "nearest": "raystream.structures.bvh.nearest:find_nearest",
+        "nearest search": "raystream.structures.bvh.nearest:POINT_SEARCH",
         "multipass": "raystream.machines.steps.bvh:steps",
         "cuda kernels": "raystream.cuda.bvh.kernels",
         "cuda build": "raystream.cuda.builders.bvh:build_bvh",

@@ -62,7 +62,7 @@ from raystream.structures.bvh.packet_rays import (
     store_packet,
 )
 
-__all__ = ["TRACE_BYTES", "trace_packet", "trace_packets"]
+__all__ = ["TRACE_BYTES", "packet_trace", "trace_packet", "trace_packets"]
 
 _ZERO = np.float32(0.0)
 _TWO = np.float32(2.0)
@@ -282,44 +282,6 @@ def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
 
 
 @device
-def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_):
-    """Trace the rays of one class: a pass of a packet."""
-    rays = _ray_class(packet, direction_class, max_coordinate)
-    farthest = _farthest(packet)
-    limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
-
-    stack, memory = memory + _MEMORY_BYTES, _Memory(memory)
-    top, child, node, lane = _U0, np.int32(0), _U0, _U0
-    groups = GroupRange(_U0, GROUPS - _U1)
-    while True:
-        if child >= np.int32(0):
-            node = tree.nodes + np.uint64(child) * NODE
-            top = _visit_node(packet, node, rays, farthest, groups, memory, stack, top)
-        else:
-            box, own = box_planes(node, lane, rays), memory.leaf
-            if visit_leaf(packet, child, tree.leaves, box, rays, groups, own, goal, hits, filter_):
-                farthest = _farthest(packet)
-                if farthest == -_INF:
-                    break
-                limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
-        # Pop the nearest child within the search interval.
-        while top != _U0 and _Entry(stack, top - _U1).key > limit:
-            top -= _U1
-        if top == _U0:
-            break
-        top -= _U1
-        entry = _Entry(stack, top)
-        child, groups = entry.child, GroupRange(np.uint64(entry.first), np.uint64(entry.last))
-        node, lane = entry.node, np.uint64(entry.lane)
-
-    for g in range(GROUPS):
-        group = Group(packet, g)
-        mine = group.direction_class == direction_class
-        group.t = select(mine, group.t_active, group.t)
-        group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
-
-
-@device
 def _next_class(packet):
     """The class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(GROUPS):
@@ -329,29 +291,87 @@ def _next_class(packet):
     return NO_CLASS
 
 
-@device
-def trace_packet(packet, tree, max_coordinate, memory, goal, hits, filter_):
-    """Trace a loaded packet.
+def packet_trace(search_leaf):
+    """Make the function that traces a packet.
 
     Parameters
     ----------
-    packet : uint64
-        Address, see `packet_rays`.
-    tree : TreeAddresses
-    max_coordinate : float32
-    memory : uint64
-        Address of `TRACE_BYTES` bytes.
-    goal : uint64
-        `FIRST`, `ANY`, `COUNT` or `ALL` hits, see `packet_leaf`.
-    hits : Collector
-        Takes the hits if the goal is `ALL`.
-    filter_ : PacketFilter or None
-        Decides which first or any hits exist.
+    search_leaf : device function
+        `packet_leaf.visit_leaf`, or another that takes the same.
+
+    Returns
+    -------
+    device function
+        ``trace_packet(packet, tree, max_coordinate, memory, goal, hits, filter_)``
     """
-    direction_class = _next_class(packet)
-    while direction_class != NO_CLASS:
-        _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_)
+
+    @device
+    def trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_):
+        """Trace the rays of one class: a pass of a packet."""
+        rays = _ray_class(packet, direction_class, max_coordinate)
+        farthest = _farthest(packet)
+        limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
+
+        stack, memory = memory + _MEMORY_BYTES, _Memory(memory)
+        top, child, node, lane = _U0, np.int32(0), _U0, _U0
+        groups = GroupRange(_U0, GROUPS - _U1)
+        while True:
+            if child >= np.int32(0):
+                node = tree.nodes + np.uint64(child) * NODE
+                top = _visit_node(packet, node, rays, farthest, groups, memory, stack, top)
+            else:
+                box, own = box_planes(node, lane, rays), memory.leaf
+                if search_leaf(
+                    packet, child, tree.leaves, box, rays, groups, own, goal, hits, filter_
+                ):
+                    farthest = _farthest(packet)
+                    if farthest == -_INF:
+                        break
+                    limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
+            # Pop the nearest child within the search interval.
+            while top != _U0 and _Entry(stack, top - _U1).key > limit:
+                top -= _U1
+            if top == _U0:
+                break
+            top -= _U1
+            entry = _Entry(stack, top)
+            child, groups = entry.child, GroupRange(np.uint64(entry.first), np.uint64(entry.last))
+            node, lane = entry.node, np.uint64(entry.lane)
+
+        for g in range(GROUPS):
+            group = Group(packet, g)
+            mine = group.direction_class == direction_class
+            group.t = select(mine, group.t_active, group.t)
+            group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
+
+    @device
+    def trace_packet(packet, tree, max_coordinate, memory, goal, hits, filter_):
+        """Trace a loaded packet.
+
+        Parameters
+        ----------
+        packet : uint64
+            Address, see `packet_rays`.
+        tree : TreeAddresses
+        max_coordinate : float32
+        memory : uint64
+            Address of `TRACE_BYTES` bytes.
+        goal : uint64
+            `FIRST`, `ANY`, `COUNT` or `ALL` hits, see `packet_leaf`.
+        hits : Collector
+            Takes the hits if the goal is `ALL`.
+        filter_ : PacketFilter or None
+            Decides which first or any hits exist.
+        """
         direction_class = _next_class(packet)
+        while direction_class != NO_CLASS:
+            trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_)
+            direction_class = _next_class(packet)
+
+    return trace_packet
+
+
+trace_packet = packet_trace(visit_leaf)
 
 
 @kernel

@@ -51,6 +51,7 @@ __all__ = [
     "SURFACES",
     "GroupRange",
     "box_planes",
+    "entering_rays",
     "group_range",
     "visit_leaf",
 ]
@@ -116,6 +117,14 @@ def _group_interval(group, planes):
         three(group.near),
         three(group.far),
     )
+
+
+@device
+def entering_rays(packet, g, box, rays):
+    """Bits of the rays of a group that enter a box, see `box_planes`, within their intervals."""
+    group = Group(packet, g)
+    t_in, t_out = _group_interval(group, box)
+    return mask_bits(maximum(t_in, rays.t_min) <= minimum(t_out, group.t_active))
 
 
 @device
@@ -299,8 +308,7 @@ def visit_leaf(packet, child, leaves, box, rays, groups, own, goal, hits, filter
             count += _U1
         for g in range(groups.first, groups.last + _U1):
             group = Group(packet, g)
-            t_in, t_out = _group_interval(group, box)
-            bits = mask_bits(maximum(t_in, rays.t_min) <= minimum(t_out, group.t_active))
+            bits = entering_rays(packet, g, box, rays)
             if bits == _U0:
                 continue
             if goal <= ANY and popcount(bits) <= _FEW:

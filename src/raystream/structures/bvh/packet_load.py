@@ -30,15 +30,15 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.jit.views import address_of
-from raystream.kernels.ray import PAD, TINY_DIRECTION
-from raystream.kernels.ray_source import (
+from raystream.kernels.ray import (
     LEAST_EXPONENT,
     MANTISSA_BITS,
     MOST_EXPONENT,
-    NEAR_REACH,
+    PAD,
     POWER_EXPONENT,
-    load_ray,
+    TINY_DIRECTION,
 )
+from raystream.kernels.ray_source import NEAR_REACH, load_ray
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
     NO_CLASS,
@@ -56,6 +56,7 @@ __all__ = [
     "load_packet",
     "load_rays",
     "prefetch_group",
+    "prepare_group",
     "set_slow",
 ]
 
@@ -220,7 +221,7 @@ def _load_few(lanes, source, first, count, frame, status):
 
 
 @device
-def _prepare_group(group, max_coordinate):
+def prepare_group(group, max_coordinate):
     """`kernels.ray.prepare_ray` of a group, and its direction classes."""
     ox, oy, oz = three(group.origin)
     dx, dy, dz = three(group.direction)
@@ -281,7 +282,7 @@ def load_group(group, first, count, source, frame, status):
         is_slow = False
     else:
         _load_few(GroupLanes(address_of(group)), source, first, count, frame, status)
-    _prepare_group(group, frame.max_coordinate)
+    prepare_group(group, frame.max_coordinate)
     return is_slow
 
 
@@ -302,7 +303,7 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
         Address of 16 statuses.
     """
     is_slow = _group_to_local(group, rays, t_min, t_max, source, _U0, frame, status)
-    _prepare_group(group, frame.max_coordinate)
+    prepare_group(group, frame.max_coordinate)
     return is_slow
 
 

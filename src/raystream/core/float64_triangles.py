@@ -1,0 +1,115 @@
+"""Float64Triangles: the triangles of a scene with their vertices in float64."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import MAX_COORDINATE, MAX_TRIANGLES, Triangles, local_frame
+
+__all__ = ["NOT_IN_FLOAT64", "Float64Triangles"]
+
+#: What does not support float64.
+NOT_IN_FLOAT64 = "not supported with precision='float64'"
+
+#: Triangles whose temporary arrays are made at a time.
+_ROWS = 1 << 18
+
+
+class Float64Triangles(Triangles):
+    """Triangles with vertices in float64, and the same rounded to float32 for boxes.
+
+    What `Triangles` has in the local frame is for boxes: `corners` are rounded to nearest, and
+    `bounds` outward. Hits refer to the vertices in world space. Every finite triangle is in
+    `prim_ids`: one without an area is never hit, whatever its rounded corners are.
+
+    Attributes
+    ----------
+    vertices : ndarray of shape (V, 3), float64
+        Of all meshes, world space; those that are not finite, or beyond `MAX_COORDINATE`, NaN.
+    faces : ndarray of shape (F, 3), int64
+        Rows of `vertices`.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> Float64Triangles:
+        """Make the store of meshes.
+
+        Parameters
+        ----------
+        meshes : sequence of (vertices, faces)
+            As in `Triangles`.
+        """
+        counts = [len(faces) for _, faces in meshes]
+        splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        if splits[-1] > MAX_TRIANGLES:
+            raise ValueError(f"scene: {splits[-1]:,} triangles are more than {MAX_TRIANGLES:,}")
+        vertices = np.concatenate(
+            [np.zeros((0, 3)), *(np.asarray(points, np.float64) for points, _ in meshes)]
+        )
+        firsts = np.cumsum([0, *(len(points) for points, _ in meshes)])
+        faces = np.concatenate(
+            [
+                np.zeros((0, 3), np.int64),
+                *(f.astype(np.int64) + n for (_, f), n in zip(meshes, firsts, strict=False)),
+            ]
+        )
+        with np.errstate(invalid="ignore"):
+            is_usable = (np.abs(vertices) <= MAX_COORDINATE).all(axis=1)
+        vertices[~is_usable] = np.nan
+        is_finite = is_usable[faces].all(axis=1)
+        used = np.zeros(len(vertices), bool)
+        used[faces[is_finite]] = True
+        points = vertices[used]
+        if len(points):
+            center, scale = local_frame(points.min(axis=0), points.max(axis=0))
+        else:
+            center, scale = np.zeros(3), 1.0
+        made = cls.__new__(cls)
+        made.vertices, made.faces = vertices, faces
+        made.center, made.scale, made.mesh_splits = center, scale, splits
+        made._restore = made._rounded
+        made._corners = corners = made._rounded()
+        made.nonfinite_count = int(np.count_nonzero(~is_finite))
+        bounds = np.zeros((2, 3), np.float32)
+        if len(points):
+            local = made.to_local(points)
+            bounds[0] = np.nextafter(local.min(axis=0), np.float32(-np.inf))
+            bounds[1] = np.nextafter(local.max(axis=0), np.float32(np.inf))
+        del corners
+        made._set_solid(is_finite, bounds)
+        return made
+
+    def _rounded(self) -> NDArray[np.float32]:
+        """`corners`, from the vertices."""
+        corners = np.empty((len(self.faces), 3, 3), np.float32)
+        for first in range(0, len(corners), _ROWS):
+            part = self.faces[first : first + _ROWS]
+            corners[first : first + _ROWS] = self.to_local(self.vertices[part])
+        return corners
+
+    def corners_at(
+        self,
+        prim_id: NDArray[np.int32],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Corners of triangles in world space, shape (..., 3, 3), float64; NaN for -1."""
+        if len(self) == 0:
+            return np.full((*prim_id.shape, 3, 3), np.nan)
+        corners = self.vertices[self.faces[prim_id]]
+        corners[prim_id < 0] = np.nan
+        return corners
+
+    def points_to_world(
+        self,
+        points: NDArray[np.float64],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Points on triangles are in world space already."""
+        return points

@@ -1,0 +1,275 @@
+"""Primitives: triangles, height fields and spheres of one scene, in one local frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.attributes import Attributes
+from raystream.core.errors import RaystreamError
+from raystream.core.height_field import HeightField, LocalField
+from raystream.core.spheres import Spheres, directions_at
+from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
+
+__all__ = ["NOT_TRIANGLES", "Primitives"]
+
+#: What to do where only triangles are supported.
+NOT_TRIANGLES = (
+    "not supported in a scene with spheres or height fields; first_hit, any_hit, multi_hit and "
+    "count_hits are, with structure='bvh' or 'brute' on the CPU's branching machine"
+)
+
+
+class Primitives:
+    """Triangles, height fields and spheres.
+
+    ``prim_id`` counts the triangles of the meshes, then those of the height fields, then the
+    spheres. Kernels give a sphere two numbers, for where a ray enters and leaves it: hits at equal
+    t are ordered by them. `prim_ids_of` converts.
+
+    Parameters
+    ----------
+    triangles : Triangles
+        Of the meshes, in any frame.
+    fields : sequence of HeightField
+    spheres : Spheres
+    attributes : Attributes
+        Of the meshes.
+
+    Attributes
+    ----------
+    triangles : Triangles
+        In the scene's local frame.
+    center : ndarray of shape (3,), float64
+    scale : float
+    bounds : ndarray of shape (2, 3), float32
+    max_coordinate : float32
+        See `Triangles`; around all primitives.
+    mesh_splits : ndarray of shape (M + 1,), int64
+        Meshes, then one row for each height field, then one for all spheres, if there are any.
+    first_fields : ndarray of shape (K + 1,), int64
+        Field k owns the prim_ids in [first_fields[k], first_fields[k + 1]); the last number is the
+        first sphere's.
+
+    Raises
+    ------
+    ValueError
+        If there are too many primitives.
+    """
+
+    def __init__(
+        self,
+        triangles: Triangles,
+        fields: Sequence[HeightField],
+        spheres: Spheres,
+        attributes: Attributes,
+    ) -> None:
+        self._given = triangles, tuple(fields), spheres, attributes
+        self.fields, self.spheres, self.attributes = tuple(fields), spheres, attributes
+        counts = np.array([len(triangles), *map(len, fields)], np.int64)
+        self.first_fields = np.cumsum(counts)
+        kernel_count = int(self.first_fields[-1]) + 2 * len(spheres)
+        if kernel_count > MAX_TRIANGLES:
+            raise ValueError(
+                f"scene: {int(self.first_fields[-1]):,} triangles (of height fields, too) and "
+                f"twice {len(spheres):,} spheres are more than {MAX_TRIANGLES:,}"
+            )
+        ends = [*self.first_fields[1:], *([len(self)] if len(spheres) else [])]
+        self.mesh_splits = np.concatenate([triangles.mesh_splits, ends]).astype(np.int64)
+        world = self._bounds(triangles)
+        count = len(triangles.prim_ids) + len(spheres)
+        self._is_empty = not count and all(one.is_empty for one in fields)
+        self.center, self.scale = (np.zeros(3), 1.0) if self._is_empty else local_frame(*world)
+        self.triangles = self._in_frame(triangles)
+        bounds = (world - self.center) * self.scale
+        self.bounds = bounds.astype(np.float32)
+        self.max_coordinate = np.float32(np.abs(self.bounds).max())
+
+    def _bounds(self, triangles: Triangles) -> NDArray[np.float64]:
+        """The box around all primitives, world space."""
+        boxes = [one.bounds for one in self.fields if not one.is_empty]
+        if len(triangles.prim_ids):
+            boxes.append(triangles.world_bounds)
+        if len(self.spheres):
+            boxes.append(self.spheres.bounds)
+        if not boxes:
+            return np.zeros((2, 3))
+        low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
+        return np.array([low, high])
+
+    def _in_frame(self, triangles: Triangles) -> Triangles:
+        """The triangles in the scene's frame."""
+        if triangles.scale == self.scale and np.array_equal(triangles.center, self.center):
+            return triangles
+        world = triangles.to_world(triangles.corners)
+        corners = ((world - self.center) * self.scale).astype(np.float32)
+        moved = Triangles.from_local(corners, triangles.mesh_splits, self.center, self.scale)
+        moved.attributes = triangles.attributes
+        return moved
+
+    def __len__(self) -> int:
+        return int(self.first_fields[-1]) + len(self.spheres)
+
+    def __getattr__(self, name: str) -> Any:
+        # What is written for `Triangles` meets other primitives here.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name in _OF_TRIANGLES:
+            raise RaystreamError(f"triangles.{name}: {NOT_TRIANGLES}")
+        raise AttributeError(f"Primitives has no attribute {name!r}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Primitives, self._given
+
+    @cached_property
+    def local_fields(self) -> tuple[LocalField, ...]:
+        """The height fields in the scene's local frame."""
+        return tuple(one.local(self.center, self.scale) for one in self.fields)
+
+    @property
+    def world_bounds(self) -> NDArray[np.float64]:
+        """`bounds` in world space, shape (2, 3), float64; zeros if nothing can be hit."""
+        return np.zeros((2, 3)) if self._is_empty else self.to_world(self.bounds)
+
+    @property
+    def degenerate_count(self) -> int:
+        """Triangles of the meshes without area."""
+        return self.triangles.degenerate_count
+
+    @property
+    def nonfinite_count(self) -> int:
+        """Triangles of meshes and fields with a vertex that is not finite."""
+        missing = sum(one.missing_count for one in self.fields)
+        return self.triangles.nonfinite_count + missing
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes of the arrays, without those of heights that the caller gave."""
+        held = sum(one.byte_count for one in self.local_fields)
+        spheres = self.spheres.centers.nbytes + self.spheres.radii.nbytes
+        return self.triangles.byte_count + held + spheres
+
+    def prim_ids_of(self, numbers: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The prim_ids of kernels' numbers, see `Primitives`; -1 stays -1."""
+        first = np.int32(self.first_fields[-1])
+        if not len(self.spheres):
+            return numbers
+        return np.where(numbers < first, numbers, first + ((numbers - first) >> 1))
+
+    # Geometry of hits, as `Triangles` has it. Spheres have no corners: NaN.
+
+    def sphere_rows(self, prim_id: NDArray[np.int32]) -> NDArray[np.int64]:
+        """The spheres of hits, -1 for other primitives and misses."""
+        first = int(self.first_fields[-1])
+        return np.where(prim_id >= first, prim_id.astype(np.int64) - first, -1)
+
+    def corners_at(
+        self,
+        prim_id: NDArray[np.int32],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Corners of triangles, shape (..., 3, 3), float64, local frame; NaN for -1."""
+        prims = prim_id.reshape(-1)
+        corners = np.full((len(prims), 3, 3), np.nan)
+        firsts = self.first_fields
+        rows = np.flatnonzero((prims >= 0) & (prims < firsts[0]))
+        if len(rows):
+            corners[rows] = self.triangles.corners[prims[rows]]
+        for k, (field, local) in enumerate(zip(self.fields, self.local_fields, strict=True)):
+            rows = np.flatnonzero((prims >= firsts[k]) & (prims < firsts[k + 1]))
+            if len(rows):
+                corners[rows] = field.corners_of(prims[rows] - firsts[k], local)
+        return corners.reshape(*prim_id.shape, 3, 3)
+
+    def sphere_directions(
+        self, prim_id: NDArray[np.int32], u: NDArray[Any], v: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Unit vectors from spheres' centres to hits; NaN for other primitives and misses."""
+        directions = directions_at(u, v)
+        directions[self.sphere_rows(prim_id) < 0] = np.nan
+        return directions
+
+    def materials_at(self, prim_id: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Materials of hits, int32; -1 for misses."""
+        materials = np.full(prim_id.shape, -1, np.int32)
+        firsts = self.first_fields
+        is_triangle = (prim_id >= 0) & (prim_id < firsts[0])
+        materials[is_triangle] = self.attributes.material_ids[prim_id[is_triangle]]
+        for k, field in enumerate(self.fields):
+            is_here = (prim_id >= firsts[k]) & (prim_id < firsts[k + 1])
+            materials[is_here] = field.material_id
+        spheres = self.sphere_rows(prim_id)
+        materials[spheres >= 0] = self.spheres.material_ids[spheres[spheres >= 0]]
+        return materials
+
+    def to_world(self, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Move local points of shape (..., 3) into world space."""
+        return np.asarray(points, np.float64) / self.scale + self.center
+
+    def points_to_world(
+        self,
+        points: NDArray[np.float64],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Move points of shape (..., 3) from the local frame to world space."""
+        return self.to_world(points)
+
+    def normals_to_world(
+        self,
+        normals: NDArray[np.float64],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Unit normals in world space."""
+        return normals
+
+    def directions_to_local(
+        self,
+        directions: NDArray[Any],
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> NDArray[Any]:
+        """World directions in the local frame, of any length."""
+        return directions
+
+    def reaches_at(
+        self,
+        instance_id: NDArray[np.int32],  # noqa: ARG002
+    ) -> tuple[Any, Any]:
+        """See `Triangles.reaches_at`."""
+        return float(self.max_coordinate), np.abs(self.center).max() * self.scale
+
+    def some(self, most: int) -> Triangles:
+        """Some triangles near the primitives, to choose a camera by.
+
+        Parameters
+        ----------
+        most : int
+            How many of each kind, at most. Spheres stand as two triangles across their box.
+        """
+        count = int(self.first_fields[-1])
+        numbers = np.arange(0, count, max(1, -(-count // most)), dtype=np.int32)
+        corners = self.corners_at(numbers, numbers)
+        points = [self.to_world(corners).reshape(-1, 3)]
+        step = max(1, -(-2 * len(self.spheres) // most))
+        centers, radii = self.spheres.centers[::step], self.spheres.radii[::step, None]
+        for a, b, c in _ACROSS:
+            points.append(np.stack([centers + radii * k for k in (a, b, c)], axis=1).reshape(-1, 3))
+        vertices = np.concatenate(points)
+        faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+        return Triangles([(vertices, faces)])
+
+
+#: Corners of two triangles across the unit cube.
+_ACROSS = np.array(
+    [[[-1, -1, -1], [1, 1, -1], [1, 1, 1]], [[1, -1, -1], [-1, 1, -1], [-1, 1, 1]]], np.float64
+)
+
+#: Attributes of `Triangles` that other primitives cannot have.
+_OF_TRIANGLES = frozenset(
+    name
+    for name in (*vars(Triangles), *Triangles.__annotations__)
+    if not (name.startswith("_") or name in vars(Primitives))
+)

@@ -1,0 +1,103 @@
+"""Spheres: centres and radii in float64, and points on them by two numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.triangles import MAX_COORDINATE
+
+__all__ = ["Spheres", "directions_at"]
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Spheres in world space.
+
+    Attributes
+    ----------
+    centers : ndarray of shape (N, 3), float64
+    radii : ndarray of shape (N,), float64
+    material_ids : ndarray of shape (N,), int32
+    """
+
+    centers: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    material_ids: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, centers: Any, radii: Any, material_ids: Any = 0) -> Spheres:
+        """Check the arguments of `Scene.spheres`, and copy them."""
+        places = as_real_array("centers", centers).astype(np.float64)
+        if places.size == 0:
+            places = places.reshape(0, 3)
+        if places.ndim != 2 or places.shape[1] != 3:
+            raise ValueError(f"centers: expected shape (N, 3), got {places.shape}")
+        count = len(places)
+        sizes = _spread("radii", as_real_array("radii", radii), count).astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            is_sound = (np.abs(places) <= MAX_COORDINATE).all(axis=1)
+        if not is_sound.all():
+            bad = int(np.argmin(is_sound))
+            raise ValueError(
+                f"centers: expected finite coordinates, at most 2**200; row {bad} is "
+                f"{places[bad].tolist()}, and {count - int(is_sound.sum()):,} rows are not; leave "
+                "them out"
+            )
+        with np.errstate(invalid="ignore"):
+            is_sound = (sizes > 0.0) & (sizes <= MAX_COORDINATE)
+        if not is_sound.all():
+            bad = int(np.argmin(is_sound))
+            raise ValueError(
+                f"radii: expected finite numbers above 0, got {sizes[bad]} for sphere {bad}"
+            )
+        ids = as_host_array("material_ids", material_ids)
+        if ids.dtype.kind not in "iu":
+            raise TypeError(f"material_ids: expected integers, got {ids.dtype}")
+        if ids.size and not (ids.min() >= 0 and ids.max() < 2**31):
+            raise ValueError("material_ids: expected numbers of materials, from 0")
+        return cls(places, sizes, _spread("material_ids", ids, count).astype(np.int32))
+
+    def __len__(self) -> int:
+        return len(self.radii)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """The box around all spheres, shape (2, 3); zeros without any."""
+        if not len(self.radii):
+            return np.zeros((2, 3))
+        low = (self.centers - self.radii[:, None]).min(axis=0)
+        return np.array([low, (self.centers + self.radii[:, None]).max(axis=0)])
+
+
+def _spread(name: str, values: NDArray[Any], count: int) -> NDArray[Any]:
+    if values.shape not in ((), (count,)):
+        raise ValueError(f"{name}: expected one number or shape ({count},), got {values.shape}")
+    return np.broadcast_to(values, (count,))
+
+
+def directions_at(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
+    """Unit vectors, shape (..., 3), from centres to the points (u, v) of spheres.
+
+    The octahedron |x| + |y| + |z| = 1 is folded flat: its upper half is the square's inner
+    diamond, and its lower half the four corners [1]_.
+
+    References
+    ----------
+    .. [1] Cigolle, Donow, Evangelakos, Mara, McGuire and Meyer, "A Survey of Efficient
+       Representations for Independent Unit Vectors", Journal of Computer Graphics Techniques
+       3(2), 2014.
+    """
+    x = 2.0 * np.asarray(u, np.float64) - 1.0
+    y = 2.0 * np.asarray(v, np.float64) - 1.0
+    z = 1.0 - np.abs(x) - np.abs(y)
+    is_below = z < 0.0
+    folded_x = np.where(is_below, (1.0 - np.abs(y)) * np.copysign(1.0, x), x)
+    folded_y = np.where(is_below, (1.0 - np.abs(x)) * np.copysign(1.0, y), y)
+    points = np.stack([folded_x, folded_y, z], axis=-1)
+    unit: NDArray[np.float64] = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    return unit

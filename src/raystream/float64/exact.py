@@ -1,0 +1,214 @@
+"""Whether a ray hits a triangle, and where: exactly, in as few digits as that takes.
+
+First with numbers of twice the precision of float64, and bounds of their errors; what is still in
+doubt, such as rays through edges and vertices, by exact sums of products.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.float64.block import AXIS, SECOND, THIRD
+from raystream.float64.double_numbers import (
+    add_double,
+    cross_double,
+    cross_with,
+    difference,
+    divide_double,
+    dot_double,
+    dot_with,
+    negate_double,
+)
+from raystream.float64.expansions import determinant_value, rounded_ratio
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import absolute, load, maximum, minimum
+
+__all__ = ["resolve", "settle"]
+
+#: Errors of weights, as parts of h (M + h), see `float64.block`: 2**-96 with a margin.
+_SIGN_ERROR = np.float64(2.0**-94)
+
+#: Errors of the numerator of a distance, as a part of M h h, of its denominator, as a part of
+#: h h, and of the division.
+_TOP_ERROR = np.float64(2.0**-96)
+_BASE_ERROR = np.float64(2.0**-96)
+_RATIO_ERROR = np.float64(2.0**-98)
+
+#: With a smaller sum of the weights, as a part of h (M + h), they are computed exactly.
+_LEAST_BASE = np.float64(2.0**-40)
+
+_ZERO = np.float64(0.0)
+_ONE = np.float64(1.0)
+_INF = np.float64(np.inf)
+
+
+@device
+def _corner(at):
+    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
+
+
+@device
+def _differences(x, y):
+    return difference(x[0], y[0]), difference(x[1], y[1]), difference(x[2], y[2])
+
+
+@device
+def _largest(x):
+    return maximum(maximum(absolute(x[0][0]), absolute(x[1][0])), absolute(x[2][0]))
+
+
+@device
+def _estimate(a, b, c, origin, direction):
+    """Weights and distance with numbers of twice the precision.
+
+    Parameters
+    ----------
+    a, b, c, origin, direction : triple of float64 numbers or vectors
+
+    Returns
+    -------
+    vectors : tuple
+        Vertex 0 from the origin, and the two edges there, exactly.
+    weights : tuple
+        Numbers in proportion to the weights of vertices 0, 1, 2, and the inverse of their sum.
+    is_sure : bool or mask
+        Whether the signs of the three are known, and the sum well enough for the quotients.
+    t : number or vector
+        About the distance.
+    is_rounded : bool or mask
+        Whether `t` is the distance, rounded to nearest, for sure. If all numbers within the bounds
+        round to the same one, that is it. (Ziv, "Fast Evaluation of Elementary Mathematical
+        Functions with Correctly Rounded Last Bit", ACM TOMS 17(3), 1991.)
+    """
+    corner = _differences(a, origin)
+    p, q = _differences(b, a), _differences(c, a)
+    reach, h = _largest(corner), maximum(_largest(p), _largest(q))
+    moment, normal = cross_with(corner, direction), cross_double(p, q)
+    v, w = dot_double(q, moment), negate_double(dot_double(p, moment))
+    base, top = dot_with(normal, direction), dot_double(corner, normal)
+    u = add_double(add_double(base, negate_double(v)), negate_double(w))
+    size = h * (reach + h)
+    least = minimum(minimum(absolute(u[0]), absolute(v[0])), absolute(w[0]))
+    total = absolute(base[0])
+    is_sure = (least > size * _SIGN_ERROR) & (total > size * _LEAST_BASE)
+    t, rest = divide_double(top, base)
+    length, inverse = absolute(t), _ONE / base[0]
+    slack = h * h * (reach * _TOP_ERROR + length * _BASE_ERROR) * absolute(inverse)
+    slack += length * _RATIO_ERROR
+    is_rounded = (t + (rest + slack) == t) & (t + (rest - slack) == t)
+    weights = u[0], v[0], w[0], inverse
+    return (corner, p, q), weights, is_sure, t, is_rounded
+
+
+@device
+def settle(a, b, c, origin, direction):
+    """Distances and weights of rays that hit triangles for sure, where that is easily known.
+
+    Parameters
+    ----------
+    a, b, c, origin, direction : triple of float64 vectors
+
+    Returns
+    -------
+    is_settled : mask
+        The others are left to `resolve`, with which these have equal bits.
+    t, u, v : float64 vector
+    """
+    _, weights, is_sure, t, is_rounded = _estimate(a, b, c, origin, direction)
+    _, weight_v, weight_w, inverse = weights
+    u, v = absolute(weight_v * inverse), absolute(weight_w * inverse)
+    return is_sure & is_rounded, t, minimum(u, _ONE), minimum(v, _ONE)
+
+
+@device
+def _alone(x):
+    """A triple of float64 numbers as sums of two."""
+    return (x[0], _ZERO), (x[1], _ZERO), (x[2], _ZERO)
+
+
+@device
+def _pick(k, x):
+    return x[0] if k == 0 else (x[1] if k == 1 else x[2])
+
+
+@device
+def _image_difference(edge, d, k, z):
+    """An edge along axis k, in the frame whose z axis is the ray, times d[z]: the sign is exact."""
+    # edge[k] * d[z] - edge[z] * d[k], as a determinant with a unit vector.
+    zero, one = (_ZERO, _ZERO), (_ONE, _ZERO)
+    first = _pick(k, edge), _pick(z, edge), zero
+    second = (_pick(k, d), _ZERO), (_pick(z, d), _ZERO), zero
+    return determinant_value(first, second, (zero, zero, one))
+
+
+@device_call
+def _moved_sign(edge, d):
+    """Sign of a weight that is 0 once the ray moves by (e, e * e), e to 0: the top-left rule.
+
+    Parameters
+    ----------
+    edge : triple of sums of two
+        The opposite edge, in the order in which the vertices run.
+    d : triple of float64
+        The ray's direction. It moves along the axes of its frame, as in `kernels.triangle`.
+    """
+    no_inline()
+    ax, ay, az = abs(d[0]), abs(d[1]), abs(d[2])
+    z = 0
+    if ay > ax:
+        z = 1
+    if az > max(ax, ay):
+        z = 2
+    x = z + 1 if z < 2 else 0
+    y = x + 1 if x < 2 else 0
+    across = _image_difference(edge, d, y, z)
+    return -across if across != 0.0 else _image_difference(edge, d, x, z)
+
+
+@device_call
+def resolve(line, place, surfaces):
+    """Intersect a ray with a triangle.
+
+    Parameters
+    ----------
+    line : Line
+    place : uint64
+        Address of the triangle's first number in a block.
+    surfaces : bool
+        Whether a ray exactly through an edge or a vertex hits every triangle there (False), or
+        one per crossing of the surface (True).
+
+    Returns
+    -------
+    hit : bool
+        Whether the ray's line hits the triangle, at any t.
+    t, u, v : float64
+        The distance, rounded to nearest from the exact value, in lengths of the line's direction;
+        weights of vertices 1 and 2, within a few units in the last place.
+    """
+    no_inline()
+    o, d = line.origin, line.direction
+    a, b, c = _corner(place), _corner(place + SECOND), _corner(place + THIRD)
+    vectors, weights, is_sure, t, is_rounded = _estimate(a, b, c, o, d)
+    corner, p, q = vectors
+    weight_u, weight_v, weight_w, inverse = weights
+    if not is_sure:
+        way = _alone(d)
+        weight_u = determinant_value(way, _differences(b, o), _differences(c, o))
+        weight_v = determinant_value(q, corner, way)
+        weight_w = -determinant_value(p, corner, way)
+        inverse = _ONE / determinant_value(way, p, q)
+    low, high = min(weight_u, weight_v, weight_w), max(weight_u, weight_v, weight_w)
+    if (low < 0.0 and high > 0.0) or (low == 0.0 and high == 0.0):
+        return False, _INF, _ZERO, _ZERO
+    if surfaces and (low == 0.0 or high == 0.0):
+        sign_u = weight_u if weight_u != 0.0 else _moved_sign(_differences(c, b), d)
+        sign_v = weight_v if weight_v != 0.0 else _moved_sign(_differences(a, c), d)
+        sign_w = weight_w if weight_w != 0.0 else _moved_sign(p, d)
+        if not (min(sign_u, sign_v, sign_w) > 0.0 or max(sign_u, sign_v, sign_w) < 0.0):
+            return False, _INF, _ZERO, _ZERO
+    if not is_rounded:
+        t = rounded_ratio(corner, p, q, _alone(d))
+    first, second = abs(weight_v * inverse), abs(weight_w * inverse)
+    return True, t, min(first, _ONE), min(second, _ONE)

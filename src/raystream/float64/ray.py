@@ -1,0 +1,268 @@
+"""A ray in float64, prepared for the tests of boxes and triangles.
+
+Triangles are tested in world space with the numbers that the caller gave. Boxes are in the scene's
+local frame, in float32; their distances are computed in float64, with bounds of the rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.core.rays import RayStatus
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import bits_as_float, copy_sign, float_as_bits
+from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
+from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS
+
+__all__ = [
+    "LEAST",
+    "LEAST_EXPONENT",
+    "MOST_COORDINATE",
+    "MOST_EXPONENT",
+    "ExactRay",
+    "Line",
+    "exact_line",
+    "exact_ray",
+    "local_origin",
+    "prepare_exact",
+    "reported",
+    "widened_far",
+    "widened_near",
+]
+
+#: Coordinates of smaller magnitude, and components of directions smaller than this part of the
+#: largest one, count as 0: products of their rounding errors would leave float64.
+LEAST = 2.0**-200
+
+#: Coordinates of larger magnitude make a ray invalid.
+MOST_COORDINATE = 2.0**200
+
+#: Boxes are padded by this part of the scene's and the origin's largest coordinates together:
+#: the origin is rounded twice, the reciprocal direction twice, and the distance twice, which is
+#: less than 8 units of 2**-53; and clamped directions, see below.
+_PAD = 2.0**-49
+
+#: Direction components are clamped to this in tests of boxes, where the largest is at least 1: over
+#: the distance to the scene's far end such a ray moves by less than the padding.
+_TINY = 2.0**-56
+
+#: Limits are widened by this part for boxes: a distance that is rounded to the limit may exceed it.
+_SLACK = 2.0**-50
+
+#: Biased exponents of direction lengths that one product scales to [1, 2).
+LEAST_EXPONENT, MOST_EXPONENT = np.int64(1023 - 900), np.int64(1023 + 900)
+
+_LARGEST = np.float64(np.finfo(np.float64).max)
+_VALID = np.uint8(RayStatus.VALID)
+_INVALID = np.uint8(RayStatus.INVALID)
+_NONE = np.uint64(0)
+_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
+_ZERO = np.float64(0.0)
+_ONE = np.float64(1.0)
+_INF = np.float64(np.inf)
+
+#: An axis of `ExactRay.inv`, `near` and `far`, and of a node's planes.
+_Triple = tuple[np.float64, np.float64, np.float64]
+
+
+class Line(NamedTuple):
+    """What the tests of triangles take of a ray.
+
+    Attributes
+    ----------
+    origin : triple of float64
+        World space.
+    direction : triple of float64
+        The largest component is in [1, 2): a power of two times the given one.
+    t_min, t_max : float64
+        Closed interval in lengths of `direction`; empty for an invalid ray.
+    """
+
+    origin: _Triple
+    direction: _Triple
+    t_min: np.float64
+    t_max: np.float64
+
+
+class ExactRay(NamedTuple):
+    """A ray, all along the world's axes.
+
+    Attributes
+    ----------
+    line : Line
+    half, rest : float64
+        Powers of two whose product is the length of `direction` in given lengths.
+    planes : triple of uint64
+        Offsets of the planes that the ray enters by in a node.
+    inv, near, far : triple of float64
+        The distance to a plane is fma(plane, inv, near), and to one behind fma(plane, inv, far).
+    status : uint8
+        A `RayStatus`.
+    """
+
+    line: Line
+    half: np.float64
+    rest: np.float64
+    planes: tuple[np.uint64, np.uint64, np.uint64]
+    inv: _Triple
+    near: _Triple
+    far: _Triple
+    status: np.uint8
+
+
+@device
+def reported(t, ray):
+    """A distance in the lengths of the given direction."""
+    # A distance beyond float64 is still a hit: only a miss is infinite.
+    return min(max(t * ray.half * ray.rest, -_LARGEST), _LARGEST)
+
+
+@device
+def widened_near(t):
+    """The limit below which boxes are left out, for the limit `t` of hits."""
+    return t - abs(t) * _SLACK
+
+
+@device
+def widened_far(t):
+    """The limit above which boxes are left out, for the limit `t` of hits."""
+    return t + abs(t) * _SLACK
+
+
+@device
+def _kept(x):
+    return x if abs(x) >= LEAST else _ZERO
+
+
+@device
+def _first_planes(axis, inv):
+    """Offset of the planes of an axis that a ray enters by; see `node_layout.plane_offset`."""
+    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else _NONE)
+
+
+@device
+def _inverse(d, inverse_scale):
+    return copy_sign(inverse_scale / max(abs(d), _TINY), d)
+
+
+@device
+def _is_valid(origin, direction, t_min, t_max):
+    # Written so that a NaN fails.
+    ox, oy, oz = origin
+    dx, dy, dz = direction
+    if not (
+        abs(ox) <= MOST_COORDINATE and abs(oy) <= MOST_COORDINATE and abs(oz) <= MOST_COORDINATE
+    ):
+        return False
+    if not (abs(dx) < np.inf and abs(dy) < np.inf and abs(dz) < np.inf):
+        return False
+    if dx == 0.0 and dy == 0.0 and dz == 0.0:
+        return False
+    return t_min == t_min and t_max == t_max
+
+
+@device_call
+def _scaled_slowly(direction):
+    """Factors and the scaled direction, for lengths that one product does not scale."""
+    no_inline()
+    dx, dy, dz = direction
+    exponent = 1 - math.frexp(max(abs(dx), abs(dy), abs(dz)))[1]
+    # In two steps no factor overflows, even for the smallest directions.
+    half = math.ldexp(1.0, exponent // 2)
+    rest = math.ldexp(1.0, exponent - exponent // 2)
+    return half, rest, dx * half * rest, dy * half * rest, dz * half * rest
+
+
+@device
+def exact_line(origin, direction, t_min, t_max):
+    """Make the line of a ray.
+
+    Parameters
+    ----------
+    origin, direction : triple of float64
+        World space.
+    t_min, t_max : float64
+        Closed interval, in direction lengths.
+
+    Returns
+    -------
+    line : Line
+    half, rest : float64
+        See `ExactRay`.
+    status : uint8
+    """
+    status = _VALID
+    if not _is_valid(origin, direction, t_min, t_max):
+        status, t_min, t_max = _INVALID, _INF, -_INF
+        origin, direction = (_ZERO, _ZERO, _ZERO), (_ONE, _ONE, _ONE)
+    dx, dy, dz = direction
+    exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
+    if exponent >= LEAST_EXPONENT and exponent <= MOST_EXPONENT:
+        half, rest = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS), _ONE
+        inverse = bits_as_float(exponent << MANTISSA_BITS)
+        t_min, t_max = t_min * inverse, t_max * inverse
+        dx, dy, dz = dx * half, dy * half, dz * half
+    else:
+        half, rest, dx, dy, dz = _scaled_slowly(direction)
+        t_min, t_max = t_min / half / rest, t_max / half / rest
+    ways = _kept(dx), _kept(dy), _kept(dz)
+    start = _kept(origin[0]), _kept(origin[1]), _kept(origin[2])
+    return Line(start, ways, t_min, t_max), half, rest, status
+
+
+@device
+def local_origin(line, frame):
+    """The origin in the scene's local frame."""
+    ox, oy, oz = line.origin
+    return (
+        (ox - frame.center[0]) * frame.scale,
+        (oy - frame.center[1]) * frame.scale,
+        (oz - frame.center[2]) * frame.scale,
+    )
+
+
+@device_call
+def prepare_exact(origin, direction, t_min, t_max, frame):
+    """Prepare a ray.
+
+    Parameters
+    ----------
+    origin, direction : triple of float64
+        World space.
+    t_min, t_max : float64
+        Closed interval, in direction lengths.
+    frame : SceneFrame
+
+    Returns
+    -------
+    ExactRay
+    """
+    no_inline()
+    line, half, rest, status = exact_line(origin, direction, t_min, t_max)
+    return exact_ray(line, half, rest, status, frame)
+
+
+@device
+def exact_ray(line, half, rest, status, frame):
+    """The ray of a line; see `exact_line` for the arguments."""
+    dx, dy, dz = line.direction
+    x, y, z = local_origin(line, frame)
+    pad = _PAD * (np.float64(frame.max_coordinate) + max(abs(x), abs(y), abs(z)))
+    inv_x = _inverse(dx, frame.inverse_scale)
+    inv_y = _inverse(dy, frame.inverse_scale)
+    inv_z = _inverse(dz, frame.inverse_scale)
+    pad_x, pad_y, pad_z = copy_sign(pad, inv_x), copy_sign(pad, inv_y), copy_sign(pad, inv_z)
+    return ExactRay(
+        line,
+        half,
+        rest,
+        (_first_planes(_X, inv_x), _first_planes(_Y, inv_y), _first_planes(_Z, inv_z)),
+        (inv_x, inv_y, inv_z),
+        (-((x + pad_x) * inv_x), -((y + pad_y) * inv_y), -((z + pad_z) * inv_z)),
+        (-((x - pad_x) * inv_x), -((y - pad_y) * inv_y), -((z - pad_z) * inv_z)),
+        status,
+    )

@@ -1,0 +1,257 @@
+"""Streams of groups in float64: the kernel for many incoherent rays.
+
+Lists of groups of 16 rays descend the tree as in `structures.bvh.group_stream`; leaves test
+triangles in float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.float64.block import (
+    AXIS,
+    BLOCK,
+    HIGH,
+    PRIM_IDS,
+    SECOND,
+    THIRD,
+    leaf_end,
+    test_block,
+    triangle_edges,
+)
+from raystream.float64.sixteen import (
+    SIXTEEN,
+    Sixteen,
+    SixteenLanes,
+    finish_sixteen,
+    keep,
+    line_of,
+    load_sixteen,
+    short_far,
+    test_sixteen,
+)
+from raystream.float64.traversal import STACK_BYTES
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import (
+    address,
+    count_trailing_zeros,
+    lanes_from_bits,
+    load,
+    mask16,
+    mask_bits,
+    scratch,
+    select,
+)
+from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
+from raystream.structures.bvh.group_rays import (
+    FLAGS_AT,
+    GROUP_SHIFT,
+    HOT_AT,
+    LANE_SHIFT,
+    LISTS_AT,
+    MEMORY_BYTES,
+    Hot,
+    load_block,
+)
+from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, block_trace
+from raystream.structures.bvh.node_layout import LANE, leaf_address
+from raystream.structures.bvh.packet_rays import (
+    GROUPS,
+    PACKET_RAYS,
+    Group,
+    GroupLanes,
+    PacketSource,
+    group_rows,
+)
+
+__all__ = ["BLOCK_RAYS", "WORKING_BYTES", "trace_exact"]
+
+#: Rays that descend the tree together.
+BLOCK_RAYS = 4096
+_PACKETS = np.uint64(BLOCK_RAYS // PACKET_RAYS)
+
+_SIXTEENS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
+_SIXTEEN_BYTES = np.uint64(SIXTEEN.itemsize)
+
+#: Bytes of memory of a call, of which most are never touched.
+WORKING_BYTES = int(_SIXTEENS_AT) + BLOCK_RAYS // 16 * SIXTEEN.itemsize + 64
+
+_NONE, _ONE = np.uint64(0), np.uint64(1)
+_WORD, _DOUBLE = np.uint64(2), np.uint64(3)
+_BLOCK_LANES, _LAST_LANE = np.uint64(4), np.uint64(15)
+_LANES = np.uint64(16)
+_ALL = np.uint64(0xFFFF)
+_MOST_AT = np.uint64(128)
+_SPAN_BYTES = 256
+_INF = np.float64(np.inf)
+_INF32 = np.float32(np.inf)
+
+
+@device
+def _sixteen(memory, g):
+    return memory + _SIXTEENS_AT + g * _SIXTEEN_BYTES
+
+
+@device
+def _load(memory, first, last, source, order, frame):
+    """Load the rays of packets in float64, after `load_block`."""
+    g = _NONE
+    for packet in range(first, last):
+        for row in range(GROUPS):
+            ray, length = group_rows(order, packet, row)
+            if length == _NONE:
+                continue
+            local = GroupLanes(memory, g)
+            is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
+            load_sixteen(_sixteen(memory, g), source, ray, length, frame, is_slow, local)
+            if is_slow:
+                lanes = SixteenLanes(_sixteen(memory, g))
+                for k in range(_LANES):
+                    if lanes.far[k] == -_INF:
+                        local.t[k] = -_INF32
+                        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = -_INF32
+            g += _ONE
+
+
+@device
+def _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any):
+    """Offer a triangle that may be hit to a ray; returns whether its interval became shorter."""
+    lanes = SixteenLanes(_sixteen(memory, g))
+    if not keep(lanes, k, low, high, is_sure, place, prim_id, wants_any):
+        return False
+    far = short_far(lanes, k)
+    GroupLanes(memory, g).t[k] = far
+    Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = far
+    return True
+
+
+@device
+def _all_rays():
+    return lanes_from_bits(mask16, _ALL)
+
+
+@device
+def _triple(at):
+    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
+
+
+@device
+def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
+    """Test a block's triangles against the groups of a list; returns the number of hits."""
+    hit_count = _NONE
+    for lane in range(_BLOCK_LANES):
+        prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
+        if prim_id < np.int32(0):
+            break
+        place = block + (lane << _DOUBLE)
+        a = _triple(place)
+        edges = triangle_edges(a, _triple(place + SECOND), _triple(place + THIRD))
+        for j in range(count):
+            g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
+            group = Sixteen(_sixteen(memory, g))
+            taken, far, doubtful = test_sixteen(
+                group, _all_rays(), a, edges, place, prim_id, wants_any, spans
+            )
+            bits = mask_bits(taken)
+            if bits != _NONE:
+                hit_count += _ONE
+                local = Group(memory, g)
+                local.t = select(taken, far, local.t)
+                lanes = GroupLanes(memory, g)
+                while bits != _NONE:
+                    k = count_trailing_zeros(bits)
+                    bits &= bits - _ONE
+                    Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = lanes.t[k]
+            while doubtful != _NONE:
+                k = count_trailing_zeros(doubtful)
+                doubtful &= doubtful - _ONE
+                low = load(np.float64, spans + (k << _DOUBLE))
+                high = load(np.float64, spans + _MOST_AT + (k << _DOUBLE))
+                is_sure = high < _INF
+                hit_count += np.uint64(
+                    _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any)
+                )
+    return hit_count
+
+
+@device
+def _leaf_with_rays(block, rays, count, memory, wants_any, spans):
+    """Test a block's triangles against the rays of a list; returns the number of hits."""
+    hit_count = _NONE
+    for j in range(count):
+        number = np.uint64(load(np.uint32, rays + j * LANE))
+        g, k = number >> LANE_SHIFT, number & _LAST_LANE
+        lanes = SixteenLanes(_sixteen(memory, g))
+        line = line_of(lanes, k)
+        found, sure = test_block(block, line, line.t_min, lanes.far[k], spans)
+        while found != _NONE:
+            lane = count_trailing_zeros(found)
+            found &= found - _ONE
+            low = load(np.float64, spans + (lane << _DOUBLE))
+            high = load(np.float64, spans + HIGH + (lane << _DOUBLE))
+            is_sure = (sure >> lane) & _ONE != _NONE
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
+            place = block + (lane << _DOUBLE)
+            is_kept = _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any)
+            hit_count += np.uint64(is_kept)
+            if wants_any and is_kept:
+                break
+    return hit_count
+
+
+@device
+def _visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
+    """Test a leaf in float64; see `group_stream.block_trace`."""
+    spans, hit_count = scratch(_SPAN_BYTES), _NONE
+    block = leaf_address(tree.leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
+        if rays.is_grouped:
+            hit_count += _leaf_with_groups(block, rays.at, rays.length, memory, wants_any, spans)
+        else:
+            hit_count += _leaf_with_rays(block, rays.at, rays.length, memory, wants_any, spans)
+        block += BLOCK
+    return hit_count
+
+
+_trace_block = device(block_trace(_visit_leaf))
+
+
+@kernel
+def trace_exact(begin, end, tree, frame, source, order, wants_any, status, rows):
+    """Trace packets begin to end.
+
+    Parameters
+    ----------
+    begin, end : int
+    tree : ExactTree
+        With nodes.
+    frame : SceneFrame
+    source : ExactSource
+    order : PacketOrder
+    wants_any : bool
+        Find whether there is a hit, else the nearest one.
+    status : ndarray of shape (N,), uint8
+    rows : ExactRows
+        See `sixteen.finish_sixteen`.
+    """
+    array = np.empty(WORKING_BYTES, np.uint8)
+    memory = (address(array) + np.uint64(63)) & ~np.uint64(63)
+    stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(64))
+    small, groups = Small(scratch(SMALL_BYTES)), memory + LISTS_AT
+    packets = PacketSource(source.rays, order, frame, address(status))
+    for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
+        last = min(first + _PACKETS, np.uint64(end))
+        count, ray_count = load_block(memory, packets, first, last, groups, False)
+        _load(memory, first, last, source, order, frame)
+        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, None)
+        g = _NONE
+        for packet in range(first, last):
+            for row in range(GROUPS):
+                ray, length = group_rows(order, packet, row)
+                if length != _NONE:
+                    at = _sixteen(memory, g)
+                    finish_sixteen(at, ray, length, tree, frame, wants_any, status, rows, own)
+                    g += _ONE
+    # The memory must outlive its addresses.
+    array[0] = np.uint8(0)

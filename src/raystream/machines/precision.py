@@ -1,0 +1,55 @@
+"""The triangles of a tracer in the precision that it was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
+from raystream.core.scene_checks import check_plain
+from raystream.core.triangles import Triangles
+from raystream.kernels.move_triangles import move_triangles
+
+__all__ = ["moved_triangles", "triangles_of"]
+
+
+def triangles_of(tracer: Any, scene: Any, precision: str) -> Any:
+    """The triangles that a tracer's structure is built from.
+
+    Parameters
+    ----------
+    tracer : Tracer
+        Configured.
+    scene : Scene
+    precision : {"float32", "float64"}
+
+    Raises
+    ------
+    ValueError
+        If the precision is unknown, or not supported by the device, machine or counters.
+    RaystreamError
+        If the scene has instances, and the precision is float64.
+    """
+    if precision not in ("float32", "float64"):
+        raise ValueError(f"precision: expected 'float32' or 'float64', got {precision!r}")
+    triangles = scene.triangles
+    if precision == "float32":
+        return triangles
+    if (tracer.device, tracer.machine) != ("cpu", "branching"):
+        raise ValueError(
+            f"device={tracer.device!r}, machine={tracer.machine!r}: {NOT_IN_FLOAT64}; use "
+            "device='cpu' with machine='branching'"
+        )
+    if tracer.is_counting:
+        raise ValueError(f"counters=True: {NOT_IN_FLOAT64}")
+    check_plain("precision='float64'", triangles)
+    made = Float64Triangles.of([(mesh.vertices, mesh.faces) for mesh in scene.meshes])
+    made.attributes = scene.attributes
+    return made
+
+
+def moved_triangles(triangles: Triangles, meshes: Sequence[Any]) -> Triangles:
+    """Triangles with other vertices, in the same precision; see `move_triangles`."""
+    if isinstance(triangles, Float64Triangles):
+        return Float64Triangles.of(meshes)
+    return move_triangles(triangles, meshes)

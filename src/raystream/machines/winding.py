@@ -1,0 +1,136 @@
+"""Winding numbers of points: exact sums, or a tree's, which says how far off it may be."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.jit.threads import Progress, parallel_for, part_of
+from raystream.kernels.winding import LANES, winding_numbers
+from raystream.kernels.winding_tree import order_bytes, tree_winding_numbers, winding_tree_of
+
+__all__ = ["inside_by_winding", "winding_of"]
+
+#: Solid angles per call of the exact kernel: some 20 milliseconds.
+_ANGLES_PER_CALL = 1 << 23
+
+#: Points of a call of the tree's kernel, which sorts them.
+_POINTS_PER_CALL = 1 << 12
+
+#: Fewer triangles are summed exactly, and those of fewer points: a tree would take longer.
+_LEAST_TRIANGLES, _LEAST_POINTS = 512, 256
+
+#: Groups are expanded from where their radius is this much of the distance. The next is tried for
+#: points that the one before left undecided, and then the exact sum.
+_OPENINGS = (0.5, 0.2, 0.05)
+
+#: The bound is rarely above the third power of the opening. The first to try for an accuracy has
+#: this much of that; the least is one that is worthwhile.
+_CUBE, _LEAST_OPENING = 0.7, 0.008
+
+#: Coordinates beyond this are invalid, as those of rays.
+_FARTHEST = 2.0**200
+
+
+def winding_of(
+    triangles: Triangles,
+    points: NDArray[np.generic],
+    progress: Progress | None = None,
+    accuracy: float = 0.0,
+) -> NDArray[np.float64]:
+    """Winding numbers of points of shape (N, 3), world space; NaN for invalid ones."""
+    is_valid, local = _local(triangles, points)
+    numbers = np.full(len(points), np.nan)
+    most = min((accuracy * _CUBE) ** (1.0 / 3.0), _OPENINGS[0])
+    openings = (most, 0.5 * most) if most >= _LEAST_OPENING else ()
+    numbers[is_valid] = _numbers(triangles, local, openings, accuracy, progress)
+    return numbers
+
+
+def inside_by_winding(
+    triangles: Triangles, points: NDArray[np.generic], progress: Progress | None = None
+) -> NDArray[np.bool_]:
+    """Whether winding numbers of points of shape (N, 3) are above 1/2 or below -1/2.
+
+    Decided by the exact sum wherever the tree's bounds leave a doubt.
+    """
+    is_valid, local = _local(triangles, points)
+    inside = np.zeros(len(points), bool)
+    inside[is_valid] = np.abs(_numbers(triangles, local, _OPENINGS, None, progress)) > 0.5
+    return inside
+
+
+def _local(
+    triangles: Triangles, points: NDArray[np.generic]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """The valid points, in the local frame."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        is_valid = (np.abs(points) <= _FARTHEST).all(axis=-1)
+        local = (np.asarray(points[is_valid], np.float64) - triangles.center) * triangles.scale
+    return is_valid, local
+
+
+def _numbers(
+    triangles: Triangles,
+    local: NDArray[np.float64],
+    openings: tuple[float, ...],
+    accuracy: float | None,
+    progress: Progress | None,
+) -> NDArray[np.float64]:
+    """Winding numbers within `accuracy`, or if it is None, on the right side of 1/2 and -1/2."""
+    count = len(local)
+    numbers = np.zeros(count)
+    if len(triangles.prim_ids) < _LEAST_TRIANGLES or count < _LEAST_POINTS:
+        openings = ()
+    left = np.arange(count)
+    for opening in openings:
+        found, errors = _by_tree(triangles, local[left], opening, _rest(progress, count, left))
+        numbers[left] = found
+        room = np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy
+        left = left[~(errors < room)]
+        if not len(left):
+            break
+    numbers[left] = _exact(triangles, local[left], _rest(progress, count, left))
+    return numbers
+
+
+def _rest(progress: Progress | None, count: int, left: NDArray[np.int64]) -> Progress | None:
+    """Progress of the points that are left of `count`."""
+    return part_of(progress, count - len(left), count)
+
+
+def _by_tree(
+    triangles: Triangles,
+    local: NDArray[np.float64],
+    opening: float,
+    progress: Progress | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Winding numbers, and bounds of their errors."""
+    tree = winding_tree_of(triangles)
+    numbers, errors = np.empty(len(local)), np.empty(len(local))
+
+    def body(begin: int, end: int) -> None:
+        work = np.empty(order_bytes(end - begin), np.uint8)
+        tree_winding_numbers(begin, end, local, tree, opening, work, numbers, errors)
+
+    parallel_for(body, len(local), _POINTS_PER_CALL, progress)
+    return numbers, errors
+
+
+def _exact(
+    triangles: Triangles, local: NDArray[np.float64], progress: Progress | None
+) -> NDArray[np.float64]:
+    """Winding numbers by the sum over all triangles."""
+    found = np.zeros(len(local))
+    corners, prim_ids = triangles.corners, np.ascontiguousarray(triangles.prim_ids)
+
+    def body(begin: int, end: int) -> None:
+        winding_numbers(begin, end, local, corners, prim_ids, found)
+
+    if len(prim_ids):
+        most = max(_ANGLES_PER_CALL // len(prim_ids) // LANES, 1) * LANES
+        parallel_for(body, len(local), most, progress)
+    elif progress:
+        progress(len(local), len(local))
+    return found

@@ -1,0 +1,1 @@
+"""Primitives beside triangles: spheres, and terrain as height fields without triangles."""

@@ -1,0 +1,280 @@
+"""The traversal of a height field: a tree of blocks of cells, down to triangles made on the way.
+
+A cell's triangles are written as lanes of a leaf block and tested by the function of all leaves, so
+they have the bits of a mesh's. Nodes are left out by the slab test of all structures, which is
+monotone: a node's padded box holds those of its triangles. So the tree leaves out no hit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    count_trailing_zeros,
+    f32x4,
+    fma,
+    lanes_from_bits,
+    load,
+    mask4,
+    mask_bits,
+    maximum,
+    minimum,
+    select,
+    store,
+)
+from raystream.kernels.leaf_block import AXIS, SECOND, THIRD, test_block
+from raystream.kernels.search import is_full, offer
+from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
+from raystream.kernels.triangle_lanes import slab_interval
+from raystream.primitives.levels import BLOCK_CELLS
+from raystream.primitives.records import LevelRecord
+
+__all__ = ["FIELD_BYTES", "traverse_all_cells", "traverse_field"]
+
+_NONE, _ONE, _TWO, _THREE, _FOUR, _FIVE = np.arange(6, dtype=np.uint64)
+_ZERO = np.float32(0.0)
+_TURNED = np.int32(1)
+_CELLS = np.uint64(BLOCK_CELLS)
+_LANES = np.uint64(4)
+
+#: An entry of the stack: the distance at which the ray enters a node, its level, column and row.
+_ENTRY = np.uint64(16)
+
+#: Three nodes of each level remain on the stack, and four of the last: at most 30 levels fit.
+_STACK = np.uint64(2048)
+
+#: Lanes of the children in the second column, and in the second row.
+_SECOND_COLUMN, _SECOND_ROW = np.uint64(10), np.uint64(12)
+
+#: Of `test_block`.
+_BLOCK = np.uint64(192)
+_U, _V = np.uint64(16), np.uint64(32)
+
+#: Memory of a traversal.
+FIELD_BYTES = 2048 + 192 + 64
+
+
+@device
+def _plane(at, index):
+    return load(np.float32, at + (index << _TWO))
+
+
+@device
+def _spans(at, first, size, count, inv, near, far):
+    """Where a ray enters and leaves two neighbouring nodes along one axis: two pairs of numbers."""
+    middle, end = min(first + size, count), min(first + size + size, count)
+    a, b, c = _plane(at, first), _plane(at, middle), _plane(at, end)
+    lows, highs = (min(a, b), min(b, c)), (max(a, b), max(b, c))
+    if inv < _ZERO:
+        lows, highs = highs, lows
+    t_in = fma(lows[0], inv, near), fma(lows[1], inv, near)
+    return t_in, (fma(highs[0], inv, far), fma(highs[1], inv, far))
+
+
+@device
+def _enter(field, level, column, row, ray):
+    """The slab intervals of four nodes: f32x4 of distances in and out.
+
+    Parameters
+    ----------
+    field : FieldRecord
+    level : LevelRecord
+    column, row : uint64
+        Of the group of four.
+    ray : Ray
+    """
+    size = level.size
+    left, top = (column << _ONE) * size, (row << _ONE) * size
+    x_in, x_out = _spans(field.x, left, size, field.columns, ray.inv_x, ray.near_x, ray.far_x)
+    y_in, y_out = _spans(field.y, top, size, field.rows, ray.inv_y, ray.near_y, ray.far_y)
+    at = field.ranges + ((level.first + row * level.columns + column) << _FIVE)
+    low, high = load(f32x4, at), load(f32x4, at + np.uint64(16))
+    is_down = ray.inv_z < _ZERO
+    z_in = fma(select(is_down, high, low), ray.inv_z, ray.near_z)
+    z_out = fma(select(is_down, low, high), ray.inv_z, ray.far_z)
+    across, along = lanes_from_bits(mask4, _SECOND_COLUMN), lanes_from_bits(mask4, _SECOND_ROW)
+    t_in = maximum(
+        maximum(_pair(across, x_in), _pair(along, y_in)),
+        z_in,
+    )
+    t_out = minimum(
+        minimum(_pair(across, x_out), _pair(along, y_out)),
+        z_out,
+    )
+    return t_in, t_out
+
+
+@device
+def _pair(is_second, pair):
+    return select(is_second, f32x4(pair[1]), f32x4(pair[0]))
+
+
+@device
+def traverse_field(field, ray, line, search, stack):
+    """Offer the hits of a ray with a height field to a search.
+
+    Parameters
+    ----------
+    field : FieldRecord
+    ray : Ray
+    line : BlockRay
+        The same one.
+    search : Search
+        Not full.
+    stack : uint64
+        Address of `FIELD_BYTES`.
+
+    Returns
+    -------
+    Search
+    """
+    # The first child is the one that rays of this direction enter first.
+    turn_x = np.uint64((ray.inv_x < _ZERO) != (field.x_falls == _TURNED))
+    turn_y = np.uint64((ray.inv_y < _ZERO) != (field.y_falls == _TURNED))
+    turn = turn_x | (turn_y << _ONE)
+    distances = stack + _STACK
+    top = _NONE
+    if search.t_min <= search.t_far:
+        store(stack, search.t_min)
+        store(stack + np.uint64(4), np.int32(field.level_count))
+        store(stack + np.uint64(8), np.int32(0))
+        store(stack + np.uint64(12), np.int32(0))
+        top = _ENTRY
+    while top != _NONE:
+        top -= _ENTRY
+        at = stack + top
+        if load(np.float32, at) > search.t_far:
+            continue
+        level = np.uint64(load(np.int32, at + np.uint64(4)))
+        column = np.uint64(load(np.int32, at + np.uint64(8)))
+        row = np.uint64(load(np.int32, at + np.uint64(12)))
+        if level == _NONE:
+            add_to(search.counters, LEAVES, _ONE)
+            place = row * _CELLS, column * _CELLS
+            search = _search_cells(field, place, turn_y, ray, line, search, stack + _STACK)
+            if is_full(search):
+                break
+            continue
+        add_to(search.counters, STEPS, _ONE)
+        level -= _ONE
+        t_in, t_out = _enter(field, LevelRecord(field.levels, level), column, row, ray)
+        entered = mask_bits((t_in <= t_out) & (t_in <= search.t_far) & (t_out >= search.t_min))
+        store(distances, t_in)
+        for k in range(_FOUR):  # the last one is visited first
+            child = (_THREE - k) ^ turn
+            at = stack + top  # overwritten by the next one, if the ray does not enter this one
+            store(at, load(np.float32, distances + (child << _TWO)))
+            store(at + np.uint64(4), np.int32(level))
+            store(at + np.uint64(8), np.int32((column << _ONE) + (child & _ONE)))
+            store(at + np.uint64(12), np.int32((row << _ONE) + (child >> _ONE)))
+            top += ((entered >> child) & _ONE) * _ENTRY
+    return search
+
+
+@device
+def _search_cells(field, place, turn_y, ray, line, search, blocks):
+    """Test the cells of a node of the finest level, row by row."""
+    first_row, column = place
+    for k in range(_CELLS):
+        row = first_row + (_CELLS - _ONE - k if turn_y == _ONE else k)
+        if row < field.rows:
+            search = _search_row(field, row, column, ray, line, search, blocks)
+            if is_full(search):
+                break
+    return search
+
+
+@device
+def traverse_all_cells(field, ray, line, search, stack):
+    """Like `traverse_field`, without the tree: all cells, row by row."""
+    for row in range(field.rows):
+        column = _NONE
+        while column < field.columns:
+            search = _search_row(field, row, column, ray, line, search, stack + _STACK)
+            if is_full(search):
+                return search
+            column += _CELLS
+    return search
+
+
+@device
+def _store_corner(at, x, y, z):
+    store(at, x)
+    store(at + AXIS, y)
+    store(at + AXIS + AXIS, z)
+
+
+@device
+def _search_row(field, row, column, ray, line, search, blocks):
+    """Test four cells of a row."""
+    # Step 1: the corners. Past the end of a row x is NaN, and where there is no data z is.
+    top = field.heights + ((row * field.width + column) << _TWO)
+    bottom = top + (field.width << _TWO)
+    za, zb = load(f32x4, top), load(f32x4, top + _FOUR)
+    zd, zc = load(f32x4, bottom), load(f32x4, bottom + _FOUR)
+    across = field.x + (column << _TWO)
+    x_left, x_right = load(f32x4, across), load(f32x4, across + _FOUR)
+    y_top, y_bottom = _plane(field.y, row), _plane(field.y, row + _ONE)
+    # Local coordinates are too small for an overflow: a sum is NaN if one of its terms is.
+    ends = x_left + x_right + (za + zc)
+    known_upper, known_lower = ends + zb, ends + zd
+    known = (known_upper == known_upper) | (known_lower == known_lower)
+
+    # Step 2: the cells' boxes, where all four corners are known.
+    all_known = (known_upper == known_upper) & (known_lower == known_lower)
+    low_z = minimum(minimum(za, zb), minimum(zc, zd))
+    high_z = maximum(maximum(za, zb), maximum(zc, zd))
+    low_x, high_x = minimum(x_left, x_right), maximum(x_left, x_right)
+    low_y, high_y = f32x4(min(y_top, y_bottom)), f32x4(max(y_top, y_bottom))
+    back_x, back_y, back_z = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
+    t_in, t_out = slab_interval(
+        select(back_x, high_x, low_x),
+        select(back_y, high_y, low_y),
+        select(back_z, high_z, low_z),
+        select(back_x, low_x, high_x),
+        select(back_y, low_y, high_y),
+        select(back_z, low_z, high_z),
+        (ray.inv_x, ray.inv_y, ray.inv_z),
+        (ray.near_x, ray.near_y, ray.near_z),
+        (ray.far_x, ray.far_y, ray.far_z),
+    )
+    missed = (t_in > t_out) | (t_in > search.t_far) | (t_out < search.t_min)
+    if mask_bits(known) & ~mask_bits(missed & all_known) == _NONE:
+        return search
+
+    # Step 3: the triangles.
+    add_to(search.counters, TESTS, _LANES + _LANES)
+    lanes = blocks + _BLOCK
+    turns = field.turns == _TURNED
+    y_upper, y_lower = f32x4(y_top), f32x4(y_bottom)
+    for half in range(_TWO):
+        is_upper = half == _NONE
+        # a, b, c and a, c, d; the last two exchanged where fronts would point down.
+        corner_c = blocks + (SECOND if turns == is_upper else THIRD)
+        other = blocks + (THIRD if turns == is_upper else SECOND)
+        _store_corner(blocks, x_left, y_upper, za)
+        _store_corner(corner_c, x_right, y_lower, zc)
+        if is_upper:
+            _store_corner(other, x_right, y_upper, zb)
+        else:
+            _store_corner(other, x_left, y_lower, zd)
+        bits = test_block(blocks, line, search.t_min, search.t_far, search.surfaces, lanes)
+        is_known = known_upper if is_upper else known_lower
+        bits &= mask_bits(is_known == is_known)
+        while bits != _NONE:
+            k = count_trailing_zeros(bits)
+            bits &= bits - _ONE
+            at = lanes + (k << _TWO)
+            cell = row * field.columns + column + k
+            number = np.int32(field.first_id + np.int32((cell << _ONE) + half))
+            search = offer(
+                search,
+                load(np.float32, at),
+                load(np.float32, at + _U),
+                load(np.float32, at + _V),
+                number,
+            )
+            if is_full(search):
+                return search
+    return search

@@ -1,0 +1,284 @@
+"""The sphere test: four spheres against a ray, in float64.
+
+Of the two roots of a quadratic equation, one is a difference of numbers that may be nearly equal.
+Here neither is: the ray's closest point to the centre gives the discriminant without cancellation
+for origins far away, and the root that would cancel comes from the product of both [1]_ [2]_.
+
+As for triangles, t is clamped to the padded slab interval of the sphere's own box. So a hit lies in
+the interval of every box that holds the sphere, and a tree leaves out no hit.
+
+References
+----------
+.. [1] Haines, Guenther and Akenine-Moller, "Precision Improvements for Ray/Sphere Intersection",
+   Ray Tracing Gems, chapter 7, 2019.
+.. [2] Press, Teukolsky, Vetterling and Flannery, "Numerical Recipes", section 5.6.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import (
+    absolute,
+    any_lane,
+    bits_as_float,
+    copy_sign,
+    count_trailing_zeros,
+    f64x4,
+    float_as_bits,
+    load,
+    mask_bits,
+    maximum,
+    minimum,
+    narrow,
+    scratch,
+    select,
+    square_root,
+    store,
+)
+from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
+from raystream.kernels.search import is_full, offer
+from raystream.kernels.tally import TESTS, add_to
+from raystream.kernels.triangle_lanes import slab_interval
+from raystream.primitives.records import SPHERES_PER_BLOCK, SphereBlock
+
+__all__ = ["BOX_GROWTH", "ExactRay", "exact_ray", "intersect_spheres"]
+
+_NONE, _ONE, _TWO, _THREE = np.arange(4, dtype=np.uint64)
+_ZERO = np.float32(0.0)
+_ZERO64 = np.float64(0.0)
+_ONE64 = np.float64(1.0)
+_HALF64 = np.float64(0.5)
+_LANES = np.uint64(SPHERES_PER_BLOCK)
+
+#: A sphere's box, float32, is grown by this part of (its radius + its centre's coordinate): four
+#: times what the roundings of both, and of their sum, amount to.
+BOX_GROWTH = np.float32(2.0**-22)
+
+# Offsets of what `_test` leaves of the lanes: t of both hits, then the ray's closest point to the
+# centre, from there, and half the way in the sphere.
+_FAR = np.uint64(16)
+_X, _Y, _Z, _H = np.uint64(32), np.uint64(64), np.uint64(96), np.uint64(128)
+
+_LARGEST_EXPONENT = np.int64(2046)
+
+
+class ExactRay(NamedTuple):
+    """A ray in float64.
+
+    Attributes
+    ----------
+    ox, oy, oz : float64
+        World space.
+    dx, dy, dz : float64
+        Scaled by the power of two that the local ray's direction is scaled by.
+    inv_square : float64
+        1 / the square of the direction's length.
+    offset : float64
+        The local distance by which the local ray's origin was advanced.
+    cx, cy, cz, scale : float64
+        The scene's local frame.
+    """
+
+    ox: np.float64
+    oy: np.float64
+    oz: np.float64
+    dx: np.float64
+    dy: np.float64
+    dz: np.float64
+    inv_square: np.float64
+    offset: np.float64
+    cx: np.float64
+    cy: np.float64
+    cz: np.float64
+    scale: np.float64
+
+
+@device_call
+def _scaled_slowly(dx, dy, dz):
+    exponent = math.frexp(max(abs(dx), abs(dy), abs(dz)))[1]
+    half = math.ldexp(1.0, (1 - exponent) // 2)
+    rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
+    return dx * half * rest, dy * half * rest, dz * half * rest
+
+
+@device
+def _scaled(dx, dy, dz):
+    """A direction whose largest component is in [1, 2); nothing useful of an invalid ray's."""
+    exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
+    if exponent > 0 and exponent < _LARGEST_EXPONENT:
+        power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
+        return dx * power, dy * power, dz * power
+    return _scaled_slowly(dx, dy, dz)
+
+
+@device
+def exact_ray(numbers, ray, frame):
+    """A ray in float64.
+
+    Parameters
+    ----------
+    numbers : tuple of six float64
+        Origin and direction, world space.
+    ray : LocalRay
+        The same one.
+    frame : SceneFrame
+
+    Returns
+    -------
+    ExactRay
+    """
+    ox, oy, oz, dx, dy, dz = numbers
+    dx, dy, dz = _scaled(dx, dy, dz)
+    center = frame.center
+    return ExactRay(
+        ox,
+        oy,
+        oz,
+        dx,
+        dy,
+        dz,
+        _ONE64 / (dx * dx + dy * dy + dz * dz),
+        ray.t_offset / ray.t_scale,
+        center[0],
+        center[1],
+        center[2],
+        np.float64(frame.scale),
+    )
+
+
+@device
+def _own_interval(spheres, ray, exact):
+    """The padded slab intervals of the spheres' boxes."""
+    x = narrow((spheres.x - exact.cx) * exact.scale)
+    y = narrow((spheres.y - exact.cy) * exact.scale)
+    z = narrow((spheres.z - exact.cz) * exact.scale)
+    radius = narrow(spheres.radius * exact.scale)
+    reach_x = radius + (absolute(x) + radius) * BOX_GROWTH
+    reach_y = radius + (absolute(y) + radius) * BOX_GROWTH
+    reach_z = radius + (absolute(z) + radius) * BOX_GROWTH
+    back_x, back_y, back_z = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
+    return slab_interval(
+        select(back_x, x + reach_x, x - reach_x),
+        select(back_y, y + reach_y, y - reach_y),
+        select(back_z, z + reach_z, z - reach_z),
+        select(back_x, x - reach_x, x + reach_x),
+        select(back_y, y - reach_y, y + reach_y),
+        select(back_z, z - reach_z, z + reach_z),
+        (ray.inv_x, ray.inv_y, ray.inv_z),
+        (ray.near_x, ray.near_y, ray.near_z),
+        (ray.far_x, ray.far_y, ray.far_z),
+    )
+
+
+@device
+def _test(spheres, ray, exact, t_min, t_far, lanes):
+    """Test four spheres; returns the bits of those that are entered, and left, in the interval."""
+    # Step 1: the centres' distances from the line, at its closest point.
+    fx = (exact.ox - spheres.x) * exact.scale
+    fy = (exact.oy - spheres.y) * exact.scale
+    fz = (exact.oz - spheres.z) * exact.scale
+    radius = spheres.radius * exact.scale
+    middle = -((fx * exact.dx + fy * exact.dy + fz * exact.dz) * exact.inv_square)
+    lx = fx + middle * exact.dx
+    ly = fy + middle * exact.dy
+    lz = fz + middle * exact.dz
+    rest = radius * radius - (lx * lx + ly * ly + lz * lz)
+    hit = rest >= _ZERO64
+    if not any_lane(hit):
+        return _NONE, _NONE
+
+    # Step 2: both distances, in local units; the one that would cancel from their product.
+    half = square_root(rest * exact.inv_square)
+    product = (fx * fx + fy * fy + fz * fz - radius * radius) * exact.inv_square
+    is_ahead = middle >= _ZERO64
+    outer = select(is_ahead, middle + half, middle - half)
+    inner = select(outer == _ZERO64, f64x4(_ZERO64), product / outer)
+    near = narrow(minimum(inner, outer) - exact.offset)
+    far = narrow(maximum(inner, outer) - exact.offset)
+
+    # Step 3: clamped to the box. Adding zero turns -0 into 0.
+    t_in, t_out = _own_interval(spheres, ray, exact)
+    hit = hit & (t_in <= t_out)
+    near = minimum(maximum(near, t_in), t_out) + _ZERO
+    far = minimum(maximum(far, t_in), t_out) + _ZERO
+    store(lanes, near)
+    store(lanes + _FAR, far)
+    store(lanes + _X, lx)
+    store(lanes + _Y, ly)
+    store(lanes + _Z, lz)
+    store(lanes + _H, half)
+    return (
+        mask_bits(hit & (near >= t_min) & (near <= t_far)),
+        mask_bits(hit & (far >= t_min) & (far <= t_far)),
+    )
+
+
+@device
+def _place(x, y, z):
+    """Where on a sphere a point is, from its centre; see `core.spheres.directions_at`."""
+    total = abs(x) + abs(y) + abs(z)
+    if total == _ZERO64:
+        return np.float32(0.5), np.float32(0.5)
+    px, py = x / total, y / total
+    if z < _ZERO64:
+        folded = (_ONE64 - abs(py)) * copy_sign(_ONE64, px)
+        py = (_ONE64 - abs(px)) * copy_sign(_ONE64, py)
+        px = folded
+    return np.float32(px * _HALF64 + _HALF64), np.float32(py * _HALF64 + _HALF64)
+
+
+@device
+def _offer_lanes(bits, side, spheres, exact, search, lanes):
+    """Offer the hits of lanes: of side 0 where the ray enters, of 1 where it leaves."""
+    while bits != _NONE:
+        k = count_trailing_zeros(bits)
+        bits &= bits - _ONE
+        t = load(np.float32, lanes + side * _FAR + (k << _TWO))
+        if t > search.t_far:
+            continue
+        at = lanes + (k << _THREE)
+        half = load(np.float64, at + _H)
+        step = half if side == _ONE else -half
+        u, v = _place(
+            load(np.float64, at + _X) + step * exact.dx,
+            load(np.float64, at + _Y) + step * exact.dy,
+            load(np.float64, at + _Z) + step * exact.dz,
+        )
+        search = offer(search, t, u, v, np.int32(spheres.numbers[k] + np.int32(side)))
+        if is_full(search):
+            break
+    return search
+
+
+@device
+def intersect_spheres(block, ray, exact, search):
+    """Test the spheres of a block against a ray, and offer their hits to a search.
+
+    Parameters
+    ----------
+    block : uint64
+        Address of a `SphereBlock`.
+    ray : Ray
+    exact : ExactRay
+        The same one.
+    search : Search
+
+    Returns
+    -------
+    Search
+    """
+    lanes = scratch(192)
+    add_to(search.counters, TESTS, _LANES)
+    spheres = SphereBlock(block)
+    entered, left = _test(spheres, ray, exact, search.t_min, search.t_far, lanes)
+    for side in range(_TWO):
+        bits = entered if side == _NONE else left
+        search = _offer_lanes(bits, side, spheres, exact, search, lanes)
+        if is_full(search):
+            break
+    return search

@@ -1,0 +1,218 @@
+"""PrimitiveStructure: trees over the triangles, height fields and spheres of a scene."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import RaystreamError
+from raystream.core.primitives import NOT_TRIANGLES, Primitives
+from raystream.core.triangles import Triangles
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.ray import SceneFrame
+from raystream.primitives.levels import field_levels
+from raystream.primitives.records import (
+    SPHERES_PER_BLOCK,
+    PrimitiveAddresses,
+    field_records,
+    sphere_blocks,
+)
+from raystream.primitives.traversal import (
+    STACK_BYTES,
+    primitive_searches,
+    traverse_all,
+    traverse_trees,
+)
+from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
+from raystream.structures.brute.options import Brute
+from raystream.structures.brute.structure import BruteStructure
+from raystream.structures.bvh.build import build_arrays
+from raystream.structures.bvh.options import Bvh
+from raystream.structures.bvh.structure import BvhStructure
+from raystream.structures.registry import StructureOptions
+
+__all__ = ["PrimitiveBrute", "PrimitiveBvh", "PrimitiveStructure", "build_primitives"]
+
+#: Tests per call of a compiled loop, by brute force: about 50 ms.
+_TESTS_PER_CALL = 1 << 23
+
+#: Boxes of the spheres' tree are grown by this part of (radius + centre's coordinate): twice
+#: `primitives.sphere.BOX_GROWTH`, so that they hold the spheres' own boxes however these round.
+_BOX_GROWTH = 2.0**-21
+
+
+class PrimitiveStructure(Structure):
+    """Triangles in a structure of their own, and all other primitives beside it.
+
+    Parameters
+    ----------
+    triangles : Primitives
+    options : StructureOptions
+    progress : callable, optional
+        Called with (triangles and spheres placed, triangles and spheres).
+    """
+
+    make_searches = staticmethod(primitive_searches)
+    triangles: Primitives  # type: ignore[assignment]
+    _kind: type[Structure]
+
+    def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
+        started = time.perf_counter()
+        self.triangles, self.options = triangles, options
+        self.frame = SceneFrame.of(triangles)
+        count = len(triangles.triangles)
+        total = count + len(triangles.spheres)
+        self._inner = self._kind(triangles.triangles, options, progress=part_of(progress, 0, total))
+        nodes, rows = self._sphere_tree(part_of(progress, count, total))
+        first = int(triangles.first_fields[-1])
+        local = triangles.local_fields
+        self._levels = [field_levels(one) for one in local]
+        self._memory = {
+            **self._inner.memory,
+            "fields": field_records(triangles.fields, local, self._levels, triangles.first_fields),
+            "sphere_nodes": nodes,
+            "sphere_blocks": sphere_blocks(triangles.spheres, rows, first),
+        }
+        self._addresses = self._make_addresses()
+        field_bytes = sum(
+            a.byte_count + t.ranges.nbytes for a, t in zip(local, self._levels, strict=True)
+        )
+        self.report = BuildReport(
+            seconds=time.perf_counter() - started,
+            byte_count=sum(array.nbytes for array in self._memory.values()) + field_bytes,
+        )
+
+    def _make_addresses(self) -> PrimitiveAddresses:
+        inner = self._inner.arrays._asdict()
+        memory = self._memory
+        own = {n: np.uint64(memory[n].ctypes.data if len(memory[n]) else 0) for n in _OWN}
+        counts = {
+            "field_count": np.uint64(len(memory["fields"])),
+            "block_count": np.uint64(len(memory["sphere_blocks"])),
+        }
+        nothing = dict.fromkeys(PrimitiveAddresses._fields, np.uint64(0))
+        return PrimitiveAddresses(**{**nothing, **inner, **own, **counts})
+
+    def _sphere_tree(
+        self,
+        progress: Progress | None,  # noqa: ARG002
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Nodes over the spheres, and the spheres of each block."""
+        count = len(self.triangles.spheres)
+        rows = np.full(-(-count // SPHERES_PER_BLOCK) * SPHERES_PER_BLOCK, -1, np.int32)
+        rows[:count] = np.arange(count)
+        return np.zeros((0, 64), np.float32), rows.reshape(-1, SPHERES_PER_BLOCK)
+
+    @property
+    def arrays(self) -> PrimitiveAddresses:
+        """Addresses of all primitives and trees."""
+        return self._addresses
+
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Trees and records."""
+        return self._memory
+
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """Not supported."""
+        raise RaystreamError(f"save: {NOT_TRIANGLES}")
+
+    @classmethod
+    def from_arrays(
+        cls,
+        triangles: Triangles,  # noqa: ARG003
+        arrays: Mapping[str, NDArray[Any]],  # noqa: ARG003
+        options: Any,  # noqa: ARG003
+    ) -> Structure:
+        """Not supported."""
+        raise RaystreamError(f"load: {NOT_TRIANGLES}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the primitives; a copy is built from them."""
+        return type(self), (self.triangles, self.options)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> PrimitiveStructure:
+        """A copy that shares the primitives, which never change."""
+        return type(self)(self.triangles, self.options)
+
+    def quality(self) -> dict[str, float]:
+        """Numbers of primitives."""
+        held = self.triangles
+        fields = held.first_fields[-1] - held.first_fields[0]
+        counts = len(held.triangles), fields, len(held.spheres)
+        names = "triangles of meshes", "triangles of height fields", "spheres"
+        return dict(zip(names, map(float, counts), strict=True))
+
+
+#: Arrays besides those of the triangles' structure.
+_OWN = ("fields", "sphere_nodes", "sphere_blocks")
+
+
+class PrimitiveBvh(PrimitiveStructure):
+    """A BVH of the triangles, one of the spheres, and a tree over each height field."""
+
+    _kind = BvhStructure
+    traverse = staticmethod(traverse_trees)
+    stack_bytes = STACK_BYTES
+
+    def _sphere_tree(
+        self, progress: Progress | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        tree = build_arrays(_sphere_boxes(self.triangles), "balanced", SPHERES_PER_BLOCK, progress)
+        return tree.nodes, np.ascontiguousarray(tree.prim_ids)
+
+
+class PrimitiveBrute(PrimitiveStructure):
+    """Every primitive, one after another."""
+
+    _kind = BruteStructure
+    traverse = staticmethod(traverse_all)
+    stack_bytes = STACK_BYTES
+
+    def rays_per_call(self) -> int:
+        """Fewer rays on larger scenes, so that a call stays short."""
+        return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // max(1, len(self.triangles))))
+
+
+def _sphere_boxes(primitives: Primitives) -> Triangles:
+    """Triangles that span the spheres' boxes, in the scene's local frame."""
+    spheres = primitives.spheres
+    centers = (spheres.centers - primitives.center) * primitives.scale
+    radii = (spheres.radii * primitives.scale)[:, None]
+    reach = radii + (np.abs(centers) + radii) * _BOX_GROWTH
+    corners = np.empty((len(spheres), 3, 3), np.float32)
+    corners[:, 0] = np.nextafter((centers - reach).astype(np.float32), np.float32(-np.inf))
+    corners[:, 1] = np.nextafter((centers + reach).astype(np.float32), np.float32(np.inf))
+    corners[:, 2] = corners[:, 0]
+    bounds = np.zeros((2, 3), np.float32)
+    if len(corners):
+        bounds[:] = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    splits, solid = np.array([0, len(corners)], np.int64), np.ones(len(corners), np.bool_)
+    return Triangles.from_solid(
+        corners, splits, primitives.center, primitives.scale, solid, 0, bounds
+    )
+
+
+def build_primitives(
+    options: StructureOptions, primitives: Primitives, progress: Progress | None = None
+) -> PrimitiveStructure:
+    """Build the structure of a scene with spheres or height fields.
+
+    Raises
+    ------
+    ValueError
+        If the options are of a structure other than ``"bvh"`` and ``"brute"``, or a height field's
+        spacing is too small for the scene.
+    """
+    if isinstance(options, Bvh):
+        return PrimitiveBvh(primitives, options, progress=progress)
+    if isinstance(options, Brute):
+        return PrimitiveBrute(primitives, options, progress=progress)
+    raise ValueError(
+        f"structure: {options.name!r} does not support spheres and height fields; 'bvh' and "
+        "'brute' do"
+    )

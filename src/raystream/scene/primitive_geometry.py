@@ -1,0 +1,100 @@
+"""Geometry of scenes with spheres or height fields, and how scenes are combined."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from raystream.core.height_field import HeightField
+from raystream.core.primitives import Primitives
+from raystream.core.spheres import Spheres
+from raystream.scene.geometry import Geometry
+from raystream.scene.material import Material
+from raystream.scene.mesh import Mesh
+
+if TYPE_CHECKING:
+    from raystream.core.triangles import Triangles
+    from raystream.scene.scene import Scene
+
+__all__ = ["NO_SPHERES", "PrimitiveGeometry", "combined"]
+
+#: Triangles that a camera is chosen by.
+_SEEN = 50_000
+
+NO_SPHERES = Spheres.of(np.zeros((0, 3)), 1.0)
+
+
+class PrimitiveGeometry(Geometry):
+    """Meshes, height fields and spheres.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+    fields : sequence of HeightField
+    spheres : Spheres
+    """
+
+    def __init__(
+        self, meshes: Sequence[Mesh], fields: Sequence[HeightField], spheres: Spheres
+    ) -> None:
+        super().__init__(meshes)
+        self.fields, self.spheres = tuple(fields), spheres
+        self._meshes_alone = Geometry(self.meshes)
+
+    @cached_property
+    def triangles(self) -> Any:
+        """All primitives in one local frame."""
+        return Primitives(self._meshes_alone.triangles, self.fields, self.spheres, self.attributes)
+
+    @property
+    def highest_material(self) -> int:
+        """The largest number of a material of spheres and fields; -1 without any."""
+        ids = [field.material_id for field in self.fields]
+        return max([-1, *ids, int(self.spheres.material_ids.max(initial=-1))])
+
+    def _seen(self) -> Triangles:
+        return self.triangles.some(_SEEN)
+
+
+def combined(scenes: Iterable[Scene]) -> tuple[PrimitiveGeometry, list[Material]]:
+    """The primitives and materials of scenes, one after another.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If one is not a scene, or has instances.
+    """
+    from raystream.scene.scene import Scene
+
+    meshes: list[Mesh] = []
+    fields: list[HeightField] = []
+    parts: list[Spheres] = [NO_SPHERES]
+    materials: list[Material] = []
+    for index, one in enumerate(scenes):
+        if not isinstance(one, Scene):
+            raise TypeError(f"scenes[{index}]: expected a Scene, got {type(one).__name__}")
+        if one.placements is not None:
+            raise ValueError(
+                f"scenes[{index}]: has instances, which cannot be combined; scene.flattened() is "
+                "the same scene without them"
+            )
+        shift = len(materials)
+        materials.extend(one.materials)
+        meshes.extend(
+            mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
+            for mesh in one.meshes
+        )
+        geometry = one.geometry
+        if isinstance(geometry, PrimitiveGeometry):
+            fields.extend(
+                field.with_material(field.material_id + shift) for field in geometry.fields
+            )
+            held = geometry.spheres
+            parts.append(replace(held, material_ids=held.material_ids + np.int32(shift)))
+    columns = ("centers", "radii", "material_ids")
+    spheres = Spheres(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
+    return PrimitiveGeometry(meshes, fields, spheres), materials

@@ -1,0 +1,208 @@
+"""PrimitiveScene: spheres and height fields of a scene, a base class of `Scene`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Self
+
+from raystream.core.height_field import HeightField
+from raystream.core.spheres import Spheres
+from raystream.scene.instanced_scene import InstancedScene
+from raystream.scene.primitive_geometry import NO_SPHERES, PrimitiveGeometry, combined
+
+if TYPE_CHECKING:
+    from raystream.scene.scene import Scene
+
+__all__ = ["PrimitiveScene"]
+
+
+class PrimitiveScene(InstancedScene):
+    """Spheres, and terrain without triangles."""
+
+    @classmethod
+    def spheres(cls, centers: Any, radii: Any, *, material_ids: Any = 0, **parts: Any) -> Self:
+        """Make a scene of spheres, such as the points of a scan.
+
+        Parameters
+        ----------
+        centers : array_like of shape (N, 3), real
+            World space, scene units.
+        radii : float or array_like of shape (N,), real
+            More than 0.
+        material_ids : int or array_like of shape (N,), int
+            Of each sphere.
+        **parts
+            ``materials``, ``camera`` and other parameters of `Scene`, without ``meshes``:
+            `combine` puts spheres and meshes into one scene.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ValueError
+            If a shape is wrong, a centre is not finite, or a radius is not finite and more than 0.
+            A tracer raises it for 2**30 spheres or more.
+        TypeError
+            If the numbers are of the wrong kind.
+
+        Notes
+        -----
+        A ray hits a sphere where it enters and where it leaves: two hits with the same prim_id,
+        also where it only touches the sphere. Normals point outwards. u and v say where on the
+        sphere a hit is, on the octahedron that the square [0, 1] x [0, 1] folds to (see
+        `raystream.core.spheres.directions_at`); `positions` and `normals` follow from them.
+
+        Spheres are tested in float64 with the ray's own numbers: a hit or miss is that of a sphere
+        whose radius differs by no more than 2**-48 of (radius + distance from the ray's origin).
+
+        ``structure="bvh"`` and ``"brute"`` on the CPU answer `Tracer.first_hit`, `any_hit`,
+        `multi_hit`, `count_hits` and `cast`.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> scene = rs.Scene.spheres([[0, 0, 5], [0, 0, 9]], radii=1.0)
+        >>> tracer = rs.Tracer(scene)
+        >>> hits = tracer.multi_hit([0, 0, 0], [0, 0, 1])
+        >>> hits.t.tolist(), hits.prim_id.tolist()
+        ([4.0, 6.0, 8.0, 10.0], [0, 0, 1, 1])
+        >>> hits.normals[:2].tolist()
+        [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]
+        """
+        held = Spheres.of(centers, radii, material_ids)
+        return cls._of_primitives(PrimitiveGeometry((), (), held), parts)
+
+    @classmethod
+    def height_field(
+        cls,
+        heights: Any,
+        *,
+        origin: Any = (0.0, 0.0, 0.0),
+        spacing: Any = 1.0,
+        material_id: int = 0,
+        **parts: Any,
+    ) -> Self:
+        """Make a scene of terrain, from an array of heights and without triangles in memory.
+
+        Parameters
+        ----------
+        heights : array_like of shape (H, W), real
+            The z of samples on a grid, at least 2 x 2; NaN where there is no data. A NumPy array
+            is not copied: do not change it.
+        origin : array_like of shape (3,), real
+            Of the sample in row 0 and column 0: its x and y, and what is added to all heights.
+        spacing : float or array_like of shape (2,), real
+            From column to column along x, and from row to row along y; may be negative.
+        material_id : int
+        **parts
+            As for `spheres`.
+
+        Returns
+        -------
+        Scene
+            Its up direction is z, unless `up` is given.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than 2 x 2 samples, heights are infinite, or `origin` or `spacing` is
+            not finite, or `spacing` too small. A tracer raises it for 2**31 triangles or more.
+        TypeError
+            If the numbers are of the wrong kind.
+
+        Notes
+        -----
+        The surface has two triangles for each cell between four samples, split from the sample with
+        the lower row and column to the opposite one; fronts are up. Triangles with a corner without
+        data are missing. Hits have the bits that a mesh of these triangles has: prim_id is 2 * (row
+        * (W - 1) + column) for the triangle at the lower row of a cell, and one more for the other;
+        u and v are weights of vertices. Missing triangles are counted as well.
+
+        A tracer takes about 5 bytes per sample, beside the array that was given. See `spheres` for
+        what is supported.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import raystream as rs
+        >>> heights = np.add.outer(np.arange(4.0), np.zeros(5))  # as high as y
+        >>> tracer = rs.Tracer(rs.Scene.height_field(heights, spacing=10.0))
+        >>> hits = tracer.first_hit([15.0, 25.0, 50.0], [0.0, 0.0, -1.0])
+        >>> hits.t.item(), hits.prim_id.item(), hits.positions.tolist()
+        (47.5, 18, [15.0, 25.0, 2.5])
+        """
+        return cls.of_field(HeightField.of(heights, origin, spacing, material_id), **parts)
+
+    @classmethod
+    def of_field(cls, field: HeightField, **parts: Any) -> Self:
+        """Make a scene of a height field; see `height_field`."""
+        parts = {"up": (0.0, 0.0, 1.0), **parts}
+        return cls._of_primitives(PrimitiveGeometry((), (field,), NO_SPHERES), parts)
+
+    @classmethod
+    def combine(cls, scenes: Iterable[Scene], **parts: Any) -> Self:
+        """Make a scene of the meshes, height fields and spheres of several scenes.
+
+        Parameters
+        ----------
+        scenes : iterable of Scene
+            Without instances. Their lights and cameras are not used.
+        **parts
+            ``lights``, ``camera`` and other parameters of `Scene`, without ``meshes`` and
+            ``materials``.
+
+        Returns
+        -------
+        Scene
+            ``prim_id`` counts the triangles of all meshes, then those of all height fields, then
+            all spheres, scenes one after another; ``mesh_id`` counts each height field as a mesh,
+            and all spheres as one. Materials are those of the scenes, one after another.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If one is not a scene, or has instances.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> ball = rs.Scene.spheres([[278, 273, 280]], 100.0)
+        >>> scene = rs.Scene.combine([rs.load("cornell"), ball])
+        >>> hit = rs.Tracer(scene).first_hit([278, 273, -800], [0, 0, 1])
+        >>> hit.t.item(), bool(hit.prim_id == rs.load("cornell").triangle_count)
+        (980.0, True)
+        """
+        geometry, materials = combined(scenes)
+        return cls._of_primitives(geometry, {"materials": materials, **parts})
+
+    @classmethod
+    def _of_primitives(cls, geometry: PrimitiveGeometry, parts: dict[str, Any]) -> Self:
+        for name in ("meshes", "animation"):
+            if name in parts:
+                raise TypeError(f"{name}: not supported here; see Scene.combine")
+        scene = cls(geometry.meshes, **parts)  # type: ignore[call-arg]
+        count = len(scene.materials)  # type: ignore[attr-defined]
+        if geometry.highest_material >= count:
+            raise ValueError(
+                f"material_ids: expected 0 to {count - 1}, the materials given, got "
+                f"{geometry.highest_material}"
+            )
+        scene._geometry = geometry
+        return scene
+
+    @property
+    def has_primitives(self) -> bool:
+        """Whether there are spheres or height fields, rather than triangles alone."""
+        return isinstance(self._geometry, PrimitiveGeometry)
+
+    @property
+    def primitive_counts(self) -> str:
+        """Numbers of height fields and spheres, to be shown after others; empty without any."""
+        geometry = self._geometry
+        if not isinstance(geometry, PrimitiveGeometry):
+            return ""
+        fields = [f", a height field of {f.heights.shape}" for f in geometry.fields]
+        count = len(geometry.spheres)
+        return "".join(fields) + (f", {count:,} spheres" if count else "")

@@ -1,0 +1,112 @@
+"""Closest points on CUDA: the CPU's bits, from both structures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from extras import need
+
+need("numba_cuda")
+
+import raystream as rs
+from meshes import cube, dented_sphere, lattice_soup, soup
+from test_closest_point import assert_same_bits, points_around
+
+SCENES = {
+    "soup": lambda: soup(60, 1),
+    "closed": lambda: dented_sphere(1),
+    "lattice": lambda: lattice_soup(40),
+    "far from the origin": lambda: (dented_sphere(1)[0] + [1e7, -3e7, 2e7], dented_sphere(1)[1]),
+    "no triangles": lambda: (np.zeros((3, 3)), np.zeros((0, 3), int)),
+}
+
+WAYS = {
+    "bvh": {"structure": "bvh"},
+    "bvh, the CPU's layout": {"structure": "bvh", "kernel": "wide"},
+    "brute": {"structure": "brute"},
+}
+
+#: The simulator takes a millisecond for a point.
+COUNT = 30
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", SCENES)
+def test_points_have_the_cpu_s_bits(gpu, way, name):
+    vertices, faces = SCENES[name]()
+    scene = rs.Scene.from_arrays(vertices, faces)
+    points = points_around(vertices, np.random.default_rng(len(name)), COUNT)
+    points[0, 1], points[1, 2], points[2] = np.nan, np.inf, 2.0**201
+    limits = np.where(np.arange(COUNT) % 3 == 0, 0.1 * np.ptp(vertices), np.inf)
+    ours, theirs = rs.Tracer(scene, device="cuda", **WAYS[way]), rs.Tracer(scene, "brute")
+    for limit in (np.inf, limits):
+        expected = theirs.closest_point(points, max_distance=limit)
+        assert_same_bits(ours.closest_point(points, max_distance=limit), expected)
+    rows = theirs.closest_points(points, 3)
+    assert_same_bits(ours.closest_points(points, 3), rows)
+    assert rows.status.tolist()[:4] == [1, 1, 1, 0]
+
+
+def test_points_come_in_parts(gpu, monkeypatch):
+    scene = rs.Scene.from_arrays(*soup(30, 2))
+    points = points_around(soup(30, 2)[0], np.random.default_rng(1), COUNT).reshape(2, -1, 3)
+    expected = rs.Tracer(scene).closest_points(points, 2, max_distance=[[0.5], [np.inf]])
+    steps = []
+    tracer = rs.Tracer(scene, "brute", "cuda", rays_at_once=7)
+    found = tracer.closest_points(
+        points,
+        2,
+        max_distance=[[0.5], [np.inf]],
+        progress=lambda done, count: steps.append((done, count)),
+    )
+    assert_same_bits(found, expected)
+    assert steps == [(done, COUNT) for done in (7, 14, 21, 28, 30)]
+    monkeypatch.setattr("raystream.cuda.points._MOST_BYTES", 1)  # one at a time, at least
+    assert_same_bits(
+        tracer.closest_points(points[:, :2], 2), rs.Tracer(scene).closest_points(points[:, :2], 2)
+    )
+    none = tracer.closest_point(np.zeros((0, 3)))
+    assert none.distance.shape == (0,)
+
+
+def test_signed_distances_and_insides(gpu):
+    scene = rs.Scene.from_arrays(*cube())
+    low, high = scene.bounds
+    points = low + (high - low) * np.random.default_rng(2).uniform(-0.5, 1.5, (COUNT, 3))
+    ours, theirs = rs.Tracer(scene, device="cuda"), rs.Tracer(scene)
+    np.testing.assert_array_equal(ours.signed_distance(points), theirs.signed_distance(points))
+    inside = ours.contains(points)
+    assert 0 < inside.sum() < COUNT
+    np.testing.assert_array_equal(inside, theirs.contains(points))
+
+
+def test_a_moved_scene_is_searched_where_it_is(gpu):
+    vertices, faces = cube()
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), device="cuda")
+    before = tracer.closest_point([9.0, 0.0, 0.0]).distance
+    moved = rs.Scene.from_arrays(vertices + [5.0, 0.0, 0.0], faces)
+    tracer.update(vertices + [5.0, 0.0, 0.0])
+    expected = rs.Tracer(moved, "brute").closest_point([9.0, 0.0, 0.0]).distance
+    assert tracer.closest_point([9.0, 0.0, 0.0]).distance == expected == before - 5.0
+
+
+def test_a_tree_that_was_built_on_the_device_is_searched_there(device):
+    vertices, faces = soup(40, 5)
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), device="cuda", build="device")
+    points = points_around(vertices, np.random.default_rng(6), COUNT)
+    for _ in range(2):
+        expected = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute").closest_points(
+            points, 2
+        )
+        assert_same_bits(tracer.closest_points(points, 2), expected)
+        vertices = vertices[::-1] * [1.0, -1.0, 1.0]
+        tracer.update(vertices)
+
+
+def test_what_finds_no_points_says_what_does(gpu):
+    scene = rs.load("cornell")
+    for options in ({"structure": "grid"}, {"machine": "multipass", "structure": "kdtree"}):
+        tracer = rs.Tracer(scene, device="cuda", **options)
+        with pytest.raises(ValueError, match="device='cpu' or 'cuda' and machine='branching'"):
+            tracer.closest_point([0.0, 0.0, 0.0])

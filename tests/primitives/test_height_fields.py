@@ -1,0 +1,229 @@
+"""Height fields: the bits of the mesh of the same triangles, traced by brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import raystream as rs
+from conftest import assert_same_bits
+
+COLUMNS = ("t", "u", "v", "prim_id")
+
+
+def mesh_of(heights, origin=(0.0, 0.0, 0.0), spacing=1.0) -> rs.Scene:
+    """The triangles that a height field stands for, those without data with vertices of NaN."""
+    heights = np.asarray(heights, float)
+    rows, columns = heights.shape
+    dx, dy = np.broadcast_to(spacing, 2)
+    x, y = origin[0] + dx * np.arange(columns), origin[1] + dy * np.arange(rows)
+    vertices = np.stack([*np.meshgrid(x, y), heights + origin[2]], axis=-1).reshape(-1, 3)
+    faces = []
+    for j in range(rows - 1):
+        for i in range(columns - 1):
+            a, b = j * columns + i, j * columns + i + 1
+            d, c = a + columns, b + columns
+            faces += [(a, b, c), (a, c, d)] if dx * dy > 0 else [(a, c, b), (a, d, c)]
+    return rs.Scene.from_arrays(vertices, faces)
+
+
+def random_heights(rng, rows: int, columns: int, missing: float = 0.0) -> np.ndarray:
+    heights = rng.uniform(-1.0, 1.0, (rows, columns)) + 3.0 * np.sin(np.arange(columns) / 5.0)
+    heights[rng.random((rows, columns)) < missing] = np.nan
+    return heights
+
+
+def rays_at(rng, scene: rs.Scene, count: int) -> dict:
+    """Rays anywhere, at vertices and edges, along axes and grid lines, from far away, limited."""
+    low, high = scene.bounds
+    size = np.maximum(high - low, 1e-3 * (high - low).max())
+    origins = rng.uniform(low - size, high + size, (count, 3))
+    directions = rng.uniform(low, high, (count, 3)) - origins
+    kind = rng.integers(0, 8, count)
+    vertices = scene.meshes[0].vertices
+    vertices = vertices[np.isfinite(vertices).all(axis=1)]
+    at = vertices[rng.integers(0, len(vertices), count)]
+    other = vertices[rng.integers(0, len(vertices), count)]
+    directions[kind == 1] = (at - origins)[kind == 1]
+    middle = (at + other) / 2
+    directions[kind == 2] = (middle - origins)[kind == 2]
+    down = np.array([0.0, 0.0, -1.0])
+    origins[kind == 3] = (at + [0.0, 0.0, 2.0] * size)[kind == 3]
+    directions[kind == 3] = down
+    axis = np.eye(3)[rng.integers(0, 3, count)] * rng.choice([-1.0, 1.0], count)[:, None]
+    origins[kind == 4] = (at - axis * size)[kind == 4]
+    directions[kind == 4] = axis[kind == 4]
+    far = kind == 5
+    origins[far] = (at - 1e4 * directions)[far]
+    directions[kind == 6] *= 1e-9
+    t_min, t_max = np.zeros(count), np.full(count, np.inf)
+    t_min[kind == 7], t_max[kind == 7] = rng.uniform(-0.5, 0.5), rng.uniform(0.5, 1.5)
+    limits = {"t_min": t_min.astype(np.float32), "t_max": t_max.astype(np.float32)}
+    return {"origins": origins, "directions": directions, **limits}
+
+
+def assert_like_the_mesh(heights, rays=None, seed=0, count=1000, **place) -> int:
+    """All queries have the bits of the mesh; returns the number of hits."""
+    mesh, field = mesh_of(heights, **place), rs.Scene.height_field(heights, **place)
+    assert_same_bits(field.bounds, mesh.bounds)
+    rays = rays or rays_at(np.random.default_rng(seed), mesh, count)
+    slow = rs.Tracer(mesh, "brute")
+    total = 0
+    for structure in ("bvh", "brute"):
+        tracer = rs.Tracer(field, structure)
+        a, b = tracer.first_hit(**rays), slow.first_hit(**rays)
+        for column in (*COLUMNS, "status", "positions", "normals"):
+            assert_same_bits(getattr(a, column), getattr(b, column))
+        assert_same_bits(tracer.any_hit(**rays), b.is_hit)
+        for crossings in ("triangles", "surfaces"):
+            for limit in (None, 2):
+                options = {"crossings": crossings, "max_hits": limit}
+                a, b = tracer.multi_hit(**rays, **options), slow.multi_hit(**rays, **options)
+                for column in ("ray_splits", *COLUMNS):
+                    assert_same_bits(getattr(a, column), getattr(b, column))
+            counts = tracer.count_hits(**rays, crossings=crossings)
+            assert_same_bits(counts, slow.count_hits(**rays, crossings=crossings))
+            total += int(counts.sum())
+    return total
+
+
+#: Name: shape, share of samples without data, and where the samples are.
+PLACES = {
+    "plain": ((23, 18), 0.0, {}),
+    "holes": ((21, 26), 0.2, {}),
+    "mostly holes": ((19, 19), 0.7, {}),
+    "one cell": ((2, 2), 0.0, {}),
+    "one row": ((2, 70), 0.1, {}),
+    "one column": ((70, 2), 0.1, {}),
+    "a block": ((5, 5), 0.0, {}),
+    "rows from north to south": ((14, 17), 0.1, {"spacing": (2.0, -3.0)}),
+    "both ways down": ((14, 17), 0.1, {"spacing": (-0.5, -0.25)}),
+    "columns from east to west": ((14, 17), 0.0, {"spacing": (-0.5, 0.25)}),
+    "far from the origin": ((16, 16), 0.1, {"origin": (5e6, -3e6, 1e5), "spacing": 30.0}),
+    "tiny": ((16, 16), 0.1, {"spacing": 1e-9}),
+    "wide": ((16, 16), 0.0, {"spacing": 1e9}),
+}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_hits_have_the_bits_of_the_mesh(name) -> None:
+    shape, missing, place = PLACES[name]
+    heights = random_heights(np.random.default_rng(1), *shape, missing)
+    assert assert_like_the_mesh(heights, **place) > 100
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("name", PLACES)
+def test_a_million_rays_have_the_bits_of_the_mesh(name, seed) -> None:
+    shape, missing, place = PLACES[name]
+    heights = random_heights(np.random.default_rng(seed + 50), *shape, missing)
+    assert assert_like_the_mesh(heights, seed=seed, count=8_000, **place) > 1000
+
+
+@st.composite
+def fields(draw):
+    """Small fields with ties, holes and any spacing."""
+    rows, columns = draw(st.integers(2, 11)), draw(st.integers(2, 11))
+    values = st.sampled_from([0.0, 0.0, 1.0, -1.0, 0.5, 1e-6, 100.0, np.nan])
+    heights = draw(st.lists(values, min_size=rows * columns, max_size=rows * columns))
+    heights = np.array(heights).reshape(rows, columns)
+    heights[:2, :2] = 0.25  # something to hit
+    spacing = draw(st.tuples(*2 * [st.sampled_from([1.0, -1.0, 0.1, 1e3])]))
+    origin = draw(st.tuples(*3 * [st.sampled_from([0.0, 1e4])]))
+    return heights, spacing, origin, draw(st.integers(0, 2**16))
+
+
+@given(fields())
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_any_field_agrees(case) -> None:
+    heights, spacing, origin, seed = case
+    assert_like_the_mesh(heights, seed=seed, count=60, spacing=spacing, origin=origin)
+
+
+def test_integers_and_float32_are_taken_as_they_are() -> None:
+    rng = np.random.default_rng(2)
+    heights = rng.integers(-50, 50, (20, 20), dtype=np.int16)
+    assert assert_like_the_mesh(heights, count=300) > 0
+    assert assert_like_the_mesh(heights.astype(np.float32) / 3, count=300) > 0
+
+
+def test_a_mesh_of_a_terrain_has_the_same_triangles() -> None:
+    heights = random_heights(np.random.default_rng(3), 12, 9)
+    ground = rs.terrain(heights, spacing=(2.0, -2.0), structure="brute")
+    rays = rays_at(np.random.default_rng(4), ground.scene, 500)
+    field = rs.Tracer(rs.Scene.height_field(heights, spacing=(2.0, -2.0)))
+    a, b = field.first_hit(**rays), ground.tracer.first_hit(**rays)
+    for column in COLUMNS:
+        assert_same_bits(getattr(a, column), getattr(b, column))
+
+
+def test_rays_leave_height_fields() -> None:
+    rng = np.random.default_rng(5)
+    tracer = rs.Tracer(rs.Scene.height_field(random_heights(rng, 30, 30)))
+    origins = np.array([0.0, 0.0, 20.0]) + rng.uniform(0, 29, (3000, 3)) * [1, 1, 0]
+    hits = tracer.first_hit(origins, [0.0, 0.0, -1.0])
+    assert hits.is_hit.all()
+    again = tracer.multi_hit(*hits.spawn(rng.normal(size=(3000, 3))))
+    assert (again.prim_id != hits.prim_id[again.ray_id]).all()
+
+
+def test_memory_is_near_that_of_the_array() -> None:
+    heights = np.zeros((1500, 2000), np.float32)
+    tracer = rs.Tracer(rs.Scene.height_field(heights))
+    assert tracer.structure.report.byte_count < 1.25 * heights.nbytes
+
+
+@pytest.mark.parametrize(
+    ("heights", "place", "message"),
+    [
+        ([[0.0, 1.0]], {}, r"heights: expected shape \(H, W\), at least \(2, 2\)"),
+        (np.zeros(4), {}, "heights: expected shape"),
+        (np.zeros((0, 5)), {}, "heights: expected shape"),
+        ([[0, np.inf], [0, 0]], {}, "heights: some are infinite"),
+        ([[0, 1e200], [0, 0]], {}, "heights: "),
+        (np.zeros((2, 2)), {"spacing": 0.0}, "spacing: expected numbers other than 0"),
+        (np.zeros((2, 2)), {"spacing": (1.0, np.nan)}, "origin, spacing: expected finite"),
+        (np.zeros((2, 2)), {"spacing": (1.0, 2.0, 3.0)}, "spacing: expected one number or two"),
+        (np.zeros((2, 2)), {"origin": (0.0, np.inf, 0.0)}, "origin, spacing: expected finite"),
+        (np.zeros((2, 2)), {"origin": (0.0, 0.0)}, r"origin: expected shape \(3,\)"),
+        (np.zeros((2, 2)), {"origin": (1e20, 0, 0)}, "spacing: .*move samples along x"),
+        (np.zeros((2, 2)), {"material_id": 3}, "material_ids: expected 0 to 0"),
+        (np.zeros((2, 2)), {"material_id": -1}, "material_id: expected the number"),
+    ],
+)
+def test_bad_fields_are_named(heights, place, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        rs.Scene.height_field(heights, **place)
+
+
+def test_bad_kinds_are_named() -> None:
+    with pytest.raises(TypeError, match="heights: expected real numbers"):
+        rs.Scene.height_field([["a", "b"], ["c", "d"]])
+    with pytest.raises(TypeError, match="heights: expected real numbers"):
+        rs.Scene.height_field(np.zeros((2, 2), complex))
+
+
+def test_a_spacing_that_float32_cannot_tell_apart_is_refused() -> None:
+    ball = rs.Scene.spheres([[1e9, 0, 0]], 1.0)
+    ground = rs.Scene.height_field(np.zeros((3, 3)), origin=(500.0, 500.0, 0.0), spacing=1e-6)
+    with pytest.raises(ValueError, match=r"spacing: neighbouring samples .* in float32"):
+        rs.Tracer(rs.Scene.combine([ground, ball]))
+
+
+def test_heights_that_change_between_scene_and_tracer_are_noticed() -> None:
+    heights = np.zeros((20, 20))
+    scene = rs.Scene.height_field(heights)
+    heights[3, 4] = np.inf
+    with pytest.raises(ValueError, match="heights: the array has changed"):
+        rs.Tracer(scene)
+
+
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_a_field_without_data_is_empty(structure) -> None:
+    scene = rs.Scene.height_field(np.full((6, 6), np.nan))
+    tracer = rs.Tracer(scene, structure)
+    assert tracer.first_hit([[2, 2, 5]], [0, 0, -1]).prim_id.tolist() == [-1]
+    assert (scene.bounds == 0).all()
