@@ -275,6 +275,9 @@ def test_updates_keep_the_precision():
     wanted = rs.Tracer(rs.Scene.from_arrays(moved, faces), precision="float64")
     for one in (tracer, copy.copy(tracer), pickle.loads(pickle.dumps(tracer))):
         assert one.first_hit(start, way).t.item() == wanted.first_hit(start, way).t.item()
+    assert rs.Tracer(tracer.scene).first_hit(start, way).t.dtype == np.float32
+    tracer.update(tracer.scene)  # nothing moves
+    assert rs.Tracer(tracer.scene).first_hit(start, way).t.dtype == np.float32
 
 
 def test_limits_and_shapes():

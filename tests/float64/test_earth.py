@@ -53,7 +53,7 @@ def check(count: int, cube_count: int, seed: int) -> None:
     t, prim_id = nearest_many(origins, directions, vertices[faces])
     assert 0.3 < (prim_id >= 80).mean() < 1.0  # millimetres
     scene = rs.Scene.from_arrays(vertices, faces)
-    for structure in ("bvh", "brute"):
+    for structure in ("bvh", rs.Bvh(kernel="single"), "brute"):
         hits = rs.Tracer(scene, structure, precision="float64").first_hit(origins, directions)
         assert np.array_equal(hits.prim_id, prim_id)
         assert np.array_equal(hits.t, t)

@@ -10,7 +10,7 @@ from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
 from raystream.kernels.move_triangles import move_triangles
 
-__all__ = ["moved_triangles", "triangles_of"]
+__all__ = ["moved_triangles", "of_scene", "triangles_of"]
 
 
 def triangles_of(tracer: Any, scene: Any, precision: str) -> Any:
@@ -53,3 +53,8 @@ def moved_triangles(triangles: Triangles, meshes: Sequence[Any]) -> Triangles:
     if isinstance(triangles, Float64Triangles):
         return Float64Triangles.of(meshes)
     return move_triangles(triangles, meshes)
+
+
+def of_scene(triangles: Any) -> Any:
+    """The triangles for the scene of a tracer; None for those in float64, which are its own."""
+    return None if isinstance(triangles, Float64Triangles) else triangles

@@ -25,7 +25,7 @@ from raystream.kernels.hits import Sink
 from raystream.machines.backend import Backend
 from raystream.machines.configuration import Configuration, configure
 from raystream.machines.devices import device_of
-from raystream.machines.precision import moved_triangles
+from raystream.machines.precision import moved_triangles, of_scene
 from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
@@ -261,7 +261,8 @@ class TracedScene:
         if isinstance(vertices, Scene):
             meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
             if all(map(operator.is_, scene.meshes, meshes)):
-                self._set(vertices.moved(meshes, self.structure.triangles), self.structure)
+                same = vertices.moved(meshes, of_scene(self.structure.triangles))
+                self._set(same, self.structure)
                 return UpdateReport(False, 0.0, math.nan, math.nan)
             scene = vertices
         else:
@@ -269,7 +270,7 @@ class TracedScene:
         parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
         triangles = moved_triangles(self.structure.triangles, parts)
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
-        self._set(scene.moved(meshes, triangles), structure)
+        self._set(scene.moved(meshes, of_scene(triangles)), structure)
         return report
 
     def _check_update(self, vertices: Any) -> None:

@@ -221,15 +221,15 @@ class Scene(PrimitiveScene):
             raise ValueError("meshes: spheres and height fields would be lost; see Scene.combine")
         return scene
 
-    def moved(self, meshes: Sequence[Mesh], triangles: Triangles) -> Scene:
+    def moved(self, meshes: Sequence[Mesh], triangles: Triangles | None) -> Scene:
         """Copy the scene with moved meshes.
 
         Parameters
         ----------
         meshes : sequence of Mesh
             The same number of meshes, with the same faces.
-        triangles : Triangles
-            Their triangles.
+        triangles : Triangles, optional
+            Their triangles [default: made when they are needed].
         """
         return self._with(_geometry=Geometry(meshes, triangles))
 
