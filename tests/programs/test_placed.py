@@ -115,6 +115,23 @@ def test_the_front_is_outside_of_mirrored_instances(structure, rng) -> None:
     assert_queries(tracer, rays, rows_of(splits, columns, keep), on_hit=entering)
 
 
+@pytest.mark.parametrize("kernel", ["auto", "packet", "stream", "single"])
+def test_large_batches_are_filtered(kernel, rng) -> None:
+    """As many rays of an image as kernels for many rays take."""
+    scene = random_scene(rng, 40)
+    x, y = np.meshgrid(np.linspace(-6.0, 6.0, 96), np.linspace(-6.0, 6.0, 64))
+    origins = np.stack([x, y, np.full(x.shape, 12.0)], axis=-1)
+    rays = origins, [0.05, 0.1, -1.0]
+    tracer, brute = rs.Tracer(scene, kernel=kernel), rs.Tracer(scene, "brute")
+    hits = brute.first_hit(*rays)
+    for options in ({"on_hit": choose}, {"skip_prim_ids": hits}, {"skip_prim_ids": hits.prim_id}):
+        found, expected = (one.first_hit(*rays, **options) for one in (tracer, brute))
+        assert 0.1 < (expected.t != hits.t).mean() < 0.9
+        for name in COLUMNS:
+            assert_same_bits(getattr(found, name), getattr(expected, name))
+        assert_same_bits(tracer.any_hit(*rays, **options), brute.any_hit(*rays, **options))
+
+
 @st.composite
 def filtered_rays(draw):
     seed = draw(st.integers(0, 2**20))

@@ -79,10 +79,12 @@ def trace_batch(
     Returns
     -------
     bool
-        False for batches that are traced ray by ray, and other queries.
+        False for batches that are traced ray by ray, and other queries: those with filters, too.
     """
     count, wants_any = len(batch), query.kind is Kind.ANY_HIT
     if query.kind not in (Kind.FIRST_HIT, Kind.ANY_HIT) or kernel in ("single", "wavefront"):
+        return False
+    if query.on_hit is not None:  # filters are called by the search of a single ray
         return False
     if count == 0 or (kernel == "auto" and count < _LEAST_RAYS):
         return False
