@@ -192,8 +192,9 @@ def test_invalid_rays_are_reported(count):
 def test_origins_far_from_the_scene(far):
     scene = rs.Scene.from_arrays(*soup(200, seed=5))
     rng = np.random.default_rng(1)
-    targets = scene.meshes[0].vertices[rng.integers(0, 600, 400)].astype(np.float64)
-    origins = rng.normal(size=(400, 3)) * far
+    count = 400 if far < 1e15 else 40  # slow: every box and every sign is in doubt
+    targets = scene.meshes[0].vertices[rng.integers(0, 600, count)].astype(np.float64)
+    origins = rng.normal(size=(count, 3)) * far
     rays = {"origins": origins, "directions": targets - origins}
     tracers = tracers_of(scene)
     wanted = answers_of(tracers["brute"], rays)
