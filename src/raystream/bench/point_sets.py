@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
 
 __all__ = ["diagonal_of", "grid_points", "near_points", "points_around"]
@@ -32,6 +33,7 @@ def near_points(
     triangles: Triangles, count: int, generator: np.random.Generator
 ) -> NDArray[np.float32]:
     """Points near uniform points of the surface, off it by some `NEAR` of the diagonal."""
+    check_plain("points near the surface", triangles)
     if not len(triangles.prim_ids):
         return np.empty((0, 3), np.float32)
     corners = triangles.corners[triangles.prim_ids]

@@ -47,7 +47,7 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
         "degenerate_triangles": triangles.degenerate_count,
         "nonfinite_triangles": triangles.nonfinite_count,
         "vertices": sum(len(mesh.vertices) for mesh in scene.meshes),
-        "bounds": {"low": low, "high": high} if len(triangles.prim_ids) else None,
+        "bounds": {"low": low, "high": high} if low != high else None,
         "camera": {
             "eye": list(camera.eye),
             "look_at": list(camera.look_at),

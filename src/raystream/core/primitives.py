@@ -15,13 +15,20 @@ from raystream.core.height_field import HeightField, LocalField
 from raystream.core.spheres import Spheres, directions_at
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-__all__ = ["NOT_TRIANGLES", "Primitives"]
+__all__ = ["NOT_TRIANGLES", "Primitives", "mesh_triangles"]
 
 #: What to do where only triangles are supported.
 NOT_TRIANGLES = (
-    "not supported in a scene with spheres or height fields; first_hit, any_hit, multi_hit and "
-    "count_hits are, with structure='bvh' or 'brute' on the CPU's branching machine"
+    "not supported in a scene with spheres or height fields; first_hit, any_hit, multi_hit, "
+    "count_hits, cast, render, lidar_returns and visibility are, with structure='bvh' or 'brute' "
+    "on the CPU's branching machine"
 )
+
+
+def mesh_triangles(triangles: Any) -> Triangles:
+    """The triangles of a scene's meshes, which may stand beside other primitives."""
+    found: Triangles = triangles.triangles if isinstance(triangles, Primitives) else triangles
+    return found
 
 
 class Primitives:

@@ -1,4 +1,4 @@
-"""Checks of what a scene holds, for what does not support all of it."""
+"""Refusals of scenes with primitives, instances or a precision that a feature does not support."""
 
 from __future__ import annotations
 
@@ -9,7 +9,19 @@ from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 
-__all__ = ["check_no_worlds", "check_plain", "check_triangles"]
+__all__ = ["check_drawable", "check_float32", "check_no_worlds", "check_plain", "check_triangles"]
+
+
+def check_float32(what: str, triangles: Any) -> None:
+    """Check that a tracer's scene is in float32, as `what` needs.
+
+    Raises
+    ------
+    RaystreamError
+        If it is in float64.
+    """
+    if isinstance(triangles, Float64Triangles):
+        raise RaystreamError(f"{what}: {NOT_IN_FLOAT64}")
 
 
 def check_triangles(what: str, triangles: Any) -> None:
@@ -22,8 +34,7 @@ def check_triangles(what: str, triangles: Any) -> None:
     """
     if isinstance(triangles, Primitives):
         raise RaystreamError(f"{what}: {NOT_TRIANGLES}")
-    if isinstance(triangles, Float64Triangles):
-        raise RaystreamError(f"{what}: {NOT_IN_FLOAT64}")
+    check_float32(what, triangles)
 
 
 def check_plain(what: str, triangles: Any) -> None:
@@ -52,3 +63,15 @@ def check_no_worlds(what: str, triangles: Any) -> None:
             f"{what}: not supported in a scene whose instances are in worlds; a scene of the "
             "instances of one world is"
         )
+
+
+def check_drawable(triangles: Any) -> None:
+    """Check that renderers support what a tracer's scene holds.
+
+    Raises
+    ------
+    RaystreamError
+        If it is in float64, or its instances are in worlds.
+    """
+    check_float32("render", triangles)
+    check_no_worlds("render", triangles)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from raystream.core.query import counts_surfaces
+from raystream.core.scene_checks import check_plain
 from raystream.jax import callbacks
 from raystream.tracer import Tracer
 
@@ -80,7 +81,7 @@ class JaxTracer:
     def __init__(self, tracer: Tracer) -> None:
         if not isinstance(tracer, Tracer):
             raise TypeError(f"tracer: expected a Tracer, got {type(tracer).__name__}")
-        tracer.check_plain("raystream.jax")
+        check_plain("raystream.jax", tracer.structure.triangles)
         self.tracer = tracer
 
     def first_hit(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress
 from raystream.kernels.solids import solids_of
 from raystream.machines.winding import inside_by_winding
@@ -44,7 +45,7 @@ class InsideTest:
     def __init__(self, tracer: PointQueries, method: str) -> None:
         if method not in ("rays", "winding"):
             raise ValueError(f"method: expected 'rays' or 'winding', got {method!r:.80}")
-        tracer.check_plain("inside tests")
+        check_plain("inside tests", tracer.structure.triangles)
         self._tracer = tracer
         self._triangles = tracer.structure.triangles
         self._uses_rays = method == "rays"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.closest_points import ClosestPoints
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_real_array
+from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.point_queries import NearestArrays, PointSource, work_bytes
 from raystream.machines.inside import InsideTest, share_of
@@ -283,6 +284,7 @@ class PointQueries(RayCaster):
         >>> rs.Tracer(triangle).winding_number([0.0, 0.0, -1e-9]).round(3).item()
         0.125
         """
+        check_plain("winding numbers", self.structure.triangles)
         given, most = _points_of(points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
@@ -337,7 +339,7 @@ class PointQueries(RayCaster):
 
     def _point_loop(self) -> Any:
         """The structure's loop over points on the CPU, or None for the backend's own."""
-        self.check_plain("closest points")
+        check_plain("closest points", self.structure.triangles)
         loop = form_of(self.structure.name, "nearest")
         is_there = self.device == "cpu" or self._backend.capabilities.points
         if loop is None or not is_there or self.machine != "branching":

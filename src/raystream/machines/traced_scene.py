@@ -249,7 +249,8 @@ class TracedScene:
         if not max_cost_growth >= 0.0:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
-        self._check_update(vertices)
+        if scene.has_primitives or (isinstance(vertices, Scene) and vertices.has_primitives):
+            return self._update_views(vertices)
         if (vertices is None) == (transforms is None):
             raise ValueError("update: expected either vertices or transforms")
         if transforms is not None:
@@ -273,11 +274,12 @@ class TracedScene:
         self._set(scene.moved(meshes, of_scene(triangles)), structure)
         return report
 
-    def _check_update(self, vertices: Any) -> None:
-        held: Any = self.structure.triangles
-        other = isinstance(vertices, Scene) and vertices.has_primitives
-        if isinstance(held, Primitives) or other:
+    def _update_views(self, scene: Any) -> UpdateReport:
+        """Take another scene of the same primitives: its camera and lights."""
+        if not isinstance(scene, Scene) or scene.triangles is not self.scene.triangles:
             raise ValueError(f"update: {NOT_TRIANGLES}; make another tracer")
+        self._set(scene, self.structure)
+        return UpdateReport(False, 0.0, math.nan, math.nan)
 
     def _update_instances(self, scene: Any) -> UpdateReport:
         """Place the instances as in another scene of the same objects."""
@@ -299,16 +301,6 @@ class TracedScene:
         capabilities = self._backend.capabilities
         return not (capabilities.shading or capabilities.loops)
 
-    def check_plain(self, what: str) -> None:
-        """Check that the scene has triangles alone, without instances, as `what` needs.
-
-        Raises
-        ------
-        RaystreamError
-            If it has instances or other primitives.
-        """
-        check_plain(what, self.structure.triangles)
-
     def save(self, path: str | PathLike[str]) -> None:
         """Write the built structure and its triangles to a file.
 
@@ -324,7 +316,7 @@ class TracedScene:
         OSError
             If it cannot be written.
         """
-        self.check_plain("save")
+        check_plain("save", self.structure.triangles)
         save_structure(path, self.structure)
 
     @classmethod

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.hits import RayRows
 from raystream.core.primitives import Primitives
 from raystream.core.rays import RayBatch
-from raystream.core.scene_checks import check_no_worlds
+from raystream.core.scene_checks import check_float32, check_no_worlds
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
@@ -151,6 +151,7 @@ def lidar_returns(
     ([1092, 1138, 1359], [1, 2, 3])
     """
     held: Any = tracer.structure.triangles
+    check_float32("lidar_returns", held)
     check_no_worlds("lidar_returns", held)
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene

@@ -9,6 +9,7 @@ from typing import Any
 
 from raystream.core.choices import DeviceOptions
 from raystream.core.memory import check_memory
+from raystream.core.scene_checks import check_drawable
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
@@ -78,14 +79,19 @@ def make_tracer(
     ------
     ValueError, TypeError
         If a tracer is given together with options, or as `Tracer`.
+    RaystreamError
+        If it is in float64, or its instances are in worlds.
     """
     if isinstance(scene, Tracer):
         if structure != "bvh" or device != "cpu" or options:
             raise ValueError(
                 "structure, device, options: not allowed with a Tracer, which has its own"
             )
-        return scene
-    return Tracer(scene, structure, device, **options)
+        tracer = scene
+    else:
+        tracer = Tracer(scene, structure, device, **options)
+    check_drawable(tracer.structure.triangles)
+    return tracer
 
 
 def check_whole(name: str, value: Any, least: int, most: int) -> int:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.primitives import mesh_triangles
 from raystream.rendering.environment import image_light, mean_radiance
 from raystream.scene.camera import Camera
 from raystream.scene.lights import (
@@ -103,12 +104,13 @@ class PatchLight:
 def area_patches(scene: Scene) -> list[PatchLight]:
     """Approximate each of a scene's area lights by one patch."""
     patches = []
+    triangles = mesh_triangles(scene.triangles)
     for light in scene.area_lights:
         solid = np.unique(light.prim_ids)
-        solid = solid[np.isin(solid, scene.triangles.prim_ids)]
+        solid = solid[np.isin(solid, triangles.prim_ids)]
         if not len(solid):
             continue
-        corners = scene.triangles.to_world(scene.triangles.corners[solid])
+        corners = triangles.to_world(triangles.corners[solid])
         edges = corners[:, 1:] - corners[:, :1]
         normals = np.cross(edges[:, 0], edges[:, 1]) / 2.0
         areas = np.linalg.norm(normals, axis=1)

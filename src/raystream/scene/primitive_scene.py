@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from raystream.core.height_field import HeightField
 from raystream.core.spheres import Spheres
 from raystream.scene.instanced_scene import InstancedScene
@@ -196,6 +198,23 @@ class PrimitiveScene(InstancedScene):
     def has_primitives(self) -> bool:
         """Whether there are spheres or height fields, rather than triangles alone."""
         return isinstance(self._geometry, PrimitiveGeometry)
+
+    def mesh_name(self, mesh_id: int) -> str:
+        """What a hit's mesh is called: a mesh's name, "height field" or "spheres"."""
+        meshes = self._geometry.meshes
+        if mesh_id < len(meshes):
+            return meshes[mesh_id].name
+        fields = getattr(self._geometry, "fields", ())
+        return "height field" if mesh_id < len(meshes) + len(fields) else "spheres"
+
+    @property
+    def primitive_materials(self) -> frozenset[int]:
+        """The materials of spheres and height fields."""
+        geometry = self._geometry
+        if not isinstance(geometry, PrimitiveGeometry):
+            return frozenset()
+        ids = {field.material_id for field in geometry.fields}
+        return frozenset(ids.union(np.unique(geometry.spheres.material_ids).tolist()))
 
     @property
     def primitive_counts(self) -> str:

@@ -442,16 +442,21 @@ class Scene(PrimitiveScene):
 
         Excludes materials whose emission is a texture, and those that are not opaque: they
         glow, but are not sampled as lights, since such textures are mostly black and cut-outs
-        emit nothing. So do all in a scene with instances, spheres or height fields.
+        emit nothing. So do all in a scene with instances, and materials that spheres or height
+        fields have.
         """
         lights: list[AreaLight] = []
-        if self.placements is not None or self.has_primitives:
+        if self.placements is not None:
             return lights
+        others = self.primitive_materials
         first = 0
         emissive = {
             index: material.emission
             for index, material in enumerate(self.materials)
-            if material.emits and material.is_opaque and "emission" not in material.textures
+            if material.emits
+            and material.is_opaque
+            and "emission" not in material.textures
+            and index not in others
         }
         for mesh_id, mesh in enumerate(self.meshes):
             for material_id, radiance in emissive.items():

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.primitives import mesh_triangles
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import image_light
 from raystream.rendering.lighting import HEADLIGHT, SKY, added_sun, needs_light
@@ -112,7 +113,7 @@ def lights_of(
     )
     prims = np.unique(prims).astype(np.int32)  # intersect1d would sort the scene's, too
     if len(prims):  # there are none with instances
-        prims = prims[np.isin(prims, scene.triangles.prim_ids)]
+        prims = prims[np.isin(prims, mesh_triangles(scene.triangles).prim_ids)]
     check_rows(len(prims), 17, "triangles that emit light")
     if is_added:
         color = color + SKY
@@ -193,7 +194,7 @@ def _area_patches(
     """
     corners = np.zeros((0, 3, 3))
     if len(prims):
-        corners = scene.triangles.corners[prims].astype(np.float64)
+        corners = mesh_triangles(scene.triangles).corners[prims].astype(np.float64)
     emission = np.array([material.emission for material in scene.materials]).reshape(-1, 3)
     materials = scene.attributes.material_ids[prims]
     edges = corners[:, 1:] - corners[:, :1]
