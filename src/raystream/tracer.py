@@ -84,7 +84,7 @@ class Tracer(MemoryEstimator, PointQueries):
     `raystream.core.library_hits.LibraryHits`.
     World space, scene units; directions need not be unit length, and t counts in their
     lengths. `t_min` and `t_max` are numbers or arrays that broadcast to S; the interval is
-    closed, and rounded to float32. A ray with a NaN, infinite or zero direction is not an error:
+    closed, and rounded to `precision`. A ray with a NaN, infinite or zero direction is no error:
     it misses, and its status is ``RayStatus.INVALID``.
 
     With ``device="cuda"`` rays may be arrays on the tracer's GPU, by DLPack or
@@ -174,7 +174,7 @@ class Tracer(MemoryEstimator, PointQueries):
         Returns
         -------
         Hits
-            ``t``, ``u``, ``v`` of shape S, float32, and ``prim_id`` of shape S, int32. A
+            ``t``, ``u``, ``v`` of shape S, of `precision`, and ``prim_id`` of shape S, int32. A
             miss has ``t = inf`` and ``prim_id = -1``. Of rays in arrays on a GPU:
             `raystream.cuda.device_hits.DeviceHits`, there.
 
@@ -313,7 +313,7 @@ class Tracer(MemoryEstimator, PointQueries):
         -------
         MultiHits
             ``ray_splits`` of shape (N + 1,), int64, delimits each ray's rows of ``t``,
-            ``u``, ``v`` (float32) and ``prim_id`` (int32). Of rays in arrays on a GPU:
+            ``u``, ``v`` (of `precision`) and ``prim_id`` (int32). Of rays in arrays on a GPU:
             `raystream.cuda.device_hits.DeviceMultiHits`, there.
 
         Raises

@@ -20,6 +20,12 @@ STORED = Path(__file__).resolve().parents[2] / "docs" / "lab" / "cpu" / "report.
 COUNTING = ("purcell-statistics", "foley-counts")
 
 
+def test_the_stored_report_has_all_experiments() -> None:
+    stored = json.loads(STORED.read_text(encoding="utf-8"))["experiments"]
+    on_cpu = [one.name for one in EXPERIMENTS if "cpu" in one.devices]
+    assert list(stored) == on_cpu
+
+
 @pytest.mark.exhaustive  # minutes each: all views in the papers' sizes
 @pytest.mark.usefixtures("scenes_folder")
 @pytest.mark.parametrize("name", COUNTING)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +97,6 @@ class RayHit(_Columns):
         return self.hits.positions
 
     @property
-    def normal(self) -> NDArray[np.float32]:
-        """Unit normal of the triangle's plane, shape (3,), float32; see `Hits.normals`."""
+    def normal(self) -> NDArray[np.floating[Any]]:
+        """Unit normal of the triangle's plane, shape (3,), of the type of t; see `Hits.normals`."""
         return self.hits.normals

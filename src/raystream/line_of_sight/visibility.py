@@ -122,7 +122,8 @@ def visibility(
     StoreWriteError
         If a Zarr group cannot be written.
     RaystreamError
-        If the package zarr is needed and not installed; or if the scene's instances are in worlds.
+        If the package zarr is needed and not installed; if the scene's instances are in worlds; or
+        for hits, `out` and triangles to skip in a scene with spheres, or in float64.
 
     Notes
     -----

@@ -28,7 +28,7 @@ def triangles_of(tracer: Any, scene: Any, precision: str) -> Any:
     ValueError
         If the precision is unknown, or not supported by the device, machine or counters.
     RaystreamError
-        If the scene has instances, and the precision is float64.
+        If the scene has instances, spheres or height fields, and the precision is float64.
     """
     if precision not in ("float32", "float64"):
         raise ValueError(f"precision: expected 'float32' or 'float64', got {precision!r}")

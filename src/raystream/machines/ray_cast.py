@@ -62,7 +62,7 @@ class RayCaster(TracedScene):
         -----
         For code that needs a hit before it knows its next ray: of many rays, `first_hit` takes
         less than a tenth of the time for each. Threads may cast rays at the same time, and run
-        in parallel. On GPUs, on ``machine="multipass"``, with ``counters=True`` and in
+        in parallel. On GPUs, on ``machine="multipass"``, with ``counters=True``, in float64 and in
         subclasses with a `first_hit` of their own, it is `first_hit` of one ray, and takes as long.
 
         Examples
