@@ -12,6 +12,7 @@ import raystream as rs
 from conftest import TRACERS, every_tracer_but_usually
 from meshes import soup
 from raystream.core import memory
+from raystream.instances.streams import CALL_BYTES
 from raystream.machines import memory_needed
 
 QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
@@ -119,7 +120,10 @@ def test_instances_need_more(query, rng):
     peak, result = peak_of(lambda: getattr(tracer, query)(origins, directions, **options))
     status = len(origins) if isinstance(result, np.ndarray) else 0
     assert byte_count(result) + status == pytest.approx(needed.results, rel=0.001)
-    assert peak <= needed.total <= 2 * peak + 300_000 * rs.thread_count()
+    spare = 300_000
+    if query in ("first_hit", "any_hit"):  # the memory of groups, if single rays were chosen
+        spare += CALL_BYTES
+    assert peak <= needed.total <= 2 * peak + spare * rs.thread_count()
 
 
 def test_counters_need_more():
