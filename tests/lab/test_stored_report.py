@@ -27,6 +27,7 @@ def test_the_stored_report_has_all_experiments() -> None:
 
 
 @pytest.mark.exhaustive  # minutes each: all views in the papers' sizes
+@pytest.mark.filterwarnings("ignore:.*can never be hit")  # of the models
 @pytest.mark.usefixtures("scenes_folder")
 @pytest.mark.parametrize("name", COUNTING)
 def test_counts_are_those_of_the_stored_report(name: str, tmp_path: Path) -> None:
