@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import HitColumns, Hits, MultiHits
-from raystream.core.rays import as_real_array
 
 __all__ = ["Float64Hits", "Float64MultiHits"]
 
@@ -37,14 +36,7 @@ class _Float64Columns(HitColumns):
         The origins lie off the triangles' planes by a bound of the rounding of float64: about
         2**-49 of the triangle's size and of the distance from the world's origin.
         """
-        wanted = (*self.prim_id.shape, 3)
-        array = as_real_array("directions", directions)
-        try:
-            array = np.broadcast_to(array, wanted)
-        except ValueError:
-            raise ValueError(
-                f"directions: shape {array.shape} does not broadcast to the hits' {wanted}"
-            ) from None
+        array = self._directions(directions)
         corners, positions = self._corners(), self.positions
         size = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
         reach = np.abs(corners).max(axis=(-2, -1))

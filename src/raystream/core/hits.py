@@ -154,6 +154,17 @@ class HitColumns:
     def _world_normals(self) -> NDArray[np.float64]:
         return self._triangles.normals_to_world(self._local_normals(), self.instance_id)
 
+    def _directions(self, directions: Any) -> NDArray[Any]:
+        """Directions for `spawn`, one for each hit."""
+        wanted = (*self.prim_id.shape, 3)
+        array = as_real_array("directions", directions)
+        try:
+            return np.broadcast_to(array, wanted)
+        except ValueError:
+            raise ValueError(
+                f"directions: shape {array.shape} does not broadcast to the hits' {wanted}"
+            ) from None
+
     def spawn(self, directions: Any) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """Make rays that leave the surfaces hit, without hitting the same triangles again.
 
@@ -187,14 +198,7 @@ class HitColumns:
         >>> bool(back.prim_id[0] == hits.prim_id[0])
         False
         """
-        wanted = (*self.prim_id.shape, 3)
-        array = as_real_array("directions", directions)
-        try:
-            array = np.broadcast_to(array, wanted)
-        except ValueError:
-            raise ValueError(
-                f"directions: shape {array.shape} does not broadcast to the hits' {wanted}"
-            ) from None
+        array = self._directions(directions)
         triangles, instance_id = self._triangles, self.instance_id
         local = spawn_origins(
             triangles.reaches_at(instance_id),

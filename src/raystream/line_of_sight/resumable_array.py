@@ -16,6 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 from raystream.core.errors import FileFormatError
 from raystream.ray_files.durable import locked
 from raystream.ray_files.journal import (
+    Journal,
     QueryProgress,
     differing_names,
     journal_path,
@@ -23,7 +24,7 @@ from raystream.ray_files.journal import (
     write_journal,
 )
 
-__all__ = ["ResumableArray", "resumable_array"]
+__all__ = ["ResumableArray", "continued", "resumable_array"]
 
 #: Seconds between two records of the progress: what an interruption may lose.
 _INTERVAL = 2.0
@@ -93,10 +94,26 @@ def resumable_array(
         raise FileFormatError(
             path, f"exists, and {journal.name} does not say of what; choose another output"
         )
+    with continued(path, identity) as found:
+        if found.done.rays == 0:
+            _create(path, shape, dtype)
+        array = _mapped(path, shape, dtype)
+        yield ResumableArray(path, identity, array, found.done.rays)
+
+
+@contextlib.contextmanager
+def continued(path: Path, identity: dict[str, Any]) -> Iterator[Journal]:
+    """Lock an output that a journal describes; checks that it is of this query.
+
+    Raises
+    ------
+    FileFormatError
+        If it belongs to another query, or another process writes it.
+    """
     with locked(path) as is_locked:
         if not is_locked:
             raise FileFormatError(path, "is being written by another process")
-        found = read_journal(journal)
+        found = read_journal(journal_path(path))
         names = differing_names(found.identity, identity)
         if names:
             raise FileFormatError(
@@ -104,10 +121,7 @@ def resumable_array(
                 f"belongs to another query ({names} differ); delete it to start over, or choose "
                 "another output",
             )
-        if found.done.rays == 0:
-            _create(path, shape, dtype)
-        array = _mapped(path, shape, dtype)
-        yield ResumableArray(path, identity, array, found.done.rays)
+        yield found
 
 
 def _create(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> None:

@@ -12,15 +12,14 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamError
+from raystream.line_of_sight.resumable_array import continued
 from raystream.ray_files.blocks import Block
 from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, create_array
-from raystream.ray_files.durable import locked, synchronize
+from raystream.ray_files.durable import synchronize
 from raystream.ray_files.errors import StoreWriteError, require_zarr
 from raystream.ray_files.journal import (
     QueryProgress,
-    differing_names,
     journal_path,
-    read_journal,
     write_journal,
 )
 
@@ -157,17 +156,7 @@ def _opened(
         # The journal first: it marks the folder as replaceable.
         write_journal(journal, identity, QueryProgress())
     path.mkdir(exist_ok=True)
-    with locked(path) as is_locked:
-        if not is_locked:
-            raise FileFormatError(path, "is being written by another process")
-        found = read_journal(journal)
-        names = differing_names(found.identity, identity)
-        if names:
-            raise FileFormatError(
-                path,
-                f"belongs to another query ({names} differ); delete it to start over, or choose "
-                "another output",
-            )
+    with continued(path, identity) as found:
         if found.done.rays == 0:
             _create(path, arrays, identity)
         opened = {name: _open(path, name, kind) for name, kind in arrays.items()}

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.core.hit_kinds import hits_type, multi_hits_type
+from raystream.core.hit_kinds import hits_type, multi_hits_type, split_numbers
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
 from raystream.kernels.hits import Sink
 
 __all__ = ["all_hits", "nearest_hits"]
@@ -17,7 +15,7 @@ def nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:
     """The results of `Kind.FIRST_HIT` for rays of a leading shape."""
     t, u, v, numbers = sink.hits
     status, sectors = sink.status, sink.sectors
-    prim_id, instance_id = _split(numbers, triangles)
+    prim_id, instance_id = split_numbers(numbers, triangles)
     kind = hits_type(triangles)
     if len(shape) == 1:
         return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
@@ -32,16 +30,7 @@ def nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:
 def all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
     """The results of `Kind.MULTI_HIT` for rays of a leading shape."""
     t, u, v, numbers = sink.hits
-    prim_id, instance_id = _split(numbers, triangles)
+    prim_id, instance_id = split_numbers(numbers, triangles)
     status = sink.status.reshape(shape)
     kind = multi_hits_type(triangles)
     return kind(sink.splits, t, u, v, prim_id, status, triangles, instance_id)
-
-
-def _split(numbers: Any, triangles: Any) -> tuple[Any, Any]:
-    """The prim_ids and instance_ids of the numbers that kernels give to what is hit."""
-    if isinstance(triangles, InstancedTriangles):
-        return triangles.split_ids(numbers)
-    if isinstance(triangles, Primitives):
-        return triangles.prim_ids_of(numbers), None
-    return numbers, None
