@@ -81,7 +81,7 @@ class _PlacedBlock(RayBlock):
     ) -> None:
         super().__init__(batch, rows, structure.frame, status, progress)
         # To stay within float64 in all spaces.
-        length = np.abs(batch.directions[rows]).max(axis=1)
+        length = np.abs(batch.directions[rows]).max(axis=1).astype(np.float64)
         is_valid = (length >= 1.0 / MAX_LENGTH) & (length <= MAX_LENGTH)
         if not is_valid.all():
             status[rows][~is_valid] = RayStatus.INVALID

@@ -15,7 +15,7 @@ from raystream.kernels.ray import SceneFrame
 from raystream.structures.bvh.layout import BvhArrays
 from raystream.structures.bvh.steps import stack_half
 
-__all__ = ["OBJECT", "instanced_structure", "power_of"]
+__all__ = ["instanced_structure", "power_of"]
 
 #: Words of a row of ``places``.
 _ROW = 4
@@ -23,8 +23,20 @@ _ROW = 4
 #: Bits below the first block in the link of a leaf, see `BvhArrays`.
 _LEAF_SHIFT = 3
 
-#: An object, see ``instances/object_ray.wgsl``.
-OBJECT = np.dtype(
+#: An instance: from world to object space, and numbers; see ``instances/object_ray.wgsl``.
+_INSTANCE = np.dtype(
+    [
+        ("linear", "f8", (3, 3)),
+        ("shift", "f8", 3),
+        ("object_id", "u4"),
+        ("first_id", "i4"),
+        ("world", "i4"),
+        ("unused", "u4"),
+    ]
+)
+
+#: An object, likewise.
+_OBJECT = np.dtype(
     [
         ("center", "f8", 3),
         ("scale_exponent", "i4"),
@@ -68,7 +80,7 @@ def _trees(bvh: InstancedBvh) -> ShaderStructure:
     objects["first"] = np.where(lengths > 0, first_nodes[1:-1], -1)
     starts = bvh.trees.first_nodes
     roots = np.where(np.diff(starts) > 0, starts[:-1], -1).astype(np.int32)
-    places, object_at, root_at = _places(bvh.memory["leaves"], objects, roots)
+    places, object_at, root_at = _places(_instances(bvh), objects, roots)
     counts = np.bincount(bvh.triangles.instances.object_ids, minlength=len(trees)).tolist()
     most = 12 * len(top) + sum(
         count * (1 + most_steps(one)) for count, one in zip(counts, trees, strict=True)
@@ -109,10 +121,10 @@ def _lists(brute: InstancedStructure) -> ShaderStructure:
     splits = _firsts([len(one) for one in ids])
     objects = _objects(brute)
     objects["first"], objects["end"] = splits[:-1], splits[1:]
-    leaves = brute.memory["leaves"].copy()
+    placed = _instances(brute)
     # Lists have the prim_ids of the scene.
-    leaves["first_id"] -= triangles.first_prims[leaves["object_id"]].astype(np.int32)
-    places, object_at, _ = _places(leaves, objects, np.zeros(0, np.int32))
+    placed["first_id"] -= triangles.first_prims[placed["object_id"]].astype(np.int32)
+    places, object_at, _ = _places(placed, objects, np.zeros(0, np.int32))
     firsts = triangles.first_prims[:-1]
     rows = _joined(one + first for one, first in zip(ids, firsts, strict=True))
     counts = np.bincount(triangles.instances.object_ids, minlength=len(ids)).tolist()
@@ -120,16 +132,25 @@ def _lists(brute: InstancedStructure) -> ShaderStructure:
     return ShaderStructure(
         name="brute",
         shader="brute.wgsl",
-        tree=numbers(object_at, len(leaves)),
+        tree=numbers(object_at, len(placed)),
         arrays=(rows.astype(np.uint32), triangles.object_corners(), places),
         budget=budget_for(most),
         instead=_INSTEAD,
     )
 
 
+def _instances(structure: InstancedStructure) -> NDArray[np.void]:
+    """The records of the instances, in the order of the tree's leaves."""
+    leaves = structure.memory["leaves"]
+    records = np.zeros(len(leaves), _INSTANCE)
+    for name in ("linear", "shift", "object_id", "first_id", "world"):
+        records[name] = leaves[name]
+    return records
+
+
 def _objects(structure: InstancedStructure) -> NDArray[np.void]:
     """The records of the objects, without their first and last rows."""
-    records = np.zeros(len(structure.objects), OBJECT)
+    records = np.zeros(len(structure.objects), _OBJECT)
     for record, one in zip(records, structure.objects, strict=True):
         frame = SceneFrame.of(one.triangles)
         for name in ("center", "max_coordinate", "low", "high"):
@@ -139,11 +160,11 @@ def _objects(structure: InstancedStructure) -> NDArray[np.void]:
 
 
 def _places(
-    leaves: NDArray[np.void], objects: NDArray[np.void], roots: NDArray[np.int32]
+    placed: NDArray[np.void], objects: NDArray[np.void], roots: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint32], int, int]:
     """Instances, objects and roots one after another, in rows; and where the last two begin."""
     padded = np.concatenate([roots, np.zeros(-len(roots) % _ROW, np.int32)])
-    parts = [np.ascontiguousarray(one).view(np.uint32) for one in (leaves, objects, padded)]
+    parts = [np.ascontiguousarray(one).view(np.uint32) for one in (placed, objects, padded)]
     rows = _firsts([len(one) // _ROW for one in parts])
     return np.concatenate(parts), rows[1], rows[2]
 

@@ -35,23 +35,24 @@ fn root_of(tree: u32) -> i32 {
 
 // Search the instances of the ray's world, then those in all worlds.
 fn search(ray: Ray) {
-    if world_ray.world >= 0 {
-        search_instances(ray, root_of(u32(world_ray.world)));
-    }
-    if !is_full() {
-        search_instances(ray, root_of(params.tree.tree_count - 1u));
-    }
-}
-
-fn search_instances(ray: Ray, first: i32) {
-    root = first;
     stack_top = 0u;
     stack_bottom = 0u;
-    begin_search(ray);
+    let worlds = params.tree.tree_count - 1u;
+    if world_ray.world >= 0 {
+        root = root_of(u32(world_ray.world));
+        begin_search(ray);
+    }
+    var is_last = false;
     while !is_full() && spend_budget() {
         let leaf = next_leaf(ray);
         if !leaf.is_found {
-            return;
+            if is_last {
+                return;
+            }
+            is_last = true;
+            root = root_of(worlds);
+            begin_search(ray);
+            continue;
         }
         let number = u32(~leaf.link) >> 3u;
         let object = object_of(places[INSTANCE_ROWS * number + 6u].x);

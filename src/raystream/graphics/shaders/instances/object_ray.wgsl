@@ -1,8 +1,8 @@
 // A world ray in the space of an instance's object: moved in float64, then made local, with the bits
 // that the CPU has. As raystream/instances/traversal.py and raystream/kernels/ray.py.
 
-// Instances, world to object space, of INSTANCE_ROWS rows as raystream/instances/records.py has them;
-// then objects, of OBJECT_ROWS rows, as raystream/graphics/instances.py; then roots of trees.
+// Instances, world to object space, of INSTANCE_ROWS rows; then objects, of OBJECT_ROWS rows; then
+// roots of trees. As raystream/graphics/structures/instances.py.
 @group(1) @binding(2) var<storage, read> places: array<vec4u>;
 
 const INSTANCE_ROWS: u32 = 7u;

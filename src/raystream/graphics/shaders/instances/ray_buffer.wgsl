@@ -1,5 +1,5 @@
 // Rays of compute shaders in a scene with instances: in the frame of the tree over the instances, and
-// in world space. Replaces ray_buffer.wgsl. As raystream/graphics/instances.py packs them.
+// in world space. Replaces ray_buffer.wgsl. As raystream/graphics/instanced_rays.py packs them.
 
 // The bits of floats, of doubles and of integers.
 @group(0) @binding(1) var<storage, read> rays: array<vec4u>;
