@@ -159,6 +159,21 @@ def test_objects_far_from_the_origin_lose_no_more_than_on_the_cpu(offset) -> Non
     np.testing.assert_allclose(hits.t[found], expected.t[found], rtol=1e-5)
 
 
+def test_rays_from_very_far_away() -> None:
+    """Where float64 has a thousandth, rays are moved to objects with the CPU's rounding."""
+    scene = random_scene(7, 30)
+    rays = random_rays(9, 2000)
+    unit = rays["directions"] / np.linalg.norm(rays["directions"], axis=1, keepdims=True)
+    far = {"origins": rays["origins"] - 1e13 * unit, "directions": unit}
+    expected = rs.Tracer(scene).first_hit(**far)
+    hits = rs.Tracer(scene, "bvh", "graphics").first_hit(**far)
+    assert np.count_nonzero(expected.is_hit) > 200
+    for name in ("prim_id", "instance_id"):
+        np.testing.assert_array_equal(getattr(hits, name), getattr(expected, name))
+    for name in ("u", "v"):
+        np.testing.assert_allclose(getattr(hits, name), getattr(expected, name), atol=1e-4)
+
+
 def test_equal_distances_go_to_the_first_instance() -> None:
     one = scene_of(*cube())
     scene = rs.Scene.instances([one, one], np.tile(np.eye(3, 4), (3, 1, 1)), [1, 0, 1])
