@@ -64,6 +64,8 @@ class InstancedStructure(Structure):
     Attributes
     ----------
     objects : tuple of Structure
+    trees : TopTrees
+        Over the instances.
     """
 
     make_searches = staticmethod(instance_searches)
@@ -76,7 +78,7 @@ class InstancedStructure(Structure):
         self.triangles, self.objects, self.options = triangles, tuple(objects), options
         boxes = world_frame(triangles)
         self.frame = SceneFrame.of(boxes)
-        trees = self._trees(boxes)
+        self.trees = trees = self._trees(boxes)
         order = trees.order
         leaves = instance_records(triangles, order)
         self._memory = {

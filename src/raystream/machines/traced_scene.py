@@ -114,10 +114,11 @@ class TracedScene:
 
     def _check_instances(self, triangles: Any) -> None:
         is_supported = (self.device, self.machine) == ("cpu", "branching")
-        if isinstance(triangles, InstancedTriangles) and not is_supported:
+        takes_instances = is_supported or (self.device, self.machine) == ("graphics", "compute")
+        if isinstance(triangles, InstancedTriangles) and not takes_instances:
             raise ValueError(
                 f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
-                "with machine='branching' supports them"
+                "with machine='branching' and device='graphics' with machine='compute' support them"
             )
         if isinstance(triangles, Primitives) and not is_supported:
             raise ValueError(f"device={self.device!r}, machine={self.machine!r}: {NOT_TRIANGLES}")
