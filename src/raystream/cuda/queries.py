@@ -23,7 +23,7 @@ from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.rounds import ProgramRounds
 from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
 from raystream.cuda.query_kernels import CountAddresses, RowAddresses
-from raystream.cuda.rays import place_device_rays
+from raystream.cuda.rays import place_device_rays, place_worlds
 from raystream.cuda.scan import prefix_sum
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
@@ -183,8 +183,10 @@ class FirstHit(DeviceQuery):
         return self.hits.block, self.status
 
     def result(self) -> DeviceHits:
-        columns = self.hits.columns(self.rays.rays.shape)
-        return DeviceHits(*columns, self._shaped(self.status), self.scene.triangles)
+        t, u, v, numbers = self.hits.columns(self.rays.rays.shape)
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return DeviceHits(t, u, v, prim_id, status, triangles, instance_id)
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         self.hits.copy_rows(copies[0], sink.hits.part(rows))
@@ -298,10 +300,10 @@ class MultiHit(DeviceQuery):
         return self.hits.block, self.splits, self.status
 
     def result(self) -> DeviceMultiHits:
-        columns = self.hits.columns((self.hits.hit_count,))
-        return DeviceMultiHits(
-            self.splits, *columns, self._shaped(self.status), self.scene.triangles
-        )
+        t, u, v, numbers = self.hits.columns((self.hits.hit_count,))
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return DeviceMultiHits(self.splits, t, u, v, prim_id, status, triangles, instance_id)
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         if self._splits is not None:
@@ -368,7 +370,7 @@ def trace_on_device(
     scene : DeviceScene
     query : Query
     arrays : RayArrays
-        See `place_device_rays`.
+        See `place_device_rays` and `place_worlds`.
     progress : callable, optional
         Called when kernels have been launched, which the device may not have finished.
     payload : array, dtype or None
@@ -383,22 +385,27 @@ def trace_on_device(
     Raises
     ------
     ValueError, TypeError, CudaError
-        See `place_device_rays` and `place_payload`; or if the filter or program does not run on
+        See `place_device_rays`, `place_worlds` and `place_payload`; or if the filter or program does not run on
         the device.
 
     Notes
     -----
     First and any hit and counting return before the device is done. Multi-hit reads the number of
-    hits. Filters and programs wait after each round.
+    hits. Worlds on the device are read, too. Filters and programs wait after each round.
     """
 
     def report(done: int, passes: int) -> None:
         if progress:
             progress(done * len(rays), passes * len(rays))
 
-    given = arrays._asdict()
-    with StreamScope(scene.gpu, stream_of(scene.gpu, given)) as scope:
-        rays = RayLauncher(scene, scope, place_device_rays(scope, **given), report=report)
+    *given, worlds = arrays
+    with StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
+        placed = place_device_rays(scope, *given)
+        if worlds is not None:
+            count = scene.triangles.instances.world_count
+            at = place_worlds(scope, worlds, count, placed.shape)
+            placed = placed._replace(worlds=at)
+        rays = RayLauncher(scene, scope, placed, report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
         with closing(task.launch()) as steps:  # after an error, before the scope ends
             copies = None

@@ -14,6 +14,7 @@ from raystream.core.rays import DEFAULT_LIMITS, RayBatch, as_real_array, is_on_g
 from raystream.cuda.packing import pack
 from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_of
 from raystream.kernels.ray_source import RaySource
+from raystream.machines.traced_scene import flat_ids
 
 __all__ = [
     "HITS_AT_ONCE",
@@ -21,6 +22,7 @@ __all__ = [
     "moved",
     "place_device_rays",
     "place_rays",
+    "place_worlds",
     "split_rows",
     "usual_limits",
 ]
@@ -64,11 +66,14 @@ class DeviceRays(NamedTuple):
     source : RaySource
     arrays : tuple of DeviceArray
         Keep them until the rays are traced.
+    worlds : uint64 or None
+        Address of the world of each ray, int32, in a scene whose instances are in worlds.
     """
 
     shape: tuple[int, ...]
     source: RaySource
     arrays: tuple[DeviceArray, ...] = ()
+    worlds: np.uint64 | None = None
 
     def __len__(self) -> int:
         return math.prod(self.shape)
@@ -112,7 +117,11 @@ def place_rays(
         *(origins, steps[0], doubles[0], directions, steps[1], doubles[1]),
         *(t_min, steps[2], t_max, steps[3]),
     )
-    return DeviceRays((rows.stop - rows.start,), source, tuple(placed))
+    worlds = None
+    if batch.worlds is not None:
+        placed.append(upload("worlds", batch.worlds[rows]))
+        worlds = placed[-1].address
+    return DeviceRays((rows.stop - rows.start,), source, tuple(placed), worlds)
 
 
 def _given(array: NDArray[Any], rows: slice) -> NDArray[Any]:
@@ -174,6 +183,44 @@ def place_device_rays(
         row = (*one.shape, 1), (*one.strides, one.dtype.itemsize)
         places += _placed(scope, name, one._replace(shape=row[0], strides=row[1]), shape)
     return DeviceRays(shape, RaySource(*places))
+
+
+def place_worlds(
+    scope: StreamScope, worlds: Any, count: int, shape: tuple[int, ...]
+) -> np.uint64:
+    """Copy the worlds of rays on the device; those that are there are read to be checked.
+
+    Parameters
+    ----------
+    scope : StreamScope
+    worlds : array_like that broadcasts to the rays' shape, int
+    count : int
+        Worlds of the scene.
+    shape : tuple of int
+        Of the rays.
+
+    Returns
+    -------
+    uint64
+        Address of an int32 per ray.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, or the shape does not fit.
+    TypeError
+        If they are not integers, or an array on the device has gaps.
+    CudaError
+        If an array is on another device, or there is no memory.
+    """
+    if is_on_gpu(worlds):
+        view = view_of(scope, "worlds", worlds)
+        worlds = np.empty(view.shape, view.dtype)
+        if view.strides != worlds.strides:
+            raise TypeError("worlds: expected an array without gaps on a GPU; copy it")
+        scope.gpu.copy(worlds.ctypes.data, view.address, worlds.nbytes, scope.stream)
+        scope.stream.sync()
+    return scope.placed("worlds", flat_ids("worlds", worlds, count, shape)).address
 
 
 def _vectors(scope: StreamScope, name: str, values: Any) -> DeviceView:

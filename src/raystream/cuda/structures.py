@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 from raystream.cuda.bvh.kernels import LAYOUTS, Traced, kernel_of, lay_out, traced_as
+from raystream.cuda.nested import Copies, room_bytes, upload_together
 from raystream.cuda.options import check_names
 from raystream.cuda.query_kernels import QueryKernels, make_kernels
 from raystream.cuda.ray_order import reordered
@@ -129,15 +130,25 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
     if is_there and (kernel == "wide" or not _has_layouts(structure)):
         return cast("BuiltOnDevice", structure).resident
     tree, given = lay_out(structure, kernel)
+    nested = structure.nested
     # Address 0 marks arrays that are absent.
-    memory = {name: one for name, one in given.items() if getattr(tree, name)}
-    wanted, free = sum(one.nbytes for one in memory.values()), gpu.free_byte_count()
+    memory = {name: one for name, one in given.items() if getattr(tree, name, 0)}
+    wanted = sum(one.nbytes for one in memory.values()) + room_bytes(nested.arrays)
+    free = gpu.free_byte_count()
     if wanted > free:
         raise CudaError(
             f"device 'cuda': the scene takes {wanted:,} bytes as {structure.name!r}, and "
             f"{gpu.name} has {free:,} free; trace a smaller one, or use device='cpu'"
         )
     arrays = {name: gpu.upload(f"{structure.name}, {name}", one) for name, one in memory.items()}
-    gpu.wait()  # other streams do not
     addresses = {name: one.address for name, one in arrays.items()}
-    return Resident(tree._replace(**addresses), tuple(arrays.values()))
+    kept = tuple(arrays.values())
+    if nested.arrays:
+        room, places = upload_together(gpu, f"{structure.name}, objects", nested.arrays)
+        kept = *kept, room
+        copies = Copies((*memory.values(), *nested.arrays), (*addresses.values(), *places))
+        for name in memory.keys() & nested.fields.keys():
+            arrays[name].fill(copies.records(memory[name], nested.fields[name]))
+        addresses |= copies.replaced(tree, nested.names)
+    gpu.wait()  # other streams do not
+    return Resident(tree._replace(**addresses), kept)
