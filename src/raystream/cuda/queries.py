@@ -23,7 +23,7 @@ from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.rounds import ProgramRounds
 from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
 from raystream.cuda.query_kernels import CountAddresses, RowAddresses
-from raystream.cuda.rays import place_device_rays, place_worlds
+from raystream.cuda.rays import place_device_rays
 from raystream.cuda.scan import prefix_sum
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
@@ -370,7 +370,7 @@ def trace_on_device(
     scene : DeviceScene
     query : Query
     arrays : RayArrays
-        See `place_device_rays` and `place_worlds`.
+        See `place_device_rays`.
     progress : callable, optional
         Called when kernels have been launched, which the device may not have finished.
     payload : array, dtype or None
@@ -385,7 +385,7 @@ def trace_on_device(
     Raises
     ------
     ValueError, TypeError, CudaError
-        See `place_device_rays`, `place_worlds` and `place_payload`; or if the filter or program does not run on
+        See `place_device_rays` and `place_payload`; or if the filter or program does not run on
         the device.
 
     Notes
@@ -398,13 +398,9 @@ def trace_on_device(
         if progress:
             progress(done * len(rays), passes * len(rays))
 
-    *given, worlds = arrays
+    world_count = 0 if arrays.worlds is None else scene.triangles.instances.world_count
     with StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
-        placed = place_device_rays(scope, *given)
-        if worlds is not None:
-            count = scene.triangles.instances.world_count
-            at = place_worlds(scope, worlds, count, placed.shape)
-            placed = placed._replace(worlds=at)
+        placed = place_device_rays(scope, arrays, world_count)
         rays = RayLauncher(scene, scope, placed, report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
         with closing(task.launch()) as steps:  # after an error, before the scope ends

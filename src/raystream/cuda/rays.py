@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import DEFAULT_LIMITS, RayBatch, as_real_array, is_on_gpu
+from raystream.core.rays import DEFAULT_LIMITS, RayArrays, RayBatch, as_real_array, is_on_gpu
 from raystream.cuda.packing import pack
 from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_of
 from raystream.kernels.ray_source import RaySource
@@ -22,7 +22,6 @@ __all__ = [
     "moved",
     "place_device_rays",
     "place_rays",
-    "place_worlds",
     "split_rows",
     "usual_limits",
 ]
@@ -139,25 +138,27 @@ def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
     return {value: gpu.upload("limits", one) for value, one in DEFAULT_LIMITS.items()}
 
 
-def place_device_rays(
-    scope: StreamScope, origins: Any, directions: Any, t_min: Any, t_max: Any
-) -> DeviceRays:
+def place_device_rays(scope: StreamScope, arrays: RayArrays, world_count: int = 0) -> DeviceRays:
     """View rays in the caller's arrays, at least one of which is on the device.
 
     Parameters
     ----------
     scope : StreamScope
         Its stream reads them.
-    origins, directions, t_min, t_max
+    arrays : RayArrays
         As for `RayBatch`; arrays on the device are float32 or float64, and those on the host
-        a single vector or number.
+        a single vector or number. Worlds may be on either, and those on the device are read to be
+        checked.
+    world_count : int
+        Worlds of the scene.
 
     Raises
     ------
     ValueError
-        If shapes disagree.
+        If shapes disagree, or a world is out of range.
     TypeError
-        If a dtype is not supported, or a larger array is on the host.
+        If a dtype is not supported, a larger array is on the host, or worlds on the device have
+        gaps.
     CudaError
         If an array is on another device, or there is no memory.
 
@@ -167,6 +168,7 @@ def place_device_rays(
     with or without gaps, forward or backward. Other layouts, such as columns or two arrays
     broadcast along different axes, and float64 limits, are packed on the device.
     """
+    origins, directions, t_min, t_max, worlds = arrays
     vectors = _vectors(scope, "origins", origins), _vectors(scope, "directions", directions)
     try:
         shape = np.broadcast_shapes(*(one.shape[:-1] for one in vectors))
@@ -182,37 +184,14 @@ def place_device_rays(
     for name, one in zip(("t_min", "t_max"), limits, strict=True):
         row = (*one.shape, 1), (*one.strides, one.dtype.itemsize)
         places += _placed(scope, name, one._replace(shape=row[0], strides=row[1]), shape)
-    return DeviceRays(shape, RaySource(*places))
+    at = None if worlds is None else _placed_worlds(scope, worlds, world_count, shape)
+    return DeviceRays(shape, RaySource(*places), worlds=at)
 
 
-def place_worlds(
+def _placed_worlds(
     scope: StreamScope, worlds: Any, count: int, shape: tuple[int, ...]
 ) -> np.uint64:
-    """Copy the worlds of rays on the device; those that are there are read to be checked.
-
-    Parameters
-    ----------
-    scope : StreamScope
-    worlds : array_like that broadcasts to the rays' shape, int
-    count : int
-        Worlds of the scene.
-    shape : tuple of int
-        Of the rays.
-
-    Returns
-    -------
-    uint64
-        Address of an int32 per ray.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of range, or the shape does not fit.
-    TypeError
-        If they are not integers, or an array on the device has gaps.
-    CudaError
-        If an array is on another device, or there is no memory.
-    """
+    """Address of the worlds of rays, checked on the host."""
     if is_on_gpu(worlds):
         view = view_of(scope, "worlds", worlds)
         worlds = np.empty(view.shape, view.dtype)
