@@ -18,6 +18,7 @@ from raystream.jit.cuda import CudaError, Gpu, is_simulated
 from raystream.machines.devices import build_on_cpu
 from raystream.structures import options_of
 from scene_cases import FIRST, ROWS, SCENE_CASES, assert_answers, assert_same, some_of
+from test_scene_contents import FEATURES, check_feature, tracer_of
 
 #: The simulator takes a tenth of a millisecond to begin a thread.
 RAY_COUNT = 24 if is_simulated() else None
@@ -206,6 +207,12 @@ def test_what_is_not_supported_says_so(gpu) -> None:
         for ask in (tracer.closest_point, tracer.contains, tracer.winding_number):
             with pytest.raises(rs.RaystreamError, match=says):
                 ask([0.0, 0, 5])
+
+
+@pytest.mark.parametrize("kind", ["instances", "worlds", "spheres"])
+@pytest.mark.parametrize("feature", FEATURES)
+def test_a_feature_works_or_names_what_it_does_not_support(gpu, feature, kind) -> None:
+    check_feature(feature, kind, tracer_of(kind, DEFAULT, "cuda"))
 
 
 def test_what_does_not_fit_says_so(gpu, monkeypatch) -> None:

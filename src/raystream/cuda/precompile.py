@@ -10,6 +10,7 @@ import numpy as np
 
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
 from raystream.cuda.bvh.kernels import KERNELS, kernel_of, lay_out, traced_as
+from raystream.cuda.hit_ids import HALVE, SPLIT, InstanceIds
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.point_kernels import LAYOUT, nearest_kernel
@@ -27,7 +28,13 @@ from raystream.machines.devices import build_on_cpu
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with, options_of
 
-__all__ = ["ARRAY_KERNELS", "all_kernels", "point_kernels", "structure_kernels"]
+__all__ = [
+    "ARRAY_KERNELS",
+    "all_kernels",
+    "point_kernels",
+    "scenes_of_kinds",
+    "structure_kernels",
+]
 
 #: Compiles a kernel for GPUs of a capability.
 Compiler = Callable[[tuple[int, int]], Compiled]
@@ -40,6 +47,8 @@ _FRAME = SceneFrame((0.0, 0.0, 0.0), 1.0, 1.0, _CORNER, _CORNER, np.float32(0.0)
 
 #: Kernels for rays in device arrays by name; they do not depend on the structure.
 ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
+    "split ids": (SPLIT, (InstanceIds(_AT, _AT, _AT, _AT), _AT, _AT)),
+    "halve ids": (HALVE, (np.int32(0), _AT)),
     "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
     "ray keys": (MAKE_KEY, (_SOURCE, _FRAME, _AT, _AT)),
 }
@@ -90,6 +99,14 @@ def structure_kernels(
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
 
 
+def scenes_of_kinds(scene: Scene) -> dict[str, Scene]:
+    """A scene of each kind that has kernels of its own, made of a scene's meshes."""
+    return {
+        "instances": Scene.instances(scene, [np.eye(3, 4)]),
+        "primitives": Scene.combine([scene, Scene.spheres([[0.0, 0.0, 0.0]], 1.0)]),
+    }
+
+
 def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels that find closest points, by structure, with arguments of the right types."""
     to = NearestAddresses(*[_AT] * 6)
@@ -128,6 +145,10 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
         for way, name, options in ways
         for query, one in structure_kernels(name, scene, **options).items()
     }
+    for kind, held in scenes_of_kinds(scene).items():
+        for name in ("bvh", "brute"):
+            made_of = structure_kernels(name, held)
+            listed |= {(f"{name}, {kind}", query): one for query, one in made_of.items()}
     for name in names_with("multipass"):
         for kernel, one in multipass_kernels(name, scene).items():
             group = f"{name}, passes" if kernel.endswith("pass") else "passes"
