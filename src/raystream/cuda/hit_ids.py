@@ -29,13 +29,13 @@ class InstanceIds(NamedTuple):
         Of `InstancedTriangles.first_ids`, int64.
     shifts : uint64
         Of an int64 per instance: what prim_ids are beyond the numbers.
-    count, halvings : uint64
+    instance_count, halvings : uint64
         Instances, and the steps of the binary search for one.
     """
 
     first_ids: np.uint64
     shifts: np.uint64
-    count: np.uint64
+    instance_count: np.uint64
     halvings: np.uint64
 
 
@@ -48,7 +48,9 @@ def _split(i, instances, numbers, instance_ids):
         store(instance_ids + at, _MISS)
         return
     long_number = np.int64(number)
-    found = interval_of(instances.first_ids, instances.count, instances.halvings, long_number)
+    found = interval_of(
+        instances.first_ids, instances.instance_count, instances.halvings, long_number
+    )
     shift = load(np.int64, instances.shifts + (found << _LONG))
     store(numbers + at, np.int32(long_number + shift))
     store(instance_ids + at, np.int32(found))
@@ -107,10 +109,12 @@ class HitIds:
         with self._lock:
             if self._table is None:
                 starts = held.first_ids[:-1]
-                shifts = held.first_prims[held.instances.object_ids] - starts
-                first_ids = self._gpu.upload("first ids", starts)
-                self._table = first_ids, self._gpu.upload("shifts", shifts.astype(np.int64))
+                beyond = held.first_prims[held.instances.object_ids] - starts
+                given = {"first ids": starts, "shifts": beyond.astype(np.int64)}
+                first_ids, shifts = (self._gpu.upload(*one) for one in given.items())
+                self._table = first_ids, shifts
                 self._gpu.wait()  # other streams do not
         count = len(held.instances)
+        first_ids, shifts = self._table
         sizes = np.uint64(count), np.uint64(max(count - 1, 0).bit_length())
-        return InstanceIds(*(one.address for one in self._table), *sizes)
+        return InstanceIds(first_ids.address, shifts.address, *sizes)
