@@ -124,6 +124,15 @@ def test_instances_and_primitives_equal_brute_force(driver, structure, name):
     assert any("multi_hit" in kernel for kernel in driver.launched)
 
 
+@pytest.mark.exhaustive
+@pytest.mark.usefixtures("driver")
+def test_persistent_threads_trace_instances():
+    scene, rays = SCENE_CASES["worlds"](np.random.default_rng(2013))
+    rays = some_of(rays, RAY_COUNT)
+    tracer = rs.Tracer(scene, device="cuda", gpu=NUMBER, launch="persistent")
+    assert_same(tracer.first_hit(**rays), rs.Tracer(scene, "brute").first_hit(**rays), FIRST)
+
+
 @pytest.mark.parametrize("structure", ["brute", "bvh"])
 def test_closest_points_equal_brute_force(driver, structure):
     vertices, faces = soup(24, 3)
