@@ -109,11 +109,18 @@ def test_no_rays_and_no_instances(gpu) -> None:
             assert (away.prim_id.tolist(), away.instance_id.tolist()) == ([-1], [-1])
 
 
-def test_updates_place_instances_elsewhere(gpu) -> None:
+def test_updates_place_instances_elsewhere(gpu, monkeypatch) -> None:
+    """Of the objects, which stay as they are, there is one copy."""
     scene, rays = case_of("mirrors_and_uneven_scales")
     tracer = rs.Tracer(scene, DEFAULT, "cuda")
     there = scene.placements.transforms + [0.0, 0.0, 0.0, 0.5]
+    own = sum(one.nbytes for one in tracer.structure.memory.values())
+    objects = sum(one.report.byte_count for one in tracer.structure.objects)
+    assert objects > 1000
+    monkeypatch.setattr(Gpu, "free_byte_count", lambda _: own)
     tracer.update(transforms=there)
+    with pytest.raises(CudaError, match="the scene takes"):
+        rs.Tracer(scene, DEFAULT, "cuda")
     oracle = rs.Tracer(scene.with_transforms(there), "brute")
     assert_same(tracer.first_hit(**rays), oracle.first_hit(**rays), FIRST)
 

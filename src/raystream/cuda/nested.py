@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cuda import DeviceArray, Gpu
+from raystream.jit.cuda import Gpu
 
-__all__ = ["Copies", "room_bytes", "upload_together"]
+__all__ = ["AddressMap", "SharedAllocation"]
 
 #: Alignment of arrays that share an allocation: that of allocations.
 _ALIGNMENT = 256
@@ -20,19 +21,22 @@ def _rounded(byte_count: int) -> int:
     return -(-byte_count // _ALIGNMENT) * _ALIGNMENT
 
 
-def room_bytes(arrays: Iterable[NDArray[Any]]) -> int:
-    """Bytes that `upload_together` allocates."""
-    return sum(_rounded(one.nbytes) for one in arrays)
+class SharedAllocation:
+    """Contiguous arrays in one allocation of a device: a scene may have thousands of objects.
 
+    They must not change. A scene whose instances have moved has the same objects: their copies are
+    shared as long as one of the two is in use.
 
-def upload_together(
-    gpu: Gpu, name: str, arrays: Sequence[NDArray[Any]]
-) -> tuple[DeviceArray, list[np.uint64]]:
-    """Copy contiguous arrays to one allocation: a scene may have thousands of objects.
+    Parameters
+    ----------
+    gpu : Gpu
+    name : str
+        For errors.
+    arrays : sequence of ndarray
 
-    Returns
-    -------
-    room : DeviceArray
+    Attributes
+    ----------
+    memory : DeviceArray
     addresses : list of uint64
         Of the copies.
 
@@ -41,18 +45,40 @@ def upload_together(
     CudaError
         If there is no memory for them.
     """
-    room = gpu.empty(name, room_bytes(arrays), np.uint8)
-    addresses, first = [], 0
-    for one in arrays:
-        part = room.part(first, one.nbytes)
-        if one.nbytes:
-            part.fill(one.reshape(-1).view(np.uint8))
-        addresses.append(part.address)
-        first += _rounded(one.nbytes)
-    return room, addresses
+
+    def __init__(self, gpu: Gpu, name: str, arrays: Sequence[NDArray[Any]]) -> None:
+        self._arrays = tuple(arrays)  # while they are kept, no others have their addresses
+        self.memory = gpu.empty(name, self.bytes_of(arrays), np.uint8)
+        self.addresses: list[np.uint64] = []
+        first = 0
+        for one in arrays:
+            part = self.memory.part(first, one.nbytes)
+            if one.nbytes:
+                part.fill(one.reshape(-1).view(np.uint8))
+            self.addresses.append(part.address)
+            first += _rounded(one.nbytes)
+        _known[_key(gpu, arrays)] = self
+
+    @staticmethod
+    def bytes_of(arrays: Iterable[NDArray[Any]]) -> int:
+        """Bytes of the allocation."""
+        return sum(_rounded(one.nbytes) for one in arrays)
+
+    @staticmethod
+    def known(gpu: Gpu, arrays: Sequence[NDArray[Any]]) -> SharedAllocation | None:
+        """The copies of these arrays that are in use, if there are any."""
+        return _known.get(_key(gpu, arrays))
 
 
-class Copies:
+#: Copies in use, by device and the addresses of the arrays.
+_known: WeakValueDictionary[tuple[Any, ...], SharedAllocation] = WeakValueDictionary()
+
+
+def _key(gpu: Gpu, arrays: Iterable[NDArray[Any]]) -> tuple[Any, ...]:
+    return gpu, *((one.ctypes.data, one.nbytes) for one in arrays)
+
+
+class AddressMap:
     """Where the copies of host arrays are.
 
     Parameters

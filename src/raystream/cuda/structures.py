@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 from raystream.cuda.bvh.kernels import LAYOUTS, Traced, kernel_of, lay_out, traced_as
-from raystream.cuda.nested import Copies, room_bytes, upload_together
+from raystream.cuda.nested import AddressMap, SharedAllocation
 from raystream.cuda.options import check_names
 from raystream.cuda.query_kernels import QueryKernels, make_kernels
 from raystream.cuda.ray_order import reordered
@@ -80,10 +80,13 @@ class Resident(NamedTuple):
         As `Structure.arrays`, with addresses on the device.
     arrays : tuple of DeviceArray
         The memory; keep it as long as the tree is used.
+    nested : SharedAllocation or None
+        And that of `Structure.nested`.
     """
 
     tree: Any
     arrays: tuple[DeviceArray, ...]
+    nested: SharedAllocation | None = None
 
 
 @runtime_checkable
@@ -132,8 +135,10 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
     tree, given = lay_out(structure, kernel)
     nested = structure.nested
     # Address 0 marks arrays that are absent.
-    memory = {name: one for name, one in given.items() if getattr(tree, name, 0)}
-    wanted = sum(one.nbytes for one in memory.values()) + room_bytes(nested.arrays)
+    memory = {name: one for name, one in given.items() if getattr(tree, name, one.size)}
+    held = SharedAllocation.known(gpu, nested.arrays) if nested.arrays else None
+    wanted = sum(one.nbytes for one in memory.values())
+    wanted += 0 if held else SharedAllocation.bytes_of(nested.arrays)
     free = gpu.free_byte_count()
     if wanted > free:
         raise CudaError(
@@ -142,13 +147,13 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
         )
     arrays = {name: gpu.upload(f"{structure.name}, {name}", one) for name, one in memory.items()}
     addresses = {name: one.address for name, one in arrays.items()}
-    kept = tuple(arrays.values())
-    if nested.arrays:
-        room, places = upload_together(gpu, f"{structure.name}, objects", nested.arrays)
-        kept = *kept, room
-        copies = Copies((*memory.values(), *nested.arrays), (*addresses.values(), *places))
+    if nested.fields:
+        held = held or SharedAllocation(gpu, f"{structure.name}, objects", nested.arrays)
+        places = *addresses.values(), *held.addresses
+        moved = AddressMap((*memory.values(), *nested.arrays), places)
         for name in memory.keys() & nested.fields.keys():
-            arrays[name].fill(copies.records(memory[name], nested.fields[name]))
-        addresses |= copies.replaced(tree, nested.names)
+            arrays[name].fill(moved.records(memory[name], nested.fields[name]))
+        addresses |= moved.replaced(tree, nested.names)
     gpu.wait()  # other streams do not
-    return Resident(tree._replace(**addresses), kept)
+    members = {name: at for name, at in addresses.items() if name in tree._fields}
+    return Resident(tree._replace(**members), tuple(arrays.values()), held)

@@ -137,10 +137,10 @@ class InstancedStructure(Structure):
 
     @property
     def nested(self) -> Nested:
-        """The objects' arrays, and the nodes, to which records point."""
-        objects = (array for one in self.objects for array in one.memory.values())
+        """The objects' arrays, to which records point."""
+        objects = tuple(array for one in self.objects for array in one.memory.values())
         fields = {"objects": OBJECT_ADDRESSES, "trees": TREE.names or ()}
-        return Nested((self._memory["nodes"], *objects), fields, ("shared",))
+        return Nested(objects, fields, ("shared",))
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """Not supported yet."""

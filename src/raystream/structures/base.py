@@ -74,7 +74,7 @@ class Nested(NamedTuple):
     Attributes
     ----------
     arrays : tuple of ndarray
-        Arrays besides those of `Structure.memory`.
+        Arrays besides those of `Structure.memory`, which never change.
     fields : mapping of str to tuple of str
         By name of arrays in the memory: their fields that are addresses in one of all these arrays,
         or 0.
@@ -148,7 +148,7 @@ class Structure(ABC):
     @property
     @abstractmethod
     def memory(self) -> dict[str, NDArray[Any]]:
-        """The arrays at these addresses, by field name of `arrays`.
+        """The arrays at these addresses, by field name of `arrays`; and others of `nested`.
 
         The address of an empty one may be 0; kernels never read it.
         """
