@@ -85,6 +85,18 @@ def test_nothing_to_hit_has_no_bounds(run, tmp_path):
     assert "nothing can be hit" in run("info", "flat.obj").out
 
 
+def test_instances_are_counted(run, tmp_path):
+    """A building above 500 million triangles has instances."""
+    figures = run("info", "building:600000000", "--json").figures
+    assert figures["triangles"] < 300_000
+    assert abs(figures["instanced_triangles"] - 600e6) < 1e6
+    count = f"{figures['instances']:,}"
+    assert count in run("info", "building:600000000").stdout
+    said = run("render", "building:600000000", "-o", tmp_path / "a.png", "--size", "8x8").stdout
+    assert f"{figures['instanced_triangles']:,} triangles in {count} instances" in said
+    assert "instances" not in run("info", "cornell", "--json").figures
+
+
 def test_table_for_people(run, square):
     result = run("info", square)
     assert result.code == 0

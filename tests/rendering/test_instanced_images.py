@@ -8,6 +8,7 @@ import pytest
 import raystream as rs
 from instanced import random_rotation, random_transforms
 from meshes import cube, icosphere
+from raystream.rendering.lighting import area_patches
 from raystream.rendering.sample_file import _digest
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
@@ -209,9 +210,94 @@ def test_rays_leave_objects_far_from_their_origin() -> None:
             assert image.pixels.mean() == pytest.approx(1.0, abs=1e-3)
 
 
-def test_emissive_objects_glow() -> None:
-    lamp = rs.Scene([rs.Mesh(*cube())], materials=[rs.Material(emission=(3.0, 2.0, 1.0))])
-    scene = rs.Scene.instances(lamp, [np.eye(3, 4)])
-    assert scene.area_lights == []
-    pixels = rs.render(scene, "path", (16, 12), samples=4, lights="file").pixels
-    assert pixels[6, 8] == pytest.approx([3.0, 2.0, 1.0])
+@pytest.fixture(scope="module")
+def lamps() -> rs.Scene:
+    """A box that is lit by the instances of one lamp: uneven in scale, and some mirrored."""
+    box = rs.load("cornell")
+    grey = rs.Material(diffuse=(0.7, 0.7, 0.7))
+    materials = [grey if any(one.emission) else one for one in box.materials]
+    pane = [[-30.0, 0.0, -30.0], [30.0, 0.0, -30.0], [30.0, 0.0, 30.0], [-30.0, 0.0, 30.0]]
+    lamp = rs.Scene(
+        [rs.Mesh(pane, [[0, 1, 2], [0, 2, 3]])],
+        materials=[rs.Material(emission=(30.0, 25.0, 20.0))],
+    )
+    transforms = np.tile(np.eye(3, 4), (4, 1, 1))
+    for k in range(1, 4):
+        transforms[k, :, :3] = np.diag([1.0, 0.7, 1.3 * (-1.0) ** k])
+        transforms[k, :, 3] = (120.0 * k, 520.0 - 60.0 * k, 150.0 + 60.0 * k)
+    objects = [box.replace(materials=materials), lamp]
+    return rs.Scene.instances(objects, transforms, [0, 1, 1, 1], camera=box.camera)
+
+
+@pytest.mark.parametrize("mode", ["path", "kajiya", "whitted", "raycast", "shadow"])
+def test_lamps_in_instances_are_lights(lamps: rs.Scene, mode: str) -> None:
+    (light,) = lamps.area_lights
+    assert len(light.prim_ids) == 2
+    assert len(lamps.flattened().area_lights) == 3
+    images = [
+        rs.render(scene, mode, (48, 48), samples=4, lights="file").pixels
+        for scene in (lamps, lamps.flattened())
+    ]
+    close = np.isclose(*images, rtol=1e-3, atol=1e-4).all(axis=2)
+    assert close.mean() > 0.99
+    assert images[0].mean() == pytest.approx(images[1].mean(), rel=5e-3)
+
+
+def test_samples_of_lamps_change_the_noise_and_not_the_mean(lamps: rs.Scene) -> None:
+    means, noise = [], []
+    for is_sampled in (True, False):
+        runs = [
+            rs.render(
+                lamps,
+                "path",
+                (32, 32),
+                samples=256,
+                light_samples=is_sampled,
+                seed=seed,
+                lights="file",
+                max_bounces=2,
+            ).pixels
+            for seed in range(4)
+        ]
+        means.append(np.mean(runs, axis=(0, 1, 2)))
+        noise.append(np.std(runs, axis=0, ddof=1).mean())
+    # Of 4 runs and a thousand pixels, whose noise hardly depends on that of others.
+    error = np.hypot(*noise) / np.sqrt(4 * 32 * 32)
+    assert abs(means[0] - means[1]) == pytest.approx([0.0] * 3, abs=5.0 * error)
+    assert noise[0] < noise[1] / 2.0
+
+
+def test_flat_lamps_do_not_block_their_light() -> None:
+    """A lamp whose object is a thousand times as large, and one that is as much thinner."""
+    pane = [[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]]
+    ground = rs.Mesh(np.array(pane)[::-1] * 3.0 - [0.0, 2.0, 0.0], [[0, 1, 2], [0, 2, 3]])
+    glowing = [rs.Material(emission=(5.0, 5.0, 5.0))]
+    images = []
+    for size, squeeze in ((1.0, 1.0), (1000.0, 1e-3), (1.0, 1e-6)):
+        tilted = np.array(pane) * size
+        tilted[:, 1] += tilted[:, 0] * min(1.0 / squeeze, 1e3) / 1e3
+        lamp = rs.Scene([rs.Mesh(tilted, [[0, 1, 2], [0, 2, 3]])], materials=glowing)
+        place = np.eye(3, 4)
+        place[:, :3] = np.diag([1.0 / size, squeeze / size, 1.0 / size])
+        camera = rs.Camera((0.0, -0.5, 4.0), (0.0, -2.0, 0.0))
+        scene = rs.Scene.instances([ground, lamp], [np.eye(3, 4), place], [0, 1], camera=camera)
+        images.append(rs.render(scene, "path", (24, 24), samples=16, lights="file").pixels)
+    for image in images[1:]:
+        assert image.mean() == pytest.approx(images[0].mean(), rel=0.01)
+
+
+def test_too_many_lamps_glow_only(lamps: rs.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("raystream.rendering.emitters.MOST_EMITTERS", 5)
+    with pytest.warns(rs.RaystreamWarning, match="6 triangles that emit light.*more than 5"):
+        image = rs.render(lamps, "path", (8, 8), samples=4, lights="file")
+    assert image.pixels.max() > 0.0
+
+
+def test_lamps_are_patches_until_they_are_many(
+    lamps: rs.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(area_patches(lamps)) == 3
+    monkeypatch.setattr("raystream.rendering.lighting.MOST_PATCHES", 2)
+    (patch,) = area_patches(lamps)
+    assert patch.area == pytest.approx(3 * 60.0 * 60.0 * 1.3)
+    assert patch.normal is None or abs(patch.normal[1]) == pytest.approx(1.0)

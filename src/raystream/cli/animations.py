@@ -21,7 +21,7 @@ from raystream.cli.console import (
     write_note,
 )
 from raystream.cli.frame_files import FrameFiles
-from raystream.cli.load import Stopwatch
+from raystream.cli.load import Stopwatch, triangle_figures, triangle_text
 from raystream.cli.render_job import RenderJob
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def render_animation(job: RenderJob, json: bool) -> None:
         "fps": timeline.fps,
         "structure": job.chosen.structure or "bvh",
         **job.chosen.figures(),
-        "triangles": scene.triangle_count,
+        **triangle_figures(scene),
         "seconds": watch.rounded(),
     }
     if json:
@@ -85,7 +85,7 @@ def render_animation(job: RenderJob, json: bool) -> None:
         write_line(
             f"{one_line(str(asked.output))}: {len(numbers):,} frames of "
             f"{width}x{height}, {timeline.fps:g} fps, "
-            f"{scene.triangle_count:,} triangles; {watch.text()}"
+            f"{triangle_text(scene)}; {watch.text()}"
         )
 
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from raystream.cli.load import triangle_figures
+
 if TYPE_CHECKING:
     from raystream.cli.load import Stopwatch
     from raystream.scene.mesh import Mesh
@@ -26,7 +28,8 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
     -------
     dict
         ``scene``, ``name``: as requested; as in the file.
-        ``triangles``, ``degenerate_triangles``, ``nonfinite_triangles``, ``vertices``.
+        ``triangles``; with instances also ``instances`` and ``instanced_triangles``, those of
+        all instances. ``degenerate_triangles``, ``nonfinite_triangles``, ``vertices``.
         ``bounds``: ``low`` and ``high`` of the triangles that can be hit; null if there are none.
         ``camera``: the fields of `Camera`. ``background``.
         ``meshes``: ``name``, ``triangles``, ``vertices``, ``attributes`` of each.
@@ -43,7 +46,7 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
     return {
         "scene": source,
         "name": scene.name,
-        "triangles": len(triangles),
+        **triangle_figures(scene),
         "degenerate_triangles": triangles.degenerate_count,
         "nonfinite_triangles": triangles.nonfinite_count,
         "vertices": sum(len(mesh.vertices) for mesh in scene.meshes),

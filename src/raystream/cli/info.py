@@ -107,6 +107,7 @@ def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
         ("  degenerate", f"{figures['degenerate_triangles']:,}"),
         ("  non-finite", f"{figures['nonfinite_triangles']:,}"),
         ("vertices", f"{figures['vertices']:,}"),
+        *_instance_facts(figures),
         ("meshes", f"{len(figures['meshes']):,}"),
         ("materials", f"{len(figures['materials']):,}"),
         ("lights", ", ".join(kinds) or "none"),
@@ -118,6 +119,13 @@ def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
         ("structure", f"{structure['name']}, built in {structure['seconds']:.2f} s"),
         *((f"  {name}", f"{value:,.6g}") for name, value in structure["quality"].items()),
     ]
+
+
+def _instance_facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
+    if "instances" not in figures:
+        return []
+    count = f"{figures['instances']:,}, of {figures['instanced_triangles']:,} triangles"
+    return [("instances", count)]
 
 
 def _vector(numbers: Sequence[float], separator: str = " ") -> str:

@@ -6,7 +6,7 @@ import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from raystream.cli.bars import Bars
 from raystream.cli.console import BadInputError, refuse
@@ -18,7 +18,14 @@ if TYPE_CHECKING:
     from raystream.scene.scene import Scene
     from raystream.tracer import Tracer
 
-__all__ = ["Stopwatch", "choose_threads", "open_tracer", "rays_per_second"]
+__all__ = [
+    "Stopwatch",
+    "choose_threads",
+    "open_tracer",
+    "rays_per_second",
+    "triangle_figures",
+    "triangle_text",
+]
 
 
 @dataclass
@@ -136,3 +143,24 @@ def _open_structure(name: str, chosen: TracerArguments, bars: Bars, watch: Stopw
 def rays_per_second(count: int, seconds: float) -> float:
     """Return millions of rays per second, to four digits; 0 for no rays."""
     return float(f"{count / max(seconds, 1e-9) / 1e6:.4g}")
+
+
+def triangle_figures(scene: Scene) -> dict[str, int]:
+    """Numbers of triangles; and if there are instances, of these and of all their triangles."""
+    figures = {"triangles": scene.triangle_count}
+    if scene.placements is not None:
+        figures["instances"] = len(scene.placements)
+        triangles: Any = scene.triangles
+        figures["instanced_triangles"] = int(triangles.first_ids[-1])
+    return figures
+
+
+def triangle_text(scene: Scene) -> str:
+    """The numbers of `triangle_figures` in words."""
+    figures = triangle_figures(scene)
+    if "instances" not in figures:
+        return f"{figures['triangles']:,} triangles"
+    return (
+        f"{figures['instanced_triangles']:,} triangles in {figures['instances']:,} instances of "
+        f"{figures['triangles']:,}"
+    )

@@ -12,7 +12,14 @@ from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.compiling import compiling
 from raystream.cli.console import BadInputError, one_line, refuse, write_json, write_line
-from raystream.cli.load import Stopwatch, choose_threads, open_tracer, rays_per_second
+from raystream.cli.load import (
+    Stopwatch,
+    choose_threads,
+    open_tracer,
+    rays_per_second,
+    triangle_figures,
+    triangle_text,
+)
 from raystream.cli.option_groups import expand_groups
 from raystream.cli.tracer_options import TracerOptions
 from raystream.cli.zarr_query import QUERIES, check_stores, is_store, trace_store
@@ -167,7 +174,6 @@ def query(
 
                 write_npz(output, found.arrays)
     speed = rays_per_second(found.rays - found.rays_before, watch.seconds["trace"])
-    triangle_count = len(tracer.structure.triangles)
     if json:
         write_json(
             {
@@ -176,7 +182,7 @@ def query(
                 "query": kind,
                 "structure": tracer.structure.name,
                 **chosen.figures(),
-                "triangles": triangle_count,
+                **triangle_figures(tracer.scene),
                 "rays": found.rays,
                 **({"rays_before": found.rays_before} if in_store else {}),
                 "invalid_rays": found.invalid_rays,
@@ -191,7 +197,7 @@ def query(
         hits = f", {found.hits:,} hits" if kind in ("multi", "count") else ""
         write_line(
             f"{one_line(str(output))}: {found.rays:,} rays{invalid}, {found.rays_hit:,} "
-            f"hit{hits}; {triangle_count:,} triangles; {watch.text()}; {speed:g} Mrays/s"
+            f"hit{hits}; {triangle_text(tracer.scene)}; {watch.text()}; {speed:g} Mrays/s"
         )
 
 

@@ -21,7 +21,13 @@ from raystream.cli.console import (
     write_note,
 )
 from raystream.cli.heatmaps import heatmap_figures
-from raystream.cli.load import Stopwatch, open_tracer, rays_per_second
+from raystream.cli.load import (
+    Stopwatch,
+    open_tracer,
+    rays_per_second,
+    triangle_figures,
+    triangle_text,
+)
 from raystream.cli.option_groups import expand_groups
 from raystream.cli.render_job import STDOUT, ImageOptions, RenderJob
 from raystream.cli.tracer_options import TracerArguments, TracerOptions
@@ -123,7 +129,6 @@ def _render_image(job: RenderJob, json: bool) -> None:
             if output.suffix.lower() not in UNEXPOSED:
                 exposure.report_dark(image)
             report_blank(image.to_bytes(*look), tracer, arguments["camera"], arguments, job.mode)
-    triangle_count = len(tracer.structure.triangles)
     if heat is None:
         ray_count, counts, figures = paths.count(image), paths.text(image), paths.figures(image)
     else:
@@ -143,7 +148,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
                 "samples": arguments["samples"],
                 "structure": render_with.structure_name(tracer),
                 **job.chosen.figures(),
-                "triangles": triangle_count,
+                **triangle_figures(tracer.scene),
                 "rays": ray_count,
                 "seconds": watch.rounded(),
                 "mrays_per_second": speed,
@@ -151,6 +156,6 @@ def _render_image(job: RenderJob, json: bool) -> None:
         )
     else:
         write(
-            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles; {counts}; "
-            f"{watch.text()}; {speed:g} M{unit}/s"
+            f"{one_line(str(output))}: {width}x{height}, {triangle_text(tracer.scene)}; "
+            f"{counts}; {watch.text()}; {speed:g} M{unit}/s"
         )

@@ -13,6 +13,7 @@ __all__ = [
     "REACH_UNITS",
     "UNIT",
     "WORLD_UNIT",
+    "plane_offset",
     "spawn_origins",
 ]
 
@@ -33,6 +34,30 @@ MOST_UNITS = 14.0
 
 #: Rounding of a world position to float64, in its own length.
 WORLD_UNIT = 2.0**-50
+
+
+def plane_offset(
+    size: NDArray[np.float64], reach: NDArray[np.float64], reaches: tuple[Any, Any]
+) -> NDArray[np.float64]:
+    """How far from a triangle's plane rays must start or end to miss it; see `spawn_origins`.
+
+    Parameters
+    ----------
+    size : ndarray of shape (...), float64
+        The triangle's longest side along an axis, local frame.
+    reach : ndarray of shape (...), float64
+        Largest absolute coordinate of the point on it.
+    reaches : tuple of two float, or ndarray of shape (...)
+        See `Triangles.reaches_at`.
+    """
+    extent, far = reaches
+    offset: NDArray[np.float64] = UNIT * np.minimum(
+        EXTENT_UNITS * size + REACH_UNITS * reach,
+        MOST_UNITS * (extent + reach),
+    )
+    # Far from the origin, the rounding of the float64 world position may be larger.
+    offset += WORLD_UNIT * far
+    return offset
 
 
 def spawn_origins(
@@ -67,15 +92,8 @@ def spawn_origins(
     from it. The test's rounding is that of a triangle whose vertices moved by less than
     `offset`, so it finds the plane at t < 0.
     """
-    extent, far = reaches
     size = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
-    reach = np.abs(positions).max(axis=-1)
-    offset = UNIT * np.minimum(
-        EXTENT_UNITS * size + REACH_UNITS * reach,
-        MOST_UNITS * (extent + reach),
-    )
-    # Far from the origin, the rounding of the float64 world position may be larger.
-    offset += WORLD_UNIT * far
+    offset = plane_offset(size, np.abs(positions).max(axis=-1), reaches)
     away = np.sign(np.einsum("...k,...k->...", normals, directions))
     away = np.where(away == 0.0, 1.0, away)
     return positions + (away * offset)[..., None] * normals

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.primitives import mesh_triangles
+from raystream.rendering.emitters import emitters_of
 from raystream.rendering.environment import image_light, mean_radiance
 from raystream.scene.camera import Camera
 from raystream.scene.lights import (
@@ -72,6 +73,9 @@ _SUN_DIRECTION = (0.5, -0.7, 0.7)
 #: Radiance of a white surface that faces the light at the eye, which paths get beside the sky.
 HEADLIGHT = 0.5
 
+#: An area light in more instances than this is one patch, as that of a mesh of as many lamps.
+MOST_PATCHES = 256
+
 #: Emissive triangles count as one flat patch if their normals add up to this much of their
 #: area, and as a light bulb otherwise.
 _FLATNESS = 0.9
@@ -90,43 +94,44 @@ class PatchLight:
     radiance : ndarray of shape (3,), float64
         Emitted radiance, linear RGB.
     area : float
-    prim_ids : ndarray of shape (K,), int32
-        Its triangles, without degenerate ones.
+    corners : ndarray of shape (K, 3, 3), float64
+        Of its triangles, without degenerate ones, in the scene's local frame.
     """
 
     position: NDArray[np.float64]
     normal: NDArray[np.float64] | None
     radiance: NDArray[np.float64]
     area: float
-    prim_ids: NDArray[np.int32]
+    corners: NDArray[np.float64]
 
 
 def area_patches(scene: Scene) -> list[PatchLight]:
-    """Approximate each of a scene's area lights by one patch."""
+    """Approximate each of a scene's area lights by one patch, in each instance."""
     patches = []
-    triangles = mesh_triangles(scene.triangles)
     for light in scene.area_lights:
-        solid = np.unique(light.prim_ids)
-        solid = solid[np.isin(solid, triangles.prim_ids)]
-        if not len(solid):
-            continue
-        corners = triangles.to_world(triangles.corners[solid])
-        edges = corners[:, 1:] - corners[:, :1]
-        normals = np.cross(edges[:, 0], edges[:, 1]) / 2.0
-        areas = np.linalg.norm(normals, axis=1)
-        area = float(areas.sum())
-        total = normals.sum(axis=0)
-        flat = float(np.linalg.norm(total)) > _FLATNESS * area
-        patches.append(
-            PatchLight(
-                position=np.average(corners.mean(axis=1), axis=0, weights=areas),
-                normal=total / np.linalg.norm(total) if flat else None,
-                radiance=np.array(light.radiance),
-                area=area,
-                prim_ids=solid,
-            )
-        )
+        emitters = emitters_of(scene, [light])
+        lit = np.unique(emitters.instance_ids)
+        groups: list[Any]
+        groups = [emitters.instance_ids == k for k in lit] if len(lit) <= MOST_PATCHES else [...]
+        patches += [_patch(scene, emitters.corners[own], light.radiance) for own in groups]
     return patches
+
+
+def _patch(scene: Scene, corners: NDArray[np.float64], radiance: Color) -> PatchLight:
+    world = corners / scene.triangles.scale + scene.triangles.center
+    edges = world[:, 1:] - world[:, :1]
+    normals = np.cross(edges[:, 0], edges[:, 1]) / 2.0
+    areas = np.linalg.norm(normals, axis=1)
+    area = float(areas.sum())
+    total = normals.sum(axis=0)
+    flat = float(np.linalg.norm(total)) > _FLATNESS * area
+    return PatchLight(
+        position=np.average(world.mean(axis=1), axis=0, weights=areas),
+        normal=total / np.linalg.norm(total) if flat else None,
+        radiance=np.array(radiance),
+        area=area,
+        corners=corners,
+    )
 
 
 def check_lights(lights: str) -> None:

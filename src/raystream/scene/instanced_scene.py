@@ -85,8 +85,7 @@ class InstancedScene:
         than 2**500, or shorter than its inverse, makes a ray INVALID.
 
         ``structure="bvh"`` and ``"brute"`` on the CPU and CUDA trace and render such scenes. For
-        closest points, view factors and other devices make a plain scene by `flattened`. Emissive
-        objects glow, but are not sampled as lights.
+        closest points, view factors and other devices make a plain scene by `flattened`.
 
         Examples
         --------

@@ -304,8 +304,7 @@ class Scene(PrimitiveScene):
     @property
     def has_lights(self) -> bool:
         """Whether the scene has lights, or surfaces that emit light."""
-        is_plain = self.placements is None and not self.has_primitives
-        glows = not is_plain and any(one.emits for one in self.materials)
+        glows = self.has_primitives and any(one.emits for one in self.materials)
         return bool(self.lights) or bool(self.area_lights) or glows
 
     @property
@@ -442,12 +441,10 @@ class Scene(PrimitiveScene):
 
         Excludes materials whose emission is a texture, and those that are not opaque: they
         glow, but are not sampled as lights, since such textures are mostly black and cut-outs
-        emit nothing. So do all in a scene with instances, and materials that spheres or height
-        fields have.
+        emit nothing. So do materials that spheres or height fields have. With instances, triangles
+        are listed once, and emit light in each instance.
         """
         lights: list[AreaLight] = []
-        if self.placements is not None:
-            return lights
         others = self.primitive_materials
         first = 0
         emissive = {

@@ -240,14 +240,18 @@ INSTANCED = [name for name, one in BUILTIN.items() if one.make_instanced]
 @pytest.mark.parametrize("target", [60, 1000, 30_000])
 @pytest.mark.parametrize("name", INSTANCED)
 def test_scenes_of_instances_have_the_same_triangles(name, target):
-    """In the same order, by mesh; trees have another shade."""
+    """In the same order, by mesh, but for rooms; these and trees have other shades."""
     plain, instanced = generate(name, target), generate(name, target, instances=True)
     assert instanced.placements is not None
     copies = {mesh.name: [] for mesh in plain.meshes}
     for mesh in instanced.flattened().meshes:
         copies[mesh.name].append(mesh)
+    assert set(copies) == {mesh.name for mesh in instanced.meshes}
     for mesh in plain.meshes:
         own = copies[mesh.name]
+        if name == "building" and len(own) > 1 and mesh.name != "furnishings":
+            assert sum(one.triangle_count for one in own) == mesh.triangle_count
+            continue
         placed = np.concatenate([one.vertices[one.faces] for one in own])
         reach = np.abs(mesh.vertices).max()
         np.testing.assert_allclose(placed, mesh.vertices[mesh.faces], atol=4e-7 * reach, rtol=0)
@@ -262,6 +266,21 @@ def test_scenes_of_instances_have_the_same_triangles(name, target):
         assert repr(getattr(instanced, part)) == repr(getattr(plain, part))
 
 
+def test_a_building_of_instances_has_the_same_rooms():
+    """Those at the back are mirrored; the first of a corridor has stairs."""
+    plain, instanced = (
+        rs.load("building", triangles=30_000, instances=own) for own in (False, True)
+    )
+    assert len(instanced.placements) > 50
+    rng = np.random.default_rng(0)
+    low, high = plain.meshes[1].vertices.min(axis=0), plain.meshes[1].vertices.max(axis=0)
+    rays = rng.uniform(low - 1.0, high + 1.0, (20_000, 3)), rng.normal(size=(20_000, 3))
+    hits, same = rs.Tracer(plain).first_hit(*rays), rs.Tracer(instanced).first_hit(*rays)
+    np.testing.assert_allclose(same.t, hits.t, rtol=1e-4, atol=1e-4)
+    cosines = np.einsum("nk,nk->n", hits.normals, same.normals)[hits.is_hit]
+    assert (cosines > 0.999).mean() > 0.99  # but where boxes touch
+
+
 @pytest.mark.parametrize("name", INSTANCED)
 def test_a_billion_triangles_are_few_in_memory(name):
     """Scenes that are too large for copies are made of instances."""
@@ -274,7 +293,8 @@ def test_a_billion_triangles_are_few_in_memory(name):
 
 
 def test_only_some_scenes_have_instances():
-    message = "instances: only for glTF files and the built-in scenes forest, robots, not for"
+    message = "instances: only for glTF files and the built-in scenes building, forest, robots, "
+    message += "not for"
     with pytest.raises(ValueError, match=message):
         rs.load("cornell", instances=True)
     for name in INSTANCED:
@@ -283,7 +303,7 @@ def test_only_some_scenes_have_instances():
         assert rs.load(name, triangles=500, instances=True).placements is not None
         assert rs.load(name, triangles=500).placements is None
     with pytest.raises(ValueError, match="expected 24 to 500,000,000"):
-        rs.load("building", triangles=MAX_TRIANGLES + 1)
+        rs.load("engine", triangles=MAX_TRIANGLES + 1)
     with pytest.raises(ValueError, match="not for samples"):
         rs.load("bunny", instances=True)
 

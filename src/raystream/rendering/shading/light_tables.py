@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.primitives import mesh_triangles
 from raystream.rendering.color import LUMINANCE
+from raystream.rendering.emitters import Emitters, emitters_of
 from raystream.rendering.environment import image_light
 from raystream.rendering.lighting import HEADLIGHT, SKY, added_sun, needs_light
 from raystream.rendering.shading.discrete_distribution import running_sums
@@ -108,17 +108,12 @@ def lights_of(
     if is_added and camera is not None:
         lights = (*lights, added_sun(camera))
     points, suns, color = _far_lights(scene, lights)
-    prims = np.concatenate(
-        [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
-    )
-    prims = np.unique(prims).astype(np.int32)  # intersect1d would sort the scene's, too
-    if len(prims):  # there are none with instances
-        prims = prims[np.isin(prims, mesh_triangles(scene.triangles).prim_ids)]
-    check_rows(len(prims), 17, "triangles that emit light")
+    emitters = emitters_of(scene, scene.area_lights)
+    check_rows(len(emitters.prim_ids), 17, "triangles that emit light")
     if is_added:
         color = color + SKY
     sky, sky_luminance, kept_sky = sky_of(color, image_light(scene.lights))
-    patches, powers, density = _area_patches(scene, prims)
+    patches, powers, density = _area_patches(scene, emitters)
 
     bounds = scene.triangles.bounds.astype(np.float64)
     radius = max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2.0, 1e-30)
@@ -145,7 +140,7 @@ def lights_of(
     tables = LightTables(
         np.uint64(len(points)),
         np.uint64(len(suns)),
-        np.uint64(len(prims)),
+        np.uint64(len(emitters.prim_ids)),
         point_rows,
         sun_rows,
         sky,
@@ -186,20 +181,19 @@ def _far_lights(
 
 
 def _area_patches(
-    scene: Scene, prims: NDArray[np.int32]
+    scene: Scene, emitters: Emitters
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Rows of `LightTables.patches`, their powers, and the density of samples by material.
 
     Powers up to a constant factor; densities as if there were no other lights.
     """
-    corners = np.zeros((0, 3, 3))
-    if len(prims):
-        corners = mesh_triangles(scene.triangles).corners[prims].astype(np.float64)
+    corners = emitters.corners
     emission = np.array([material.emission for material in scene.materials]).reshape(-1, 3)
-    materials = scene.attributes.material_ids[prims]
+    materials = scene.attributes.material_ids[emitters.prim_ids]
     edges = corners[:, 1:] - corners[:, :1]
     normals = np.cross(edges[:, 0], edges[:, 1])
     lengths = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(lengths, 1e-300)[:, None]
     luminance = emission @ LUMINANCE
     powers = lengths / 2.0 * luminance[materials]
     density = np.zeros(len(scene.materials))
@@ -208,9 +202,9 @@ def _area_patches(
         density[listed] = luminance[listed] / powers.sum()
     patches = np.column_stack(
         [
-            corners[:, 0],
+            corners[:, 0] + normals * emitters.offsets[:, None],
             edges.reshape(-1, 6),
-            normals / np.maximum(lengths, 1e-300)[:, None],
+            normals,
             emission[materials],
             density[materials],
             np.ptp(corners, axis=1).max(axis=1, initial=0.0),

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.primitives import mesh_triangles
 from raystream.core.spawn import UNIT
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, maximum, minimum, narrow_lanes, select, square_root
@@ -124,12 +123,10 @@ def _vector(values: NDArray[np.float64] | Sequence[float]) -> Vector:
 def _patch_rows(scene: Scene, patches: Sequence[PatchLight]) -> list[list[float]]:
     """Rows of area lights."""
     frame, rows = scene.triangles, []
-    triangles = mesh_triangles(frame)
     for patch in patches:
         row = [0.0] * _COLUMNS
         place = (patch.position - frame.center) * float(frame.scale)
-        corners = triangles.corners[patch.prim_ids].reshape(-1, 3)
-        spread = corners.astype(np.float64) - place
+        spread = patch.corners.reshape(-1, 3) - place
         row[:3], row[3:6] = place, math.pi * patch.radiance
         row[_RADIUS] = math.sqrt(patch.area / math.pi) * float(frame.scale)
         if patch.normal is None:

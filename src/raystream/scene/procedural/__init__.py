@@ -95,6 +95,7 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
             _building.building,
             "an office building, outside and inside (for Purcell's Soda Hall)",
             _building.DEFAULT_TRIANGLES,
+            _building.instanced_building,
         ),
         "forest": Builtin(
             _forest.forest,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.scene.procedural.parts import Part, instance, merge, yaw
+from raystream.scene.procedural.parts import Part, PartCopies, yaw
 from raystream.scene.procedural.rooms import BAY, STOREY, Plan
 from raystream.scene.procedural.shapes import lathe, rounded_box, sphere, vertex_normals
 
@@ -115,7 +115,7 @@ def furnishings(
     offices: NDArray[np.bool_],
     first_material: int,
     generator: np.random.Generator,
-) -> Part:
+) -> Iterator[PartCopies]:
     """Furnish a building.
 
     Parameters
@@ -130,14 +130,14 @@ def furnishings(
     generator : numpy.random.Generator
         Source of colours and rotations.
 
-    Returns
-    -------
-    Part
+    Yields
+    ------
+    PartCopies
         Smooth; every object is closed.
     """
     spots = [_spots(kind, plan, offices) for kind in KINDS]
     load = [kind.weight * len(place) for kind, place in zip(KINDS, spots, strict=True)]
-    left, parts = float(triangles), []
+    left = float(triangles)
     for index, (kind, places) in enumerate(zip(KINDS, spots, strict=True)):
         # The following kinds compensate for rounding.
         share = left * load[index] / max(sum(load[index:]), 1e-9)
@@ -149,12 +149,9 @@ def furnishings(
         size = kind.size * generator.uniform(0.85, 1.0, count)
         colors = np.asarray(kind.colors)[generator.integers(0, len(kind.colors), count)]
         turns = yaw(generator.uniform(0.0, 2 * np.pi, count) * (kind.make is not _cushion), size)
-        parts.append(
-            instance(
-                shape.painted(first_material + kind.material), turns, places[:count], colors=colors
-            )
+        yield PartCopies(
+            shape.painted(first_material + kind.material), turns, places[:count], colors
         )
-    return merge(parts)
 
 
 def _spots(kind: Kind, plan: Plan, offices: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -1,16 +1,26 @@
-"""Parts: building blocks of procedural scenes, merged and instanced."""
+"""Parts: building blocks of procedural scenes, and their copies: merged, or as instances."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.scene.mesh import Mesh
 
-__all__ = ["Part", "instance", "merge", "to_mesh", "yaw"]
+__all__ = [
+    "Part",
+    "PartCopies",
+    "instance",
+    "merge",
+    "merge_copies",
+    "separate_copies",
+    "to_mesh",
+    "yaw",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +154,58 @@ def instance(
     vertices = _transform(part.vertices, matrix)
     vertices += offset[:, None, :]
     return Part(vertices.reshape(-1, 3), faces, ids, normals, tint)
+
+
+class PartCopies(NamedTuple):
+    """Copies of a part.
+
+    Attributes
+    ----------
+    shape : Part
+        Around the origin, with its material.
+    matrices, offsets, colors : ndarray of shape (N, 3, 3), (N, 3) and (N, 3), float
+        See `instance`.
+    """
+
+    shape: Part
+    matrices: NDArray[np.floating[Any]]
+    offsets: NDArray[np.floating[Any]]
+    colors: NDArray[np.floating[Any]]
+
+
+def merge_copies(copies: Iterable[PartCopies]) -> Part:
+    """Make one part of all copies, ordered by shape, then by copy."""
+    return merge([instance(one.shape, *one[1:3], colors=one.colors) for one in copies])
+
+
+class Separate(NamedTuple):
+    """Copies as a scene's instances.
+
+    Attributes
+    ----------
+    objects : list of Part
+        Each shape in each of its colours.
+    object_ids : ndarray of shape (N,), int64
+        The object of each copy.
+    transforms : ndarray of shape (N, 3, 4), float64
+    """
+
+    objects: list[Part]
+    object_ids: NDArray[np.int64]
+    transforms: NDArray[np.float64]
+
+
+def separate_copies(copies: Iterable[PartCopies]) -> Separate:
+    """Make an object of each shape in each of its colours, and an instance of each copy."""
+    objects: list[Part] = []
+    ids, transforms = [np.zeros(0, np.int64)], [np.zeros((0, 3, 4))]
+    for one in copies:
+        colors, which = np.unique(one.colors, axis=0, return_inverse=True)
+        ids.append(len(objects) + which.reshape(-1))
+        transforms.append(np.concatenate([one.matrices, one.offsets[:, :, None]], axis=2))
+        place = [np.eye(3)], np.zeros((1, 3))
+        objects += [instance(one.shape, *place, colors=[color]) for color in colors]
+    return Separate(objects, np.concatenate(ids), np.concatenate(transforms))
 
 
 def yaw(angles: ArrayLike, scales: ArrayLike = 1.0) -> NDArray[np.float32]:

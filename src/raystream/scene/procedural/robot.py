@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.scene.procedural.parts import Part, instance, merge, yaw
+from raystream.scene.procedural.parts import Part, PartCopies, instance, merge_copies, yaw
 from raystream.scene.procedural.shapes import rounded_box, sphere
 
-__all__ = ["PART_COUNT", "PlacedPiece", "placed_pieces", "robot_parts"]
+__all__ = ["PART_COUNT", "robot_copies", "robot_parts"]
 
 #: Offsets from the first of the robots' materials.
 PAINT, METAL, VISOR, EYE, RUBBER = range(5)
@@ -107,42 +107,16 @@ def robot_parts(
     Part
         Ordered by part, then by robot: N part_count 12 divisions^2 triangles.
     """
-    parts = [
-        instance(
-            one.shape,
-            one.matrices,
-            one.offsets,
-            material_ids=np.full(count, first_material + one.material),
-            colors=one.colors,
-        )
-        for one in placed_pieces(divisions, count, part_count, generator)
-    ]
-    return merge(parts)
+    return merge_copies(robot_copies(divisions, count, part_count, first_material, generator))
 
 
-class PlacedPiece(NamedTuple):
-    """A part of all robots.
-
-    Attributes
-    ----------
-    shape : Part
-        Around the origin.
-    material : int
-        0 to 4.
-    matrices, offsets, colors : ndarray of shape (N, 3, 3), (N, 3) and (N, 3), float64
-        Of each robot.
-    """
-
-    shape: Part
-    material: int
-    matrices: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    colors: NDArray[np.float64]
-
-
-def placed_pieces(
-    divisions: int, count: int, part_count: int, generator: np.random.Generator
-) -> Iterator[PlacedPiece]:
+def robot_copies(
+    divisions: int,
+    count: int,
+    part_count: int,
+    first_material: int,
+    generator: np.random.Generator,
+) -> Iterator[PartCopies]:
     """The parts of robots and where they are; see `robot_parts` for the parameters."""
     turns = yaw(generator.normal(0.1, 0.25, count))
     paints = PAINTS[np.arange(count) % len(PAINTS)]
@@ -164,7 +138,7 @@ def placed_pieces(
         offsets = np.einsum("nij,nj->ni", turns, centers) + base
         matrices = np.einsum("nij,njk->nik", turns, swing)
         colors = paints if piece.material == PAINT else np.ones((count, 3))
-        yield PlacedPiece(shape, piece.material, matrices, offsets, colors)
+        yield PartCopies(shape.painted(first_material + piece.material), matrices, offsets, colors)
 
 
 def _column(count: int, generator: np.random.Generator) -> NDArray[np.float64]:

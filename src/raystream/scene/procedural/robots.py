@@ -11,8 +11,8 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.material import Material
 from raystream.scene.procedural.city import city
-from raystream.scene.procedural.parts import Part, instance, to_mesh
-from raystream.scene.procedural.robot import PART_COUNT, placed_pieces, robot_parts
+from raystream.scene.procedural.parts import Part, separate_copies, to_mesh
+from raystream.scene.procedural.robot import PART_COUNT, robot_copies, robot_parts
 from raystream.scene.procedural.shapes import patch
 from raystream.scene.procedural.size import MAX_INSTANCED_TRIANGLES, check_triangles
 from raystream.scene.scene import Scene
@@ -129,22 +129,15 @@ def instanced_robots(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     """
     plan = _Plan.of(check_triangles(triangles, MAX_INSTANCED_TRIANGLES))
     generator = np.random.default_rng(2000)
-    pieces = list(placed_pieces(*plan.crowd, generator))
+    parts = separate_copies(robot_copies(*plan.crowd, ROBOT_MATERIALS, generator))
     towers = city(plan.city_count, generator)
-    objects = [[to_mesh(_ground(), "ground"), to_mesh(towers, "city")]]
-    ids, transforms = [np.zeros(1, np.int64)], [np.eye(3, 4)[None]]
-    for piece in pieces:
-        colors, which = np.unique(piece.colors, axis=0, return_inverse=True)
-        ids.append(len(objects) + which.reshape(-1))
-        transforms.append(np.concatenate([piece.matrices, piece.offsets[:, :, None]], axis=2))
-        for color in colors:
-            shape = piece.shape.painted(ROBOT_MATERIALS + piece.material)
-            one = instance(shape, [np.eye(3)], np.zeros((1, 3)), colors=[color])
-            objects.append([to_mesh(one, "robots")])
     return Scene.instances(
-        objects,
-        np.concatenate(transforms),
-        np.concatenate(ids),
+        [
+            [to_mesh(_ground(), "ground"), to_mesh(towers, "city")],
+            *([to_mesh(one, "robots")] for one in parts.objects),
+        ],
+        np.concatenate([np.eye(3, 4)[None], parts.transforms]),
+        np.append(0, 1 + parts.object_ids),
         materials=MATERIALS,
         **_surroundings(),
     )

@@ -7,7 +7,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BAY", "CORRIDOR", "DEPTH", "SLAB", "STOREY", "BoxList", "Plan", "all_boxes"]
+__all__ = [
+    "BAY",
+    "CORRIDOR",
+    "DEPTH",
+    "SLAB",
+    "STOREY",
+    "BoxList",
+    "Plan",
+    "all_boxes",
+    "outer_boxes",
+    "room_boxes",
+    "rooms_of",
+]
 
 #: Metres: width of a room; height of a storey and of its slab; half the corridor's width;
 #: distance from the corridor's middle to the facade.
@@ -173,6 +185,47 @@ def all_boxes(plan: Plan, offices: NDArray[np.bool_]) -> BoxList:
     kept = np.ones(len(shell.lows), bool)
     kept[: len(offices)] = ~stairs
     groups[1] = BoxList(shell.lows[kept], shell.highs[kept], shell.kinds[kept])
+    return _joined(groups)
+
+
+def outer_boxes(plan: Plan) -> BoxList:
+    """Make the boxes of a building that belong to no room."""
+    ends = [row for storey in range(plan.storeys) for row in _ends(plan, storey)]
+    return _rows(_roof(plan) + ends)
+
+
+def room_boxes() -> tuple[BoxList, BoxList, BoxList]:
+    """Make the boxes of an office, a meeting room and stairs, as at the front of the first bay."""
+    stairs = list(SHELL[1:]) + list(_stairs())
+    return _rows(list(SHELL + OFFICE)), _rows(list(SHELL + MEETING)), _rows(stairs)
+
+
+def rooms_of(
+    plan: Plan, offices: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Where the rooms of a building are.
+
+    Parameters
+    ----------
+    plan, offices
+        As for `all_boxes`.
+
+    Returns
+    -------
+    kinds : ndarray of shape (R,), int64
+        Index into `room_boxes`.
+    transforms : ndarray of shape (R, 3, 4), float64
+        Rooms at the back are mirrored.
+    """
+    bases = _bases(plan, np.ones(len(offices), bool))
+    transforms = np.zeros((len(bases), 3, 4))
+    transforms[:, [0, 1], [0, 1]] = 1.0
+    transforms[:, 2, 2] = bases[:, 2]
+    transforms[:, :2, 3] = bases[:, :2]
+    return np.where(_is_stairs(plan), 2, np.where(offices, 0, 1)), transforms
+
+
+def _joined(groups: list[BoxList]) -> BoxList:
     return BoxList(
         np.concatenate([group.lows for group in groups]),
         np.concatenate([group.highs for group in groups]),
