@@ -168,6 +168,7 @@ class Tracer(MemoryEstimator, PointQueries):
             is unknown. It changes no answer: the search begins there instead of at a bin.
         worlds : array_like that broadcasts to S, int, optional
             In a scene whose instances are in worlds: the world of each ray; see `Scene.instances`.
+            Of rays in arrays on a GPU: on the host, or there, without gaps.
         progress : callable, optional
             Called with (rays done, rays).
 

@@ -20,7 +20,12 @@ from raystream.jit.simd import load, store
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
-from raystream.cuda.precompile import ARRAY_KERNELS, point_kernels, structure_kernels
+from raystream.cuda.precompile import (
+    ARRAY_KERNELS,
+    point_kernels,
+    scenes_of_kinds,
+    structure_kernels,
+)
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.structures import STRUCTURES
 
@@ -82,6 +87,27 @@ def test_every_kernel_compiles(scene, name, query):
     assert ".extern .func" not in compiled.ptx
     # Small numbers are not flushed to 0; divisions and roots are those of IEEE 754.
     assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
+
+
+#: Most local memory of a thread, bytes: the stacks of two trees, and of a tree and a height field.
+LOCAL_BYTES = {
+    **{("bvh", "instances"): 8064, ("brute", "instances"): 192},
+    **{("bvh", "primitives"): 6784, ("brute", "primitives"): 6784},
+}
+
+
+@pytest.mark.exhaustive  # test_ptx.py compiles some in a default run
+@pytest.mark.parametrize("query", QUERIES)
+@pytest.mark.parametrize(("name", "kind"), LOCAL_BYTES)
+def test_every_kernel_of_instances_and_primitives_compiles(scene, name, kind, query):
+    made, arguments = structure_kernels(name, scenes_of_kinds(scene)[kind])[query]
+    compiled = made.compiled(arguments, CAPABILITIES[0])
+    assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
+    assert ".extern .func" not in compiled.ptx
+    assert "fma.rn.f64" not in compiled.ptx
+    assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
+    depots = re.findall(r"\.local .*__local_depot\d+\[(\d+)\]", compiled.ptx)
+    assert sum(map(int, depots)) <= LOCAL_BYTES[name, kind] + 64
 
 
 @pytest.mark.parametrize("name", ["brute", "bvh"])

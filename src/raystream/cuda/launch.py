@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.triangles import Triangles
+from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.query_kernels import QueryKernels
 from raystream.cuda.ray_order import sort_rays
-from raystream.cuda.rays import DeviceRays
+from raystream.cuda.rays import DeviceRays, moved
 from raystream.cuda.structures import Resident
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
@@ -44,19 +44,21 @@ class DeviceScene(NamedTuple):
     kernels : QueryKernels
     resident : Resident
     frame : SceneFrame
-    triangles : Triangles
+    triangles : Triangles, InstancedTriangles or Primitives
     is_sorted : bool
         Whether the kernels take rays in the order of their keys, see `ray_order`.
     program_triangles : DeviceTriangles
+    ids : HitIds
     """
 
     gpu: Gpu
     kernels: QueryKernels
     resident: Resident
     frame: SceneFrame
-    triangles: Triangles
+    triangles: Any
     is_sorted: bool
     program_triangles: DeviceTriangles
+    ids: HitIds
 
 
 class RayLauncher:
@@ -102,8 +104,10 @@ class RayLauncher:
         start, end, _ = (rows or slice(None)).indices(len(self))
         if self._tallies is not None:
             tallies = self._tallies.address + np.uint64(start) * ROW
-        source = self.rays.source_from(start)
-        shared: tuple[Any, ...] = source, scene.frame, scene.resident.tree, tallies
+        source, tree = self.rays.source_from(start), scene.resident.tree
+        if self.rays.worlds is not None:
+            tree = tree._replace(worlds=moved(self.rays.worlds, start, 4))
+        shared: tuple[Any, ...] = source, scene.frame, tree, tallies
         if scene.is_sorted:
             shared = self._order(start, end - start).address, *shared
         self.scope.follow()

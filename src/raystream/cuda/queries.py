@@ -183,8 +183,10 @@ class FirstHit(DeviceQuery):
         return self.hits.block, self.status
 
     def result(self) -> DeviceHits:
-        columns = self.hits.columns(self.rays.rays.shape)
-        return DeviceHits(*columns, self._shaped(self.status), self.scene.triangles)
+        t, u, v, numbers = self.hits.columns(self.rays.rays.shape)
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return DeviceHits(t, u, v, prim_id, status, triangles, instance_id)
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         self.hits.copy_rows(copies[0], sink.hits.part(rows))
@@ -298,10 +300,10 @@ class MultiHit(DeviceQuery):
         return self.hits.block, self.splits, self.status
 
     def result(self) -> DeviceMultiHits:
-        columns = self.hits.columns((self.hits.hit_count,))
-        return DeviceMultiHits(
-            self.splits, *columns, self._shaped(self.status), self.scene.triangles
-        )
+        t, u, v, numbers = self.hits.columns((self.hits.hit_count,))
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return DeviceMultiHits(self.splits, t, u, v, prim_id, status, triangles, instance_id)
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         if self._splits is not None:
@@ -389,16 +391,17 @@ def trace_on_device(
     Notes
     -----
     First and any hit and counting return before the device is done. Multi-hit reads the number of
-    hits. Filters and programs wait after each round.
+    hits. Worlds on the device are read, too. Filters and programs wait after each round.
     """
 
     def report(done: int, passes: int) -> None:
         if progress:
             progress(done * len(rays), passes * len(rays))
 
-    given = arrays._asdict()
-    with StreamScope(scene.gpu, stream_of(scene.gpu, given)) as scope:
-        rays = RayLauncher(scene, scope, place_device_rays(scope, **given), report=report)
+    world_count = 0 if arrays.worlds is None else scene.triangles.instances.world_count
+    with StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
+        placed = place_device_rays(scope, arrays, world_count)
+        rays = RayLauncher(scene, scope, placed, report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
         with closing(task.launch()) as steps:  # after an error, before the scope ends
             copies = None

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import DEFAULT_LIMITS, RayBatch, as_real_array, is_on_gpu
+from raystream.core.rays import DEFAULT_LIMITS, RayArrays, RayBatch, as_real_array, is_on_gpu
 from raystream.cuda.packing import pack
 from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_of
 from raystream.kernels.ray_source import RaySource
+from raystream.machines.traced_scene import flat_ids
 
 __all__ = [
     "HITS_AT_ONCE",
@@ -64,11 +65,14 @@ class DeviceRays(NamedTuple):
     source : RaySource
     arrays : tuple of DeviceArray
         Keep them until the rays are traced.
+    worlds : uint64 or None
+        Address of the world of each ray, int32, in a scene whose instances are in worlds.
     """
 
     shape: tuple[int, ...]
     source: RaySource
     arrays: tuple[DeviceArray, ...] = ()
+    worlds: np.uint64 | None = None
 
     def __len__(self) -> int:
         return math.prod(self.shape)
@@ -112,7 +116,11 @@ def place_rays(
         *(origins, steps[0], doubles[0], directions, steps[1], doubles[1]),
         *(t_min, steps[2], t_max, steps[3]),
     )
-    return DeviceRays((rows.stop - rows.start,), source, tuple(placed))
+    worlds = None
+    if batch.worlds is not None:
+        placed.append(upload("worlds", batch.worlds[rows]))
+        worlds = placed[-1].address
+    return DeviceRays((rows.stop - rows.start,), source, tuple(placed), worlds)
 
 
 def _given(array: NDArray[Any], rows: slice) -> NDArray[Any]:
@@ -130,25 +138,27 @@ def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
     return {value: gpu.upload("limits", one) for value, one in DEFAULT_LIMITS.items()}
 
 
-def place_device_rays(
-    scope: StreamScope, origins: Any, directions: Any, t_min: Any, t_max: Any
-) -> DeviceRays:
+def place_device_rays(scope: StreamScope, arrays: RayArrays, world_count: int = 0) -> DeviceRays:
     """View rays in the caller's arrays, at least one of which is on the device.
 
     Parameters
     ----------
     scope : StreamScope
         Its stream reads them.
-    origins, directions, t_min, t_max
+    arrays : RayArrays
         As for `RayBatch`; arrays on the device are float32 or float64, and those on the host
-        a single vector or number.
+        a single vector or number. Worlds may be on either, and those on the device are read to be
+        checked.
+    world_count : int
+        Worlds of the scene.
 
     Raises
     ------
     ValueError
-        If shapes disagree.
+        If shapes disagree, or a world is out of range.
     TypeError
-        If a dtype is not supported, or a larger array is on the host.
+        If a dtype is not supported, a larger array is on the host, or worlds on the device have
+        gaps.
     CudaError
         If an array is on another device, or there is no memory.
 
@@ -158,6 +168,7 @@ def place_device_rays(
     with or without gaps, forward or backward. Other layouts, such as columns or two arrays
     broadcast along different axes, and float64 limits, are packed on the device.
     """
+    origins, directions, t_min, t_max, worlds = arrays
     vectors = _vectors(scope, "origins", origins), _vectors(scope, "directions", directions)
     try:
         shape = np.broadcast_shapes(*(one.shape[:-1] for one in vectors))
@@ -173,7 +184,22 @@ def place_device_rays(
     for name, one in zip(("t_min", "t_max"), limits, strict=True):
         row = (*one.shape, 1), (*one.strides, one.dtype.itemsize)
         places += _placed(scope, name, one._replace(shape=row[0], strides=row[1]), shape)
-    return DeviceRays(shape, RaySource(*places))
+    at = None if worlds is None else _placed_worlds(scope, worlds, world_count, shape)
+    return DeviceRays(shape, RaySource(*places), worlds=at)
+
+
+def _placed_worlds(
+    scope: StreamScope, worlds: Any, count: int, shape: tuple[int, ...]
+) -> np.uint64:
+    """Address of the worlds of rays, checked on the host."""
+    if is_on_gpu(worlds):
+        view = view_of(scope, "worlds", worlds)
+        worlds = np.empty(view.shape, view.dtype)
+        if view.strides != worlds.strides:
+            raise TypeError("worlds: expected an array without gaps on a GPU; copy it")
+        scope.gpu.copy(worlds.ctypes.data, view.address, worlds.nbytes, scope.stream)
+        scope.stream.sync()
+    return scope.placed("worlds", flat_ids("worlds", worlds, count, shape)).address
 
 
 def _vectors(scope: StreamScope, name: str, values: Any) -> DeviceView:

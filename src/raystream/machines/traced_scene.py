@@ -39,6 +39,10 @@ if TYPE_CHECKING:
 
 __all__ = ["TracedScene"]
 
+#: Devices with machines that trace spheres and height fields, and instances.
+_BRANCHING = ("cpu", "branching"), ("cuda", "branching")
+_INSTANCED = (*_BRANCHING, ("graphics", "compute"))
+
 #: Attributes that belong to the structure in place, or to the latest query.
 _TRANSIENT = ("_backend", "_cast", "_latest", "_world_count")
 
@@ -113,14 +117,14 @@ class TracedScene:
         )
 
     def _check_instances(self, triangles: Any) -> None:
-        is_supported = (self.device, self.machine) == ("cpu", "branching")
-        takes_instances = is_supported or (self.device, self.machine) == ("graphics", "compute")
-        if isinstance(triangles, InstancedTriangles) and not takes_instances:
+        chosen = self.device, self.machine
+        if isinstance(triangles, InstancedTriangles) and chosen not in _INSTANCED:
             raise ValueError(
-                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
-                "with machine='branching' and device='graphics' with machine='compute' support them"
+                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; "
+                "machine='branching' on the CPU or CUDA, and machine='compute' on "
+                "device='graphics' support them"
             )
-        if isinstance(triangles, Primitives) and not is_supported:
+        if isinstance(triangles, Primitives) and chosen not in _BRANCHING:
             raise ValueError(f"device={self.device!r}, machine={self.machine!r}: {NOT_TRIANGLES}")
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
@@ -406,12 +410,12 @@ class TracedScene:
     ) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""
         if self._backend.capabilities.device_arrays and not self._counts:
-            arrays = RayArrays(origins, directions, t_min, t_max)
+            arrays = RayArrays(origins, directions, t_min, t_max, worlds)
             if arrays.is_on_gpu():
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")
-                if worlds is not None:
-                    raise ValueError("worlds: expected None for rays on a GPU")
+                if worlds is not None or self._world_count:
+                    self._check_for_worlds(worlds)
                 return arrays
         rays = self._backend.batch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
@@ -422,6 +426,11 @@ class TracedScene:
 
     def _checked_worlds(self, worlds: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
         """`worlds` of `Tracer.first_hit`, flat."""
+        self._check_for_worlds(worlds)
+        return flat_ids("worlds", worlds, self._world_count, shape)
+
+    def _check_for_worlds(self, worlds: Any) -> None:
+        """Check that worlds are given if the scene has any, and else not."""
         count = self._world_count
         if not count:
             raise ValueError("worlds: expected None: the scene has no worlds; see Scene.instances")
@@ -430,7 +439,6 @@ class TracedScene:
                 f"worlds: expected the world of each ray, 0 to {count - 1:,}, or -1 for none: the "
                 "scene's instances are in worlds"
             )
-        return flat_ids("worlds", worlds, count, shape)
 
     def _checked_sectors(self, near: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
         """`near` of `Tracer.first_hit`, flat."""

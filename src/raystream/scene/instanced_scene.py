@@ -84,8 +84,8 @@ class InstancedScene:
         it is reported: the lowest instance_id first, then the lowest prim_id. A direction longer
         than 2**500, or shorter than its inverse, makes a ray INVALID.
 
-        ``structure="bvh"`` and ``"brute"`` trace and render such scenes, on the CPU and, with its
-        machine ``"compute"``, on ``device="graphics"``. For closest points, view factors and other
+        ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, CUDA and, with
+        its machine ``"compute"``, ``device="graphics"``. For closest points, view factors and other
         machines make a plain scene by `flattened`.
 
         Examples
