@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayStatus
 from raystream.float64.block import HIGH, PRIM_IDS, test_block
 from raystream.float64.exact import resolve
-from raystream.float64.ray import prepare_exact, reported
+from raystream.float64.ray import prepare_float64, reported
 from raystream.float64.search import is_counted, no_hit, offer, within
 from raystream.float64.traversal import STACK_BYTES, all_blocks, tree_blocks
 from raystream.jit.cpu import device, kernel
@@ -19,11 +19,11 @@ from raystream.jit.simd import count_trailing_zeros, load, scratch
 from raystream.kernels.ray_source import RaySource, load_direction, load_origin
 
 __all__ = [
-    "ExactQueries",
-    "ExactRows",
-    "ExactSource",
+    "Float64Queries",
+    "Float64Rows",
+    "Float64Source",
     "brute_queries",
-    "load_exact",
+    "load_float64",
     "tree_queries",
     "tree_searches",
     "write_nearest",
@@ -40,7 +40,7 @@ _ZERO = np.float64(0.0)
 _LANES_BYTES = 64
 
 
-class ExactSource(NamedTuple):
+class Float64Source(NamedTuple):
     """The rays of a batch.
 
     Attributes
@@ -55,7 +55,7 @@ class ExactSource(NamedTuple):
     t_max: NDArray[np.float64]
 
 
-class ExactRows(NamedTuple):
+class Float64Rows(NamedTuple):
     """Hits, a row each.
 
     Attributes
@@ -70,21 +70,21 @@ class ExactRows(NamedTuple):
     prim_id: NDArray[np.int32]
 
     @classmethod
-    def empty(cls, count: int) -> ExactRows:
+    def empty(cls, count: int) -> Float64Rows:
         """Uninitialised rows."""
         return cls(np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.int32))
 
 
-class ExactQueries(NamedTuple):
+class Float64Queries(NamedTuple):
     """Compiled loops over the rays begin to end.
 
-    Each takes ``(begin, end, source, frame, tree, status, ...)``: an `ExactSource`, the
-    `SceneFrame`, an `ExactTree`, and an array of statuses, of which invalid ones are written.
+    Each takes ``(begin, end, source, frame, tree, status, ...)``: an `Float64Source`, the
+    `SceneFrame`, an `Float64Tree`, and an array of statuses, of which invalid ones are written.
 
     Attributes
     ----------
     first_hit : (..., rows)
-        Writes a row of `ExactRows` for each ray.
+        Writes a row of `Float64Rows` for each ray.
     any_hit : (..., seen)
         Writes an array of bool.
     count_hits : (..., surfaces, counts)
@@ -101,12 +101,12 @@ class ExactQueries(NamedTuple):
 
 
 @device
-def load_exact(source, i, frame, status):
+def load_float64(source, i, frame, status):
     """Ray i, prepared; its status is written if it is invalid."""
     t_min = source.t_min[i if len(source.t_min) > 1 else _NONE]
     t_max = source.t_max[i if len(source.t_max) > 1 else _NONE]
     origin, direction = load_origin(source.rays, i), load_direction(source.rays, i)
-    ray = prepare_exact(origin, direction, t_min, t_max, frame)
+    ray = prepare_float64(origin, direction, t_min, t_max, frame)
     if ray.status == _INVALID:
         status[i] = _INVALID
     return ray
@@ -188,7 +188,7 @@ class _Filled(NamedTuple):
     row: np.uint64
     end: np.uint64
     surfaces: bool
-    rows: ExactRows
+    rows: Float64Rows
 
 
 @device
@@ -222,7 +222,7 @@ def _searches(blocks: Callable[..., Any]) -> Searches:
 tree_searches = _searches(tree_blocks)
 
 
-def _queries(blocks: Callable[..., Any]) -> ExactQueries:
+def _queries(blocks: Callable[..., Any]) -> Float64Queries:
     """The loops with a traversal; see `float64.traversal`."""
     nearest, anything = _searches(blocks)
     counted = blocks(_visit_count, _far_of_all)
@@ -232,7 +232,7 @@ def _queries(blocks: Callable[..., Any]) -> ExactQueries:
     def first_hit(begin, end, source, frame, tree, status, rows):
         stack, lanes = scratch(STACK_BYTES), scratch(_LANES_BYTES)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_exact(source, i, frame, status)
+            ray = load_float64(source, i, frame, status)
             best = nearest(tree, ray, no_hit(), stack, lanes, False)
             write_nearest(rows, i, best, ray)
 
@@ -240,14 +240,14 @@ def _queries(blocks: Callable[..., Any]) -> ExactQueries:
     def any_hit(begin, end, source, frame, tree, status, seen):
         stack, lanes = scratch(STACK_BYTES), scratch(_LANES_BYTES)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_exact(source, i, frame, status)
+            ray = load_float64(source, i, frame, status)
             seen[i] = anything(tree, ray, _NONE, stack, lanes, True) != _NONE
 
     @kernel
     def count_hits(begin, end, source, frame, tree, status, surfaces, counts):
         stack, lanes = scratch(STACK_BYTES), scratch(_LANES_BYTES)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_exact(source, i, frame, status)
+            ray = load_float64(source, i, frame, status)
             search = counted(tree, ray, _Counted(_NONE, surfaces), stack, lanes, False)
             counts[i] = np.int64(search.total)
 
@@ -258,11 +258,11 @@ def _queries(blocks: Callable[..., Any]) -> ExactQueries:
             k = i - np.uint64(base)
             first, last = np.uint64(splits[k]), np.uint64(splits[k + _ONE])
             if first != last:
-                ray = load_exact(source, i, frame, status)
+                ray = load_float64(source, i, frame, status)
                 search = _Filled(first, last, surfaces, rows)
                 filled(tree, ray, search, stack, lanes, False)
 
-    return ExactQueries(first_hit, any_hit, count_hits, multi_hit)
+    return Float64Queries(first_hit, any_hit, count_hits, multi_hit)
 
 
 #: Of a wide tree, and of all triangles.

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch, as_real_array
-from raystream.float64.packets import trace_exact_packets
-from raystream.float64.queries import ExactRows, ExactSource
-from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_exact
-from raystream.float64.structure import ExactStructure
+from raystream.float64.packets import trace_float64_packets
+from raystream.float64.queries import Float64Rows, Float64Source
+from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_float64_groups
+from raystream.float64.structure import Float64Structure
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
@@ -42,13 +42,13 @@ class Float64Rays(RayBatch):
     ----------
     limits : tuple of two ndarray, float32
         Rounded outward.
-    exact_limits : tuple of two ndarray of shape (N,) or (1,), float64
+    float64_limits : tuple of two ndarray of shape (N,) or (1,), float64
     """
 
     def __init__(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> None:
         low, high = _number("t_min", t_min), _number("t_max", t_max)
         super().__init__(origins, directions, _rounded(low, -np.inf), _rounded(high, np.inf))
-        self.exact_limits = self._spread(low), self._spread(high)
+        self.float64_limits = self._spread(low), self._spread(high)
 
     def _spread(self, limit: NDArray[np.float64]) -> NDArray[np.float64]:
         if limit.ndim == 0:
@@ -72,12 +72,12 @@ class Float64Backend(Backend):
 
     Parameters
     ----------
-    structure : ExactStructure
+    structure : Float64Structure
     """
 
-    structure: ExactStructure
+    structure: Float64Structure
 
-    def __init__(self, structure: ExactStructure) -> None:
+    def __init__(self, structure: Float64Structure) -> None:
         self.structure = structure
 
     def batch(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch:
@@ -115,7 +115,7 @@ class Float64Backend(Backend):
         loops, count = self.structure.loops, len(rays)
         target: Any = sink
         if query.kind is Kind.FIRST_HIT:
-            target.hits = rows = ExactRows.empty(count)
+            target.hits = rows = Float64Rows.empty(count)
             if self._kernel(count) != "single":
                 self._trace_many(rays, sink.status, False, rows, progress)
             else:
@@ -123,7 +123,7 @@ class Float64Backend(Backend):
         elif query.kind is Kind.ANY_HIT:
             sink.seen = np.empty(count, np.bool_)
             if self._kernel(count) != "single":
-                rows = ExactRows.empty(0)._replace(prim_id=sink.seen.view(np.int8))
+                rows = Float64Rows.empty(0)._replace(prim_id=sink.seen.view(np.int8))
                 self._trace_many(rays, sink.status, True, rows, progress)
             else:
                 self._loop(loops.any_hit, rays, sink.status, (sink.seen,), progress)
@@ -141,9 +141,9 @@ class Float64Backend(Backend):
             return "single"
         return str(options.kernel)
 
-    def _source(self, rays: Any, packed: bool = False) -> tuple[ExactSource, object]:
+    def _source(self, rays: Any, packed: bool = False) -> tuple[Float64Source, object]:
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, packed)
-        return ExactSource(source, *rays.exact_limits), kept
+        return Float64Source(source, *rays.float64_limits), kept
 
     def _loop(
         self,
@@ -172,7 +172,7 @@ class Float64Backend(Backend):
         rays: RayBatch,
         status: NDArray[np.uint8],
         wants_any: bool,
-        rows: ExactRows,
+        rows: Float64Rows,
         progress: Progress | None,
     ) -> None:
         """Trace packets, or streams of groups, on all threads."""
@@ -183,9 +183,9 @@ class Float64Backend(Backend):
             size = sum(array.nbytes for array in self.structure.memory.values()) // 2
             found = probe(source.rays, order, frame, size)
             name = choose_kernel(found, count, size)
-        kernel, per_call = trace_exact, BLOCK_RAYS // PACKET_RAYS
+        kernel, per_call = trace_float64_groups, BLOCK_RAYS // PACKET_RAYS
         if name == "packet":
-            kernel, per_call = trace_exact_packets, _MOST_PACKETS
+            kernel, per_call = trace_float64_packets, _MOST_PACKETS
             if order.width == 0 and count >= LEAST_RAYS:
                 tiles = find_order(source.rays, count, frame)
         packets = tiles.packets.packet_count
@@ -222,7 +222,7 @@ class Float64Backend(Backend):
             _HIT_BYTES * total, f"{total:,} hits would", "give max_hits, or trace fewer rays"
         )
         target: Any = sink
-        target.splits, target.hits = splits, ExactRows.empty(total)
+        target.splits, target.hits = splits, Float64Rows.empty(total)
         first = 0
         ends = np.cumsum(counts)
         while first < count and total:
@@ -248,7 +248,7 @@ class Float64Backend(Backend):
         """The hits of some rays by t, then prim_id, up to the limit; `counts` are their numbers."""
         splits = np.zeros(len(counts) + 1, np.int64)
         np.cumsum(counts, out=splits[1:])
-        rows = ExactRows.empty(int(splits[-1]))
+        rows = Float64Rows.empty(int(splits[-1]))
         source, kept = self._source(rays)
         first, last, loop = part.start, part.stop, self.structure.loops.multi_hit
         shared = source, self.structure.frame, self.structure.arrays
