@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
-from raystream.cuda.bvh.kernels import kernel_of
+from raystream.cuda.bvh.kernels import kernel_of, traced_as
 from raystream.cuda.host_rays import trace_from_host
 from raystream.cuda.launch import DeviceScene
 from raystream.cuda.point_kernels import LAYOUT
@@ -86,7 +86,7 @@ class CudaBackend(Backend):
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
         self._kernel = kernel = kernel_for(structure, gpu, kernel)
-        kernels = kernels_of(structure.name, kernel, launch, order)
+        kernels = kernels_of(traced_as(structure), kernel, launch, order)
         self._scene = DeviceScene(
             gpu,
             kernels,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
-from raystream.cuda.bvh.kernels import KERNELS, kernel_of, lay_out
+from raystream.cuda.bvh.kernels import KERNELS, kernel_of, lay_out, traced_as
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.point_kernels import LAYOUT, nearest_kernel
@@ -23,8 +23,9 @@ from raystream.kernels.hits import HitAddresses
 from raystream.kernels.point_queries import NearestAddresses, PointSource
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.machines.devices import build_on_cpu
 from raystream.scene.scene import Scene
-from raystream.structures import STRUCTURES, build_structure, names_with
+from raystream.structures import STRUCTURES, build_structure, names_with, options_of
 
 __all__ = ["ARRAY_KERNELS", "all_kernels", "point_kernels", "structure_kernels"]
 
@@ -61,7 +62,7 @@ def structure_kernels(
     name : str
         Of the structure.
     scene : Scene
-        Any; the structure is built for it.
+        Any, with instances or primitives or without; the structure is built for it.
     counters : bool
         Whether rays have counters.
     kernel, launch, order : str
@@ -74,8 +75,8 @@ def structure_kernels(
     dict
         By query.
     """
-    structure = build_structure(name, scene.triangles, **options)
-    kernels = kernels_of(name, kernel, launch, order)
+    structure = build_on_cpu(options_of(name, options), scene.triangles)
+    kernels = kernels_of(traced_as(structure), kernel, launch, order)
     tree = lay_out(structure, kernel).tree
     first = (_AT,) if order == "sorted" else ()
     shared = *first, _SOURCE, structure.frame, tree, _AT if counters else None

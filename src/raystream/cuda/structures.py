@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
-from raystream.cuda.bvh.kernels import LAYOUTS, kernel_of, lay_out
+from raystream.cuda.bvh.kernels import LAYOUTS, Traced, kernel_of, lay_out, traced_as
 from raystream.cuda.options import check_names
 from raystream.cuda.query_kernels import QueryKernels, make_kernels
 from raystream.cuda.ray_order import reordered
@@ -28,14 +28,14 @@ _Launcher = Callable[[Callable[..., Any]], RangeKernel]
 
 
 def kernels_of(
-    name: str, kernel: str = "auto", launch: str = "range", order: str = "given"
+    made: Traced, kernel: str = "auto", launch: str = "range", order: str = "given"
 ) -> QueryKernels:
     """The query kernels of a structure.
 
     Parameters
     ----------
-    name : str
-        Name of the structure.
+    made : str or type of Structure
+        Name of the structure, or its class; see `bvh.kernels.traced_as`.
     kernel : str
         For a BVH, see `bvh.kernels.KERNELS`.
     launch, order : str
@@ -51,23 +51,23 @@ def kernels_of(
     TypeError
         If a kernel is named for a structure other than a BVH.
     """
-    if name not in STRUCTURES:
+    if isinstance(made, str) and made not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
-        raise CudaError(f"device 'cuda': has the structures {known}, not {name!r}")
+        raise CudaError(f"device 'cuda': has the structures {known}, not {made!r}")
     check_names({"launch": launch, "order": order})
-    return _made(name, kernel_of(name, kernel), launch, order)
+    return _made(made, kernel_of(made, kernel), launch, order)
 
 
 @cache
-def _made(name: str, kernel: str | None, launch: str, order: str) -> QueryKernels:
-    made, plain = structure_class(name), _LAUNCHERS[launch]
-    traverse, stack_bytes = made.traverse, made.stack_bytes
-    if kernel is not None:
-        traverse, stack_bytes = form_of(name, LAYOUTS).search_of(kernel)
+def _made(made: Traced, kernel: str | None, launch: str, order: str) -> QueryKernels:
+    held = structure_class(made) if isinstance(made, str) else made
+    plain, traverse, stack_bytes = _LAUNCHERS[launch], held.traverse, held.stack_bytes
+    if kernel is not None and isinstance(made, str):
+        traverse, stack_bytes = form_of(made, LAYOUTS).search_of(kernel)
     launcher: _Launcher = plain
     if order == "sorted":
         launcher = lambda function: plain(reordered(function))  # noqa: E731
-    return make_kernels(traverse, stack_bytes, launcher)
+    return make_kernels(traverse, stack_bytes, launcher, held.make_searches)
 
 
 class Resident(NamedTuple):
@@ -101,7 +101,7 @@ class BuiltOnDevice(Protocol):
 
 def _has_layouts(structure: Structure) -> bool:
     """Whether the structure has other layouts on the device."""
-    return form_of(structure.name, LAYOUTS) is not None
+    return kernel_of(traced_as(structure), "auto") is not None
 
 
 def kernel_for(structure: Structure, gpu: Gpu, kernel: str) -> str:
