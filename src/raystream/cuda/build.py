@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import inspect
 
-from raystream import structures
 from raystream.core.choices import Cuda
+from raystream.core.scene_checks import check_float32
 from raystream.core.triangles import Triangles
 from raystream.cuda.devices import open_device
 from raystream.jit.threads import Progress
+from raystream.machines.devices import build_on_cpu
 from raystream.structures import Structure, StructureOptions, form_of, names_with
 
 __all__ = ["build_structure"]
@@ -40,10 +41,13 @@ def build_structure(
         If a method is given for a structure with a single one.
     CudaError
         If the GPU runs out of memory.
+    RaystreamError
+        If the GPU is to build it, and the triangles are in float64.
     """
     device = device or Cuda()
     if device.build == "host":
-        return structures.build_structure(structure, triangles, progress=progress)
+        return build_on_cpu(structure, triangles, progress=progress)
+    check_float32("build='device'", triangles)
     name, build = structure.name, form_of(structure.name, "cuda build")
     if build is None:
         known = ", ".join(map(repr, names_with("cuda build")))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.triangles import Triangles
 from raystream.jit.cuda import DeviceArray
@@ -18,7 +19,7 @@ class DeviceHits:
 
     Attributes
     ----------
-    t, u, v : DeviceArray of shape S, float32
+    t, u, v : DeviceArray of shape S, of the tracer's precision
         Distance in direction lengths (a miss has inf), and the weights of vertices 1 and 2
         (a miss has 0).
     prim_id : DeviceArray of shape S, int32
@@ -48,7 +49,8 @@ class DeviceHits:
             If the query failed there.
         """
         t, u, v = self.t.host(), self.u.host(), self.v.host()
-        return Hits(t, u, v, self.prim_id.host(), self.status.host(), self._triangles)
+        kind = hits_type(self._triangles)
+        return kind(t, u, v, self.prim_id.host(), self.status.host(), self._triangles)
 
     def __repr__(self) -> str:
         return f"DeviceHits(shape={self.t.shape})"
@@ -63,7 +65,7 @@ class DeviceMultiHits:
     ----------
     ray_splits : DeviceArray of shape (N + 1,), int64
         Ray i owns the rows ray_splits[i] to ray_splits[i + 1] of the other arrays.
-    t, u, v : DeviceArray of shape (K,), float32
+    t, u, v : DeviceArray of shape (K,), of the tracer's precision
     prim_id : DeviceArray of shape (K,), int32
     status : DeviceArray of shape S, uint8
         See `MultiHits`.
@@ -92,7 +94,8 @@ class DeviceMultiHits:
             If the query failed there.
         """
         hits = self.t.host(), self.u.host(), self.v.host(), self.prim_id.host()
-        return MultiHits(self.ray_splits.host(), *hits, self.status.host(), self._triangles)
+        kind = multi_hits_type(self._triangles)
+        return kind(self.ray_splits.host(), *hits, self.status.host(), self._triangles)
 
     def __repr__(self) -> str:
         return f"DeviceMultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

@@ -29,7 +29,7 @@ from raystream.float64.ray import (
     make_line,
     ray_of_line,
 )
-from raystream.float64.search import NO_PRIM, Nearest, is_counted, no_hit, offer, within
+from raystream.float64.search import NO_PRIM, Nearest, is_counted, offer, within
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -55,6 +55,7 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
+from raystream.kernels.hits import hit_addresses
 from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.kernels.ray_source import (
     load_direction,
@@ -121,7 +122,7 @@ _OFFSET_SLACK = 2.0**-50
 #: More than a step of float32, as a part of a number, and near 0.
 _STEPS, _LEAST_STEP = np.float32(2.0**-22), np.float32(2.0**-126)
 
-_nearest, _anything = tree_searches
+_nearest, _anything = tree_searches.nearest, tree_searches.anything
 
 _NONE, _ONE, _TWO = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD, _DOUBLE = np.uint64(2), np.uint64(3)
@@ -419,18 +420,17 @@ def _finish_one(lanes, k, i, tree, frame, wants_any, status, rows, memory):
     is_alone = state & _ALONE != np.int32(0)
     if state & _INVALID:
         status[i] = np.uint8(RayStatus.INVALID)
-    stack, spans = memory
     ray = ray_of_line(line_of(lanes, k), lanes.half[k], lanes.rest[k], np.uint8(0), frame)
     best = _best_of(lanes, k)
     if wants_any:
         is_hit = best.prim_id != NO_PRIM
         if is_alone:
-            is_hit = _anything(tree, ray, _NONE, stack, spans, True) != _NONE
+            is_hit = _anything(tree, ray, memory)
         rows.prim_id[i] = is_hit
         return
     if is_alone:
-        best = _nearest(tree, ray, no_hit(), stack, spans, False)
-    write_nearest(rows, i, best, ray)
+        best = _nearest(tree, ray, memory)
+    write_nearest(hit_addresses(rows), i, best, ray)
 
 
 @device
@@ -447,10 +447,10 @@ def finish_rays(at, first, count, tree, frame, wants_any, status, rows, memory):
     frame : SceneFrame
     wants_any : bool
     status : ndarray of shape (N,), uint8
-    rows : Float64Rows
+    rows : HitArrays
         Of the nearest hits; or with a `prim_id` that becomes 1 for a ray with any hit, else 0.
     memory : tuple of two uint64
-        Addresses of a stack (`traversal.STACK_BYTES`), and of 64 bytes.
+        See `queries.Searches`.
     """
     group, lanes = Float64Group(at), Float64Lanes(at)
     is_usual = count == _LANES and not any_lane(group.state != np.int32(0))

@@ -31,6 +31,7 @@ from raystream.float64.group_rays import (
     load_rays,
     short_far,
 )
+from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
@@ -225,7 +226,7 @@ def _load(packet, float64_groups, number, source, order, frame, slow_groups):
 def trace_float64_packets(begin, end, tree, frame, source, order, wants_any, status, rows):
     """Trace packets begin to end; see `stream.trace_float64_groups` for the arguments."""
     packet, float64_groups = scratch(PACKET_BYTES), scratch(_GROUPS_BYTES)
-    memory, own = scratch(TRACE_BYTES), (scratch(STACK_BYTES), scratch(64))
+    memory, own = scratch(TRACE_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
     packets = PacketSource(source.rays, order, frame, address(status))
     goal = ANY if wants_any else FIRST
     for number in range(np.uint64(begin), np.uint64(end)):

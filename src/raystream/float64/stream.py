@@ -30,6 +30,7 @@ from raystream.float64.group_rays import (
     load_rays,
     short_far,
 )
+from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
@@ -227,12 +228,12 @@ def trace_float64_groups(begin, end, tree, frame, source, order, wants_any, stat
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     status : ndarray of shape (N,), uint8
-    rows : Float64Rows
+    rows : HitArrays
         See `group_rays.finish_rays`.
     """
     array = np.empty(WORKING_BYTES, np.uint8)
     memory = (address(array) + np.uint64(63)) & ~np.uint64(63)
-    stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(64))
+    stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
     small, groups = Small(scratch(SMALL_BYTES)), memory + LISTS_AT
     packets = PacketSource(source.rays, order, frame, address(status))
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):

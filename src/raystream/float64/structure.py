@@ -13,7 +13,14 @@ from raystream.core.errors import RaystreamError
 from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.triangles import Triangles
 from raystream.float64.block import BLOCK_NUMBERS
-from raystream.float64.queries import Float64Queries, brute_queries, tree_queries
+from raystream.float64.queries import (
+    Float64Queries,
+    Searches,
+    brute_queries,
+    brute_searches,
+    tree_queries,
+    tree_searches,
+)
 from raystream.float64.ray import LEAST
 from raystream.float64.traversal import Float64Tree
 from raystream.jit.threads import Progress
@@ -41,11 +48,14 @@ class Float64Structure(Structure):
 
     Attributes
     ----------
+    searches : Searches
+        Of a single ray.
     loops : Float64Queries
         The queries of single rays.
     """
 
     precision = "float64"
+    searches: ClassVar[Searches]
     loops: ClassVar[Float64Queries]
     triangles: Float64Triangles
 
@@ -99,7 +109,7 @@ class Float64Bvh(Float64Structure):
         Called with (triangles placed, triangles).
     """
 
-    loops = tree_queries
+    searches, loops = tree_searches, tree_queries
 
     def __init__(
         self, triangles: Float64Triangles, options: Bvh, *, progress: Progress | None = None
@@ -139,7 +149,7 @@ class Float64Brute(Float64Structure):
         Called once: there is nothing to build.
     """
 
-    loops = brute_queries
+    searches, loops = brute_searches, brute_queries
 
     def __init__(
         self, triangles: Float64Triangles, options: Brute, *, progress: Progress | None = None

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.memory import check_memory
-from raystream.core.query import UNLIMITED, Kind, Query
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch, as_real_array
 from raystream.float64.packets import trace_float64_packets
-from raystream.float64.queries import Float64Rows, Float64Source
+from raystream.float64.queries import Float64Source
 from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_float64_groups
 from raystream.float64.structure import Float64Structure
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.hits import Sink
+from raystream.kernels.hits import HitArrays, Sink
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
 from raystream.structures.bvh.coherence import choose_kernel, probe
@@ -29,10 +28,6 @@ _FEW = 256
 
 #: Most packets of a call.
 _MOST_PACKETS = 64
-
-#: Hits that are sorted at a time, about, and bytes of a hit with what sorting needs.
-_HITS = 1 << 20
-_HIT_BYTES = 80
 
 
 class Float64Rays(RayBatch):
@@ -86,51 +81,37 @@ class Float64Backend(Backend):
 
     def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
         """See `Backend.working_bytes`."""
+        del hit_count
         limits = 8 * ray_count
         if kind is Kind.MULTI_HIT:
-            return limits + 16 * ray_count + _HIT_BYTES * hit_count
+            return limits + 16 * ray_count  # see `room_for_hits`
         return limits + (thread_count() * WORKING_BYTES if ray_count > _FEW else 0)
-
-    def answer(
-        self,
-        query: Query,
-        rays: RayBatch,
-        progress: Progress | None = None,
-        records: Any = None,
-    ) -> Sink:
-        """Run a query; see `Backend.answer`. The sink's numbers are float64."""
-        del records
-        count = len(rays)
-        sink = Sink(np.zeros(count, np.uint8))
-        if query.kind is Kind.MULTI_HIT:
-            self._find_all(query, rays, sink, progress)
-            return sink
-        self.run(query, rays, sink, progress)
-        return sink
 
     def run(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Run a query of one result per ray; see `Backend.run`."""
+        """Run a query; see `Backend.run`."""
         loops, count = self.structure.loops, len(rays)
-        target: Any = sink
         if query.kind is Kind.FIRST_HIT:
-            target.hits = rows = Float64Rows.empty(count)
             if self._kernel(count) != "single":
-                self._trace_many(rays, sink.status, False, rows, progress)
+                self._trace_many(rays, sink.status, False, sink.hits, progress)
             else:
-                self._loop(loops.first_hit, rays, sink.status, (rows,), progress)
+                self._loop(loops.first_hit, rays, sink.status, (sink.hits,), progress)
         elif query.kind is Kind.ANY_HIT:
-            sink.seen = np.empty(count, np.bool_)
             if self._kernel(count) != "single":
-                rows = Float64Rows.empty(0)._replace(prim_id=sink.seen.view(np.int8))
+                none: Any = HitArrays.empty(0, np.float64)
+                rows = none._replace(prim_id=sink.seen.view(np.int8))
                 self._trace_many(rays, sink.status, True, rows, progress)
             else:
                 self._loop(loops.any_hit, rays, sink.status, (sink.seen,), progress)
-        else:
-            sink.counts = np.empty(count, np.int64)
-            output = query.surfaces, sink.counts
+        elif query.kind is Kind.COUNT_HITS:
+            output = query.surfaces, np.uint64(query.limit), sink.counts
             self._loop(loops.count_hits, rays, sink.status, output, progress)
+        else:
+            filled, half = self.room_for_hits(query, rays, sink, progress)
+            found = query.surfaces, filled.splits, filled.hits
+            self._loop(loops.multi_hit, rays, sink.status, found, half)
+            sink.put(filled.splits, filled.hits)
 
     def _kernel(self, count: int) -> str:
         """The kernel that traces this number of rays; "auto" if that depends on the rays."""
@@ -172,7 +153,7 @@ class Float64Backend(Backend):
         rays: RayBatch,
         status: NDArray[np.uint8],
         wants_any: bool,
-        rows: Float64Rows,
+        rows: HitArrays,
         progress: Progress | None,
     ) -> None:
         """Trace packets, or streams of groups, on all threads."""
@@ -202,66 +183,3 @@ class Float64Backend(Backend):
         shown = None if progress is None else report
         parallel_for(body, packets, min(per_call, share), shown)
         del kept, tiles
-
-    def _find_all(
-        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
-    ) -> None:
-        """Count the hits of all rays, then find and sort those of some rays at a time."""
-        count = len(rays)
-        counts = np.zeros(count, np.int64)
-        half = None if progress is None else lambda done, _: progress(done, 2 * count)
-        if query.limit:
-            output = query.surfaces, counts
-            self._loop(self.structure.loops.count_hits, rays, sink.status, output, half)
-        else:
-            self.run(Query(Kind.ANY_HIT), rays, sink, half)  # it finds the invalid rays
-        splits = np.zeros(count + 1, np.int64)
-        np.cumsum(np.minimum(counts, query.limit), out=splits[1:])
-        total = int(splits[-1])
-        check_memory(
-            _HIT_BYTES * total, f"{total:,} hits would", "give max_hits, or trace fewer rays"
-        )
-        target: Any = sink
-        target.splits, target.hits = splits, Float64Rows.empty(total)
-        first = 0
-        ends = np.cumsum(counts)
-        while first < count and total:
-            before = ends[first] - counts[first]
-            last = max(int(np.searchsorted(ends, before + _HITS, "right")), first + 1)
-            part = slice(first, last)
-            found = self._found(query, rays, sink.status, counts[part], part)
-            rows = slice(splits[first], splits[last])
-            for column, values in zip(target.hits, found, strict=True):
-                column[rows] = values
-            first = last
-            if progress:
-                progress(count + first, 2 * count)
-
-    def _found(
-        self,
-        query: Query,
-        rays: RayBatch,
-        status: NDArray[np.uint8],
-        counts: NDArray[np.int64],
-        part: slice,
-    ) -> tuple[NDArray[Any], ...]:
-        """The hits of some rays by t, then prim_id, up to the limit; `counts` are their numbers."""
-        splits = np.zeros(len(counts) + 1, np.int64)
-        np.cumsum(counts, out=splits[1:])
-        rows = Float64Rows.empty(int(splits[-1]))
-        source, kept = self._source(rays)
-        first, last, loop = part.start, part.stop, self.structure.loops.multi_hit
-        shared = source, self.structure.frame, self.structure.arrays
-        output = query.surfaces, np.int64(first), splits, rows
-
-        def body(begin: int, end: int) -> None:
-            loop(first + begin, first + end, *shared, status, *output)
-
-        parallel_for(body, last - first, self._chunk(last - first))
-        del kept
-        ray_id = np.repeat(np.arange(len(counts)), counts)
-        order = np.lexsort((rows.prim_id, rows.t, ray_id))
-        if query.limit != UNLIMITED:
-            rank = np.arange(len(order)) - np.repeat(splits[:-1], counts)
-            order = order[rank < query.limit]
-        return tuple(column[order] for column in rows)
