@@ -173,7 +173,7 @@ def _visit_count(block, ray, search, lanes):
 
 
 class _Keeping(NamedTuple):
-    count: np.uint64
+    kept: np.uint64
     far: np.float64
     capacity: np.uint64
     rows: HitAddresses
@@ -248,7 +248,7 @@ def _searches(blocks: Callable[..., Any]) -> Searches:
     @device
     def keep(tree, ray, capacity, rows, first, surfaces, memory):
         search = _Keeping(_NONE, ray.line.t_max, capacity, rows, first, surfaces)
-        kept = walk_keep(tree, ray, search, memory[0], memory[1], False).count
+        kept = walk_keep(tree, ray, search, memory[0], memory[1], False).kept
         sort_rows(rows, first, kept)
         # Distances in lengths of the given direction, last: they may underflow to equal ones.
         for row in range(first, first + kept):
