@@ -12,13 +12,12 @@ from extras import need
 need("numba_cuda")
 
 import raystream as rs
+import test_float64 as float64
 from cases import CASES
 from conftest import CUDA_TRACERS, FLOAT64, FLOAT64_CUDA_TRACERS, GPU_TRACERS
 from meshes import icosphere
 from raystream.jit.cuda import is_simulated
 from test_agreement import answers_of, assert_expected, case_of, rays_of
-from test_float64 import answers_of as float64_answers_of
-from test_float64 import assert_exact, assert_same
 
 #: The simulator takes a tenth of a millisecond to begin a thread.
 SIMULATED_RAYS = 24
@@ -77,9 +76,7 @@ FLOAT64_PAIRS = [
 def test_float64_is_exact_with_the_cpus_bits(gpu, tracer, name):
     case = few_of(case_of(name))
     made = rs.Tracer(case.scene, **FLOAT64_CUDA_TRACERS[tracer])
-    oracle = rs.Tracer(case.scene, "brute", precision="float64")
-    assert_same(float64_answers_of(made, rays_of(case)), float64_answers_of(oracle, rays_of(case)))
-    assert_exact(case.scene, made, rays_of(case), 6)
+    float64.assert_right(case.scene, made, rays_of(case), 6)
 
 
 def test_float64_from_a_planet_away(gpu):
@@ -96,7 +93,7 @@ def test_float64_from_a_planet_away(gpu):
     tracer = rs.Tracer(scene, "bvh", rays_at_once=7, **FLOAT64)
     for t_max in (np.inf, 1.0, hits.t, np.nextafter(hits.t, 0.0)):
         rays = {"origins": origins, "directions": ways, "t_max": t_max}
-        assert_same(float64_answers_of(tracer, rays), float64_answers_of(oracle, rays))
+        float64.assert_same(float64.answers_of(tracer, rays), float64.answers_of(oracle, rays))
     assert tracer.any_hit(origins, ways, t_max=hits.t).sum() == hits.is_hit.sum()
     moved = vertices * 1e-3 + [6.4e6, -6.4e6, 3.2e6 + 1e-3]
     for one in (tracer, oracle):
