@@ -66,6 +66,8 @@ SMALL_WAYS = [
     ("bvh", {"kernel": "packet"}),
     ("bvh", {"build": "device"}),
     ("grid", {"build": "device"}),
+    ("bvh", {"precision": "float64"}),
+    ("brute", {"precision": "float64"}),
 ]
 
 #: Models of public research, and built-in scenes of up to ten million triangles.
@@ -237,7 +239,8 @@ def small(tiny):
     ways += [] if tiny else SMALL_WAYS
     wrong = 0
     for name, options in ways:
-        ours, theirs = rs.Tracer(scene, name, "cuda", **options), rs.Tracer(scene, name)
+        kind = {one: options[one] for one in options if one == "precision"}
+        ours, theirs = rs.Tracer(scene, name, "cuda", **options), rs.Tracer(scene, name, **kind)
         for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
             found, expected = (getattr(one, query)(*rays) for one in (ours, theirs))
             wrong += not _same(found, expected)

@@ -56,7 +56,7 @@ class Tracer(MemoryEstimator, PointQueries):
         ``"graphics"``, else ``"branching"``].
     precision : {"float32", "float64"}
         Of triangles, rays and results: ``"float64"`` for scenes where float32 distances are too
-        coarse; on ``"bvh"`` and ``"brute"`` on the CPU.
+        coarse; on ``"bvh"`` and ``"brute"``, on the CPU and CUDA.
     counters : bool
         Count traversal steps, leaves and tests per ray: see `counters`. Rays are then traced one
         by one, without the many-ray kernels of ``"bvh"``. Disabled counters cost nothing.

@@ -16,8 +16,9 @@ need("numba_cuda")
 
 import fake_driver
 import raystream as rs
+import test_float64 as float64
 from cases import CASES
-from conftest import CUDA_TRACERS, GPU_TRACERS
+from conftest import CUDA_TRACERS, FLOAT64_CUDA_TRACERS, GPU_TRACERS
 from meshes import soup
 from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
@@ -131,6 +132,25 @@ def test_persistent_threads_trace_instances():
     rays = some_of(rays, RAY_COUNT)
     tracer = rs.Tracer(scene, device="cuda", gpu=NUMBER, launch="persistent")
     assert_same(tracer.first_hit(**rays), rs.Tracer(scene, "brute").first_hit(**rays), FIRST)
+
+
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize(
+    ("tracer", "name"),
+    [
+        pytest.param(
+            tracer,
+            name,
+            marks=[pytest.mark.exhaustive] * ((tracer, name) != ("bvh, float64", "random_soup")),
+        )
+        for i, tracer in enumerate(FLOAT64_CUDA_TRACERS)
+        for name in (FEW_CASES if i else CASES)
+    ],
+)
+def test_float64_is_exact_with_the_cpus_bits(tracer, name):
+    case = few_of(case_of(name))
+    made = rs.Tracer(case.scene, gpu=NUMBER, **FLOAT64_CUDA_TRACERS[tracer])
+    float64.assert_right(case.scene, made, rays_of(case), 4)
 
 
 @pytest.mark.parametrize("structure", ["brute", "bvh"])

@@ -45,6 +45,8 @@ def build_structure(
         If a method is given for a structure with a single one.
     CudaError
         If the GPU runs out of memory.
+    RaystreamError
+        If the GPU is to build it, and the triangles are in float64.
     """
     device = device or Cuda()
     if device.build == "host":

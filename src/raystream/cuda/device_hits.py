@@ -20,7 +20,7 @@ class DeviceHits:
 
     Attributes
     ----------
-    t, u, v : DeviceArray of shape S, float32
+    t, u, v : DeviceArray of shape S, of the tracer's precision
         Distance in direction lengths (a miss has inf), and the weights of vertices 1 and 2
         (a miss has 0).
     prim_id : DeviceArray of shape S, int32
@@ -70,7 +70,7 @@ class DeviceMultiHits:
     ----------
     ray_splits : DeviceArray of shape (N + 1,), int64
         Ray i owns the rows ray_splits[i] to ray_splits[i + 1] of the other arrays.
-    t, u, v : DeviceArray of shape (K,), float32
+    t, u, v : DeviceArray of shape (K,), of the tracer's precision
     prim_id : DeviceArray of shape (K,), int32
     instance_id : DeviceArray of shape (K,), int32, or None
     status : DeviceArray of shape S, uint8

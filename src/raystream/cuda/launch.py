@@ -8,14 +8,16 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hit_kinds import distance_type
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.query_kernels import QueryKernels
 from raystream.cuda.ray_order import sort_rays
-from raystream.cuda.rays import DeviceRays, moved
+from raystream.cuda.rays import DeviceRays, moved, usual_limits
 from raystream.cuda.structures import Resident
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
 from raystream.kernels.ray import SceneFrame
+from raystream.kernels.ray_source import RaySource
 from raystream.kernels.tally import ROW
 
 __all__ = ["DeviceScene", "RayLauncher", "Steps", "resume"]
@@ -116,7 +118,15 @@ class RayLauncher:
     def _order(self, start: int, count: int) -> DeviceArray:
         """Indices of some rays in the order of their keys, sorted once."""
         if (start, count) not in self._orders:
-            scope, source = self.scope, self.rays.source_from(start)
+            scope, source = self.scope, self._float32_limits(self.rays.source_from(start))
             order = sort_rays(scope.gpu, source, count, self.scene.frame, scope.ready, scope.stream)
             self._orders[start, count] = order
         return self._orders[start, count]
+
+    def _float32_limits(self, source: RaySource) -> RaySource:
+        """A source for keys, which do not depend on the limits, but read float32 there."""
+        if distance_type(self.scene.triangles) is np.float32:
+            return source
+        limits = usual_limits(self.scene.gpu)
+        low, high, none = limits[0.0].address, limits[np.inf].address, np.uint64(0)
+        return source._replace(t_min=low, t_min_step=none, t_max=high, t_max_step=none)

@@ -25,6 +25,7 @@ from raystream.kernels.point_queries import NearestAddresses, PointSource
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.machines.devices import build_on_cpu
+from raystream.machines.precision import float64_triangles
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with, options_of
 
@@ -62,6 +63,7 @@ def structure_kernels(
     kernel: str = "auto",
     launch: str = "range",
     order: str = "given",
+    precision: str = "float32",
     **options: Any,
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The query kernels of a structure, with arguments that have the right types only.
@@ -76,6 +78,7 @@ def structure_kernels(
         Whether rays have counters.
     kernel, launch, order : str
         See `CudaBackend`.
+    precision : {"float32", "float64"}
     **options
         Options of the structure.
 
@@ -84,7 +87,8 @@ def structure_kernels(
     dict
         By query.
     """
-    structure = build_on_cpu(options_of(name, options), scene.triangles)
+    triangles = scene.triangles if precision == "float32" else float64_triangles(scene)
+    structure = build_on_cpu(options_of(name, options), triangles)
     kernels = kernels_of(traced_as(structure), kernel, launch, order)
     tree = lay_out(structure, kernel).tree
     first = (_AT,) if order == "sorted" else ()
@@ -139,6 +143,7 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
         *((f"bvh, {one}", "bvh", {"kernel": one}) for one in KERNELS if one != "auto"),
         ("bvh, persistent", "bvh", {"launch": "persistent"}),
         ("bvh, sorted", "bvh", {"order": "sorted"}),
+        *((f"{one}, float64", one, {"precision": "float64"}) for one in ("bvh", "brute")),
     ]
     listed = {
         (way, query): one

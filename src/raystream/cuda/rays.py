@@ -138,7 +138,12 @@ def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
     return {value: gpu.upload("limits", one) for value, one in DEFAULT_LIMITS.items()}
 
 
-def place_device_rays(scope: StreamScope, arrays: RayArrays, world_count: int = 0) -> DeviceRays:
+def place_device_rays(
+    scope: StreamScope,
+    arrays: RayArrays,
+    world_count: int = 0,
+    kind: type[np.floating[Any]] = np.float32,
+) -> DeviceRays:
     """View rays in the caller's arrays, at least one of which is on the device.
 
     Parameters
@@ -151,6 +156,8 @@ def place_device_rays(scope: StreamScope, arrays: RayArrays, world_count: int = 
         checked.
     world_count : int
         Worlds of the scene.
+    kind : float32 or float64
+        The type of the limits that kernels read.
 
     Raises
     ------
@@ -166,7 +173,7 @@ def place_device_rays(scope: StreamScope, arrays: RayArrays, world_count: int = 
     -----
     Arrays with a single stride from ray to ray are not copied: one value for all rays, or rows
     with or without gaps, forward or backward. Other layouts, such as columns or two arrays
-    broadcast along different axes, and float64 limits, are packed on the device.
+    broadcast along different axes, and limits of another type, are packed on the device.
     """
     origins, directions, t_min, t_max, worlds = arrays
     vectors = _vectors(scope, "origins", origins), _vectors(scope, "directions", directions)
@@ -177,13 +184,16 @@ def place_device_rays(scope: StreamScope, arrays: RayArrays, world_count: int = 
             f"origins and directions: shapes {vectors[0].shape} and {vectors[1].shape} "
             "do not broadcast against each other"
         ) from None
-    limits = _limit(scope, "t_min", t_min, shape), _limit(scope, "t_max", t_max, shape)
+    low, high = (
+        _limit(scope, name, one, shape, kind) for name, one in (("t_min", t_min), ("t_max", t_max))
+    )
     places: list[Any] = []
     for name, one in zip(("origins", "directions"), vectors, strict=True):
-        places += [*_placed(scope, name, one, shape), one.dtype.itemsize == 8]
-    for name, one in zip(("t_min", "t_max"), limits, strict=True):
+        places += [*_placed(scope, name, one, shape, one.dtype), one.dtype.itemsize == 8]
+    for name, one in (("t_min", low), ("t_max", high)):
         row = (*one.shape, 1), (*one.strides, one.dtype.itemsize)
-        places += _placed(scope, name, one._replace(shape=row[0], strides=row[1]), shape)
+        limit = one._replace(shape=row[0], strides=row[1])
+        places += _placed(scope, name, limit, shape, np.dtype(kind))
     at = None if worlds is None else _placed_worlds(scope, worlds, world_count, shape)
     return DeviceRays(shape, RaySource(*places), worlds=at)
 
@@ -211,11 +221,17 @@ def _vectors(scope: StreamScope, name: str, values: Any) -> DeviceView:
     return view
 
 
-def _limit(scope: StreamScope, name: str, values: Any, shape: tuple[int, ...]) -> DeviceView:
-    usual = usual_limits(scope.gpu)
+def _limit(
+    scope: StreamScope,
+    name: str,
+    values: Any,
+    shape: tuple[int, ...],
+    kind: type[np.floating[Any]],
+) -> DeviceView:
+    usual = usual_limits(scope.gpu) if kind is np.float32 else {}
     if type(values) in (float, int) and values in usual:
         return DeviceView(int(usual[values].address), (), (), np.dtype(np.float32))
-    view = _view(scope, name, values, lambda one: one.astype(np.float32))
+    view = _view(scope, name, values, lambda one: one.astype(kind))
     try:
         fits = np.broadcast_shapes(view.shape, shape) == shape
     except ValueError:
@@ -251,19 +267,19 @@ def _view(
 
 
 def _placed(
-    scope: StreamScope, name: str, view: DeviceView, shape: tuple[int, ...]
+    scope: StreamScope, name: str, view: DeviceView, shape: tuple[int, ...], dtype: np.dtype[Any]
 ) -> tuple[np.uint64, np.uint64]:
-    """Address and stride of vectors, or of limits of shape S + (1,); packed if necessary."""
+    """Address and stride of numbers of a dtype: vectors, or limits; packed if necessary."""
     *lengths, width = view.shape
     *steps, last = view.strides
     strides = [0] * (len(shape) - len(lengths))
     strides += [s if n > 1 else 0 for n, s in zip(lengths, steps, strict=True)]
     runs = _runs(shape, strides)
-    fits = last == view.dtype.itemsize if width == 3 else view.dtype == np.float32
+    fits = last == view.dtype.itemsize if width == 3 else view.dtype == dtype
     if len(runs) <= 1 and fits:
         step = runs[0][1] if runs else 0
         return np.uint64(view.address), np.uint64(step % 2**64)
-    return pack(scope, name, view, runs, last, math.prod(shape))
+    return pack(scope, name, view, runs, last, math.prod(shape), dtype)
 
 
 def _runs(shape: tuple[int, ...], strides: list[int]) -> list[tuple[int, int]]:

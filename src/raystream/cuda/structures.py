@@ -61,13 +61,19 @@ def kernels_of(
 
 @cache
 def _made(made: Traced, kernel: str | None, launch: str, order: str) -> QueryKernels:
-    held = structure_class(made) if isinstance(made, str) else made
-    plain, traverse, stack_bytes = _LAUNCHERS[launch], held.traverse, held.stack_bytes
-    if kernel is not None and isinstance(made, str):
-        traverse, stack_bytes = form_of(made, LAYOUTS).search_of(kernel)
+    held: Any = structure_class(made) if isinstance(made, str) else made
+    plain = _LAUNCHERS[launch]
     launcher: _Launcher = plain
     if order == "sorted":
         launcher = lambda function: plain(reordered(function))  # noqa: E731
+    if held.precision == "float64":
+        # Here, not above: few tracers are in float64.
+        from raystream.cuda.float64.kernels import make_float64_kernels
+
+        return make_float64_kernels(held.searches, launcher)
+    traverse, stack_bytes = held.traverse, held.stack_bytes
+    if kernel is not None and isinstance(made, str):
+        traverse, stack_bytes = form_of(made, LAYOUTS).search_of(kernel)
     return make_kernels(traverse, stack_bytes, launcher, held.make_searches)
 
 
