@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
@@ -23,7 +23,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
 from raystream.machines.backend import Backend
-from raystream.machines.configuration import Configuration, configure
+from raystream.machines.configuration import Configuration, check_kind, configure
 from raystream.machines.devices import device_of
 from raystream.machines.precision import moved_triangles, of_scene
 from raystream.notebook import html_table, in_bytes
@@ -38,10 +38,6 @@ if TYPE_CHECKING:
     from raystream.machines.counters import RayCounters
 
 __all__ = ["TracedScene"]
-
-#: Devices with machines that trace spheres and height fields, and instances.
-_BRANCHING = ("cpu", "branching"), ("cuda", "branching")
-_INSTANCED = (*_BRANCHING, ("graphics", "compute"))
 
 #: Attributes that belong to the structure in place, or to the latest query.
 _TRANSIENT = ("_backend", "_cast", "_latest", "_world_count")
@@ -108,7 +104,7 @@ class TracedScene:
         ValueError
             If there are instances, and the structure, device or machine does not support them.
         """
-        self._check_instances(triangles)
+        check_kind(triangles, self.device, self.machine)
         return device_of(self.device).build(
             configuration.structure,
             triangles,
@@ -116,19 +112,8 @@ class TracedScene:
             device=configuration.device_options,
         )
 
-    def _check_instances(self, triangles: Any) -> None:
-        chosen = self.device, self.machine
-        if isinstance(triangles, InstancedTriangles) and chosen not in _INSTANCED:
-            raise ValueError(
-                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; "
-                "machine='branching' on the CPU or CUDA, and machine='compute' on "
-                "device='graphics' support them"
-            )
-        if isinstance(triangles, Primitives) and chosen not in _BRANCHING:
-            raise ValueError(f"device={self.device!r}, machine={self.machine!r}: {NOT_TRIANGLES}")
-
     def _set(self, scene: Scene | None, structure: Structure) -> None:
-        self._check_instances(structure.triangles)
+        check_kind(structure.triangles, self.device, self.machine)
         self._scene = scene
         self.structure = structure
         placed: Any = structure.triangles
