@@ -9,6 +9,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.instances.streams import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.instances.traversal import TopAddresses
+from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
@@ -24,8 +25,8 @@ __all__ = ["InstanceTree", "instance_bytes", "trace_batch"]
 #: Batches of fewer rays are traced ray by ray: lists of few rays share few instances.
 _LEAST_RAYS = 2048
 
-#: Rays per call of the kernel for single rays.
-_SINGLE_CHUNK = 4096
+#: Rays per call of the wavefront.
+_WAVEFRONT_CHUNK = 4096
 
 #: Most packets per call of the kernel for groups.
 _MOST_PACKETS = 64
@@ -82,7 +83,7 @@ def trace_batch(
         False for batches that are traced ray by ray, and other queries: those with filters, too.
     """
     count, wants_any = len(batch), query.kind is Kind.ANY_HIT
-    if query.kind not in (Kind.FIRST_HIT, Kind.ANY_HIT) or kernel in ("single", "wavefront"):
+    if query.kind not in (Kind.FIRST_HIT, Kind.ANY_HIT) or kernel == "single":
         return False
     if query.on_hit is not None:  # filters are called by the search of a single ray
         return False
@@ -97,10 +98,12 @@ def trace_batch(
     )
     runs = _runs(tree, source, order, wants_any, out)
     if kernel != "auto":
-        runs["groups"](0, count, progress)
+        runs["wavefront" if kernel == "wavefront" else "groups"](0, count, progress)
         return True
     found = probe(source, order.packets, tree.frame, tree.byte_count)
-    names = ("groups", "single") if found.near >= 0.5 or found.narrow >= 0.5 else _SINGLE_FIRST
+    names = "groups", "wavefront"
+    if not (found.near >= 0.5 or found.narrow >= 0.5):
+        names = names[::-1]
     if count < LEAST_RACE:
         runs[names[0]](0, count, progress)
         return True
@@ -120,8 +123,6 @@ def trace_batch(
     return True
 
 
-_SINGLE_FIRST = "single", "groups"
-
 #: Kernels that have traced a race in this process: those are loaded.
 _loaded: set[str] = set()
 
@@ -135,7 +136,6 @@ def _runs(
 ) -> dict[str, Callable[[int, int, Progress | None], None]]:
     """What traces the rays between two cuts of an order, by kernel."""
     packets = PacketSource(source, order.packets, tree.frame, out.status)
-    single = tree.queries.any_hit if wants_any else tree.queries.first_hit
 
     def by_groups(begin: int, end: int, progress: Progress | None) -> None:
         start = order.cut(begin).packet
@@ -150,13 +150,15 @@ def _runs(
         report = reported_rays(progress, end - begin, packet_count)
         parallel_for(body, packet_count, max(4, share), report, joins_chunks=True)
 
-    def singly(begin: int, end: int, progress: Progress | None) -> None:
+    def in_flight(begin: int, end: int, progress: Progress | None) -> None:
         def body(low: int, high: int) -> None:
-            single(begin + low, begin + high, source, tree.frame, tree.top, None, None, out)
+            trace_instance_wavefront(
+                begin + low, begin + high, tree.top, tree.frame, source, wants_any, out
+            )
 
-        parallel_for(body, end - begin, _SINGLE_CHUNK, progress)
+        parallel_for(body, end - begin, _WAVEFRONT_CHUNK, progress)
 
-    return {"groups": by_groups, "single": singly}
+    return {"groups": by_groups, "wavefront": in_flight}
 
 
 def instance_bytes(ray_count: int) -> int:
