@@ -235,7 +235,7 @@ def trace_exact_packets(begin, end, tree, frame, source, order, wants_any, statu
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, packets)
         _load(packet, sixteens, number, source, order, frame, slow_groups)
-        _trace_packet(packet, tree, frame.max_coordinate, memory, goal, sixteens, None)
+        _trace_packet(packet, GROUPS, tree, frame.max_coordinate, memory, goal, sixteens, None)
         for g in range(GROUPS):
             first, count = group_rows(order, number, g)
             if count != _NONE:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.instances.packets import trace_instance_packets
 from raystream.instances.streams import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.instances.traversal import TopAddresses
 from raystream.instances.wavefront import trace_instance_wavefront
@@ -14,7 +15,7 @@ from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.structures.bvh.coherence import probe
+from raystream.structures.bvh.coherence import Coherence, probe
 from raystream.structures.bvh.image_rows import BatchOrder
 from raystream.structures.bvh.kernel_choice import packet_order, reported_rays
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
@@ -98,12 +99,10 @@ def trace_batch(
     )
     runs = _runs(tree, source, order, wants_any, out)
     if kernel != "auto":
-        runs["wavefront" if kernel == "wavefront" else "groups"](0, count, progress)
+        runs[kernel if kernel in runs else "groups"](0, count, progress)
         return True
     found = probe(source, order.packets, tree.frame, tree.byte_count)
-    names = "groups", "wavefront"
-    if not (found.near >= 0.5 or found.narrow >= 0.5):
-        names = names[::-1]
+    names = _candidates(found)
     if count < LEAST_RACE:
         runs[names[0]](0, count, progress)
         return True
@@ -127,6 +126,13 @@ def trace_batch(
 _loaded: set[str] = set()
 
 
+def _candidates(found: Coherence) -> tuple[str, str]:
+    """Kernels for rays of a coherence: the one that is thought the fastest, and a rival."""
+    if found.narrow >= 0.5:
+        return "groups", "packet"
+    return ("groups", "wavefront") if found.near >= 0.5 else ("wavefront", "groups")
+
+
 def _runs(
     tree: InstanceTree,
     source: RaySource,
@@ -138,17 +144,38 @@ def _runs(
     packets = PacketSource(source, order.packets, tree.frame, out.status)
 
     def by_groups(begin: int, end: int, progress: Progress | None) -> None:
+        def body(low: int, high: int) -> None:
+            trace_instances(low, high, tree.top, packets, wants_any, out)
+
+        trace(body, begin, end, BLOCK_PACKETS, progress)
+
+    def by_packets(begin: int, end: int, progress: Progress | None) -> None:
+        def body(low: int, high: int) -> None:
+            trace_instance_packets(low, high, tree.top, packets, wants_any, out)
+
+        trace(body, begin, end, 1, progress)
+
+    def trace(
+        body: Callable[[int, int], None],
+        begin: int,
+        end: int,
+        block: int,
+        progress: Progress | None,
+    ) -> None:
+        """Trace the packets between two cuts, in whole blocks of some where there are many."""
         start = order.cut(begin).packet
         packet_count = order.cut(end).packet - start
-
-        def body(low: int, high: int) -> None:
-            trace_instances(start + low, start + high, tree.top, packets, wants_any, out)
-
         share = -(-packet_count // (8 * thread_count()))
-        if share > BLOCK_PACKETS:  # whole blocks
-            share = min(share // BLOCK_PACKETS * BLOCK_PACKETS, _MOST_PACKETS)
+        if share > block:
+            share = min(share // block * block, _MOST_PACKETS)
         report = reported_rays(progress, end - begin, packet_count)
-        parallel_for(body, packet_count, max(4, share), report, joins_chunks=True)
+        parallel_for(
+            lambda low, high: body(start + low, start + high),
+            packet_count,
+            max(4, share),
+            report,
+            joins_chunks=True,
+        )
 
     def in_flight(begin: int, end: int, progress: Progress | None) -> None:
         def body(low: int, high: int) -> None:
@@ -158,7 +185,7 @@ def _runs(
 
         parallel_for(body, end - begin, _WAVEFRONT_CHUNK, progress)
 
-    return {"groups": by_groups, "wavefront": in_flight}
+    return {"groups": by_groups, "packet": by_packets, "wavefront": in_flight}
 
 
 def instance_bytes(ray_count: int) -> int:

@@ -31,12 +31,12 @@ from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 
 __all__ = [
-    "MAX_LENGTH",
     "MOST_FAR",
     "STACK_BYTES",
     "TopAddresses",
     "WorldRay",
     "instance_searches",
+    "is_usual",
     "object_ray",
     "ray_numbers",
     "scene_ray",
@@ -126,6 +126,12 @@ class _RayTree(NamedTuple):
     leaves: np.uint64
     objects: np.uint64
     ray: WorldRay
+
+
+@device
+def is_usual(dx, dy, dz):
+    """Whether a direction's length is within bounds."""
+    return 1.0 / MAX_LENGTH <= max(abs(dx), abs(dy), abs(dz)) <= MAX_LENGTH
 
 
 @device
@@ -244,8 +250,7 @@ def scene_ray(numbers, top, frame):
     """
     ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
     ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
-    length = max(abs(dx), abs(dy), abs(dz))
-    is_valid = ray.status == _VALID and 1.0 / MAX_LENGTH <= length <= MAX_LENGTH
+    is_valid = ray.status == _VALID and is_usual(dx, dy, dz)
     reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
     far = np.float32(min(top.far_unit * reach, MOST_FAR))
     whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
