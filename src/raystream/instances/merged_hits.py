@@ -27,6 +27,7 @@ from raystream.jit.simd import (
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.ray import local_limit, world_t
+from raystream.kernels.search import is_before
 from raystream.structures.bvh.group_leaf import leaf_tests
 from raystream.structures.bvh.group_rays import HOT_AT, LANE_SHIFT, LAST_LANE, Hot
 from raystream.structures.bvh.node_layout import LANE
@@ -109,12 +110,17 @@ def _reported(t, t_scale, t_offset):
 
 
 @device
+def _are_nearer(t, prim_ids, best_t, best):
+    return (t < best_t) | ((t == best_t) & (prim_ids < best))
+
+
+@device
 def _keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):  # noqa: ARG001
     group = MergedGroup(memory, g)
     t_scale, t_offset = group.t_scale, group.t_offset
     world = _reported(t, t_scale, t_offset)
     best_t, best, prim_ids = group.best_t, group.prim_id, i32x16(prim_id)
-    taken = taken & ((world < best_t) | ((world == best_t) & (prim_ids < best)))
+    taken = taken & _are_nearer(world, prim_ids, best_t, best)
     bits = mask_bits(taken)
     if bits == _U0:
         return False
@@ -143,7 +149,7 @@ def _keep_of_ray(memory, number, block, bits, found, wants_any, filter_):  # noq
         lane = count_trailing_zeros(bits)
         bits &= bits - _U1
         t, prim_id = world_t(found.t[lane], t_scale, t_offset), prim_ids[lane]
-        if t < best_t or (t == best_t and prim_id < best):
+        if is_before(t, prim_id, best_t, best):
             best_t, best, has_hit = t, prim_id, True
             lanes.u[k], lanes.v[k] = found.u[lane], found.v[lane]
     if has_hit:
@@ -158,7 +164,7 @@ def _keep_in_packet(group, g, taken, t, uv, prim_id, goal, hits, filter_):  # no
     t_scale, t_offset = own.t_scale, own.t_offset
     world = _reported(t, t_scale, t_offset)
     best_t, best, prim_ids = own.best_t, own.prim_id, i32x16(prim_id)
-    taken = taken & ((world < best_t) | ((world == best_t) & (prim_ids < best)))
+    taken = taken & _are_nearer(world, prim_ids, best_t, best)
     if not any_lane(taken):
         return False
     own.prim_id = select(taken, prim_ids, best)
@@ -182,7 +188,7 @@ def _keep_of_packet_ray(lanes, k, hit, prim_ids, found, is_any, filter_):  # noq
         lane = count_trailing_zeros(hit)
         hit &= hit - _U1
         t, prim_id = world_t(found.t[lane], t_scale, t_offset), prim_ids[lane]
-        if t < best_t or (t == best_t and prim_id < best):
+        if is_before(t, prim_id, best_t, best):
             best_t, best, has_hit = t, prim_id, True
             own.u[k], own.v[k] = found.u[lane], found.v[lane]
     if has_hit:

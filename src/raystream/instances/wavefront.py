@@ -24,6 +24,7 @@ from raystream.jit.simd import (
 from raystream.jit.views import view
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, test_block
 from raystream.kernels.ray import local_limit, world_t
+from raystream.kernels.search import is_before
 from raystream.structures.bvh.node_layout import (
     LANE,
     Node,
@@ -129,7 +130,7 @@ def _keep_nearest(inner, slot, block, bits, lanes):
         bits &= bits - _U1
         t = world_t(lanes.t[lane], inner.t_scale, inner.t_offset)
         number = np.int32(block.prim_ids[lane] + inner.first_id)
-        if t < best_t or (t == best_t and number < best):
+        if is_before(t, number, best_t, best):
             best_t, best = t, number
             slot.u, slot.v = lanes.u[lane], lanes.v[lane]
     if best != slot.prim_id:
