@@ -35,6 +35,7 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.structures.bvh.layout import TreeAddresses
+from raystream.structures.bvh.node_layout import prefetch_child
 from raystream.structures.bvh.packet import TRACE_BYTES, packet_trace
 from raystream.structures.bvh.packet_leaf import ANY, FIRST, entering_rays
 from raystream.structures.bvh.packet_load import load_packet, prepare_group, set_slow
@@ -80,7 +81,7 @@ class _Inside(NamedTuple):
     groups: np.uint64
 
 
-_trace_object = packet_trace(visit_object_leaf)
+_trace_object = packet_trace(visit_object_leaf, prefetch_child)
 
 
 @device
@@ -134,7 +135,7 @@ def _visit_instance(packet, child, leaves, box, rays, groups, own, goal, inside,
     return _search_instance(packet, index, leaves, box, rays, groups, goal, inside)
 
 
-_trace_scene = packet_trace(_visit_instance)
+_trace_scene = packet_trace(_visit_instance, prefetch_child)
 
 
 @device

@@ -20,7 +20,7 @@ from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import is_usual
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import address, f32x16, load, scratch, store
+from raystream.jit.simd import f32x16, load, scratch, store
 from raystream.kernels.ray_source import RaySource, load_direction
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.group_rays import (
@@ -56,13 +56,13 @@ __all__ = ["BLOCK_PACKETS", "CALL_BYTES", "trace_instances"]
 BLOCK_PACKETS = 8
 
 #: Bytes that a call needs.
-CALL_BYTES = 2 * (MEMORY_BYTES + 64)
+CALL_BYTES = 2 * -(-MEMORY_BYTES // 64) * 64
 
 _PACKETS = np.uint64(BLOCK_PACKETS)
 _U0, _U1 = np.uint64(0), np.uint64(1)
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
-_LINE_BITS = np.uint64(63)
+_INSIDE_AT = np.uint64(CALL_BYTES // 2)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _INVALID = np.uint8(RayStatus.INVALID)
@@ -179,7 +179,7 @@ def _finish(memory, group_count):
 
 
 @kernel
-def trace_instances(begin, end, top, source, wants_any, out):
+def trace_instances(begin, end, top, source, wants_any, memory, out):
     """Trace packets begin to end through a scene's instances.
 
     Parameters
@@ -190,11 +190,12 @@ def trace_instances(begin, end, top, source, wants_any, out):
     source : PacketSource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    memory : int
+        Address of `CALL_BYTES` bytes; a multiple of 64.
     out : ResultAddresses
     """
-    array = np.empty(CALL_BYTES, np.uint8)
-    memory = (address(array) + _LINE_BITS) & ~_LINE_BITS
-    inside = memory + np.uint64(CALL_BYTES // 2)
+    memory = np.uint64(memory)
+    inside = memory + _INSIDE_AT
     stack, inner_stack = scratch(STREAM_STACK_BYTES), scratch(STREAM_STACK_BYTES)
     small, inner_small = scratch(SMALL_BYTES), scratch(SMALL_BYTES)
     record = TreeRecord(top.trees)
@@ -210,5 +211,3 @@ def trace_instances(begin, end, top, source, wants_any, out):
         _trace_scene(memory, groups, count, ray_count, tree, stack, Small(small), wants_any, None)
         _finish(memory, group_count)
         store_block(memory, source.order, first, last, wants_any, out)
-    # The memory must outlive its addresses.
-    array[0] = np.uint8(0)

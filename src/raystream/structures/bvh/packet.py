@@ -263,25 +263,6 @@ def _push(stack, base, top, child, key, groups, node, lane):
 
 
 @device
-def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
-    """Push a node's children that a ray enters; returns the stack's height."""
-    t_in, entered = _enters(Node(node), rays, farthest)
-    bits = mask_bits(entered)
-    if bits != _U0:
-        memory.keys = float_as_bits(maximum(t_in, _ZERO))
-        keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
-        base = top
-        while bits != _U0:
-            lane = count_trailing_zeros(bits)
-            bits &= bits - _U1
-            planes = box_planes(node, lane, rays)
-            entering = group_range(packet, planes, rays.t_min, groups)
-            if entering.first <= entering.last:
-                top = _push(stack, base, top, children[lane], keys[lane], entering, node, lane)
-    return top
-
-
-@device
 def _next_class(packet, count):
     """The class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(count):
@@ -291,19 +272,45 @@ def _next_class(packet, count):
     return NO_CLASS
 
 
-def packet_trace(search_leaf):
+@device
+def _no_prefetch(child, nodes, leaves):
+    pass
+
+
+def packet_trace(search_leaf, prefetch=_no_prefetch):
     """Make the function that traces a packet.
 
     Parameters
     ----------
     search_leaf : device function
         `packet_leaf.visit_leaf`, or another that takes the same.
+    prefetch : device function
+        `node_layout.prefetch_child`, for trees that do not fit into the cache [default: nothing].
 
     Returns
     -------
     device function
         ``trace_packet(packet, count, tree, max_coordinate, memory, goal, hits, filter_)``
     """
+
+    @device
+    def visit_node(packet, node, rays, farthest, groups, tree, memory, stack, top):
+        """Push a node's children that a ray enters; returns the stack's height."""
+        t_in, entered = _enters(Node(node), rays, farthest)
+        bits = mask_bits(entered)
+        if bits != _U0:
+            memory.keys = float_as_bits(maximum(t_in, _ZERO))
+            keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
+            base = top
+            while bits != _U0:
+                lane = count_trailing_zeros(bits)
+                bits &= bits - _U1
+                prefetch(children[lane], tree.nodes, tree.leaves)
+                planes = box_planes(node, lane, rays)
+                entering = group_range(packet, planes, rays.t_min, groups)
+                if entering.first <= entering.last:
+                    top = _push(stack, base, top, children[lane], keys[lane], entering, node, lane)
+        return top
 
     @device
     def trace_class(
@@ -320,7 +327,7 @@ def packet_trace(search_leaf):
         while True:
             if child >= np.int32(0):
                 node = tree.nodes + np.uint64(child) * NODE
-                top = _visit_node(packet, node, rays, farthest, groups, memory, stack, top)
+                top = visit_node(packet, node, rays, farthest, groups, tree, memory, stack, top)
             else:
                 box, own = box_planes(node, lane, rays), memory.leaf
                 if search_leaf(
