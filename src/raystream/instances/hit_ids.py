@@ -9,10 +9,13 @@ from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
 
-__all__ = ["split_numbers"]
+__all__ = ["split_bytes", "split_numbers"]
 
 #: Fewer are split by NumPy, before a kernel is loaded.
 _LEAST = 1 << 14
+
+#: Bytes that NumPy needs for a number, besides an id of the instance; and the kernel.
+_BYTES_OF_FEW, _BYTES_OF_MANY = 48, 4
 
 #: Numbers of a call of the kernel.
 _CHUNK = 1 << 15
@@ -35,6 +38,11 @@ def split_numbers(
 
     parallel_for(split, numbers.size, _CHUNK, joins_chunks=True)
     return prim_id, instance_id
+
+
+def split_bytes(count: int) -> int:
+    """Most bytes that `split_numbers` needs, besides the ids of the instances."""
+    return max(_BYTES_OF_FEW * min(count, _LEAST), _BYTES_OF_MANY * count)
 
 
 @kernel
