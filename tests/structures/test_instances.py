@@ -18,12 +18,16 @@ from conftest import assert_same_bits
 from instanced import COLUMNS, moved, random_transforms
 from meshes import cube, icosphere, soup
 from raystream.core.instances import Instances
+from raystream.instances.hit_ids import split_numbers
 from strategies import COORDINATES, meshes
 
 STRUCTURES = ("bvh", "brute")
 
-#: Options of tracers that must agree: rays one by one, in groups, and without trees.
-TRACERS = ({"kernel": "single"}, {"kernel": "groups"}, {"structure": "brute"})
+#: Kernels for many rays, of first and any hits only.
+MANY = ({"kernel": "groups"}, {"kernel": "packet"}, {"kernel": "wavefront"})
+
+#: Options of tracers that must agree: rays one by one, many at once, and without trees.
+TRACERS = ({"kernel": "single"}, *MANY, {"structure": "brute"})
 
 
 def scene_of(vertices, faces) -> rs.Scene:
@@ -65,8 +69,8 @@ def assert_agrees(scene: rs.Scene, parts: list[rs.Scene], rays) -> int:
         for name in COLUMNS:
             assert_same_bits(getattr(hits, name), first[name])
         assert_same_bits(tracer.any_hit(**rays), splits[1:] > splits[:-1])
-        if options == {"kernel": "groups"}:
-            continue  # of these two queries only
+        if options in MANY:
+            continue
         for crossings, (all_splits, all_columns) in expected.items():
             counts = tracer.count_hits(**rays, crossings=crossings)
             assert_same_bits(counts, np.diff(all_splits))
@@ -146,7 +150,7 @@ def test_batches_are_traced_by_any_kernel() -> None:
         {"origins": origins[0, 0], "directions": directions[90:160, 100:201], "t_max": 31.0},
     ):
         wanted, seen = expected.first_hit(**one), expected.any_hit(**one)
-        for kernel in ("auto", "auto", "groups", "packet"):
+        for kernel in ("auto", "auto", "groups", "packet", "wavefront"):
             tracer = rs.Tracer(scene, kernel=kernel)
             for _ in range(2):
                 hits = tracer.first_hit(**one, progress=lambda *done: reported.append(done))
@@ -158,7 +162,8 @@ def test_batches_are_traced_by_any_kernel() -> None:
         assert not seen.all()
 
 
-def test_invalid_rays_are_named_in_groups() -> None:
+@pytest.mark.parametrize("options", MANY)
+def test_invalid_rays_are_named_by_kernels_for_many(options) -> None:
     scene = random_scene(65, 20)
     rays = random_rays(66, 4000)
     directions, origins = rays["directions"], rays["origins"]
@@ -168,7 +173,7 @@ def test_invalid_rays_are_named_in_groups() -> None:
     origins[3::7] = np.inf
     directions[4::7] *= 1e-160
     wanted = rs.Tracer(scene, kernel="single").first_hit(origins, directions)
-    hits = rs.Tracer(scene, kernel="groups").first_hit(origins, directions)
+    hits = rs.Tracer(scene, **options).first_hit(origins, directions)
     for name in (*COLUMNS, "status"):
         assert_same_bits(getattr(hits, name), getattr(wanted, name))
     assert (hits.status.reshape(-1)[1::7] == 1).all()
@@ -229,6 +234,25 @@ def test_any_instances_agree(case) -> None:
         "t_max": np.full(4, np.inf, np.float32),
     }
     assert_agrees(rs.Scene.instances(one, transforms), [one], rays)
+
+
+def test_ids_of_many_hits_are_split_as_those_of_few() -> None:
+    """By a kernel; with objects that have no triangles, before, between and behind others."""
+    empty = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
+    ids = [0, 1, 0, 0, 2, 1, 2, 0]
+    places = random_transforms(np.random.default_rng(5), len(ids))
+    scene = rs.Scene.instances([empty, *objects()[:2]], places, ids)
+    triangles = rs.Tracer(scene).structure.triangles
+    total = int(triangles.first_ids[-1])
+    rng = np.random.default_rng(6)
+    numbers = rng.integers(-1, total, 1 << 15).astype(np.int32)
+    numbers[1 << 14 :].sort()
+    numbers[:4] = -1, 0, total - 1, -1
+    expected = triangles.split_ids(numbers)
+    for one, wanted in zip(split_numbers(triangles, numbers), expected, strict=True):
+        assert_same_bits(one, wanted)
+    instance_id = np.searchsorted(triangles.first_ids, numbers, side="right") - 1
+    assert_same_bits(expected[1], instance_id.astype(np.int32))
 
 
 def test_equal_distances_go_to_the_first_instance() -> None:

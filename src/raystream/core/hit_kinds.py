@@ -1,4 +1,4 @@
-"""What results are made of, for what a scene holds: classes, types and ids."""
+"""What results are made of, for what a scene holds: classes and types."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import numpy as np
 from raystream.core.float64_hits import Float64Hits, Float64MultiHits
 from raystream.core.float64_triangles import Float64Triangles
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitive_hits import PrimitiveHits, PrimitiveMultiHits
 from raystream.core.primitives import Primitives
 
-__all__ = ["distance_type", "hits_type", "multi_hits_type", "split_numbers"]
+__all__ = ["distance_type", "hits_type", "multi_hits_type"]
 
 
 def hits_type(triangles: Any) -> type[Hits]:
@@ -33,12 +32,3 @@ def multi_hits_type(triangles: Any) -> type[MultiHits]:
 def distance_type(triangles: Any) -> type[np.floating[Any]]:
     """The type of t, u and v."""
     return np.float64 if isinstance(triangles, Float64Triangles) else np.float32
-
-
-def split_numbers(numbers: Any, triangles: Any) -> tuple[Any, Any]:
-    """The prim_ids and instance_ids (None without instances) of kernels' numbers."""
-    if isinstance(triangles, InstancedTriangles):
-        return triangles.split_ids(numbers)
-    if isinstance(triangles, Primitives):
-        return triangles.prim_ids_of(numbers), None
-    return numbers, None

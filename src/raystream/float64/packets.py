@@ -232,7 +232,9 @@ def trace_float64_packets(begin, end, tree, frame, source, order, wants_any, sta
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, packets)
         _load(packet, float64_groups, number, source, order, frame, slow_groups)
-        _trace_packet(packet, tree, frame.max_coordinate, memory, goal, float64_groups, None)
+        _trace_packet(
+            packet, GROUPS, tree, frame.max_coordinate, memory, goal, float64_groups, None
+        )
         for g in range(GROUPS):
             first, count = group_rows(order, number, g)
             if count != _NONE:

@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.instances.packets import trace_instance_packets
 from raystream.instances.streams import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.instances.traversal import TopAddresses
+from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.kernels.aligned import aligned_array
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.structures.bvh.coherence import probe
+from raystream.structures.bvh.coherence import Coherence, probe
 from raystream.structures.bvh.image_rows import BatchOrder
 from raystream.structures.bvh.kernel_choice import packet_order, reported_rays
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
@@ -24,8 +30,8 @@ __all__ = ["InstanceTree", "instance_bytes", "trace_batch"]
 #: Batches of fewer rays are traced ray by ray: lists of few rays share few instances.
 _LEAST_RAYS = 2048
 
-#: Rays per call of the kernel for single rays.
-_SINGLE_CHUNK = 4096
+#: Rays per call of the wavefront.
+_WAVEFRONT_CHUNK = 4096
 
 #: Most packets per call of the kernel for groups.
 _MOST_PACKETS = 64
@@ -82,7 +88,7 @@ def trace_batch(
         False for batches that are traced ray by ray, and other queries: those with filters, too.
     """
     count, wants_any = len(batch), query.kind is Kind.ANY_HIT
-    if query.kind not in (Kind.FIRST_HIT, Kind.ANY_HIT) or kernel in ("single", "wavefront"):
+    if query.kind not in (Kind.FIRST_HIT, Kind.ANY_HIT) or kernel == "single":
         return False
     if query.on_hit is not None:  # filters are called by the search of a single ray
         return False
@@ -97,10 +103,10 @@ def trace_batch(
     )
     runs = _runs(tree, source, order, wants_any, out)
     if kernel != "auto":
-        runs["groups"](0, count, progress)
+        runs[kernel if kernel in runs else "groups"](0, count, progress)
         return True
     found = probe(source, order.packets, tree.frame, tree.byte_count)
-    names = ("groups", "single") if found.near >= 0.5 or found.narrow >= 0.5 else _SINGLE_FIRST
+    names = _candidates(found)
     if count < LEAST_RACE:
         runs[names[0]](0, count, progress)
         return True
@@ -120,10 +126,15 @@ def trace_batch(
     return True
 
 
-_SINGLE_FIRST = "single", "groups"
-
 #: Kernels that have traced a race in this process: those are loaded.
 _loaded: set[str] = set()
+
+
+def _candidates(found: Coherence) -> tuple[str, str]:
+    """Kernels for rays of a coherence: the one that is thought the fastest, and a rival."""
+    if found.narrow >= 0.5:
+        return "groups", "packet"
+    return ("groups", "wavefront") if found.near >= 0.5 else ("wavefront", "groups")
 
 
 def _runs(
@@ -135,28 +146,58 @@ def _runs(
 ) -> dict[str, Callable[[int, int, Progress | None], None]]:
     """What traces the rays between two cuts of an order, by kernel."""
     packets = PacketSource(source, order.packets, tree.frame, out.status)
-    single = tree.queries.any_hit if wants_any else tree.queries.first_hit
 
     def by_groups(begin: int, end: int, progress: Progress | None) -> None:
+        free: list[NDArray[np.float32]] = []  # for each thread: new pages take a tenth of the time
+
+        def body(low: int, high: int) -> None:
+            try:
+                memory = free.pop()
+            except IndexError:
+                memory = aligned_array(1, CALL_BYTES // 4)
+            at = memory.ctypes.data
+            trace_instances(low, high, tree.top, packets, wants_any, at, out)
+            free.append(memory)
+
+        trace(body, begin, end, BLOCK_PACKETS, progress)
+
+    def by_packets(begin: int, end: int, progress: Progress | None) -> None:
+        def body(low: int, high: int) -> None:
+            trace_instance_packets(low, high, tree.top, packets, wants_any, out)
+
+        trace(body, begin, end, 1, progress)
+
+    def trace(
+        body: Callable[[int, int], None],
+        begin: int,
+        end: int,
+        block: int,
+        progress: Progress | None,
+    ) -> None:
+        """Trace the packets between two cuts, in whole blocks of some where there are many."""
         start = order.cut(begin).packet
         packet_count = order.cut(end).packet - start
-
-        def body(low: int, high: int) -> None:
-            trace_instances(start + low, start + high, tree.top, packets, wants_any, out)
-
         share = -(-packet_count // (8 * thread_count()))
-        if share > BLOCK_PACKETS:  # whole blocks
-            share = min(share // BLOCK_PACKETS * BLOCK_PACKETS, _MOST_PACKETS)
+        if share > block:
+            share = min(share // block * block, _MOST_PACKETS)
         report = reported_rays(progress, end - begin, packet_count)
-        parallel_for(body, packet_count, max(4, share), report, joins_chunks=True)
+        parallel_for(
+            lambda low, high: body(start + low, start + high),
+            packet_count,
+            max(4, share),
+            report,
+            joins_chunks=True,
+        )
 
-    def singly(begin: int, end: int, progress: Progress | None) -> None:
+    def in_flight(begin: int, end: int, progress: Progress | None) -> None:
         def body(low: int, high: int) -> None:
-            single(begin + low, begin + high, source, tree.frame, tree.top, None, None, out)
+            trace_instance_wavefront(
+                begin + low, begin + high, tree.top, tree.frame, source, wants_any, out
+            )
 
-        parallel_for(body, end - begin, _SINGLE_CHUNK, progress)
+        parallel_for(body, end - begin, _WAVEFRONT_CHUNK, progress)
 
-    return {"groups": by_groups, "single": singly}
+    return {"groups": by_groups, "packet": by_packets, "wavefront": in_flight}
 
 
 def instance_bytes(ray_count: int) -> int:

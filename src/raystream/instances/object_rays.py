@@ -54,7 +54,7 @@ from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_load import prepare_group
 from raystream.structures.bvh.packet_rays import NO_PRIM, Group, GroupPlaces, first_ray, three
 
-__all__ = ["load_rays"]
+__all__ = ["WORLD_BYTES", "World", "WorldLanes", "load_group", "load_rays"]
 
 _U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -72,7 +72,7 @@ _MAX_ORIGIN = np.float64(2.0**100)
 _MAX_STEPS = np.float64(2.0**30)
 
 #: Numbers of 16 rays in world space, and of their best hits so far.
-_WORLD = [
+WORLD = [
     ("origin", "f8", (3, 16)),
     ("direction", "f8", (3, 16)),
     ("t_min", "f4", (16,)),
@@ -80,9 +80,9 @@ _WORLD = [
     ("best", "i4", (16,)),
     ("unused", "f4", (16,)),
 ]
-_WORLD_BYTES = np.dtype(_WORLD).itemsize
-_World = view(_WORLD)
-_WorldLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _WORLD])
+WORLD_BYTES = np.dtype(WORLD).itemsize
+World = view(WORLD)
+WorldLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in WORLD])
 
 
 @device
@@ -171,7 +171,7 @@ def _load_singly(lanes, lane, world, instance, object_):
 
 
 @device
-def _load_group(group, world, instance, object_):
+def load_group(group, world, instance, object_):
     """Load 16 rays in object space; see `kernels.ray.to_local`."""
     ax, ay, az = instance.linear[_X], instance.linear[_Y], instance.linear[_Z]
     shift, center, scale = instance.shift, object_.center, object_.scale
@@ -248,7 +248,7 @@ def _load_group(group, world, instance, object_):
     group.t_scale, group.t_offset = t_scale, t_offset
     bits = mask_bits(is_usual & is_exact) ^ _ALL
     lanes = MergedLanes(address_of(group))
-    own = _WorldLanes(address_of(world))
+    own = WorldLanes(address_of(world))
     while bits != _U0:
         lane = count_trailing_zeros(bits)
         bits &= bits - _U1
@@ -284,15 +284,15 @@ def load_rays(scene, inside, rays, count, source, leaves, index, objects):
     """
     instance = InstanceRecord(leaves, index)
     object_ = ObjectRecord(objects, np.uint64(instance.object_id))
-    at = scratch(_WORLD_BYTES)
-    own, world = _WorldLanes(at), _World(at)
+    at = scratch(WORLD_BYTES)
+    own, world = WorldLanes(at), World(at)
     groups, group_count, ray_count = inside + LISTS_AT, _U0, _U0
     first, last = _U0, count - _U1
     while first < count:
         g = first >> LANE_SHIFT
         _read_rays(own, rays, first, last, scene, source, instance.first_id)
         group = MergedGroup(inside, g)
-        _load_group(group, world, instance, object_)
+        load_group(group, world, instance, object_)
         prepare_group(Group(inside, g), object_.max_coordinate)
         group.best_t, group.prim_id, group.found = world.best_t, world.best, i32x16(np.int32(0))
         arrange_group(Group(inside, g), inside, first)

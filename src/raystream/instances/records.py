@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.views import view
+from raystream.kernels.leaf_block import BLOCK_BYTES
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import Structure
 
@@ -24,17 +26,17 @@ __all__ = [
 ]
 
 #: World to object space: ``linear @ point + shift``; the object, the number of its first triangle
-#: in this instance, and its world, 0 if there are none.
-_INSTANCE = np.dtype(
-    [
-        ("linear", "f8", (3, 3)),
-        ("shift", "f8", 3),
-        ("object_id", "u4"),
-        ("first_id", "i4"),
-        ("world", "i4"),
-        ("unused", "V4"),
-    ]
-)
+#: in this instance, and its world, 0 if there are none. As long as a block of triangles, so that
+#: traversals prefetch a leaf of either tree where it is.
+_FIELDS: list[Any] = [
+    ("linear", "f8", (3, 3)),
+    ("shift", "f8", 3),
+    ("object_id", "u4"),
+    ("first_id", "i4"),
+    ("world", "i4"),
+]
+_REST = BLOCK_BYTES - np.dtype(_FIELDS).itemsize
+_INSTANCE = np.dtype([*_FIELDS, ("unused", f"V{_REST}")])
 InstanceRecord = view(_INSTANCE)
 INSTANCE_BYTES = _INSTANCE.itemsize
 

@@ -15,13 +15,13 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.instances.merged_hits import OBJECT_TESTS, MergedGroup, MergedLanes, keep_hits
 from raystream.instances.object_rays import load_rays
+from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
-from raystream.instances.traversal import MAX_LENGTH, MOST_FAR
+from raystream.instances.traversal import is_usual
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import address, f32x16, load, scratch, store
-from raystream.kernels.ray import SceneFrame
-from raystream.kernels.ray_source import RaySource, load_direction, load_origin
+from raystream.jit.simd import f32x16, load, scratch, store
+from raystream.kernels.ray_source import RaySource, load_direction
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.group_rays import (
     FLAGS_AT,
@@ -45,12 +45,9 @@ from raystream.structures.bvh.group_stream import (
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.packet_load import set_slow
 from raystream.structures.bvh.packet_rays import (
-    GROUPS,
     Group,
     GroupPlaces,
-    PacketSource,
     first_ray,
-    group_rows,
 )
 
 __all__ = ["BLOCK_PACKETS", "CALL_BYTES", "trace_instances"]
@@ -59,13 +56,13 @@ __all__ = ["BLOCK_PACKETS", "CALL_BYTES", "trace_instances"]
 BLOCK_PACKETS = 8
 
 #: Bytes that a call needs.
-CALL_BYTES = 2 * (MEMORY_BYTES + 64)
+CALL_BYTES = 2 * -(-MEMORY_BYTES // 64) * 64
 
 _PACKETS = np.uint64(BLOCK_PACKETS)
 _U0, _U1 = np.uint64(0), np.uint64(1)
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
-_LINE_BITS = np.uint64(63)
+_INSIDE_AT = np.uint64(CALL_BYTES // 2)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _INVALID = np.uint8(RayStatus.INVALID)
@@ -139,37 +136,6 @@ _trace_scene = device(block_trace(_visit_instance))
 
 
 @device
-def _look(source, first, last):
-    """Groups of some packets, and the largest coordinate of their origins."""
-    count, reach = _U0, np.float64(0.0)
-    for packet in range(first, last):
-        for row in range(GROUPS):
-            ray, length = group_rows(source.order, packet, row)
-            count += np.uint64(length != _U0)
-            for i in range(ray, ray + length):
-                x, y, z = load_origin(source.rays, i)
-                farthest = max(abs(x), abs(y), abs(z))
-                if farthest > reach and farthest < np.inf:
-                    reach = farthest
-    return count, reach
-
-
-@device
-def _padded(source, far):
-    """The source with a frame whose boxes are padded more."""
-    frame = source.frame
-    grown = SceneFrame(
-        frame.center,
-        frame.scale,
-        frame.inverse_scale,
-        frame.low,
-        frame.high,
-        np.float32(frame.max_coordinate + far),
-    )
-    return PacketSource(source.rays, source.order, grown, source.status)
-
-
-@device
 def _refuse(memory, groups, count, source):
     """Take rays whose directions are too long or too short out of a list; returns its length."""
     kept = _U0
@@ -194,8 +160,7 @@ def _sound(memory, g, bits, source):
         if (bits >> k) & _U1 == _U0:
             continue
         x, y, z = load_direction(source.rays, first + k)
-        length = max(abs(x), abs(y), abs(z))
-        if 1.0 / MAX_LENGTH <= length <= MAX_LENGTH:
+        if is_usual(x, y, z):
             sound |= _U1 << k
             continue
         store(source.status + first + k, _INVALID)
@@ -214,7 +179,7 @@ def _finish(memory, group_count):
 
 
 @kernel
-def trace_instances(begin, end, top, source, wants_any, out):
+def trace_instances(begin, end, top, source, wants_any, memory, out):
     """Trace packets begin to end through a scene's instances.
 
     Parameters
@@ -225,11 +190,12 @@ def trace_instances(begin, end, top, source, wants_any, out):
     source : PacketSource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    memory : int
+        Address of `CALL_BYTES` bytes; a multiple of 64.
     out : ResultAddresses
     """
-    array = np.empty(CALL_BYTES, np.uint8)
-    memory = (address(array) + _LINE_BITS) & ~_LINE_BITS
-    inside = memory + np.uint64(CALL_BYTES // 2)
+    memory = np.uint64(memory)
+    inside = memory + _INSIDE_AT
     stack, inner_stack = scratch(STREAM_STACK_BYTES), scratch(STREAM_STACK_BYTES)
     small, inner_small = scratch(SMALL_BYTES), scratch(SMALL_BYTES)
     record = TreeRecord(top.trees)
@@ -239,13 +205,9 @@ def trace_instances(begin, end, top, source, wants_any, out):
     groups = memory + LISTS_AT
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
         last = min(first + _PACKETS, np.uint64(end))
-        group_count, reach = _look(source, first, last)
-        far = np.float32(min(top.far_unit * (reach * source.frame.scale), MOST_FAR))
-        padded = _padded(source, far)
+        group_count, padded = padded_source(source, top, first, last)
         count, ray_count = load_block(memory, padded, first, last, groups, True)
         count = _refuse(memory, groups, count, source)
         _trace_scene(memory, groups, count, ray_count, tree, stack, Small(small), wants_any, None)
         _finish(memory, group_count)
         store_block(memory, source.order, first, last, wants_any, out)
-    # The memory must outlive its addresses.
-    array[0] = np.uint8(0)

@@ -31,13 +31,15 @@ from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 
 __all__ = [
-    "MAX_LENGTH",
     "MOST_FAR",
     "STACK_BYTES",
     "TopAddresses",
     "WorldRay",
     "instance_searches",
+    "is_usual",
     "object_ray",
+    "ray_numbers",
+    "scene_ray",
     "traverse_all",
     "traverse_top",
 ]
@@ -127,6 +129,12 @@ class _RayTree(NamedTuple):
 
 
 @device
+def is_usual(dx, dy, dz):
+    """Whether a direction's length is within bounds."""
+    return 1.0 / MAX_LENGTH <= max(abs(dx), abs(dy), abs(dz)) <= MAX_LENGTH
+
+
+@device
 def _product(row, x, y, z):
     return row[0] * x + row[1] * y + row[2] * z
 
@@ -211,30 +219,73 @@ def traverse_all(scene, ray, search, stack):  # noqa: ARG001
     return search
 
 
+@device
+def ray_numbers(source, i):
+    """The numbers of ray i, for `scene_ray`."""
+    ox, oy, oz = load_origin(source, i)
+    dx, dy, dz = load_direction(source, i)
+    t_min, t_max = load_limits(source, i)
+    return ox, oy, oz, dx, dy, dz, t_min, t_max
+
+
+@device
+def scene_ray(numbers, top, frame):
+    """A ray among the boxes of a scene's instances.
+
+    Parameters
+    ----------
+    numbers : tuple
+        Origin and direction, six float64 numbers in world space, and the limits, float32.
+    top : TopAddresses
+    frame : SceneFrame
+        Of the boxes.
+
+    Returns
+    -------
+    ray : LocalRay
+        With an empty interval if it is not valid.
+    most : float32
+        For `prepare_ray`: the largest coordinate, and the boxes' additional padding.
+    whole : WorldRay
+    """
+    ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
+    ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
+    is_valid = ray.status == _VALID and is_usual(dx, dy, dz)
+    reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
+    far = np.float32(min(top.far_unit * reach, MOST_FAR))
+    whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
+    return _limited(ray, is_valid), frame.max_coordinate + far, whole
+
+
+@device
+def _limited(ray, is_valid):
+    """The ray with its status, and with an empty interval if it is not valid."""
+    return LocalRay(
+        ray.ox,
+        ray.oy,
+        ray.oz,
+        ray.dx,
+        ray.dy,
+        ray.dz,
+        ray.t_min,
+        ray.t_max if is_valid else -_INF,
+        ray.t_scale,
+        ray.t_offset,
+        _VALID if is_valid else _INVALID,
+    )
+
+
 def instance_searches(traverse) -> Searches:
     """Make the searches of a ray with a traversal of instances; see `kernels.queries.searches`."""
 
     @device
     def of_world(i, numbers, world, scene, goal):
-        ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
-        top, frame = scene.arrays, scene.frame
-        ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
-        length = max(abs(dx), abs(dy), abs(dz))
-        is_valid = ray.status == _VALID and 1.0 / MAX_LENGTH <= length <= MAX_LENGTH
-        reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
-        far = np.float32(min(top.far_unit * reach, MOST_FAR))
-        local = prepare_ray(
-            ray.ox,
-            ray.oy,
-            ray.oz,
-            ray.dx,
-            ray.dy,
-            ray.dz,
-            frame.max_coordinate + far,
-        )
+        top = scene.arrays
+        ray, most, whole = scene_ray(numbers, top, scene.frame)
+        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, most)
         search = begin_search(
             ray.t_min,
-            ray.t_max if is_valid else -_INF,
+            ray.t_max,
             goal.capacity,
             goal.hits,
             goal.first_row,
@@ -243,21 +294,15 @@ def instance_searches(traverse) -> Searches:
             ray_filter(scene.filter, i, ray),
             InstanceRay(ray.t_scale, ray.t_offset, _NO_ID),
         )
-        whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
         found = traverse(_RayScene(top, world, whole), local, search, scene.stack)
-        status = _VALID if is_valid else _INVALID
-        return found, _world_ray(ray, status)
+        return found, _world_ray(ray)
 
     @device
     def of_batch(i, scene, goal):
-        ox, oy, oz = load_origin(scene.source, i)
-        dx, dy, dz = load_direction(scene.source, i)
-        t_min, t_max = load_limits(scene.source, i)
         world, worlds = _NO_ID, scene.arrays.worlds
         if worlds != _NONE:
             world = load(np.int32, worlds + (i << _TWO))
-        numbers = ox, oy, oz, dx, dy, dz, t_min, t_max
-        search, ray = of_world(i, numbers, world, scene, goal)
+        search, ray = of_world(i, ray_numbers(scene.source, i), world, scene, goal)
         note_status(scene.status, i, ray.status)
         return search, ray
 
@@ -269,7 +314,7 @@ def instance_searches(traverse) -> Searches:
 
 
 @device
-def _world_ray(ray, status):
+def _world_ray(ray):
     """A ray whose distances are those of world space already."""
     return LocalRay(
         ray.ox,
@@ -282,5 +327,5 @@ def _world_ray(ray, status):
         ray.t_max,
         np.float64(1.0),
         np.float64(0.0),
-        status,
+        ray.status,
     )

@@ -4,11 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.core.hit_kinds import hits_type, multi_hits_type, split_numbers
+from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.primitives import Primitives
+from raystream.instances import hit_ids
 from raystream.kernels.hits import Sink
 
 __all__ = ["all_hits", "nearest_hits"]
+
+
+def split_numbers(numbers: Any, triangles: Any) -> tuple[Any, Any]:
+    """The prim_ids and instance_ids (None without instances) of kernels' numbers."""
+    if isinstance(triangles, InstancedTriangles):
+        return hit_ids.split_numbers(triangles, numbers)
+    if isinstance(triangles, Primitives):
+        return triangles.prim_ids_of(numbers), None
+    return numbers, None
 
 
 def nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:

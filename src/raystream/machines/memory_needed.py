@@ -9,6 +9,7 @@ from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.memory import check_memory
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
+from raystream.instances.hit_ids import split_bytes
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.machines.ray_cast import RayCaster
@@ -27,9 +28,8 @@ _HIT = 16
 #: Bytes of a ray's counters, see `kernels.tally`.
 ROW_BYTES = 32
 
-#: Queries that return hits; and bytes to split a hit's number into triangle and instance.
+#: Queries that return hits.
 _ROWS = (Kind.FIRST_HIT, Kind.MULTI_HIT)
-_SPLIT_BYTES = 48
 
 _KINDS = {
     "first_hit": Kind.FIRST_HIT,
@@ -135,7 +135,7 @@ class MemoryEstimator(RayCaster):
         triangles: Any = self.structure.triangles
         if isinstance(triangles, InstancedTriangles) and kind in _ROWS:
             results += 4 * (count if kind is Kind.FIRST_HIT else hits)
-            working += _SPLIT_BYTES * (count if kind is Kind.FIRST_HIT else hits)
+            working += split_bytes(count if kind is Kind.FIRST_HIT else hits)
         if self.structure.precision == "float64" and kind in _ROWS:
             results += 12 * (count if kind is Kind.FIRST_HIT else hits)
         if self._counts:

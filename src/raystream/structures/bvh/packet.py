@@ -142,11 +142,11 @@ class RayClass(NamedTuple):
 
 
 @device
-def _extremes(packet, direction_class, axis):
+def _extremes(packet, count, direction_class, axis):
     """Bounds of the rays of a class along an axis."""
     least_inv, most_inv = f32x16(_INF), f32x16(-_INF)
     least_o, most_o = f32x16(_INF), f32x16(-_INF)
-    for g in range(GROUPS):
+    for g in range(count):
         group = Group(packet, g)
         mine = group.direction_class == direction_class
         inv, o = group.inv[axis], group.origin[axis]
@@ -195,18 +195,18 @@ def _far_of(node, b):
 
 
 @device
-def _ray_class(packet, direction_class, max_coordinate):
+def _ray_class(packet, count, direction_class, max_coordinate):
     """Begin the pass of a class: activate its rays; returns their `RayClass`."""
-    lx, hx, olx, ohx = _extremes(packet, direction_class, _U0)
-    ly, hy, oly, ohy = _extremes(packet, direction_class, _U1)
-    lz, hz, olz, ohz = _extremes(packet, direction_class, _U2)
+    lx, hx, olx, ohx = _extremes(packet, count, direction_class, _U0)
+    ly, hy, oly, ohy = _extremes(packet, count, direction_class, _U1)
+    lz, hz, olz, ohz = _extremes(packet, count, direction_class, _U2)
     reach = max(abs(olx), abs(ohx), abs(oly), abs(ohy), abs(olz), abs(ohz))
     pad = _TWO * PAD * (max_coordinate + reach)
     kz = np.uint64(direction_class & np.int32(3))
     kx = kz + _U1 if kz < _U2 else _U0
     ky = kx + _U1 if kx < _U2 else _U0
     t_min = f32x16(_INF)
-    for g in range(GROUPS):
+    for g in range(count):
         group = Group(packet, g)
         mine = group.direction_class == direction_class
         group.t_active = select(mine, group.t, f32x16(-_INF))
@@ -240,10 +240,10 @@ def _enters(node, rays, t_max):
 
 
 @device
-def _farthest(packet):
+def _farthest(packet, count):
     """The farthest t that an active ray of the packet searches; -inf if none is active."""
     t = Group(packet, _U0).t_active
-    for g in range(_U1, GROUPS):
+    for g in range(_U1, count):
         t = maximum(Group(packet, g).t_active, t)
     return reduce_max(t)
 
@@ -263,68 +263,77 @@ def _push(stack, base, top, child, key, groups, node, lane):
 
 
 @device
-def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
-    """Push a node's children that a ray enters; returns the stack's height."""
-    t_in, entered = _enters(Node(node), rays, farthest)
-    bits = mask_bits(entered)
-    if bits != _U0:
-        memory.keys = float_as_bits(maximum(t_in, _ZERO))
-        keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
-        base = top
-        while bits != _U0:
-            lane = count_trailing_zeros(bits)
-            bits &= bits - _U1
-            planes = box_planes(node, lane, rays)
-            entering = group_range(packet, planes, rays.t_min, groups)
-            if entering.first <= entering.last:
-                top = _push(stack, base, top, children[lane], keys[lane], entering, node, lane)
-    return top
-
-
-@device
-def _next_class(packet):
+def _next_class(packet, count):
     """The class of the first ray that has not been traced, or NO_CLASS."""
-    for g in range(GROUPS):
+    for g in range(count):
         bits = mask_bits(Group(packet, g).direction_class != NO_CLASS)
         if bits != _U0:
             return GroupLanes(packet, g).direction_class[count_trailing_zeros(bits)]
     return NO_CLASS
 
 
-def packet_trace(search_leaf):
+@device
+def _no_prefetch(child, nodes, leaves):
+    pass
+
+
+def packet_trace(search_leaf, prefetch=_no_prefetch):
     """Make the function that traces a packet.
 
     Parameters
     ----------
     search_leaf : device function
         `packet_leaf.visit_leaf`, or another that takes the same.
+    prefetch : device function
+        `node_layout.prefetch_child`, for trees that do not fit into the cache [default: nothing].
 
     Returns
     -------
     device function
-        ``trace_packet(packet, tree, max_coordinate, memory, goal, hits, filter_)``
+        ``trace_packet(packet, count, tree, max_coordinate, memory, goal, hits, filter_)``
     """
 
     @device
-    def trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_):
+    def visit_node(packet, node, rays, farthest, groups, tree, memory, stack, top):
+        """Push a node's children that a ray enters; returns the stack's height."""
+        t_in, entered = _enters(Node(node), rays, farthest)
+        bits = mask_bits(entered)
+        if bits != _U0:
+            memory.keys = float_as_bits(maximum(t_in, _ZERO))
+            keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
+            base = top
+            while bits != _U0:
+                lane = count_trailing_zeros(bits)
+                bits &= bits - _U1
+                prefetch(children[lane], tree.nodes, tree.leaves)
+                planes = box_planes(node, lane, rays)
+                entering = group_range(packet, planes, rays.t_min, groups)
+                if entering.first <= entering.last:
+                    top = _push(stack, base, top, children[lane], keys[lane], entering, node, lane)
+        return top
+
+    @device
+    def trace_class(
+        packet, count, direction_class, tree, max_coordinate, memory, goal, hits, filter_
+    ):
         """Trace the rays of one class: a pass of a packet."""
-        rays = _ray_class(packet, direction_class, max_coordinate)
-        farthest = _farthest(packet)
+        rays = _ray_class(packet, count, direction_class, max_coordinate)
+        farthest = _farthest(packet, count)
         limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
 
         stack, memory = memory + _MEMORY_BYTES, _Memory(memory)
         top, child, node, lane = _U0, np.int32(0), _U0, _U0
-        groups = GroupRange(_U0, GROUPS - _U1)
+        groups = GroupRange(_U0, count - _U1)
         while True:
             if child >= np.int32(0):
                 node = tree.nodes + np.uint64(child) * NODE
-                top = _visit_node(packet, node, rays, farthest, groups, memory, stack, top)
+                top = visit_node(packet, node, rays, farthest, groups, tree, memory, stack, top)
             else:
                 box, own = box_planes(node, lane, rays), memory.leaf
                 if search_leaf(
                     packet, child, tree.leaves, box, rays, groups, own, goal, hits, filter_
                 ):
-                    farthest = _farthest(packet)
+                    farthest = _farthest(packet, count)
                     if farthest == -_INF:
                         break
                     limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
@@ -338,20 +347,22 @@ def packet_trace(search_leaf):
             child, groups = entry.child, GroupRange(np.uint64(entry.first), np.uint64(entry.last))
             node, lane = entry.node, np.uint64(entry.lane)
 
-        for g in range(GROUPS):
+        for g in range(count):
             group = Group(packet, g)
             mine = group.direction_class == direction_class
             group.t = select(mine, group.t_active, group.t)
             group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
 
     @device
-    def trace_packet(packet, tree, max_coordinate, memory, goal, hits, filter_):
+    def trace_packet(packet, count, tree, max_coordinate, memory, goal, hits, filter_):
         """Trace a loaded packet.
 
         Parameters
         ----------
         packet : uint64
             Address, see `packet_rays`.
+        count : uint64
+            Its groups, at least 1.
         tree : TreeAddresses
         max_coordinate : float32
         memory : uint64
@@ -363,10 +374,12 @@ def packet_trace(search_leaf):
         filter_ : PacketFilter or None
             Decides which first or any hits exist.
         """
-        direction_class = _next_class(packet)
+        direction_class = _next_class(packet, count)
         while direction_class != NO_CLASS:
-            trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits, filter_)
-            direction_class = _next_class(packet)
+            trace_class(
+                packet, count, direction_class, tree, max_coordinate, memory, goal, hits, filter_
+            )
+            direction_class = _next_class(packet, count)
 
     return trace_packet
 
@@ -396,5 +409,6 @@ def trace_packets(begin, end, tree, source, wants_any, filter_, out):
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, source)
         mine = packet_filter(filter_, source.order, number, slow_groups)
-        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, nowhere, mine)
+        most = source.frame.max_coordinate
+        trace_packet(packet, GROUPS, tree, most, memory, goal, nowhere, mine)
         store_packet(packet, number, source.order, slow_groups, wants_any, out)

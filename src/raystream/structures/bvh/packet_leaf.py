@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,6 +54,7 @@ __all__ = [
     "box_planes",
     "entering_rays",
     "group_range",
+    "leaf_visit",
     "visit_leaf",
 ]
 
@@ -163,72 +165,6 @@ def _own_planes(planes, block, rays):
 
 
 @device
-def _test_triangle(group, g, block, planes, lane, rays, goal, hits, filter_):
-    """Test a triangle of a block against a group; returns whether a ray has a nearer hit."""
-    kx, ky, kz = rays.kx, rays.ky, rays.kz
-    corners = block.corners
-    a = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
-    b = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
-    c = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
-    origin = group.origin[kx], group.origin[ky], group.origin[kz]
-    direction, shear = group.direction, group.shear
-    sheared = shear_vertices(
-        (f32x16(a[0]), f32x16(a[1]), f32x16(a[2])),
-        (f32x16(b[0]), f32x16(b[1]), f32x16(b[2])),
-        (f32x16(c[0]), f32x16(c[1]), f32x16(c[2])),
-        origin,
-        (shear[_X], shear[_Y]),
-    )
-    candidates = signs_agree(sheared)
-    if not any_lane(candidates):
-        return False
-    near, far = planes.near, planes.far
-    own = (
-        near[_X, lane],
-        near[_Y, lane],
-        near[_Z, lane],
-        far[_X, lane],
-        far[_Y, lane],
-        far[_Z, lane],
-    )
-    t_in, t_out = _group_interval(group, own)
-    nearest, t_min = group.t_active, group.t_min
-    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-    if not any_lane(candidates):
-        return False
-    # The distance first: rays that leave a surface meet its triangle behind their origin, and
-    # need no barycentrics.
-    t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
-    t = minimum(maximum(t, t_in), t_out) + _ZERO
-    candidates = candidates & (t >= t_min) & (t <= nearest)
-    if not any_lane(candidates):
-        return False
-    hit, u, v = barycentrics(sheared, goal >= SURFACES)
-    prim_id, best = i32x16(block.prim_ids[lane]), group.prim_id
-    taken = candidates & hit
-    if goal > ANY:
-        if goal & _U1 == _U1:
-            collect(hits, taken, t, u, v, prim_id, group, g)
-        else:
-            group.prim_id = select(taken, best + np.int32(1), best)
-        return False
-    taken = taken & ((t < nearest) | (prim_id < best))
-    if not any_lane(taken):
-        return False
-    if filter_ is not None:
-        taken = kept_lanes(filter_, taken, t, u, v, block.prim_ids[lane], group, g)
-        if not any_lane(taken):
-            return False
-    group.prim_id = select(taken, prim_id, best)
-    if goal == ANY:
-        group.t_active = select(taken, f32x16(-_INF), nearest)
-        return True
-    group.t_active = select(taken, t, nearest)
-    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
-    return True
-
-
-@device
 def _block_ray(lanes, k, rays):
     """The `BlockRay` of a ray of a group."""
     x, y, z = rays.kx, rays.ky, rays.kz
@@ -245,78 +181,180 @@ def _block_ray(lanes, k, rays):
     )
 
 
-@device
-def _test_rays(packet, g, bits, block, rays, is_any, found, filter_):
-    """Test a block against some rays of a group; returns whether one of them has a nearer hit."""
-    lanes, has_hit = GroupLanes(packet, g), False
-    prim_ids = BlockLanes(block).prim_ids
-    while bits != _U0:
-        k = count_trailing_zeros(bits)
-        bits &= bits - _U1
-        nearest, best = lanes.t_active[k], lanes.prim_id[k]
-        ray = _block_ray(lanes, k, rays)
-        own = ray_filter(filter_, lanes, g, k)
-        hit = test_block(block, ray, lanes.t_min[k], nearest, False, found)
-        while hit != _U0:
-            lane = count_trailing_zeros(hit)
-            hit &= hit - _U1
-            at, prim_id = HitLanes(found), prim_ids[lane]
-            t, u, v = at.t[lane], at.u[lane], at.v[lane]
-            is_nearer = t < nearest or (t == nearest and prim_id < best)
-            if is_nearer and keeps(own, t, u, v, prim_id):
-                has_hit = True
-                lanes.prim_id[k] = best = prim_id
-                if is_any:
-                    nearest, hit = -_INF, _U0
-                else:
-                    nearest = t
-                    lanes.u[k], lanes.v[k] = u, v
-                lanes.t_active[k] = nearest
-    return has_hit
-
-
-@device
-def visit_leaf(packet, child, leaves, box, rays, groups, own, goal, hits, filter_):
-    """Test a leaf's triangles against groups of a packet; returns whether any ray has a hit.
+def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any]) -> Any:
+    """Make the visit of a leaf, which tests its triangles against groups of a packet.
 
     Parameters
     ----------
-    packet : uint64
-    child : int32
-        The leaf's link.
-    leaves : uint64
-    box : tuple of six float32
-        Its planes, see `box_planes`.
-    rays : RayClass
-    groups : GroupRange
-        Those that enter the box.
-    own : view of LEAF_SCRATCH
-    goal, hits, filter_
-        See `packet.trace_packet`.
+    keep_in_group : device function
+        ``keep_in_group(group, g, taken, t, uv, prim_id, goal, hits, filter_)`` keeps the hits of
+        some lanes with a triangle; returns whether there was a nearer one.
+    keep_of_ray : device function
+        ``keep_of_ray(lanes, k, hit, prim_ids, found, is_any, filter_)`` keeps the hits of a ray
+        with some triangles of a block; likewise.
+
+    Returns
+    -------
+    device function
+        ``visit_leaf(packet, child, leaves, box, rays, groups, own, goal, hits, filter_)``
     """
-    at = leaf_address(leaves, child)
-    end = leaf_end(at, child)
-    lanes, found = _ScratchLanes(address_of(own)), address_of(own.hits)
-    has_hit = False
-    while at != end:
-        block = BlockLanes(at)
-        _own_planes(own, Block(at), rays)
-        count = _U1
-        while count != np.uint64(4):
-            if block.prim_ids[count] < np.int32(0):
-                break
-            count += _U1
-        for g in range(groups.first, groups.last + _U1):
-            group = Group(packet, g)
-            bits = entering_rays(packet, g, box, rays)
-            if bits == _U0:
-                continue
-            if goal <= ANY and popcount(bits) <= _FEW:
-                if _test_rays(packet, g, bits, at, rays, goal == ANY, found, filter_):
-                    has_hit = True
-            else:
-                for lane in range(count):
-                    if _test_triangle(group, g, block, lanes, lane, rays, goal, hits, filter_):
+
+    @device
+    def test_triangle(group, g, block, planes, lane, rays, goal, hits, filter_):
+        """Test a triangle of a block against a group; returns whether a ray has a nearer hit."""
+        kx, ky, kz = rays.kx, rays.ky, rays.kz
+        corners = block.corners
+        a = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
+        b = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
+        c = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
+        origin = group.origin[kx], group.origin[ky], group.origin[kz]
+        direction, shear = group.direction, group.shear
+        sheared = shear_vertices(
+            (f32x16(a[0]), f32x16(a[1]), f32x16(a[2])),
+            (f32x16(b[0]), f32x16(b[1]), f32x16(b[2])),
+            (f32x16(c[0]), f32x16(c[1]), f32x16(c[2])),
+            origin,
+            (shear[_X], shear[_Y]),
+        )
+        candidates = signs_agree(sheared)
+        if not any_lane(candidates):
+            return False
+        near, far = planes.near, planes.far
+        own = (
+            near[_X, lane],
+            near[_Y, lane],
+            near[_Z, lane],
+            far[_X, lane],
+            far[_Y, lane],
+            far[_Z, lane],
+        )
+        t_in, t_out = _group_interval(group, own)
+        nearest, t_min = group.t_active, group.t_min
+        candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+        if not any_lane(candidates):
+            return False
+        # The distance first: rays that leave a surface meet its triangle behind their origin, and
+        # need no barycentrics.
+        t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
+        t = minimum(maximum(t, t_in), t_out) + _ZERO
+        candidates = candidates & (t >= t_min) & (t <= nearest)
+        if not any_lane(candidates):
+            return False
+        hit, u, v = barycentrics(sheared, goal >= SURFACES)
+        prim_id = block.prim_ids[lane]
+        return keep_in_group(group, g, candidates & hit, t, (u, v), prim_id, goal, hits, filter_)
+
+    @device
+    def test_rays(packet, g, bits, block, rays, is_any, found, filter_):
+        """Test a block against some rays of a group; returns whether one has a nearer hit."""
+        lanes, has_hit = GroupLanes(packet, g), False
+        prim_ids = BlockLanes(block).prim_ids
+        while bits != _U0:
+            k = count_trailing_zeros(bits)
+            bits &= bits - _U1
+            ray = _block_ray(lanes, k, rays)
+            own = ray_filter(filter_, lanes, g, k)
+            hit = test_block(block, ray, lanes.t_min[k], lanes.t_active[k], False, found)
+            if hit != _U0 and keep_of_ray(lanes, k, hit, prim_ids, HitLanes(found), is_any, own):
+                has_hit = True
+        return has_hit
+
+    @device
+    def visit_leaf(packet, child, leaves, box, rays, groups, own, goal, hits, filter_):
+        """Test a leaf's triangles against groups of a packet; returns whether any ray has a hit.
+
+        Parameters
+        ----------
+        packet : uint64
+        child : int32
+            The leaf's link.
+        leaves : uint64
+        box : tuple of six float32
+            Its planes, see `box_planes`.
+        rays : RayClass
+        groups : GroupRange
+            Those that enter the box.
+        own : view of LEAF_SCRATCH
+        goal, hits, filter_
+            See `packet.trace_packet`.
+        """
+        at = leaf_address(leaves, child)
+        end = leaf_end(at, child)
+        lanes, found = _ScratchLanes(address_of(own)), address_of(own.hits)
+        has_hit = False
+        while at != end:
+            block = BlockLanes(at)
+            _own_planes(own, Block(at), rays)
+            count = _U1
+            while count != np.uint64(4):
+                if block.prim_ids[count] < np.int32(0):
+                    break
+                count += _U1
+            for g in range(groups.first, groups.last + _U1):
+                group = Group(packet, g)
+                bits = entering_rays(packet, g, box, rays)
+                if bits == _U0:
+                    continue
+                if goal <= ANY and popcount(bits) <= _FEW:
+                    if test_rays(packet, g, bits, at, rays, goal == ANY, found, filter_):
                         has_hit = True
-        at += BLOCK
+                else:
+                    for lane in range(count):
+                        if test_triangle(group, g, block, lanes, lane, rays, goal, hits, filter_):
+                            has_hit = True
+            at += BLOCK
+        return has_hit
+
+    return visit_leaf
+
+
+@device
+def _keep_in_group(group, g, taken, t, uv, prim_id, goal, hits, filter_):
+    """Keep the nearest hits, by t, then prim_id; or count or collect all of them."""
+    prim_ids, best, nearest = i32x16(prim_id), group.prim_id, group.t_active
+    u, v = uv
+    if goal > ANY:
+        if goal & _U1 == _U1:
+            collect(hits, taken, t, u, v, prim_ids, group, g)
+        else:
+            group.prim_id = select(taken, best + np.int32(1), best)
+        return False
+    taken = taken & ((t < nearest) | (prim_ids < best))
+    if not any_lane(taken):
+        return False
+    if filter_ is not None:
+        taken = kept_lanes(filter_, taken, t, u, v, prim_id, group, g)
+        if not any_lane(taken):
+            return False
+    group.prim_id = select(taken, prim_ids, best)
+    if goal == ANY:
+        group.t_active = select(taken, f32x16(-_INF), nearest)
+        return True
+    group.t_active = select(taken, t, nearest)
+    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
+    return True
+
+
+@device
+def _keep_of_ray(lanes, k, hit, prim_ids, found, is_any, filter_):
+    """Keep the nearest of a ray's hit and those of some lanes, by t, then prim_id."""
+    nearest, best, has_hit = lanes.t_active[k], lanes.prim_id[k], False
+    while hit != _U0:
+        lane = count_trailing_zeros(hit)
+        hit &= hit - _U1
+        t, u, v, prim_id = found.t[lane], found.u[lane], found.v[lane], prim_ids[lane]
+        is_nearer = t < nearest or (t == nearest and prim_id < best)
+        if is_nearer and keeps(filter_, t, u, v, prim_id):
+            has_hit = True
+            lanes.prim_id[k] = best = prim_id
+            if is_any:
+                nearest, hit = -_INF, _U0
+            else:
+                nearest = t
+                lanes.u[k], lanes.v[k] = u, v
+            lanes.t_active[k] = nearest
     return has_hit
+
+
+#: The visit of a scene's leaves.
+visit_leaf = leaf_visit(_keep_in_group, _keep_of_ray)

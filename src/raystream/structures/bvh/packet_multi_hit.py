@@ -183,7 +183,8 @@ def _collect_packets(begin, end, tree, source, goal, sorts, buffers, counts):
         _number_rays(hits, number, order, is_final)
         if not keeps:
             _clear_counts(packet)
-        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, hits, None)
+        most = source.frame.max_coordinate
+        trace_packet(packet, GROUPS, tree, most, memory, goal, hits, None)
         if not keeps:
             _store_counts(packet, number, order, counts)
             continue

@@ -45,10 +45,24 @@ from raystream.structures.bvh.node_layout import (
     t_key,
 )
 
-__all__ = ["trace_wavefront"]
+__all__ = [
+    "BOTTOM",
+    "IN_FLIGHT",
+    "NO_PRIM",
+    "NO_RAY",
+    "QUEUE_BYTES",
+    "SLOT",
+    "STACK",
+    "finish_ray",
+    "next_child",
+    "slot_ray",
+    "start_ray",
+    "trace_wavefront",
+    "visit_node",
+]
 
 #: Rays in flight per thread. 16 hide less memory latency, 64 need too much cache.
-_IN_FLIGHT = np.uint64(32)
+IN_FLIGHT = np.uint64(32)
 
 _ONE = np.uint64(1)
 _WORD = np.uint64(8)
@@ -60,17 +74,17 @@ _KEY_BITS = np.int32(~7)
 _INVALID = np.uint8(RayStatus.INVALID)
 
 #: prim_id of a ray without a hit: the greatest number.
-_NO_PRIM = np.int32(2**31 - 1)
+NO_PRIM = np.int32(2**31 - 1)
 
 #: Of an empty slot.
-_NO_RAY = np.int64(-1)
+NO_RAY = np.int64(-1)
 
 #: At the bottom of each stack: the smallest key, and a row that no node has.
 _BOTTOM_KEY = np.int32(-(2**31))
-_BOTTOM = np.int32(2**31 - 1)
+BOTTOM = np.int32(2**31 - 1)
 
 #: A ray in flight. Axes are in the order of the ray's frame: kx, ky, kz.
-_SLOT = np.dtype(
+SLOT = np.dtype(
     [
         ("inv", "f4", 3),
         ("near", "f4", 3),
@@ -94,20 +108,20 @@ _SLOT = np.dtype(
         ("unused", "V12"),
     ]
 )
-_Slot = view(_SLOT)
-_SLOT_BYTES = np.uint64(_SLOT.itemsize)
+_Slot = view(SLOT)
+_SLOT_BYTES = np.uint64(SLOT.itemsize)
 
 #: Bytes of a ray's stacks, with room for the eight lanes that are always stored.
-_STACK = np.uint64(4 * (STACK_SIZE + 16))
+STACK = np.uint64(4 * (STACK_SIZE + 16))
 
-_SLOTS_BYTES = int(_IN_FLIGHT * _SLOT_BYTES)
-_STACK_BYTES = int(_IN_FLIGHT * _STACK)
+_SLOTS_BYTES = int(IN_FLIGHT * _SLOT_BYTES)
+_STACK_BYTES = int(IN_FLIGHT * STACK)
 _HITS_BYTES = HITS.itemsize
-_QUEUE_BYTES = int(_IN_FLIGHT * _WORD + _LINE)
+QUEUE_BYTES = int(IN_FLIGHT * _WORD + _LINE)
 
 
 @device
-def _start_ray(slot, keys, children, i, ray, max_coordinate):
+def start_ray(slot, keys, children, i, ray, max_coordinate):
     """Put a ray into a slot, before the root."""
     r = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, max_coordinate)
     inv_x = component(r.kx, r.inv_x, r.inv_y, r.inv_z)
@@ -130,24 +144,24 @@ def _start_ray(slot, keys, children, i, ray, max_coordinate):
     slot.planes = plane_row(r.kx, inv_x), plane_row(r.ky, inv_y), plane_row(r.kz, inv_z)
     slot.axes = r.kx * AXIS, r.ky * AXIS, r.kz * AXIS
     slot.t_min, slot.t, slot.t_key = ray.t_min, ray.t_max, t_key(ray.t_max)
-    slot.prim_id, slot.u, slot.v = _NO_PRIM, _ZERO, _ZERO
+    slot.prim_id, slot.u, slot.v = NO_PRIM, _ZERO, _ZERO
     slot.child, slot.top = np.int32(0), LANE
     slot.ray, slot.t_scale, slot.t_offset = np.int64(i), ray.t_scale, ray.t_offset
     store(keys, _BOTTOM_KEY)
-    store(children, _BOTTOM)
+    store(children, BOTTOM)
 
 
 @device
-def _finish_ray(slot, wants_any, out):
+def finish_ray(slot, wants_any, out):
     """Write the result of a slot's ray, if it has one."""
     if slot.ray < np.int64(0):
         return
     i, prim_id = np.uint64(slot.ray), slot.prim_id
     if wants_any:
-        store(out.seen + i, np.uint8(prim_id != _NO_PRIM))
+        store(out.seen + i, np.uint8(prim_id != NO_PRIM))
         return
     t = _INF
-    if prim_id == _NO_PRIM:
+    if prim_id == NO_PRIM:
         prim_id = _MISS
     else:
         t = world_t(slot.t, slot.t_scale, slot.t_offset)
@@ -159,7 +173,7 @@ def _finish_ray(slot, wants_any, out):
 
 
 @device
-def _visit_node(slot, node, keys, children, numbers):
+def visit_node(slot, node, keys, children, numbers):
     """Test a node's eight boxes and push those that are entered; returns the stack's height."""
     x, y, z = slot.planes
     planes = node.planes
@@ -194,16 +208,21 @@ def _filter_of(filter_, slot):
 
 
 @device
+def slot_ray(slot):
+    """The `BlockRay` of a slot's ray."""
+    return BlockRay(
+        slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
+    )
+
+
+@device
 def _visit_leaf(slot, leaves, lanes_at, wants_any, filter_):
     """Test the triangles of the next leaf; returns whether the ray is done."""
     child = slot.child
     at = leaf_address(leaves, child)
     end = leaf_end(at, child)
     while at != end:
-        ray = BlockRay(
-            slot.axes, slot.inv, slot.near, slot.far, slot.origin, slot.direction, slot.shear
-        )
-        bits = test_block(at, ray, slot.t_min, slot.t, False, lanes_at)
+        bits = test_block(at, slot_ray(slot), slot.t_min, slot.t, False, lanes_at)
         if bits != np.uint64(0):
             block, lanes, of_ray = Block(at), HitLanes(lanes_at), _filter_of(filter_, slot)
             if not wants_any:
@@ -232,7 +251,7 @@ def _keep_nearest(slot, block, bits, lanes, filter_):
 
 
 @device
-def _next(slot, top, keys, children, tree, prefetching):
+def next_child(slot, top, keys, children, tree, prefetching):
     """Pop the nearest child within the search interval; returns its link."""
     limit = slot.t_key
     top -= LANE
@@ -267,21 +286,21 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
     all_keys = scratch(_STACK_BYTES)
     all_children = scratch(_STACK_BYTES)
     lanes = scratch(_HITS_BYTES)
-    inner = scratch(_QUEUE_BYTES)
-    inner_next = scratch(_QUEUE_BYTES)
-    leaf = scratch(_QUEUE_BYTES)
-    leaf_next = scratch(_QUEUE_BYTES)
-    done = scratch(_QUEUE_BYTES)
+    inner = scratch(QUEUE_BYTES)
+    inner_next = scratch(QUEUE_BYTES)
+    leaf = scratch(QUEUE_BYTES)
+    leaf_next = scratch(QUEUE_BYTES)
+    done = scratch(QUEUE_BYTES)
     numbers = lane_numbers(i32x8)
     ray_next, ray_end = np.uint64(begin), np.uint64(end)
     # Lengths of the queues, in bytes.
     inner_size = np.uint64(0)
     leaf_size = np.uint64(0)
     done_size = np.uint64(0)
-    for k in range(_IN_FLIGHT):
+    for k in range(IN_FLIGHT):
         store(done + done_size, k)
         done_size += _WORD
-        _Slot(slots, k).ray = _NO_RAY
+        _Slot(slots, k).ray = NO_RAY
 
     while True:
         # Step 1: write the results of finished slots and start new rays in them.
@@ -290,16 +309,16 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
             k = load(np.uint64, done + at)
             at += _WORD
             slot = _Slot(slots, k)
-            _finish_ray(slot, wants_any, out)
-            slot.ray = _NO_RAY
+            finish_ray(slot, wants_any, out)
+            slot.ray = NO_RAY
             if ray_next < ray_end:
                 ray = load_ray(source, ray_next, frame)
                 if ray.status == _INVALID:
                     store(out.status + ray_next, _INVALID)
-                _start_ray(
+                start_ray(
                     slot,
-                    all_keys + k * _STACK,
-                    all_children + k * _STACK,
+                    all_keys + k * STACK,
+                    all_children + k * STACK,
                     ray_next,
                     ray,
                     frame.max_coordinate,
@@ -318,13 +337,13 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
             k = load(np.uint64, inner + at)
             at += _WORD
             slot = _Slot(slots, k)
-            keys, children = all_keys + k * _STACK, all_children + k * _STACK
+            keys, children = all_keys + k * STACK, all_children + k * STACK
             node = Node(tree.nodes, np.uint64(slot.child))
-            top = _visit_node(slot, node, keys, children, numbers)
-            child = _next(slot, top, keys, children, tree, prefetching)
+            top = visit_node(slot, node, keys, children, numbers)
+            child = next_child(slot, top, keys, children, tree, prefetching)
             # Branchless: append the slot to all queues, and lengthen one of them.
             is_leaf = np.uint64(child < np.int32(0))
-            is_done = np.uint64(child == _BOTTOM)
+            is_done = np.uint64(child == BOTTOM)
             store(inner_next + next_size, k)
             store(leaf + leaf_size, k)
             store(done + done_size, k)
@@ -341,13 +360,13 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
             k = load(np.uint64, leaf + at)
             at += _WORD
             slot = _Slot(slots, k)
-            keys, children = all_keys + k * _STACK, all_children + k * _STACK
+            keys, children = all_keys + k * STACK, all_children + k * STACK
             top = slot.top
             if _visit_leaf(slot, tree.leaves, lanes, wants_any, filter_):
                 top = LANE
-            child = _next(slot, top, keys, children, tree, prefetching)
+            child = next_child(slot, top, keys, children, tree, prefetching)
             is_leaf = np.uint64(child < np.int32(0))
-            is_done = np.uint64(child == _BOTTOM)
+            is_done = np.uint64(child == BOTTOM)
             store(inner + inner_size, k)
             store(leaf_next + next_size, k)
             store(done + done_size, k)
