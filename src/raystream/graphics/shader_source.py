@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.resources import files
 
-__all__ = ["TREE_GROUP", "shader_source", "with_early_test"]
+__all__ = ["TREE_GROUP", "shader_files", "shader_source", "with_early_test"]
 
 #: A line that is replaced by a file of the folder, unless it was included before.
 _INCLUDE = re.compile(r'^//! include "([a-z0-9_/]+\.wgsl)"$', re.MULTILINE)
@@ -58,6 +58,18 @@ def shader_source(
         return f"// {name}\n{text}"
 
     return "\n".join(included(name) for name in names)
+
+
+def shader_files(names: Iterable[str]) -> dict[str, str]:
+    """Shader files and all that they include, by name."""
+    found: dict[str, str] = {}
+    left = sorted(names)
+    while left:
+        name = left.pop()
+        if name not in found:
+            found[name] = _text_of(name)
+            left += _INCLUDE.findall(found[name])
+    return found
 
 
 def with_early_test(source: str, entry: str) -> str:
