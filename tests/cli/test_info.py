@@ -91,8 +91,8 @@ def test_instances_are_counted(run, tmp_path):
     assert figures["triangles"] < 300_000
     assert abs(figures["instanced_triangles"] - 600e6) < 1e6
     count = f"{figures['instances']:,}"
-    assert count in run("info", "building:600000000").stdout
-    said = run("render", "building:600000000", "-o", tmp_path / "a.png", "--size", "8x8").stdout
+    assert count in run("info", "building:600000000").out
+    said = run("render", "building:600000000", "-o", tmp_path / "a.png", "--size", "8x8").out
     assert f"{figures['instanced_triangles']:,} triangles in {count} instances" in said
     assert "instances" not in run("info", "cornell", "--json").figures
 
