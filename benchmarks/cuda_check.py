@@ -66,6 +66,8 @@ SMALL_WAYS = [
     ("bvh", {"kernel": "packet"}),
     ("bvh", {"build": "device"}),
     ("grid", {"build": "device"}),
+    ("bvh", {"precision": "float64"}),
+    ("brute", {"precision": "float64"}),
 ]
 
 #: Models of public research, and built-in scenes of up to ten million triangles.
@@ -237,10 +239,28 @@ def small(tiny):
     ways += [] if tiny else SMALL_WAYS
     wrong = 0
     for name, options in ways:
-        ours, theirs = rs.Tracer(scene, name, "cuda", **options), rs.Tracer(scene, name)
+        kind = {one: options[one] for one in options if one == "precision"}
+        ours, theirs = rs.Tracer(scene, name, "cuda", **options), rs.Tracer(scene, name, **kind)
         for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
             found, expected = (getattr(one, query)(*rays) for one in (ours, theirs))
             wrong += not _same(found, expected)
+    # Scenes with kernels of their own: mirror images in two worlds, and spheres beside triangles.
+    places = np.tile(np.eye(3, 4), (3, 1, 1))
+    places[1:, :, :3] *= [[[-0.5]], [[0.25]]]
+    placed = rs.Scene.instances(scene, places, worlds=[0, 1, -1])
+    balls = rs.Scene.spheres(np.arange(30.0).reshape(10, 3) * 20.0, 40.0)
+    ground = rs.Scene.height_field(np.sin(np.arange(400.0)).reshape(20, 20), spacing=30.0)
+    kinds = [
+        (placed, {"worlds": np.arange(side * side) % 2}),
+        (rs.Scene.combine([scene, balls, ground]), {}),
+    ]
+    for held, more in kinds:
+        for name in ("brute",) if tiny else ("brute", "bvh"):
+            ways.append((name, {}))
+            ours, theirs = rs.Tracer(held, name, "cuda"), rs.Tracer(held, name)
+            for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
+                found, expected = (getattr(one, query)(*rays, **more) for one in (ours, theirs))
+                wrong += not _same(found, expected)
     # Points around the scene, most of them nearest to an edge or a corner.
     points = rays[0] + 300.0 * rays[1]
     for name in ("brute", "bvh"):
@@ -252,7 +272,7 @@ def small(tiny):
 
 
 def _same(ours, theirs):
-    names = ("t", "distance", "positions", "prim_id", "ray_splits")
+    names = ("t", "distance", "positions", "prim_id", "instance_id", "ray_splits")
     columns = [name for name in names if hasattr(ours, name)]
     if not columns:
         return ours.tobytes() == theirs.tobytes()

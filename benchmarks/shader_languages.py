@@ -16,6 +16,7 @@ import argparse
 import contextlib
 import ctypes
 import importlib.util
+import itertools
 import os
 import re
 import runpy
@@ -146,12 +147,13 @@ def tracers() -> Iterator[dict[str, Any]]:
 def engine_programs() -> list[Compiled]:
     """Programs of tracers and images."""
     scene = rs.load("cornell")
+    placed = rs.Scene.instances(scene, np.eye(3, 4)[None])
     origins, directions = np.zeros((4, 3)), np.eye(4, 3) + 0.1
     with noting() as found:
-        for options in tracers():
+        for options, one in itertools.product(tracers(), (scene, placed)):
             try:
                 for counters in (False, True):
-                    tracer = rs.Tracer(scene, **options, counters=counters)
+                    tracer = rs.Tracer(one, **options, counters=counters)
                     for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
                         getattr(tracer, query)(origins, directions)
             except (GraphicsError, TypeError, ValueError):

@@ -335,6 +335,16 @@ GPU_TRACERS = {
 }
 
 
+#: In float64; the last one is for a GPU alone.
+FLOAT64 = {"precision": "float64", **CUDA}
+FLOAT64_CUDA_TRACERS = {
+    "bvh, float64": {"structure": "bvh", **FLOAT64},
+    "brute, float64": {"structure": "brute", **FLOAT64},
+    "bvh, float64, persistent": {"structure": "bvh", "launch": "persistent", **FLOAT64},
+    "bvh, float64, sorted": {"structure": "bvh", "order": "sorted", **FLOAT64},
+}
+
+
 @pytest.fixture(params=EVERY_TRACER)
 def make_tracer(request):
     """Make a tracer for a scene on the CPU, once for each structure and machine."""

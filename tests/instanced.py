@@ -34,10 +34,16 @@ def moved(transform, points, is_point: bool = True) -> np.ndarray:
     return np.stack(rows, axis=1)
 
 
-def all_hits(scene: rs.Scene, objects: list[rs.Scene], rays, crossings: str = "triangles"):
+def all_hits(
+    scene: rs.Scene,
+    objects: list[rs.Scene],
+    rays,
+    crossings: str = "triangles",
+    device: str = "cpu",
+):
     """All hits of the instances, by t, then instance_id, then prim_id: splits and columns."""
     found = [[] for _ in range(6)]
-    tracers = [rs.Tracer(one, "brute") for one in objects]
+    tracers = [rs.Tracer(one, "brute", device) for one in objects]
     firsts = np.cumsum([0, *(one.triangle_count for one in objects)])
     origins, directions = rays["origins"], rays["directions"]
     limits = {name: rays[name] for name in ("t_min", "t_max")}

@@ -77,6 +77,13 @@ def assert_exact(scene: rs.Scene, tracer: rs.Tracer, rays: dict[str, Any], count
     return total
 
 
+def assert_right(scene: rs.Scene, tracer: rs.Tracer, rays: dict[str, Any], count: int) -> None:
+    """Compare all answers with brute force on the CPU, and those of the first rays exactly."""
+    oracle = rs.Tracer(scene, "brute", precision="float64")
+    assert_same(answers_of(tracer, rays), answers_of(oracle, rays))
+    assert_exact(scene, tracer, rays, count)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_every_case_is_exact_and_the_same_in_every_kernel(name):
     case = CASES[name](np.random.default_rng(2013))

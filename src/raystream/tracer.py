@@ -56,7 +56,7 @@ class Tracer(MemoryEstimator, PointQueries):
         ``"graphics"``, else ``"branching"``].
     precision : {"float32", "float64"}
         Of triangles, rays and results: ``"float64"`` for scenes where float32 distances are too
-        coarse; on ``"bvh"`` and ``"brute"`` on the CPU.
+        coarse; on ``"bvh"`` and ``"brute"``, on the CPU and CUDA.
     counters : bool
         Count traversal steps, leaves and tests per ray: see `counters`. Rays are then traced one
         by one, without the many-ray kernels of ``"bvh"``. Disabled counters cost nothing.
@@ -168,6 +168,7 @@ class Tracer(MemoryEstimator, PointQueries):
             is unknown. It changes no answer: the search begins there instead of at a bin.
         worlds : array_like that broadcasts to S, int, optional
             In a scene whose instances are in worlds: the world of each ray; see `Scene.instances`.
+            Of rays in arrays on a GPU: on the host, or there, without gaps.
         progress : callable, optional
             Called with (rays done, rays).
 

@@ -12,8 +12,10 @@ from extras import need
 need("numba_cuda")
 
 import raystream as rs
+import test_float64 as float64
 from cases import CASES
-from conftest import CUDA_TRACERS, GPU_TRACERS
+from conftest import CUDA_TRACERS, FLOAT64, FLOAT64_CUDA_TRACERS, GPU_TRACERS
+from meshes import icosphere
 from raystream.jit.cuda import is_simulated
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
@@ -57,6 +59,75 @@ def test_structures_equal_brute_force(gpu, tracer, name):
     made = rs.Tracer(case.scene, **TRACERS[tracer])
     answers = answers_of(made, rays_of(case), is_brief=is_simulated())
     assert_expected(answers, answers_of(rs.Tracer(case.scene, "brute"), rays_of(case)))
+
+
+#: The simulator compiles for 20 seconds, and then takes a tenth of a second for each.
+FLOAT64_PAIRS = [
+    pytest.param(
+        tracer, name, marks=[pytest.mark.exhaustive] * (is_simulated() and (i > 1 or k % 4 != i))
+    )
+    for i, tracer in enumerate(FLOAT64_CUDA_TRACERS)
+    for k, name in enumerate(CASES)
+    if not (is_simulated() and "sorted" in tracer)
+]
+
+
+@pytest.mark.parametrize(("tracer", "name"), FLOAT64_PAIRS)
+def test_float64_is_exact_with_the_cpus_bits(gpu, tracer, name):
+    case = few_of(case_of(name))
+    made = rs.Tracer(case.scene, **FLOAT64_CUDA_TRACERS[tracer])
+    float64.assert_right(case.scene, made, rays_of(case), 6)
+
+
+def test_float64_from_a_planet_away(gpu):
+    """Limits, parts and invalid rays in float64, where float32 has steps of half a metre."""
+    vertices, faces = icosphere(1)
+    scene = rs.Scene.from_arrays(vertices * 1e-3 + [6.4e6, -6.4e6, 3.2e6], faces)
+    rng = np.random.default_rng(3)
+    origins = scene.bounds.mean(axis=0) + rng.normal(size=(20, 3)) * 1e-2
+    ways = scene.bounds.mean(axis=0) + rng.normal(size=(20, 3)) * 3e-4 - origins
+    origins[3, 1], ways[5] = np.nan, 0.0
+    oracle = rs.Tracer(scene, "brute", precision="float64")
+    hits = oracle.first_hit(origins, ways)
+    assert 3 < hits.is_hit.sum() < 19
+    tracer = rs.Tracer(scene, "bvh", rays_at_once=7, **FLOAT64)
+    for t_max in (np.inf, 1.0, hits.t, np.nextafter(hits.t, 0.0)):
+        rays = {"origins": origins, "directions": ways, "t_max": t_max}
+        float64.assert_same(float64.answers_of(tracer, rays), float64.answers_of(oracle, rays))
+    assert tracer.any_hit(origins, ways, t_max=hits.t).sum() == hits.is_hit.sum()
+    moved = vertices * 1e-3 + [6.4e6, -6.4e6, 3.2e6 + 1e-3]
+    for one in (tracer, oracle):
+        one.update(moved)
+    assert tracer.first_hit(origins, ways).t.tolist() == oracle.first_hit(origins, ways).t.tolist()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"machine": "multipass"}, "machine='multipass': not supported with precision='float64'"),
+        ({"build": "device"}, "build='device': not supported with precision='float64'"),
+        ({"kernel": "binary"}, "kernel: 'binary' on device 'cuda'"),
+        ({"structure": "grid"}, "'grid' is not supported with precision='float64'"),
+        ({"counters": True}, "counters=True: not supported with precision='float64'"),
+    ],
+)
+def test_what_float64_does_not_support_is_named(gpu, options, message):
+    with pytest.raises((ValueError, rs.RaystreamError), match=message):
+        rs.Tracer(rs.load("cornell"), **{**FLOAT64, **options})
+
+
+def test_queries_that_float64_does_not_support_are_named(gpu):
+    tracer = rs.Tracer(rs.load("cornell"), **FLOAT64)
+    ray = [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]
+    for call in (
+        lambda: tracer.trace(*ray, on_hit=lambda hit, payload: None),
+        lambda: tracer.first_hit(*ray, on_hit=lambda hit: True),
+        lambda: tracer.any_hit(*ray, skip_prim_ids=[1]),
+        lambda: tracer.closest_point([0.0, 0.0, 0.0]),
+        lambda: rs.render(tracer, "path", size=(4, 4)),
+    ):
+        with pytest.raises(rs.RaystreamError, match="not supported with precision='float64'"):
+            call()
 
 
 #: Those whose tree and search are the CPU's; "wide" is one by its CUDA name.

@@ -229,6 +229,35 @@ def test_all_queries_have_brute_forces_bits(gpu, case, oracle, rays):
             assert_same(many.host(), expected, "ray_splits", *COLUMNS)
 
 
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_float64_has_the_cpus_bits(gpu, case, rays, structure, launches):
+    oracle = rs.Tracer(case.scene, "brute", precision="float64")
+    tracer = rs.Tracer(case.scene, structure, "cuda", precision="float64")
+    for name, arrays in (*layouts(*rays), *awkward(*rays)):
+        there = given(gpu, arrays, CudaArray)
+        hits = tracer.first_hit(there[0], there[1], t_max=there[2])
+        expected = oracle.first_hit(arrays[0], arrays[1], t_max=arrays[2])
+        assert hits.t.dtype == hits.u.dtype == hits.v.dtype == np.float64
+        assert_same(hits.host(), expected, *COLUMNS, "normals")
+        # Limits in float64 are read where they are; those in float32 are packed.
+        is_packed = name in ("crossed", "columns", "crossed limits")
+        is_packed |= getattr(arrays[2], "dtype", None) == np.float32
+        assert ("_pack" in [query for query, _ in launches]) == is_packed, name
+        launches.clear()
+    there = given(gpu, rays, CudaArray)
+    hits = tracer.first_hit(*there)
+    limits = {"t_max": hits.t}, {"t_max": hits.t.host()}
+    seen, counts = tracer.any_hit(*there, **limits[0]), tracer.count_hits(*there, **limits[0])
+    assert_same_bits(seen.host(), oracle.any_hit(*rays, **limits[1]))
+    assert_same_bits(counts.host(), oracle.count_hits(*rays, **limits[1]))
+    for options in ({"crossings": "surfaces"}, {"max_hits": 2}, {"max_hits": 0}):
+        many, expected = (
+            one.multi_hit(*a, **options) for one, a in ((tracer, there), (oracle, rays))
+        )
+        assert_same(many.host(), expected, "ray_splits", *COLUMNS)
+        assert type(many.host()) is type(expected)
+
+
 class Cupy(CudaArray):
     """An array by whose type its library is known."""
 

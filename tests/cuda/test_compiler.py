@@ -20,7 +20,12 @@ from raystream.jit.simd import load, store
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
-from raystream.cuda.precompile import ARRAY_KERNELS, point_kernels, structure_kernels
+from raystream.cuda.precompile import (
+    ARRAY_KERNELS,
+    point_kernels,
+    scenes_of_kinds,
+    structure_kernels,
+)
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.structures import STRUCTURES
 
@@ -46,11 +51,17 @@ WAYS = {
     "bvh, binary": {"kernel": "binary", "launch": "persistent"},
     "bvh, sorted": {"order": "sorted"},
     "bvh, packets": {"kernel": "packet"},
+    "bvh, float64": {"precision": "float64"},
+    "brute, float64": {"precision": "float64"},
 }
 
 
 #: The kernels compiled in a default run; .ci/nightly compiles everything.
-USUAL = [("kdtree", "multi_hit"), ("bvh, compressed", "first_hit")]
+USUAL = [
+    ("kdtree", "multi_hit"),
+    ("bvh, compressed", "first_hit"),
+    ("bvh, float64", "multi_hit"),
+]
 
 
 @pytest.mark.parametrize(
@@ -73,15 +84,41 @@ def test_every_kernel_compiles(scene, name, query):
     own = 8 if "persistent" in WAYS[name].values() else 1
     assert len(parameters_of(compiled)) == own + len(list(flat(arguments)))
     # Nodes and triangles made for GPUs are read by 16 bytes.
-    assert ("ld.global.nc.v4" in compiled.ptx) == (name not in STRUCTURES)
+    is_float64 = "float64" in name
+    assert ("ld.global.nc.v4" in compiled.ptx) == (name not in STRUCTURES and not is_float64)
     # Threads of a warp vote in packet traversal: at each node and leaf.
     assert compiled.ptx.count("vote.sync.ballot") == (4 if name == "bvh, packets" else 0)
-    # In float64 there is nothing to fuse on purpose.
-    assert "fma.rn.f64" not in compiled.ptx
+    # Fused in float64 is on purpose: distances of boxes, signs with bounds, errors of products.
+    assert ("fma.rn.f64" in compiled.ptx) == is_float64
+    assert "fma.rn.f32" not in compiled.ptx or not is_float64
+    # The largest memory of a thread: its stack, and expansions (docs/decisions/0052-float64.rst).
+    depots = map(int, re.findall(r"__local_depot\d+\[(\d+)\]", compiled.ptx))
+    assert not is_float64 or sum(depots) < 18_000
     # Nothing is left to a linker, such as a function that only CPUs have.
     assert ".extern .func" not in compiled.ptx
     # Small numbers are not flushed to 0; divisions and roots are those of IEEE 754.
     assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
+
+
+#: Most local memory of a thread, bytes: the stacks of two trees, and of a tree and a height field.
+LOCAL_BYTES = {
+    **{("bvh", "instances"): 8064, ("brute", "instances"): 192},
+    **{("bvh", "primitives"): 6784, ("brute", "primitives"): 6784},
+}
+
+
+@pytest.mark.exhaustive  # test_ptx.py compiles some in a default run
+@pytest.mark.parametrize("query", QUERIES)
+@pytest.mark.parametrize(("name", "kind"), LOCAL_BYTES)
+def test_every_kernel_of_instances_and_primitives_compiles(scene, name, kind, query):
+    made, arguments = structure_kernels(name, scenes_of_kinds(scene)[kind])[query]
+    compiled = made.compiled(arguments, CAPABILITIES[0])
+    assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
+    assert ".extern .func" not in compiled.ptx
+    assert "fma.rn.f64" not in compiled.ptx
+    assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
+    depots = re.findall(r"\.local .*__local_depot\d+\[(\d+)\]", compiled.ptx)
+    assert sum(map(int, depots)) <= LOCAL_BYTES[name, kind] + 64
 
 
 @pytest.mark.parametrize("name", ["brute", "bvh"])

@@ -16,8 +16,9 @@ need("numba_cuda")
 
 import fake_driver
 import raystream as rs
+import test_float64 as float64
 from cases import CASES
-from conftest import CUDA_TRACERS, GPU_TRACERS
+from conftest import CUDA_TRACERS, FLOAT64_CUDA_TRACERS, GPU_TRACERS
 from meshes import soup
 from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
@@ -25,6 +26,7 @@ from ptx.memory import room_for
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import CAPABILITIES, RangeKernel, devices, is_simulated, open_gpu
 from raystream.jit.views import view
+from scene_cases import FIRST, SCENE_CASES, assert_answers, assert_same, some_of
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 from test_closest_point import assert_same_bits, points_around
 
@@ -94,6 +96,61 @@ def test_structures_equal_brute_force(tracer, name):
 @pytest.mark.parametrize("tracer", GPU_TRACERS)
 def test_builds_orders_and_packets_equal_brute_force(tracer):
     assert_brute_force("random_soup", **GPU_TRACERS[tracer])
+
+
+#: Scenes with instances, spheres and height fields that a default run has; kernels for them are
+#: compiled in some seconds.
+FEW_SCENES = ("bvh", "worlds"), ("bvh", "primitives_of_all_kinds"), ("brute", "placed_limits")
+
+
+@pytest.mark.parametrize(
+    ("structure", "name"),
+    [
+        pytest.param(
+            structure,
+            name,
+            marks=[pytest.mark.exhaustive] * ((structure, name) not in FEW_SCENES),
+        )
+        for structure in ("bvh", "brute")
+        for name in SCENE_CASES
+    ],
+)
+def test_instances_and_primitives_equal_brute_force(driver, structure, name):
+    scene, rays = SCENE_CASES[name](np.random.default_rng(2013))
+    rays = some_of(rays, RAY_COUNT)
+    tracer, oracle = rs.Tracer(scene, structure, "cuda", gpu=NUMBER), rs.Tracer(scene, "brute")
+    assert assert_answers(tracer, oracle, rays, limits=(None, 2)) > 0
+    on_device = {one: Lent(open_gpu(NUMBER), values) for one, values in rays.items()}
+    assert_same(tracer.first_hit(**on_device).host(), oracle.first_hit(**rays), FIRST)
+    assert any("multi_hit" in kernel for kernel in driver.launched)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.usefixtures("driver")
+def test_persistent_threads_trace_instances():
+    scene, rays = SCENE_CASES["worlds"](np.random.default_rng(2013))
+    rays = some_of(rays, RAY_COUNT)
+    tracer = rs.Tracer(scene, device="cuda", gpu=NUMBER, launch="persistent")
+    assert_same(tracer.first_hit(**rays), rs.Tracer(scene, "brute").first_hit(**rays), FIRST)
+
+
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize(
+    ("tracer", "name"),
+    [
+        pytest.param(
+            tracer,
+            name,
+            marks=[pytest.mark.exhaustive] * ((tracer, name) != ("bvh, float64", "random_soup")),
+        )
+        for i, tracer in enumerate(FLOAT64_CUDA_TRACERS)
+        for name in (FEW_CASES if i else CASES)
+    ],
+)
+def test_float64_is_exact_with_the_cpus_bits(tracer, name):
+    case = few_of(case_of(name))
+    made = rs.Tracer(case.scene, gpu=NUMBER, **FLOAT64_CUDA_TRACERS[tracer])
+    float64.assert_right(case.scene, made, rays_of(case), 4)
 
 
 @pytest.mark.parametrize("structure", ["brute", "bvh"])

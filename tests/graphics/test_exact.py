@@ -7,55 +7,19 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from raystream.graphics.buffers import Buffer
-from raystream.graphics.pipelines import Program, bind, compute_pipeline
+from graphics.shader_values import values_of
 from raystream.graphics.shader_source import shader_source
 
-_FRAME = """
-struct Params { zero: u32 }
-@group(0) @binding(0) var<storage, read> params: Params;
-@group(0) @binding(1) var<storage, read> given: array<vec4f>;
-@group(0) @binding(2) var<storage, read_write> results: array<vec2f>;
-
-fn as_pair(x: Wide) -> vec2f { return vec2f(x.high, x.low); }
-
-@compute @workgroup_size(64)
-fn trace(@builtin(global_invocation_id) id: vec3u) {
-    if id.x < arrayLength(&given) {
-        let x = given[id.x];
-        results[id.x] = EXPRESSION;
-    }
-}
-"""
-
-
-_LAYOUT = ("gather", "gather", "scatter")
+_AS_PAIR = "fn as_pair(x: Wide) -> vec2f { return vec2f(x.high, x.low); }"
 
 
 @pytest.fixture
 def evaluate(opened):
     """Values of an expression of exact.wgsl for rows (x.x, x.y, x.z, x.w)."""
+    source = shader_source("exact.wgsl") + _AS_PAIR
 
     def values(expression: str, rows: np.ndarray) -> np.ndarray:
-        source = shader_source("exact.wgsl") + _FRAME.replace("EXPRESSION", expression)
-        program = Program(source, "trace", [_LAYOUT])
-        pipeline = compute_pipeline(opened, expression, program)
-        arrays = np.zeros(16, np.uint32), rows.astype(np.float32), np.zeros((len(rows), 2), "f4")
-        buffers = []
-        for array in arrays:
-            buffer = Buffer(opened, "test")
-            buffer.reserve(array.nbytes)
-            buffer.write(array)
-            buffers.append(buffer)
-        encoder = opened.device.create_command_encoder()
-        run = encoder.begin_compute_pass()
-        run.set_pipeline(pipeline)
-        bindings = [buffer.binding for buffer in buffers]
-        run.set_bind_group(0, bind(opened, _LAYOUT, bindings, is_compute=True))
-        run.dispatch_workgroups(-(-len(rows) // 64))
-        run.end()
-        opened.device.queue.submit([encoder.finish()])
-        return buffers[2].read(np.float32, arrays[2].shape).astype(np.float64)
+        return values_of(opened, source, expression, rows.astype(np.float32)).astype(np.float64)
 
     return values
 

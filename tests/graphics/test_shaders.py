@@ -14,6 +14,7 @@ from meshes import soup
 from raystream.graphics import shader_source as sources
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.shader_source import shader_source
+from raystream.graphics.structures import shader_structure_of
 
 ROOM = Path(sources.__file__).parent
 SHADERS = ROOM / "shaders"
@@ -30,6 +31,9 @@ SOMETIMES = {"fragment/targets_found.wgsl", "fragment/targets_place.wgsl"}
 
 #: Those of images, which `test_raster` and `test_fragment_renderer` compile.
 OF_PICTURES = ("multipass/loop/", "rendering/", "raster/", "camera.wgsl", "no_hit_rows.wgsl")
+
+#: Those of scenes with instances.
+OF_INSTANCES = ("instances/", "float64.wgsl")
 
 #: Tracers that have other files than those of the agreement.
 MORE_TRACERS = (
@@ -80,6 +84,23 @@ def test_a_file_is_included_once_and_can_be_replaced():
     assert "no_hit_rows.wgsl" in BEGINNING.findall(other)
 
 
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_plain_scenes_have_no_code_for_instances(structure):
+    plain = rs.Scene.from_arrays(*soup(20, 1))
+    placed = rs.Scene.instances(plain, np.eye(3, 4)[None])
+    sources = [
+        shader_structure_of(rs.Tracer(scene, structure).structure).source("compute.wgsl")
+        for scene in (plain, placed)
+    ]
+    of_plain, of_placed = ({*BEGINNING.findall(source)} for source in sources)
+    assert not {name for name in of_plain if name.startswith(OF_INSTANCES)}
+    assert {name for name in of_placed if name.startswith(OF_INSTANCES)}
+    # One traversal serves both levels.
+    assert {name for name in of_plain if name.startswith(("bvh", "brute"))} - of_placed == {
+        {"bvh": "bvh_root.wgsl", "brute": "brute_rows.wgsl"}[structure]
+    }
+
+
 @pytest.mark.exhaustive
 def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
     """Every file is in some tracer's shaders: with hits, without, or counting."""
@@ -91,9 +112,12 @@ def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
         return made(self, code=code, **options)
 
     monkeypatch.setattr(type(fresh.device), "create_shader_module", note)
-    scene = rs.Scene.from_arrays(*soup(20, 1))
+    plain = rs.Scene.from_arrays(*soup(20, 1))
+    placed = rs.Scene.instances(plain, np.eye(3, 4)[None])
     rays = {"origins": np.full((5, 3), 0.5), "directions": np.eye(5, 3) + 0.1}
-    for options in (*GRAPHICS_TRACERS.values(), *MORE_TRACERS):
+    tracers = [(plain, options) for options in (*GRAPHICS_TRACERS.values(), *MORE_TRACERS)]
+    tracers += [(placed, GRAPHICS_TRACERS[f"{one}, graphics"]) for one in ("bvh", "brute")]
+    for scene, options in tracers:
         seen = rs.Tracer(scene, **options).any_hit(**rays)
         every = rs.Tracer(scene, **options, counters=True).multi_hit(**rays)
         assert seen.tolist() == (every.counts > 0).tolist()

@@ -57,7 +57,8 @@ class LibraryHits(LibraryColumns):
     t, u, v, prim_id, status, sectors
         See `Hits`: of shape S, where the rays are.
     instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
-        See `Hits`. Not of rays on a GPU: `host` has them.
+        See `Hits`. Not of rays on a GPU, where `host` has them; but `instance_id` in scenes with
+        instances.
 
     Notes
     -----
@@ -108,7 +109,8 @@ class LibraryMultiHits(LibraryColumns):
     ray_splits, t, u, v, prim_id, status
         See `MultiHits`.
     counts, ray_id, instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
-        See `MultiHits`. Not of rays on a GPU: `host` has them.
+        See `MultiHits`. Not of rays on a GPU, where `host` has them; but `instance_id` in scenes with
+        instances.
     """  # noqa: E501 - numpydoc wants the names in one line
 
     _of_rays = frozenset(("status", "counts"))

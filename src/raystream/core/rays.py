@@ -46,12 +46,16 @@ class RayStatus(enum.IntEnum):
 
 
 class RayArrays(NamedTuple):
-    """Rays as the caller gave them, of which at least one array is on a GPU; nothing is checked."""
+    """Rays as the caller gave them, of which at least one array is on a GPU; nothing is checked.
+
+    `worlds` is None in a scene whose instances are in no worlds.
+    """
 
     origins: Any
     directions: Any
     t_min: Any
     t_max: Any
+    worlds: Any = None
 
     def is_on_gpu(self) -> bool:
         """Whether at least one of the arrays says that it is in a GPU's memory."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 import operator
 from typing import TYPE_CHECKING, Any
 
+from raystream.core.errors import RaystreamError
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
-from raystream.cuda.bvh.kernels import kernel_of
+from raystream.core.triangles import Triangles
+from raystream.cuda.bvh.kernels import kernel_of, traced_as
+from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.host_rays import trace_from_host
 from raystream.cuda.launch import DeviceScene
 from raystream.cuda.point_kernels import LAYOUT
@@ -86,7 +89,7 @@ class CudaBackend(Backend):
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
         self._kernel = kernel = kernel_for(structure, gpu, kernel)
-        kernels = kernels_of(structure.name, kernel, launch, order)
+        kernels = kernels_of(traced_as(structure), kernel, launch, order)
         self._scene = DeviceScene(
             gpu,
             kernels,
@@ -95,7 +98,10 @@ class CudaBackend(Backend):
             structure.triangles,
             order == "sorted",
             DeviceTriangles(gpu, structure.triangles),
+            HitIds(gpu, structure.triangles),
         )
+        #: Whether the scene has triangles alone, where they are: for shading and programs.
+        self._is_plain = isinstance(structure.triangles, Triangles)
         self._staging_streams = StagingStreams(gpu)
         self._points: DevicePoints | None = None
         usual_limits(gpu)  # now, so that no query waits for them
@@ -116,7 +122,7 @@ class CudaBackend(Backend):
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> bool:
         """Answer a query with its filter or program on the device, if it can run there."""
-        if query.kind is Kind.ANY_HIT:
+        if query.kind is Kind.ANY_HIT or not self._is_plain:
             return False
         goal, record = QUERIES[query.kind].goal, record_of(sink.records)
         if DeviceProgram.of(query.on_hit, goal, record).reason_against(self.gpu):
@@ -136,7 +142,18 @@ class CudaBackend(Backend):
         progress: Progress | None = None,
         payload: Any = None,
     ) -> Any:
-        """Answer a query of rays in device memory; see `trace_on_device`."""
+        """Answer a query of rays in device memory; see `trace_on_device`.
+
+        Raises
+        ------
+        RaystreamError
+            If it has a filter or a program, in a scene with instances.
+        """
+        if query.on_hit is not None and not self._is_plain:
+            raise RaystreamError(
+                "on_hit, skip_prim_ids: not supported for rays on a GPU in a scene with instances; "
+                "copy the rays to the host"
+            )
         return trace_on_device(self._scene, query, rays, progress, payload)
 
     def find_nearest(
@@ -155,7 +172,12 @@ class CudaBackend(Backend):
         self._points.find(points, limits, capacity, out, progress)
 
     def bands_on_device(self, context: RenderContext) -> CudaBands | None:
-        """Render samples of an image on the device; see `Tracer.bands_on_device`."""
+        """Render samples of an image on the device; see `Tracer.bands_on_device`.
+
+        With instances, spheres or height fields the host shades what queries find.
+        """
+        if not self._is_plain:
+            return None
         from raystream.cuda.rendering import CudaBands
 
         gpu, kernels, resident, frame, *_ = scene = self._scene

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import inspect
 
-from raystream import structures
 from raystream.core.choices import Cuda
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.primitives import Primitives
+from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
 from raystream.cuda.devices import open_device
 from raystream.jit.threads import Progress
+from raystream.machines.devices import build_on_cpu
 from raystream.structures import Structure, StructureOptions, form_of, names_with
 
 __all__ = ["build_structure"]
@@ -16,7 +19,7 @@ __all__ = ["build_structure"]
 
 def build_structure(
     structure: StructureOptions,
-    triangles: Triangles,
+    triangles: Triangles | InstancedTriangles | Primitives,
     *,
     progress: Progress | None = None,
     device: Cuda | None = None,
@@ -26,7 +29,7 @@ def build_structure(
     Parameters
     ----------
     structure : StructureOptions
-    triangles : Triangles
+    triangles : Triangles, InstancedTriangles or Primitives
     progress : callable, optional
         Called with (triangles placed, triangles); by the GPU once, at the end.
     device : Cuda, optional
@@ -34,16 +37,21 @@ def build_structure(
 
     Raises
     ------
+    RaystreamError
+        If the GPU is to build it, and the scene has instances, spheres or height fields.
     ValueError
         If the GPU does not build the structure, or not with these options.
     TypeError
         If a method is given for a structure with a single one.
     CudaError
         If the GPU runs out of memory.
+    RaystreamError
+        If the GPU is to build it, and the triangles are in float64.
     """
     device = device or Cuda()
     if device.build == "host":
-        return structures.build_structure(structure, triangles, progress=progress)
+        return build_on_cpu(structure, triangles, progress=progress)
+    check_plain("build='device'", triangles)
     name, build = structure.name, form_of(structure.name, "cuda build")
     if build is None:
         known = ", ".join(map(repr, names_with("cuda build")))

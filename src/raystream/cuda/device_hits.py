@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.triangles import Triangles
 from raystream.jit.cuda import DeviceArray
 
 __all__ = ["DeviceHits", "DeviceMultiHits"]
@@ -18,11 +20,13 @@ class DeviceHits:
 
     Attributes
     ----------
-    t, u, v : DeviceArray of shape S, float32
+    t, u, v : DeviceArray of shape S, of the tracer's precision
         Distance in direction lengths (a miss has inf), and the weights of vertices 1 and 2
         (a miss has 0).
     prim_id : DeviceArray of shape S, int32
         Triangle, counted over the whole scene; a miss has -1.
+    instance_id : DeviceArray of shape S, int32, or None
+        In a scene with instances, the one that is hit; a miss has -1.
     status : DeviceArray of shape S, uint8
         A `RayStatus` for each ray.
     """
@@ -34,10 +38,11 @@ class DeviceHits:
         v: DeviceArray,
         prim_id: DeviceArray,
         status: DeviceArray,
-        triangles: Triangles,
+        triangles: Any,
+        instance_id: DeviceArray | None = None,
     ) -> None:
         self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
-        self._triangles = triangles
+        self.instance_id, self._triangles = instance_id, triangles
 
     def host(self) -> Hits:
         """Copy the hits to NumPy arrays; this waits for the device.
@@ -48,7 +53,9 @@ class DeviceHits:
             If the query failed there.
         """
         t, u, v = self.t.host(), self.u.host(), self.v.host()
-        return Hits(t, u, v, self.prim_id.host(), self.status.host(), self._triangles)
+        prim_id, status, held = self.prim_id.host(), self.status.host(), self._triangles
+        instance_id = None if self.instance_id is None else self.instance_id.host()
+        return hits_type(held)(t, u, v, prim_id, status, held, None, instance_id)
 
     def __repr__(self) -> str:
         return f"DeviceHits(shape={self.t.shape})"
@@ -63,8 +70,9 @@ class DeviceMultiHits:
     ----------
     ray_splits : DeviceArray of shape (N + 1,), int64
         Ray i owns the rows ray_splits[i] to ray_splits[i + 1] of the other arrays.
-    t, u, v : DeviceArray of shape (K,), float32
+    t, u, v : DeviceArray of shape (K,), of the tracer's precision
     prim_id : DeviceArray of shape (K,), int32
+    instance_id : DeviceArray of shape (K,), int32, or None
     status : DeviceArray of shape S, uint8
         See `MultiHits`.
     """
@@ -77,11 +85,12 @@ class DeviceMultiHits:
         v: DeviceArray,
         prim_id: DeviceArray,
         status: DeviceArray,
-        triangles: Triangles,
+        triangles: Any,
+        instance_id: DeviceArray | None = None,
     ) -> None:
         self.ray_splits = ray_splits
         self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
-        self._triangles = triangles
+        self.instance_id, self._triangles = instance_id, triangles
 
     def host(self) -> MultiHits:
         """Copy the hits to NumPy arrays; this waits for the device.
@@ -92,7 +101,9 @@ class DeviceMultiHits:
             If the query failed there.
         """
         hits = self.t.host(), self.u.host(), self.v.host(), self.prim_id.host()
-        return MultiHits(self.ray_splits.host(), *hits, self.status.host(), self._triangles)
+        splits, status, held = self.ray_splits.host(), self.status.host(), self._triangles
+        instance_id = None if self.instance_id is None else self.instance_id.host()
+        return multi_hits_type(held)(splits, *hits, status, held, instance_id)
 
     def __repr__(self) -> str:
         return f"DeviceMultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from raystream.jit.cpu import kernel
@@ -24,12 +26,11 @@ def _pack(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
         rest = rest // lengths[k]
     to += i * width * kept_bytes
     for _ in range(width):
+        x = load(np.float64, at) if given_bytes == _WIDE else np.float64(load(np.float32, at))
         if kept_bytes == _WIDE:
-            store(to, load(np.float64, at))
-        elif given_bytes == _WIDE:
-            store(to, np.float32(load(np.float64, at)))
+            store(to, x)
         else:
-            store(to, load(np.float32, at))
+            store(to, np.float32(x))
         at += last
         to += kept_bytes
 
@@ -45,8 +46,9 @@ def pack(
     runs: list[tuple[int, int]],
     last: int,
     count: int,
+    dtype: np.dtype[Any],
 ) -> tuple[np.uint64, np.uint64]:
-    """Copy an array to contiguous memory; limits become float32.
+    """Copy an array to contiguous memory.
 
     Parameters
     ----------
@@ -61,6 +63,8 @@ def pack(
         Stride of the last dimension.
     count : int
         Number of rays.
+    dtype : dtype
+        Of the copy, float32 or float64.
 
     Returns
     -------
@@ -77,7 +81,6 @@ def pack(
         raise ValueError(f"{name}: the array's strides are too many; make it contiguous")
     width = view.shape[-1]
     row_count = count if runs else 1
-    dtype = view.dtype if width == 3 else np.dtype(np.float32)
     made = scope.empty(name, (row_count, width), dtype)
     full = [*runs[::-1], *[(1, 0)] * (DIRECTIONS - len(runs))]
     arguments = (

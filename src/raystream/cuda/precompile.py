@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
-from raystream.cuda.bvh.kernels import KERNELS, kernel_of, lay_out
+from raystream.cuda.bvh.kernels import KERNELS, kernel_of, lay_out, traced_as
+from raystream.cuda.hit_ids import HALVE, SPLIT, InstanceIds
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.point_kernels import LAYOUT, nearest_kernel
@@ -23,10 +24,18 @@ from raystream.kernels.hits import HitAddresses
 from raystream.kernels.point_queries import NearestAddresses, PointSource
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.machines.devices import build_on_cpu
+from raystream.machines.precision import float64_triangles
 from raystream.scene.scene import Scene
-from raystream.structures import STRUCTURES, build_structure, names_with
+from raystream.structures import STRUCTURES, build_structure, names_with, options_of
 
-__all__ = ["ARRAY_KERNELS", "all_kernels", "point_kernels", "structure_kernels"]
+__all__ = [
+    "ARRAY_KERNELS",
+    "all_kernels",
+    "point_kernels",
+    "scenes_of_kinds",
+    "structure_kernels",
+]
 
 #: Compiles a kernel for GPUs of a capability.
 Compiler = Callable[[tuple[int, int]], Compiled]
@@ -39,6 +48,8 @@ _FRAME = SceneFrame((0.0, 0.0, 0.0), 1.0, 1.0, _CORNER, _CORNER, np.float32(0.0)
 
 #: Kernels for rays in device arrays by name; they do not depend on the structure.
 ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
+    "split ids": (SPLIT, (InstanceIds(_AT, _AT, _AT, _AT), _AT, _AT)),
+    "halve ids": (HALVE, (np.int32(0), _AT)),
     "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
     "ray keys": (MAKE_KEY, (_SOURCE, _FRAME, _AT, _AT)),
 }
@@ -52,6 +63,7 @@ def structure_kernels(
     kernel: str = "auto",
     launch: str = "range",
     order: str = "given",
+    precision: str = "float32",
     **options: Any,
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The query kernels of a structure, with arguments that have the right types only.
@@ -61,11 +73,12 @@ def structure_kernels(
     name : str
         Of the structure.
     scene : Scene
-        Any; the structure is built for it.
+        Any, with instances or primitives or without; the structure is built for it.
     counters : bool
         Whether rays have counters.
     kernel, launch, order : str
         See `CudaBackend`.
+    precision : {"float32", "float64"}
     **options
         Options of the structure.
 
@@ -74,8 +87,9 @@ def structure_kernels(
     dict
         By query.
     """
-    structure = build_structure(name, scene.triangles, **options)
-    kernels = kernels_of(name, kernel, launch, order)
+    triangles = scene.triangles if precision == "float32" else float64_triangles(scene)
+    structure = build_on_cpu(options_of(name, options), triangles)
+    kernels = kernels_of(traced_as(structure), kernel, launch, order)
     tree = lay_out(structure, kernel).tree
     first = (_AT,) if order == "sorted" else ()
     shared = *first, _SOURCE, structure.frame, tree, _AT if counters else None
@@ -87,6 +101,14 @@ def structure_kernels(
         "multi_hit": (True, RowAddresses(_AT, hits, _AT)),
     }
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
+
+
+def scenes_of_kinds(scene: Scene) -> dict[str, Scene]:
+    """A scene of each kind that has kernels of its own, made of a scene's meshes."""
+    return {
+        "instances": Scene.instances(scene, [np.eye(3, 4)]),
+        "primitives": Scene.combine([scene, Scene.spheres([[0.0, 0.0, 0.0]], 1.0)]),
+    }
 
 
 def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
@@ -121,12 +143,17 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
         *((f"bvh, {one}", "bvh", {"kernel": one}) for one in KERNELS if one != "auto"),
         ("bvh, persistent", "bvh", {"launch": "persistent"}),
         ("bvh, sorted", "bvh", {"order": "sorted"}),
+        *((f"{one}, float64", one, {"precision": "float64"}) for one in ("bvh", "brute")),
     ]
     listed = {
         (way, query): one
         for way, name, options in ways
         for query, one in structure_kernels(name, scene, **options).items()
     }
+    for kind, held in scenes_of_kinds(scene).items():
+        for name in ("bvh", "brute"):
+            made_of = structure_kernels(name, held)
+            listed |= {(f"{name}, {kind}", query): one for query, one in made_of.items()}
     for name in names_with("multipass"):
         for kernel, one in multipass_kernels(name, scene).items():
             group = f"{name}, passes" if kernel.endswith("pass") else "passes"

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.hit_kinds import distance_type
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
@@ -43,8 +44,8 @@ class HitBlock(NamedTuple):
 
     Attributes
     ----------
-    block : DeviceArray of shape (4, M), float32
-        With M >= `hit_count`; prim_id are the bits of the last row.
+    block : DeviceArray of shape (4, M), float32 or float64
+        With M >= `hit_count`; prim_id are bits of the last row, from its beginning on.
     hit_count : int
     """
 
@@ -52,15 +53,18 @@ class HitBlock(NamedTuple):
     hit_count: int
 
     @classmethod
-    def empty(cls, scope: StreamScope, count: int) -> HitBlock:
-        """Allocate uninitialised rows."""
+    def empty(cls, rays: RayLauncher, count: int) -> HitBlock:
+        """Allocate uninitialised rows, of the precision of the rays' scene."""
         length = -(-count // _ROW_ALIGNMENT) * _ROW_ALIGNMENT
-        return cls(scope.empty("hits", (4, length), np.float32), count)
+        kind = distance_type(rays.scene.triangles)
+        return cls(rays.scope.empty("hits", (4, length), kind), count)
 
     @property
     def addresses(self) -> HitAddresses:
         """Where kernels write."""
-        return HitAddresses.of_rows(self.block.address, self.block.shape[1])
+        return HitAddresses.of_rows(
+            self.block.address, self.block.shape[1], self.block.dtype.itemsize
+        )
 
     def columns(
         self, shape: tuple[int, ...]
@@ -72,9 +76,14 @@ class HitBlock(NamedTuple):
         )
         return t, u, v, bits.shaped(shape, np.int32)
 
-    def copy_rows(self, copy: NDArray[np.float32], out: HitArrays) -> None:
+    def rows_of(self, copy: NDArray[Any]) -> HitArrays:
+        """The rows of a copy of the block on the host."""
+        t, u, v, bits = copy[:, : self.hit_count]
+        return HitArrays(t, u, v, bits.view(np.int32)[: self.hit_count])
+
+    def copy_rows(self, copy: NDArray[Any], out: HitArrays) -> None:
         """Write a copy of the block to arrays on the host."""
-        for column, values in zip(out, HitArrays.rows_of(copy[:, : self.hit_count]), strict=True):
+        for column, values in zip(out, self.rows_of(copy), strict=True):
             column[:] = values
 
 
@@ -171,7 +180,7 @@ class FirstHit(DeviceQuery):
 
     def launch(self) -> Steps[None]:
         program = self._program()
-        self.hits = HitBlock.empty(self.scope, len(self.rays))
+        self.hits = HitBlock.empty(self.rays, len(self.rays))
         self.status = self._cleared("status", np.uint8)
         to = ResultAddresses(*self.hits.addresses, NULL, self.status.address)
         self.rays.launch(self.scene.kernels.first_hit, to)
@@ -183,8 +192,10 @@ class FirstHit(DeviceQuery):
         return self.hits.block, self.status
 
     def result(self) -> DeviceHits:
-        columns = self.hits.columns(self.rays.rays.shape)
-        return DeviceHits(*columns, self._shaped(self.status), self.scene.triangles)
+        t, u, v, numbers = self.hits.columns(self.rays.rays.shape)
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return DeviceHits(t, u, v, prim_id, status, triangles, instance_id)
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         self.hits.copy_rows(copies[0], sink.hits.part(rows))
@@ -271,7 +282,7 @@ class MultiHit(DeviceQuery):
         self.splits = prefix_sum(self.scope, counts)
         (total,) = yield (self.splits.part(len(self.rays), 1),)
         self.rays.report(1, self.pass_count)
-        self.hits = HitBlock.empty(self.scope, int(total[0]))
+        self.hits = HitBlock.empty(self.rays, int(total[0]))
         if not total[0]:
             return
         if program is None:
@@ -282,7 +293,7 @@ class MultiHit(DeviceQuery):
     def _launch_counted(self, splits: NDArray[np.int64]) -> None:
         """Find hits that have been counted."""
         self.splits = self.scope.placed("splits", splits - splits[0])
-        self.hits = HitBlock.empty(self.scope, int(splits[-1] - splits[0]))
+        self.hits = HitBlock.empty(self.rays, int(splits[-1] - splits[0]))
         self._write()
 
     def _write(self) -> None:
@@ -298,10 +309,10 @@ class MultiHit(DeviceQuery):
         return self.hits.block, self.splits, self.status
 
     def result(self) -> DeviceMultiHits:
-        columns = self.hits.columns((self.hits.hit_count,))
-        return DeviceMultiHits(
-            self.splits, *columns, self._shaped(self.status), self.scene.triangles
-        )
+        t, u, v, numbers = self.hits.columns((self.hits.hit_count,))
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return DeviceMultiHits(self.splits, t, u, v, prim_id, status, triangles, instance_id)
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         if self._splits is not None:
@@ -315,7 +326,7 @@ class MultiHit(DeviceQuery):
             return
         block, splits, sink.status[rows] = copies
         assert sink.visitor is not None
-        hits = HitArrays.rows_of(block[:, : self.hits.hit_count])
+        hits = self.hits.rows_of(block)
         sink.visitor(HitBatch(hits, splits, None, rows.start))
 
 
@@ -389,16 +400,18 @@ def trace_on_device(
     Notes
     -----
     First and any hit and counting return before the device is done. Multi-hit reads the number of
-    hits. Filters and programs wait after each round.
+    hits. Worlds on the device are read, too. Filters and programs wait after each round.
     """
 
     def report(done: int, passes: int) -> None:
         if progress:
             progress(done * len(rays), passes * len(rays))
 
-    given = arrays._asdict()
-    with StreamScope(scene.gpu, stream_of(scene.gpu, given)) as scope:
-        rays = RayLauncher(scene, scope, place_device_rays(scope, **given), report=report)
+    kind = distance_type(scene.triangles)
+    world_count = 0 if arrays.worlds is None else scene.triangles.instances.world_count
+    with StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
+        placed = place_device_rays(scope, arrays, world_count, kind)
+        rays = RayLauncher(scene, scope, placed, report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)
         with closing(task.launch()) as steps:  # after an error, before the scope ends
             copies = None

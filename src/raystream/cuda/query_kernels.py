@@ -15,7 +15,14 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.hits import HitAddresses
-from raystream.kernels.queries import Goal, RayScene, finish_first, finish_rows, ray_search
+from raystream.kernels.queries import (
+    Goal,
+    RayScene,
+    Searches,
+    finish_first,
+    finish_rows,
+    searches,
+)
 from raystream.kernels.tally import ROW, SHADINGS, add_to
 
 __all__ = [
@@ -84,6 +91,7 @@ def make_kernels(
     traverse: Callable[..., Any],
     stack_bytes: int,
     launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
+    make_searches: Callable[[Callable[..., Any]], Searches] = searches,
 ) -> QueryKernels:
     """Make the kernels of a structure.
 
@@ -95,6 +103,8 @@ def make_kernels(
         Of its stack.
     launcher : callable
         `RangeKernel` or `PersistentKernel`.
+    make_searches : callable, optional
+        `Structure.make_searches` [default: `searches`].
 
     Returns
     -------
@@ -102,7 +112,7 @@ def make_kernels(
         Each takes ``(source, frame, tree, tallies, ...)``: the rays, the scene's frame, the
         structure's arrays, and the address of tallies or None.
     """
-    search_ray = ray_search(traverse)
+    search_ray = make_searches(traverse).of_batch
 
     @kernel
     def first_hit(i, source, frame, tree, tallies, out):

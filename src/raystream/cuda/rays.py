@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import DEFAULT_LIMITS, RayBatch, as_real_array, is_on_gpu
+from raystream.core.rays import DEFAULT_LIMITS, RayArrays, RayBatch, as_real_array, is_on_gpu
 from raystream.cuda.packing import pack
 from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_of
 from raystream.kernels.ray_source import RaySource
+from raystream.machines.traced_scene import flat_ids
 
 __all__ = [
     "HITS_AT_ONCE",
@@ -64,11 +65,14 @@ class DeviceRays(NamedTuple):
     source : RaySource
     arrays : tuple of DeviceArray
         Keep them until the rays are traced.
+    worlds : uint64 or None
+        Address of the world of each ray, int32, in a scene whose instances are in worlds.
     """
 
     shape: tuple[int, ...]
     source: RaySource
     arrays: tuple[DeviceArray, ...] = ()
+    worlds: np.uint64 | None = None
 
     def __len__(self) -> int:
         return math.prod(self.shape)
@@ -112,7 +116,11 @@ def place_rays(
         *(origins, steps[0], doubles[0], directions, steps[1], doubles[1]),
         *(t_min, steps[2], t_max, steps[3]),
     )
-    return DeviceRays((rows.stop - rows.start,), source, tuple(placed))
+    worlds = None
+    if batch.worlds is not None:
+        placed.append(upload("worlds", batch.worlds[rows]))
+        worlds = placed[-1].address
+    return DeviceRays((rows.stop - rows.start,), source, tuple(placed), worlds)
 
 
 def _given(array: NDArray[Any], rows: slice) -> NDArray[Any]:
@@ -131,7 +139,10 @@ def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
 
 
 def place_device_rays(
-    scope: StreamScope, origins: Any, directions: Any, t_min: Any, t_max: Any
+    scope: StreamScope,
+    arrays: RayArrays,
+    world_count: int = 0,
+    kind: type[np.floating[Any]] = np.float32,
 ) -> DeviceRays:
     """View rays in the caller's arrays, at least one of which is on the device.
 
@@ -139,16 +150,22 @@ def place_device_rays(
     ----------
     scope : StreamScope
         Its stream reads them.
-    origins, directions, t_min, t_max
+    arrays : RayArrays
         As for `RayBatch`; arrays on the device are float32 or float64, and those on the host
-        a single vector or number.
+        a single vector or number. Worlds may be on either, and those on the device are read to be
+        checked.
+    world_count : int
+        Worlds of the scene.
+    kind : float32 or float64
+        The type of the limits that kernels read.
 
     Raises
     ------
     ValueError
-        If shapes disagree.
+        If shapes disagree, or a world is out of range.
     TypeError
-        If a dtype is not supported, or a larger array is on the host.
+        If a dtype is not supported, a larger array is on the host, or worlds on the device have
+        gaps.
     CudaError
         If an array is on another device, or there is no memory.
 
@@ -156,8 +173,9 @@ def place_device_rays(
     -----
     Arrays with a single stride from ray to ray are not copied: one value for all rays, or rows
     with or without gaps, forward or backward. Other layouts, such as columns or two arrays
-    broadcast along different axes, and float64 limits, are packed on the device.
+    broadcast along different axes, and limits of another type, are packed on the device.
     """
+    origins, directions, t_min, t_max, worlds = arrays
     vectors = _vectors(scope, "origins", origins), _vectors(scope, "directions", directions)
     try:
         shape = np.broadcast_shapes(*(one.shape[:-1] for one in vectors))
@@ -166,14 +184,32 @@ def place_device_rays(
             f"origins and directions: shapes {vectors[0].shape} and {vectors[1].shape} "
             "do not broadcast against each other"
         ) from None
-    limits = _limit(scope, "t_min", t_min, shape), _limit(scope, "t_max", t_max, shape)
+    low, high = (
+        _limit(scope, name, one, shape, kind) for name, one in (("t_min", t_min), ("t_max", t_max))
+    )
     places: list[Any] = []
     for name, one in zip(("origins", "directions"), vectors, strict=True):
-        places += [*_placed(scope, name, one, shape), one.dtype.itemsize == 8]
-    for name, one in zip(("t_min", "t_max"), limits, strict=True):
+        places += [*_placed(scope, name, one, shape, one.dtype), one.dtype.itemsize == 8]
+    for name, one in (("t_min", low), ("t_max", high)):
         row = (*one.shape, 1), (*one.strides, one.dtype.itemsize)
-        places += _placed(scope, name, one._replace(shape=row[0], strides=row[1]), shape)
-    return DeviceRays(shape, RaySource(*places))
+        limit = one._replace(shape=row[0], strides=row[1])
+        places += _placed(scope, name, limit, shape, np.dtype(kind))
+    at = None if worlds is None else _placed_worlds(scope, worlds, world_count, shape)
+    return DeviceRays(shape, RaySource(*places), worlds=at)
+
+
+def _placed_worlds(
+    scope: StreamScope, worlds: Any, count: int, shape: tuple[int, ...]
+) -> np.uint64:
+    """Address of the worlds of rays, checked on the host."""
+    if is_on_gpu(worlds):
+        view = view_of(scope, "worlds", worlds)
+        worlds = np.empty(view.shape, view.dtype)
+        if view.strides != worlds.strides:
+            raise TypeError("worlds: expected an array without gaps on a GPU; copy it")
+        scope.gpu.copy(worlds.ctypes.data, view.address, worlds.nbytes, scope.stream)
+        scope.stream.sync()
+    return scope.placed("worlds", flat_ids("worlds", worlds, count, shape)).address
 
 
 def _vectors(scope: StreamScope, name: str, values: Any) -> DeviceView:
@@ -185,11 +221,17 @@ def _vectors(scope: StreamScope, name: str, values: Any) -> DeviceView:
     return view
 
 
-def _limit(scope: StreamScope, name: str, values: Any, shape: tuple[int, ...]) -> DeviceView:
-    usual = usual_limits(scope.gpu)
+def _limit(
+    scope: StreamScope,
+    name: str,
+    values: Any,
+    shape: tuple[int, ...],
+    kind: type[np.floating[Any]],
+) -> DeviceView:
+    usual = usual_limits(scope.gpu) if kind is np.float32 else {}
     if type(values) in (float, int) and values in usual:
         return DeviceView(int(usual[values].address), (), (), np.dtype(np.float32))
-    view = _view(scope, name, values, lambda one: one.astype(np.float32))
+    view = _view(scope, name, values, lambda one: one.astype(kind))
     try:
         fits = np.broadcast_shapes(view.shape, shape) == shape
     except ValueError:
@@ -225,19 +267,19 @@ def _view(
 
 
 def _placed(
-    scope: StreamScope, name: str, view: DeviceView, shape: tuple[int, ...]
+    scope: StreamScope, name: str, view: DeviceView, shape: tuple[int, ...], dtype: np.dtype[Any]
 ) -> tuple[np.uint64, np.uint64]:
-    """Address and stride of vectors, or of limits of shape S + (1,); packed if necessary."""
+    """Address and stride of numbers of a dtype: vectors, or limits; packed if necessary."""
     *lengths, width = view.shape
     *steps, last = view.strides
     strides = [0] * (len(shape) - len(lengths))
     strides += [s if n > 1 else 0 for n, s in zip(lengths, steps, strict=True)]
     runs = _runs(shape, strides)
-    fits = last == view.dtype.itemsize if width == 3 else view.dtype == np.float32
+    fits = last == view.dtype.itemsize if width == 3 else view.dtype == dtype
     if len(runs) <= 1 and fits:
         step = runs[0][1] if runs else 0
         return np.uint64(view.address), np.uint64(step % 2**64)
-    return pack(scope, name, view, runs, last, math.prod(shape))
+    return pack(scope, name, view, runs, last, math.prod(shape), dtype)
 
 
 def _runs(shape: tuple[int, ...], strides: list[int]) -> list[tuple[int, int]]:

@@ -46,6 +46,10 @@ class _CudaMachines:
             from raystream.cuda.multipass import Multipass
 
             return Multipass(structure, gpu, **rest)
+        if structure.precision == "float64":
+            from raystream.cuda.float64.backend import Float64CudaBackend
+
+            return Float64CudaBackend(structure, gpu, **rest)
         from raystream.cuda.backend import CudaBackend
 
         return CudaBackend(structure, gpu, **rest)

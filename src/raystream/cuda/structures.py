@@ -6,7 +6,8 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
-from raystream.cuda.bvh.kernels import LAYOUTS, kernel_of, lay_out
+from raystream.cuda.bvh.kernels import LAYOUTS, Traced, kernel_of, lay_out, traced_as
+from raystream.cuda.nested import AddressMap, SharedAllocation
 from raystream.cuda.options import check_names
 from raystream.cuda.query_kernels import QueryKernels, make_kernels
 from raystream.cuda.ray_order import reordered
@@ -28,14 +29,14 @@ _Launcher = Callable[[Callable[..., Any]], RangeKernel]
 
 
 def kernels_of(
-    name: str, kernel: str = "auto", launch: str = "range", order: str = "given"
+    made: Traced, kernel: str = "auto", launch: str = "range", order: str = "given"
 ) -> QueryKernels:
     """The query kernels of a structure.
 
     Parameters
     ----------
-    name : str
-        Name of the structure.
+    made : str or type of Structure
+        Name of the structure, or its class; see `bvh.kernels.traced_as`.
     kernel : str
         For a BVH, see `bvh.kernels.KERNELS`.
     launch, order : str
@@ -51,23 +52,29 @@ def kernels_of(
     TypeError
         If a kernel is named for a structure other than a BVH.
     """
-    if name not in STRUCTURES:
+    if isinstance(made, str) and made not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
-        raise CudaError(f"device 'cuda': has the structures {known}, not {name!r}")
+        raise CudaError(f"device 'cuda': has the structures {known}, not {made!r}")
     check_names({"launch": launch, "order": order})
-    return _made(name, kernel_of(name, kernel), launch, order)
+    return _made(made, kernel_of(made, kernel), launch, order)
 
 
 @cache
-def _made(name: str, kernel: str | None, launch: str, order: str) -> QueryKernels:
-    made, plain = structure_class(name), _LAUNCHERS[launch]
-    traverse, stack_bytes = made.traverse, made.stack_bytes
-    if kernel is not None:
-        traverse, stack_bytes = form_of(name, LAYOUTS).search_of(kernel)
+def _made(made: Traced, kernel: str | None, launch: str, order: str) -> QueryKernels:
+    held: Any = structure_class(made) if isinstance(made, str) else made
+    plain = _LAUNCHERS[launch]
     launcher: _Launcher = plain
     if order == "sorted":
         launcher = lambda function: plain(reordered(function))  # noqa: E731
-    return make_kernels(traverse, stack_bytes, launcher)
+    if held.precision == "float64":
+        # Here, not above: few tracers are in float64.
+        from raystream.cuda.float64.kernels import make_float64_kernels
+
+        return make_float64_kernels(held.searches, launcher)
+    traverse, stack_bytes = held.traverse, held.stack_bytes
+    if kernel is not None and isinstance(made, str):
+        traverse, stack_bytes = form_of(made, LAYOUTS).search_of(kernel)
+    return make_kernels(traverse, stack_bytes, launcher, held.make_searches)
 
 
 class Resident(NamedTuple):
@@ -79,10 +86,13 @@ class Resident(NamedTuple):
         As `Structure.arrays`, with addresses on the device.
     arrays : tuple of DeviceArray
         The memory; keep it as long as the tree is used.
+    nested : SharedAllocation or None
+        And that of `Structure.nested`.
     """
 
     tree: Any
     arrays: tuple[DeviceArray, ...]
+    nested: SharedAllocation | None = None
 
 
 @runtime_checkable
@@ -101,7 +111,7 @@ class BuiltOnDevice(Protocol):
 
 def _has_layouts(structure: Structure) -> bool:
     """Whether the structure has other layouts on the device."""
-    return form_of(structure.name, LAYOUTS) is not None
+    return kernel_of(traced_as(structure), "auto") is not None
 
 
 def kernel_for(structure: Structure, gpu: Gpu, kernel: str) -> str:
@@ -129,15 +139,27 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
     if is_there and (kernel == "wide" or not _has_layouts(structure)):
         return cast("BuiltOnDevice", structure).resident
     tree, given = lay_out(structure, kernel)
+    nested = structure.nested
     # Address 0 marks arrays that are absent.
-    memory = {name: one for name, one in given.items() if getattr(tree, name)}
-    wanted, free = sum(one.nbytes for one in memory.values()), gpu.free_byte_count()
+    memory = {name: one for name, one in given.items() if getattr(tree, name, one.size)}
+    held = SharedAllocation.known(gpu, nested.arrays) if nested.arrays else None
+    wanted = sum(one.nbytes for one in memory.values())
+    wanted += 0 if held else SharedAllocation.bytes_of(nested.arrays)
+    free = gpu.free_byte_count()
     if wanted > free:
         raise CudaError(
             f"device 'cuda': the scene takes {wanted:,} bytes as {structure.name!r}, and "
             f"{gpu.name} has {free:,} free; trace a smaller one, or use device='cpu'"
         )
     arrays = {name: gpu.upload(f"{structure.name}, {name}", one) for name, one in memory.items()}
-    gpu.wait()  # other streams do not
     addresses = {name: one.address for name, one in arrays.items()}
-    return Resident(tree._replace(**addresses), tuple(arrays.values()))
+    if nested.fields:
+        held = held or SharedAllocation(gpu, f"{structure.name}, objects", nested.arrays)
+        places = *addresses.values(), *held.addresses
+        moved = AddressMap((*memory.values(), *nested.arrays), places)
+        for name in memory.keys() & nested.fields.keys():
+            arrays[name].fill(moved.records(memory[name], nested.fields[name]))
+        addresses |= moved.replaced(tree, nested.names)
+    gpu.wait()  # other streams do not
+    members = {name: at for name, at in addresses.items() if name in tree._fields}
+    return Resident(tree._replace(**members), tuple(arrays.values()), held)

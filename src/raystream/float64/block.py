@@ -43,6 +43,8 @@ __all__ = [
     "THIRD",
     "interval_of",
     "leaf_end",
+    "load_corner",
+    "load_corners",
     "sides_of",
     "test_block",
     "triangle_edges",
@@ -167,7 +169,14 @@ def interval_of(corner, reach, edges, base, error):
 
 
 @device
-def _corner(at):
+def load_corner(at):
+    """A vertex of one triangle."""
+    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
+
+
+@device
+def load_corners(at):
+    """A vertex of the four triangles of a block."""
     return load(f64x4, at), load(f64x4, at + AXIS), load(f64x4, at + (AXIS + AXIS))
 
 
@@ -190,7 +199,7 @@ def test_block(block, line, t_min, t_far, lanes):
     found, sure : uint64
         Bits of the lanes that may be hit; and of those that are hit for sure.
     """
-    a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
+    a, b, c = load_corners(block), load_corners(block + SECOND), load_corners(block + THIRD)
     edges = triangle_edges(a, b, c)
     low, high, error, base, corner, reach = sides_of(a, edges, line.origin, line.direction)
     found = (low >= -error) | (high <= error)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.float64.block import AXIS, SECOND, THIRD
+from raystream.float64.block import SECOND, THIRD, load_corner
 from raystream.float64.double_numbers import (
     add_double,
     cross_double,
@@ -22,7 +22,7 @@ from raystream.float64.double_numbers import (
 from raystream.float64.expansions import determinant_value, rounded_ratio
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import absolute, load, maximum, minimum
+from raystream.jit.simd import absolute, maximum, minimum
 
 __all__ = ["resolve", "settle"]
 
@@ -41,11 +41,6 @@ _LEAST_BASE = np.float64(2.0**-40)
 _ZERO = np.float64(0.0)
 _ONE = np.float64(1.0)
 _INF = np.float64(np.inf)
-
-
-@device
-def _corner(at):
-    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
 
 
 @device
@@ -189,7 +184,7 @@ def resolve(line, place, surfaces):
     """
     no_inline()
     o, d = line.origin, line.direction
-    a, b, c = _corner(place), _corner(place + SECOND), _corner(place + THIRD)
+    a, b, c = load_corner(place), load_corner(place + SECOND), load_corner(place + THIRD)
     vectors, weights, is_sure, t, is_rounded = _estimate(a, b, c, o, d)
     corner, p, q = vectors
     weight_u, weight_v, weight_w, inverse = weights

@@ -15,27 +15,29 @@ from raystream.float64.block import (
     SECOND,
     THIRD,
     leaf_end,
+    load_corner,
+    load_corners,
     test_block,
     triangle_edges,
 )
-from raystream.float64.sixteen import (
-    SIXTEEN,
-    Sixteen,
-    SixteenLanes,
-    finish_sixteen,
+from raystream.float64.group_rays import (
+    FLOAT64_GROUP,
+    Float64Group,
+    Float64Lanes,
+    finish_rays,
+    intersect_rays,
     keep,
     line_of,
-    load_sixteen,
+    load_rays,
     short_far,
-    test_sixteen,
 )
+from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
     any_lane,
     count_trailing_zeros,
-    f64x4,
     lanes_from_bits,
     load,
     mask16,
@@ -58,14 +60,14 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
 )
 
-__all__ = ["trace_exact_packets"]
+__all__ = ["trace_float64_packets"]
 
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
 #: against one triangle.
 _FEW = np.uint64(4)
 
-_SIXTEEN_BYTES = np.uint64(SIXTEEN.itemsize)
-_SIXTEENS_BYTES = SIXTEEN.itemsize * PACKET_RAYS // 16
+_GROUP_BYTES = np.uint64(FLOAT64_GROUP.itemsize)
+_GROUPS_BYTES = FLOAT64_GROUP.itemsize * PACKET_RAYS // 16
 
 #: Vertex 0, two edges, their cross product and the largest component, for four triangles.
 _EDGES_BYTES = 13 * 32
@@ -81,16 +83,6 @@ _INF32 = np.float32(np.inf)
 
 
 @device
-def _vertices(at):
-    return load(f64x4, at), load(f64x4, at + AXIS), load(f64x4, at + (AXIS + AXIS))
-
-
-@device
-def _triple(at):
-    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
-
-
-@device
 def _store_triple(at, x):
     store(at, x[0])
     store(at + AXIS, x[1])
@@ -100,8 +92,8 @@ def _store_triple(at, x):
 @device
 def _write_edges(block, to):
     """Write what the tests take of a block's triangles."""
-    a = _vertices(block)
-    p, q, n, h = triangle_edges(a, _vertices(block + SECOND), _vertices(block + THIRD))
+    a = load_corners(block)
+    p, q, n, h = triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
     _store_triple(to, a)
     _store_triple(to + _P, p)
     _store_triple(to + _Q, q)
@@ -121,7 +113,7 @@ def _offer(packet, lanes, g, k, low, high, is_sure, place, prim_id, wants_any):
 @device
 def _test_rays(packet, at, g, bits, block, wants_any, spans):
     """Test a block against some rays of a group; returns whether one of them has a nearer hit."""
-    lanes, has_hit = SixteenLanes(at), False
+    lanes, has_hit = Float64Lanes(at), False
     while bits != _NONE:
         k = count_trailing_zeros(bits)
         bits &= bits - _ONE
@@ -146,13 +138,18 @@ def _test_rays(packet, at, g, bits, block, wants_any, spans):
 def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
     """Test rays of a group against a triangle; returns whether one of them has a nearer hit."""
     place, own = block + (lane << _DOUBLE), edges + (lane << _DOUBLE)
-    sides = _triple(own + _P), _triple(own + _Q), _triple(own + _N), load(np.float64, own + _H)
-    has_hit, lanes = False, SixteenLanes(at)
+    sides = (
+        load_corner(own + _P),
+        load_corner(own + _Q),
+        load_corner(own + _N),
+        load(np.float64, own + _H),
+    )
+    has_hit, lanes = False, Float64Lanes(at)
     prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
-    taken, far, doubtful = test_sixteen(
-        Sixteen(at),
+    taken, far, doubtful = intersect_rays(
+        Float64Group(at),
         lanes_from_bits(mask16, bits),
-        _triple(own),
+        load_corner(own),
         sides,
         place,
         prim_id,
@@ -175,8 +172,8 @@ def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
 
 
 @device
-def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, sixteens, filter_):
-    """Test a leaf in float64; see `packet_leaf.visit_leaf`. `sixteens` is an address."""
+def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, float64_groups, filter_):
+    """Test a leaf in float64; see `packet_leaf.visit_leaf`. `float64_groups` is an address."""
     spans, edges, has_hit, wants_any = (
         scratch(_SPAN_BYTES),
         scratch(_EDGES_BYTES),
@@ -191,7 +188,7 @@ def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, sixteens, 
             bits = entering_rays(packet, g, box, rays)
             if bits == _NONE:
                 continue
-            at = sixteens + g * _SIXTEEN_BYTES
+            at = float64_groups + g * _GROUP_BYTES
             if popcount(bits) <= _FEW:
                 if _test_rays(packet, at, g, bits, block, wants_any, spans):
                     has_hit = True
@@ -209,16 +206,16 @@ _trace_packet = packet_trace(_search_leaf)
 
 
 @device
-def _load(packet, sixteens, number, source, order, frame, slow_groups):
+def _load(packet, float64_groups, number, source, order, frame, slow_groups):
     """Load the rays of a packet in float64, after `load_packet`."""
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
         if count == _NONE:
             continue
-        at, local = sixteens + g * _SIXTEEN_BYTES, GroupLanes(packet, g)
+        at, local = float64_groups + g * _GROUP_BYTES, GroupLanes(packet, g)
         is_slow = (slow_groups >> g) & _ONE != _NONE
-        load_sixteen(at, source, first, count, frame, is_slow, local)
-        lanes = SixteenLanes(at)
+        load_rays(at, source, first, count, frame, is_slow, local)
+        lanes = Float64Lanes(at)
         if is_slow:
             for k in range(_LANES):
                 if lanes.far[k] == -_INF:
@@ -226,18 +223,18 @@ def _load(packet, sixteens, number, source, order, frame, slow_groups):
 
 
 @kernel
-def trace_exact_packets(begin, end, tree, frame, source, order, wants_any, status, rows):
-    """Trace packets begin to end; see `stream.trace_exact` for the arguments."""
-    packet, sixteens = scratch(PACKET_BYTES), scratch(_SIXTEENS_BYTES)
-    memory, own = scratch(TRACE_BYTES), (scratch(STACK_BYTES), scratch(64))
+def trace_float64_packets(begin, end, tree, frame, source, order, wants_any, status, rows):
+    """Trace packets begin to end; see `stream.trace_float64_groups` for the arguments."""
+    packet, float64_groups = scratch(PACKET_BYTES), scratch(_GROUPS_BYTES)
+    memory, own = scratch(TRACE_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
     packets = PacketSource(source.rays, order, frame, address(status))
     goal = ANY if wants_any else FIRST
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, packets)
-        _load(packet, sixteens, number, source, order, frame, slow_groups)
-        _trace_packet(packet, tree, frame.max_coordinate, memory, goal, sixteens, None)
+        _load(packet, float64_groups, number, source, order, frame, slow_groups)
+        _trace_packet(packet, tree, frame.max_coordinate, memory, goal, float64_groups, None)
         for g in range(GROUPS):
             first, count = group_rows(order, number, g)
             if count != _NONE:
-                at = sixteens + g * _SIXTEEN_BYTES
-                finish_sixteen(at, first, count, tree, frame, wants_any, status, rows, own)
+                at = float64_groups + g * _GROUP_BYTES
+                finish_rays(at, first, count, tree, frame, wants_any, status, rows, own)

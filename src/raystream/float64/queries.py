@@ -11,19 +11,23 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayStatus
 from raystream.float64.block import HIGH, PRIM_IDS, test_block
 from raystream.float64.exact import resolve
-from raystream.float64.ray import prepare_exact, reported
+from raystream.float64.ray import prepare_float64, reported
+from raystream.float64.rows import keep_row, put_row, row_t, sort_rows
 from raystream.float64.search import is_counted, no_hit, offer, within
 from raystream.float64.traversal import STACK_BYTES, all_blocks, tree_blocks
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import count_trailing_zeros, load, scratch
+from raystream.jit.simd import count_trailing_zeros, load, scratch, store
+from raystream.kernels.hits import HitAddresses, hit_addresses
 from raystream.kernels.ray_source import RaySource, load_direction, load_origin
 
 __all__ = [
-    "ExactQueries",
-    "ExactRows",
-    "ExactSource",
+    "LANES_BYTES",
+    "Float64Queries",
+    "Float64Source",
+    "Searches",
     "brute_queries",
-    "load_exact",
+    "brute_searches",
+    "load_float64",
     "tree_queries",
     "tree_searches",
     "write_nearest",
@@ -37,10 +41,12 @@ _MISS = np.int32(-1)
 _INVALID = np.uint8(RayStatus.INVALID)
 _INF = np.float64(np.inf)
 _ZERO = np.float64(0.0)
-_LANES_BYTES = 64
+
+#: Bytes that `test_block` writes.
+LANES_BYTES = 64
 
 
-class ExactSource(NamedTuple):
+class Float64Source(NamedTuple):
     """The rays of a batch.
 
     Attributes
@@ -55,43 +61,22 @@ class ExactSource(NamedTuple):
     t_max: NDArray[np.float64]
 
 
-class ExactRows(NamedTuple):
-    """Hits, a row each.
-
-    Attributes
-    ----------
-    t, u, v : ndarray of shape (K,), float64
-    prim_id : ndarray of shape (K,), int32
-    """
-
-    t: NDArray[np.float64]
-    u: NDArray[np.float64]
-    v: NDArray[np.float64]
-    prim_id: NDArray[np.int32]
-
-    @classmethod
-    def empty(cls, count: int) -> ExactRows:
-        """Uninitialised rows."""
-        return cls(np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.int32))
-
-
-class ExactQueries(NamedTuple):
+class Float64Queries(NamedTuple):
     """Compiled loops over the rays begin to end.
 
-    Each takes ``(begin, end, source, frame, tree, status, ...)``: an `ExactSource`, the
-    `SceneFrame`, an `ExactTree`, and an array of statuses, of which invalid ones are written.
+    Each takes ``(begin, end, source, frame, tree, status, ...)``: a `Float64Source`, the
+    `SceneFrame`, a `Float64Tree`, and an array of statuses, of which invalid ones are written.
 
     Attributes
     ----------
     first_hit : (..., rows)
-        Writes a row of `ExactRows` for each ray.
+        Writes a row of `HitArrays` for each ray.
     any_hit : (..., seen)
         Writes an array of bool.
-    count_hits : (..., surfaces, counts)
-        Writes an array of int64.
-    multi_hit : (..., surfaces, base, splits, rows)
-        Writes the hits of ray base + k, in any order, to the rows splits[k] to splits[k + 1], which
-        are as many.
+    count_hits : (..., surfaces, limit, counts)
+        Writes an array of int64: the number of hits, up to the limit.
+    multi_hit : (..., surfaces, splits, rows)
+        Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row splits[i] on.
     """
 
     first_hit: Callable[..., None]
@@ -101,25 +86,25 @@ class ExactQueries(NamedTuple):
 
 
 @device
-def load_exact(source, i, frame, status):
+def load_float64(source, i, frame, status):
     """Ray i, prepared; its status is written if it is invalid."""
     t_min = source.t_min[i if len(source.t_min) > 1 else _NONE]
     t_max = source.t_max[i if len(source.t_max) > 1 else _NONE]
     origin, direction = load_origin(source.rays, i), load_direction(source.rays, i)
-    ray = prepare_exact(origin, direction, t_min, t_max, frame)
+    ray = prepare_float64(origin, direction, t_min, t_max, frame)
     if ray.status == _INVALID:
         status[i] = _INVALID
     return ray
 
 
 @device
-def write_nearest(rows, i, best, ray):
-    """Write the nearest hit of a ray, or a miss, to row i."""
+def write_nearest(to, i, best, ray):
+    """Write the nearest hit of a ray, or a miss, to row i; `to` has the names of `HitAddresses`."""
     if best.place == _NONE:
-        rows.t[i], rows.u[i], rows.v[i], rows.prim_id[i] = _INF, _ZERO, _ZERO, _MISS
+        put_row(to, i, _INF, _ZERO, _ZERO, _MISS)
         return
     _, t, u, v = resolve(ray.line, best.place, False)
-    rows.t[i], rows.u[i], rows.v[i], rows.prim_id[i] = reported(t, ray), u, v, best.prim_id
+    put_row(to, i, reported(t, ray), u, v, best.prim_id)
 
 
 @device
@@ -167,104 +152,153 @@ def _far_of_all(ray, search):
     return ray.line.t_max
 
 
-class _Counted(NamedTuple):
+class _Counting(NamedTuple):
     total: np.uint64
+    limit: np.uint64
     surfaces: bool
 
 
 @device
 def _visit_count(block, ray, search, lanes):
     found, sure = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
-    count = search.total
+    total, limit, surfaces = search
     while found != _NONE:
         lane = count_trailing_zeros(found)
         found &= found - _ONE
-        if _is_hit(ray, lane, sure, block, lanes, search.surfaces):
-            count += _ONE
-    return _Counted(count, search.surfaces), False
+        if _is_hit(ray, lane, sure, block, lanes, surfaces):
+            total += _ONE
+            if total == limit:
+                return _Counting(total, limit, surfaces), True
+    return _Counting(total, limit, surfaces), False
 
 
-class _Filled(NamedTuple):
-    row: np.uint64
-    end: np.uint64
+class _Keeping(NamedTuple):
+    kept: np.uint64
+    far: np.float64
+    capacity: np.uint64
+    rows: HitAddresses
+    first: np.uint64
     surfaces: bool
-    rows: ExactRows
 
 
 @device
-def _visit_fill(block, ray, search, lanes):
-    found, _ = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
-    row, rows = search.row, search.rows
+def _visit_keep(block, ray, search, lanes):
+    count, far, capacity, rows, first, surfaces = search
+    found, _ = test_block(block, ray.line, ray.line.t_min, far, lanes)
     while found != _NONE:
         lane = count_trailing_zeros(found)
         found &= found - _ONE
-        is_hit, t, u, v = resolve(ray.line, block + (lane << _DOUBLE), search.surfaces)
-        if is_hit and t >= ray.line.t_min and t <= ray.line.t_max and row < search.end:
+        is_hit, t, u, v = resolve(ray.line, block + (lane << _DOUBLE), surfaces)
+        if is_hit and t >= ray.line.t_min and t <= far:
             prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
-            rows.t[row], rows.u[row], rows.v[row] = reported(t, ray), u, v
-            rows.prim_id[row] = prim_id
-            row += _ONE
-    return _Filled(row, search.end, search.surfaces, rows), False
+            count, far = keep_row(rows, first, count, capacity, t, u, v, prim_id, far)
+    return _Keeping(count, far, capacity, rows, first, surfaces), False
+
+
+@device
+def _far_of_kept(ray, search):
+    return search.far
 
 
 class Searches(NamedTuple):
-    """The searches of a single ray for the nearest and for any hit; see `float64.traversal`."""
+    """The searches of a single ray with a traversal.
+
+    Each takes ``(tree, ray, ..., memory)``: a `Float64Tree`, a `Float64Ray`, and two addresses, of
+    `STACK_BYTES` and of `LANES_BYTES`.
+
+    Attributes
+    ----------
+    nearest : device function
+        ``nearest(tree, ray, memory)`` returns the `search.Nearest`.
+    anything : device function
+        ``anything(tree, ray, memory)``: whether there is a hit.
+    count : device function
+        ``count(tree, ray, limit, surfaces, memory)`` returns the number of hits, up to the limit.
+    keep : device function
+        ``keep(tree, ray, capacity, rows, first, surfaces, memory)`` writes the nearest hits to the
+        rows of `HitAddresses` from `first` on, sorted, and returns their number.
+    """
 
     nearest: Callable[..., Any]
     anything: Callable[..., Any]
+    count: Callable[..., Any]
+    keep: Callable[..., Any]
 
 
 def _searches(blocks: Callable[..., Any]) -> Searches:
-    return Searches(blocks(_visit_nearest, _far_of_nearest), blocks(_visit_any, _far_of_all))
+    """Make the searches of a traversal; see `float64.traversal`."""
+    walk_nearest = blocks(_visit_nearest, _far_of_nearest)
+    walk_any = blocks(_visit_any, _far_of_all)
+    walk_count = blocks(_visit_count, _far_of_all)
+    walk_keep = blocks(_visit_keep, _far_of_kept)
+
+    @device
+    def nearest(tree, ray, memory):
+        return walk_nearest(tree, ray, no_hit(), memory[0], memory[1], False)
+
+    @device
+    def anything(tree, ray, memory):
+        return walk_any(tree, ray, _NONE, memory[0], memory[1], True) != _NONE
+
+    @device
+    def count(tree, ray, limit, surfaces, memory):
+        search = _Counting(_NONE, limit, surfaces)
+        return walk_count(tree, ray, search, memory[0], memory[1], False).total
+
+    @device
+    def keep(tree, ray, capacity, rows, first, surfaces, memory):
+        search = _Keeping(_NONE, ray.line.t_max, capacity, rows, first, surfaces)
+        kept = walk_keep(tree, ray, search, memory[0], memory[1], False).kept
+        sort_rows(rows, first, kept)
+        # Distances in lengths of the given direction, last: they may underflow to equal ones.
+        for row in range(first, first + kept):
+            store(rows.t + (row << _DOUBLE), reported(row_t(rows, row), ray))
+        return kept
+
+    return Searches(nearest, anything, count, keep)
 
 
-#: The searches of a wide tree.
+#: The searches of a wide tree, and of all triangles.
 tree_searches = _searches(tree_blocks)
+brute_searches = _searches(all_blocks)
 
 
-def _queries(blocks: Callable[..., Any]) -> ExactQueries:
-    """The loops with a traversal; see `float64.traversal`."""
-    nearest, anything = _searches(blocks)
-    counted = blocks(_visit_count, _far_of_all)
-    filled = blocks(_visit_fill, _far_of_all)
+def _queries(searches: Searches) -> Float64Queries:
+    """The loops of searches."""
+    nearest, anything, count, keep = searches
 
     @kernel
     def first_hit(begin, end, source, frame, tree, status, rows):
-        stack, lanes = scratch(STACK_BYTES), scratch(_LANES_BYTES)
+        memory, to = (scratch(STACK_BYTES), scratch(LANES_BYTES)), hit_addresses(rows)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_exact(source, i, frame, status)
-            best = nearest(tree, ray, no_hit(), stack, lanes, False)
-            write_nearest(rows, i, best, ray)
+            ray = load_float64(source, i, frame, status)
+            write_nearest(to, i, nearest(tree, ray, memory), ray)
 
     @kernel
     def any_hit(begin, end, source, frame, tree, status, seen):
-        stack, lanes = scratch(STACK_BYTES), scratch(_LANES_BYTES)
+        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_exact(source, i, frame, status)
-            seen[i] = anything(tree, ray, _NONE, stack, lanes, True) != _NONE
+            seen[i] = anything(tree, load_float64(source, i, frame, status), memory)
 
     @kernel
-    def count_hits(begin, end, source, frame, tree, status, surfaces, counts):
-        stack, lanes = scratch(STACK_BYTES), scratch(_LANES_BYTES)
+    def count_hits(begin, end, source, frame, tree, status, surfaces, limit, counts):
+        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_exact(source, i, frame, status)
-            search = counted(tree, ray, _Counted(_NONE, surfaces), stack, lanes, False)
-            counts[i] = np.int64(search.total)
+            ray = load_float64(source, i, frame, status)
+            counts[i] = np.int64(count(tree, ray, limit, surfaces, memory))
 
     @kernel
-    def multi_hit(begin, end, source, frame, tree, status, surfaces, base, splits, rows):
-        stack, lanes = scratch(STACK_BYTES), scratch(_LANES_BYTES)
+    def multi_hit(begin, end, source, frame, tree, status, surfaces, splits, rows):
+        memory, to = (scratch(STACK_BYTES), scratch(LANES_BYTES)), hit_addresses(rows)
         for i in range(np.uint64(begin), np.uint64(end)):
-            k = i - np.uint64(base)
-            first, last = np.uint64(splits[k]), np.uint64(splits[k + _ONE])
-            if first != last:
-                ray = load_exact(source, i, frame, status)
-                search = _Filled(first, last, surfaces, rows)
-                filled(tree, ray, search, stack, lanes, False)
+            first = np.uint64(splits[i])
+            capacity = np.uint64(splits[i + _ONE]) - first
+            if capacity != _NONE:
+                ray = load_float64(source, i, frame, status)
+                keep(tree, ray, capacity, to, first, surfaces, memory)
 
-    return ExactQueries(first_hit, any_hit, count_hits, multi_hit)
+    return Float64Queries(first_hit, any_hit, count_hits, multi_hit)
 
 
-#: Of a wide tree, and of all triangles.
-tree_queries = _queries(tree_blocks)
-brute_queries = _queries(all_blocks)
+tree_queries = _queries(tree_searches)
+brute_queries = _queries(brute_searches)

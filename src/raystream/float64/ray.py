@@ -23,12 +23,12 @@ __all__ = [
     "LEAST_EXPONENT",
     "MOST_COORDINATE",
     "MOST_EXPONENT",
-    "ExactRay",
+    "Float64Ray",
     "Line",
-    "exact_line",
-    "exact_ray",
     "local_origin",
-    "prepare_exact",
+    "make_line",
+    "prepare_float64",
+    "ray_of_line",
     "reported",
     "widened_far",
     "widened_near",
@@ -65,7 +65,7 @@ _ZERO = np.float64(0.0)
 _ONE = np.float64(1.0)
 _INF = np.float64(np.inf)
 
-#: An axis of `ExactRay.inv`, `near` and `far`, and of a node's planes.
+#: An axis of `Float64Ray.inv`, `near` and `far`, and of a node's planes.
 _Triple = tuple[np.float64, np.float64, np.float64]
 
 
@@ -88,7 +88,7 @@ class Line(NamedTuple):
     t_max: np.float64
 
 
-class ExactRay(NamedTuple):
+class Float64Ray(NamedTuple):
     """A ray, all along the world's axes.
 
     Attributes
@@ -178,7 +178,7 @@ def _scaled_slowly(direction):
 
 
 @device
-def exact_line(origin, direction, t_min, t_max):
+def make_line(origin, direction, t_min, t_max):
     """Make the line of a ray.
 
     Parameters
@@ -192,7 +192,7 @@ def exact_line(origin, direction, t_min, t_max):
     -------
     line : Line
     half, rest : float64
-        See `ExactRay`.
+        See `Float64Ray`.
     status : uint8
     """
     status = _VALID
@@ -226,7 +226,7 @@ def local_origin(line, frame):
 
 
 @device_call
-def prepare_exact(origin, direction, t_min, t_max, frame):
+def prepare_float64(origin, direction, t_min, t_max, frame):
     """Prepare a ray.
 
     Parameters
@@ -239,16 +239,16 @@ def prepare_exact(origin, direction, t_min, t_max, frame):
 
     Returns
     -------
-    ExactRay
+    Float64Ray
     """
     no_inline()
-    line, half, rest, status = exact_line(origin, direction, t_min, t_max)
-    return exact_ray(line, half, rest, status, frame)
+    line, half, rest, status = make_line(origin, direction, t_min, t_max)
+    return ray_of_line(line, half, rest, status, frame)
 
 
 @device
-def exact_ray(line, half, rest, status, frame):
-    """The ray of a line; see `exact_line` for the arguments."""
+def ray_of_line(line, half, rest, status, frame):
+    """The ray of a line; see `make_line` for the arguments."""
     dx, dy, dz = line.direction
     x, y, z = local_origin(line, frame)
     pad = _PAD * (np.float64(frame.max_coordinate) + max(abs(x), abs(y), abs(z)))
@@ -256,7 +256,7 @@ def exact_ray(line, half, rest, status, frame):
     inv_y = _inverse(dy, frame.inverse_scale)
     inv_z = _inverse(dz, frame.inverse_scale)
     pad_x, pad_y, pad_z = copy_sign(pad, inv_x), copy_sign(pad, inv_y), copy_sign(pad, inv_z)
-    return ExactRay(
+    return Float64Ray(
         line,
         half,
         rest,

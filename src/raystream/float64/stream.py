@@ -9,27 +9,28 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.float64.block import (
-    AXIS,
     BLOCK,
     HIGH,
     PRIM_IDS,
     SECOND,
     THIRD,
     leaf_end,
+    load_corner,
     test_block,
     triangle_edges,
 )
-from raystream.float64.sixteen import (
-    SIXTEEN,
-    Sixteen,
-    SixteenLanes,
-    finish_sixteen,
+from raystream.float64.group_rays import (
+    FLOAT64_GROUP,
+    Float64Group,
+    Float64Lanes,
+    finish_rays,
+    intersect_rays,
     keep,
     line_of,
-    load_sixteen,
+    load_rays,
     short_far,
-    test_sixteen,
 )
+from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
@@ -64,17 +65,17 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
 )
 
-__all__ = ["BLOCK_RAYS", "WORKING_BYTES", "trace_exact"]
+__all__ = ["BLOCK_RAYS", "WORKING_BYTES", "trace_float64_groups"]
 
 #: Rays that descend the tree together.
 BLOCK_RAYS = 4096
 _PACKETS = np.uint64(BLOCK_RAYS // PACKET_RAYS)
 
-_SIXTEENS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
-_SIXTEEN_BYTES = np.uint64(SIXTEEN.itemsize)
+_GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
+_GROUP_BYTES = np.uint64(FLOAT64_GROUP.itemsize)
 
 #: Bytes of memory of a call, of which most are never touched.
-WORKING_BYTES = int(_SIXTEENS_AT) + BLOCK_RAYS // 16 * SIXTEEN.itemsize + 64
+WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * FLOAT64_GROUP.itemsize + 64
 
 _NONE, _ONE = np.uint64(0), np.uint64(1)
 _WORD, _DOUBLE = np.uint64(2), np.uint64(3)
@@ -88,8 +89,8 @@ _INF32 = np.float32(np.inf)
 
 
 @device
-def _sixteen(memory, g):
-    return memory + _SIXTEENS_AT + g * _SIXTEEN_BYTES
+def _group_at(memory, g):
+    return memory + _GROUPS_AT + g * _GROUP_BYTES
 
 
 @device
@@ -103,9 +104,9 @@ def _load(memory, first, last, source, order, frame):
                 continue
             local = GroupLanes(memory, g)
             is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
-            load_sixteen(_sixteen(memory, g), source, ray, length, frame, is_slow, local)
+            load_rays(_group_at(memory, g), source, ray, length, frame, is_slow, local)
             if is_slow:
-                lanes = SixteenLanes(_sixteen(memory, g))
+                lanes = Float64Lanes(_group_at(memory, g))
                 for k in range(_LANES):
                     if lanes.far[k] == -_INF:
                         local.t[k] = -_INF32
@@ -116,7 +117,7 @@ def _load(memory, first, last, source, order, frame):
 @device
 def _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any):
     """Offer a triangle that may be hit to a ray; returns whether its interval became shorter."""
-    lanes = SixteenLanes(_sixteen(memory, g))
+    lanes = Float64Lanes(_group_at(memory, g))
     if not keep(lanes, k, low, high, is_sure, place, prim_id, wants_any):
         return False
     far = short_far(lanes, k)
@@ -131,11 +132,6 @@ def _all_rays():
 
 
 @device
-def _triple(at):
-    return load(np.float64, at), load(np.float64, at + AXIS), load(np.float64, at + (AXIS + AXIS))
-
-
-@device
 def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
     """Test a block's triangles against the groups of a list; returns the number of hits."""
     hit_count = _NONE
@@ -144,12 +140,12 @@ def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
         if prim_id < np.int32(0):
             break
         place = block + (lane << _DOUBLE)
-        a = _triple(place)
-        edges = triangle_edges(a, _triple(place + SECOND), _triple(place + THIRD))
+        a = load_corner(place)
+        edges = triangle_edges(a, load_corner(place + SECOND), load_corner(place + THIRD))
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            group = Sixteen(_sixteen(memory, g))
-            taken, far, doubtful = test_sixteen(
+            group = Float64Group(_group_at(memory, g))
+            taken, far, doubtful = intersect_rays(
                 group, _all_rays(), a, edges, place, prim_id, wants_any, spans
             )
             bits = mask_bits(taken)
@@ -181,7 +177,7 @@ def _leaf_with_rays(block, rays, count, memory, wants_any, spans):
     for j in range(count):
         number = np.uint64(load(np.uint32, rays + j * LANE))
         g, k = number >> LANE_SHIFT, number & _LAST_LANE
-        lanes = SixteenLanes(_sixteen(memory, g))
+        lanes = Float64Lanes(_group_at(memory, g))
         line = line_of(lanes, k)
         found, sure = test_block(block, line, line.t_min, lanes.far[k], spans)
         while found != _NONE:
@@ -218,26 +214,26 @@ _trace_block = device(block_trace(_visit_leaf))
 
 
 @kernel
-def trace_exact(begin, end, tree, frame, source, order, wants_any, status, rows):
+def trace_float64_groups(begin, end, tree, frame, source, order, wants_any, status, rows):
     """Trace packets begin to end.
 
     Parameters
     ----------
     begin, end : int
-    tree : ExactTree
+    tree : Float64Tree
         With nodes.
     frame : SceneFrame
-    source : ExactSource
+    source : Float64Source
     order : PacketOrder
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     status : ndarray of shape (N,), uint8
-    rows : ExactRows
-        See `sixteen.finish_sixteen`.
+    rows : HitArrays
+        See `group_rays.finish_rays`.
     """
     array = np.empty(WORKING_BYTES, np.uint8)
     memory = (address(array) + np.uint64(63)) & ~np.uint64(63)
-    stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(64))
+    stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
     small, groups = Small(scratch(SMALL_BYTES)), memory + LISTS_AT
     packets = PacketSource(source.rays, order, frame, address(status))
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
@@ -250,8 +246,8 @@ def trace_exact(begin, end, tree, frame, source, order, wants_any, status, rows)
             for row in range(GROUPS):
                 ray, length = group_rows(order, packet, row)
                 if length != _NONE:
-                    at = _sixteen(memory, g)
-                    finish_sixteen(at, ray, length, tree, frame, wants_any, status, rows, own)
+                    at = _group_at(memory, g)
+                    finish_rays(at, ray, length, tree, frame, wants_any, status, rows, own)
                     g += _ONE
     # The memory must outlive its addresses.
     array[0] = np.uint8(0)

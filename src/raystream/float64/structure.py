@@ -1,4 +1,4 @@
-"""ExactStructure: triangles with vertices in float64, in a BVH or not."""
+"""Float64Structure: triangles with vertices in float64, in a BVH or not."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ from raystream.core.errors import RaystreamError
 from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.triangles import Triangles
 from raystream.float64.block import BLOCK_NUMBERS
-from raystream.float64.queries import ExactQueries, brute_queries, tree_queries
+from raystream.float64.queries import (
+    Float64Queries,
+    Searches,
+    brute_queries,
+    brute_searches,
+    tree_queries,
+    tree_searches,
+)
 from raystream.float64.ray import LEAST
-from raystream.float64.traversal import ExactTree
+from raystream.float64.traversal import Float64Tree
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.base import BuildReport, Structure
@@ -25,7 +32,7 @@ from raystream.structures.bvh.layout import CHILDREN_AT, MAX_BLOCKS, WIDTH
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.registry import StructureOptions
 
-__all__ = ["ExactBrute", "ExactBvh", "ExactStructure", "build_exact"]
+__all__ = ["Float64Brute", "Float64Bvh", "Float64Structure", "build_float64"]
 
 #: Kernels of a BVH that trace in float64.
 _KERNELS = ("auto", "packet", "groups", "single")
@@ -36,31 +43,34 @@ _ROWS = 1 << 16
 _PRIM_IDS_AT = 36
 
 
-class ExactStructure(Structure):
+class Float64Structure(Structure):
     """Triangles in blocks of float64 numbers; see `float64.block`.
 
     Attributes
     ----------
-    loops : ExactQueries
+    searches : Searches
+        Of a single ray.
+    loops : Float64Queries
         The queries of single rays.
     """
 
     precision = "float64"
-    loops: ClassVar[ExactQueries]
+    searches: ClassVar[Searches]
+    loops: ClassVar[Float64Queries]
     triangles: Float64Triangles
 
     def _set(self, nodes: NDArray[np.float32], prim_ids: NDArray[np.int32], started: float) -> None:
         blocks = _filled_blocks(self.triangles, prim_ids)
         self._memory: dict[str, NDArray[Any]] = {"nodes": nodes, "leaves": blocks}
         at = [np.uint64(one.ctypes.data if len(one) else 0) for one in (nodes, blocks)]
-        self._addresses = ExactTree(at[0], at[1], np.uint64(len(blocks)))
+        self._addresses = Float64Tree(at[0], at[1], np.uint64(len(blocks)))
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in self._memory.values()),
         )
 
     @property
-    def arrays(self) -> ExactTree:
+    def arrays(self) -> Float64Tree:
         """Addresses of the nodes and blocks."""
         return self._addresses
 
@@ -88,7 +98,7 @@ class ExactStructure(Structure):
         return type(self), (self.triangles, self.options)
 
 
-class ExactBvh(ExactStructure):
+class Float64Bvh(Float64Structure):
     """A BVH with boxes in float32 around triangles in float64.
 
     Parameters
@@ -99,7 +109,7 @@ class ExactBvh(ExactStructure):
         Called with (triangles placed, triangles).
     """
 
-    loops = tree_queries
+    searches, loops = tree_searches, tree_queries
 
     def __init__(
         self, triangles: Float64Triangles, options: Bvh, *, progress: Progress | None = None
@@ -128,7 +138,7 @@ class ExactBvh(ExactStructure):
         self._set(tree.nodes, np.array(tree.prim_ids), started)
 
 
-class ExactBrute(ExactStructure):
+class Float64Brute(Float64Structure):
     """All triangles, without boxes.
 
     Parameters
@@ -139,7 +149,7 @@ class ExactBrute(ExactStructure):
         Called once: there is nothing to build.
     """
 
-    loops = brute_queries
+    searches, loops = brute_searches, brute_queries
 
     def __init__(
         self, triangles: Float64Triangles, options: Brute, *, progress: Progress | None = None
@@ -159,9 +169,9 @@ class ExactBrute(ExactStructure):
         return max(1, min(4096, (1 << 22) // max(1, len(self.triangles.prim_ids))))
 
 
-def build_exact(
+def build_float64(
     options: StructureOptions, triangles: Float64Triangles, progress: Progress | None = None
-) -> ExactStructure:
+) -> Float64Structure:
     """Build a structure of triangles in float64.
 
     Raises
@@ -170,9 +180,9 @@ def build_exact(
         If the options are of another structure than `Bvh` or `Brute`.
     """
     if isinstance(options, Bvh):
-        return ExactBvh(triangles, options, progress=progress)
+        return Float64Bvh(triangles, options, progress=progress)
     if isinstance(options, Brute):
-        return ExactBrute(triangles, options, progress=progress)
+        return Float64Brute(triangles, options, progress=progress)
     raise ValueError(
         f"structure: {options.name!r} is {NOT_IN_FLOAT64}; 'bvh' and 'brute' support it"
     )

@@ -39,7 +39,7 @@ from raystream.structures.bvh.node_layout import (
 )
 from raystream.structures.bvh.steps import begin, is_leaf, next_entry, push
 
-__all__ = ["STACK_BYTES", "ExactTree", "all_blocks", "tree_blocks"]
+__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -55,7 +55,7 @@ _HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
 STACK_BYTES = 2 * int(_HALF)
 
 
-class ExactTree(NamedTuple):
+class Float64Tree(NamedTuple):
     """The arrays of a structure, as addresses; the caller keeps the arrays alive.
 
     Attributes

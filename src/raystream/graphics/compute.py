@@ -12,6 +12,7 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.backend import RAYS_AT_ONCE, Chunk, GraphicsBackend
 from raystream.graphics.dispatches import Dispatcher, ShaderVariant
 from raystream.graphics.packing import ROW, packed_rays
+from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Capabilities
 from raystream.structures import Structure
 
@@ -65,7 +66,7 @@ class ComputeBackend(GraphicsBackend):
         variant = ShaderVariant(chunk.kind, chunk.surfaces, tallies is not None)
         is_multi = chunk.kind is Kind.MULTI_HIT
         capacity = 0 if is_multi else int(wanted[0, 1])
-        rays = packed_rays(chunk.rays, chunk.rows)
+        rays = self._packed(chunk.rays, chunk.rows)
         found = self._dispatcher.run(
             variant, rays, capacity, wanted if is_multi else None, chunk.row_count
         )
@@ -73,6 +74,10 @@ class ComputeBackend(GraphicsBackend):
         if tallies is not None:
             tallies[chunk.rows] += found.tallies
         return found.counts
+
+    def _packed(self, rays: LocalRays, rows: slice) -> NDArray[np.float32]:
+        """Some rays as the shader reads them, shape (N, rows, 4)."""
+        return packed_rays(rays, rows)
 
     def _rows(self, count: int) -> NDArray[Any]:
         return self._found[:count]

@@ -11,7 +11,7 @@ from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, ReadBack, uniform, upload, whole
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.packing import RAY_BYTES, ROW
+from raystream.graphics.packing import ROW
 from raystream.graphics.pipelines import Program, bind, compute_pipeline
 from raystream.graphics.structures.base import ShaderStructure
 from raystream.graphics.termination import hit_counts
@@ -132,8 +132,8 @@ class Dispatcher:
         Parameters
         ----------
         variant : ShaderVariant
-        rays : ndarray of shape (N, 2, 4), float32
-            See `records.packed_rays`.
+        rays : ndarray of shape (N, R, 4), float32
+            R rows for each ray, such as those of `packing.packed_rays`.
         capacity : int
             Hits wanted of each ray, where that is the same for all.
         wanted : ndarray of shape (N, 2), uint32, optional
@@ -149,7 +149,7 @@ class Dispatcher:
         count = len(rays)
         pipeline = self.pipeline(variant)
         sizes = (
-            RAY_BYTES * count,
+            rays.nbytes,
             0 if wanted is None else wanted.nbytes,
             ROW.itemsize * row_count,
             4 * count,

@@ -13,7 +13,6 @@ from raystream.kernels.local_frame import LocalRays
 __all__ = [
     "FAR",
     "MOST_HITS",
-    "RAY_BYTES",
     "ROW",
     "packed_rays",
     "unpack_rows",
@@ -24,9 +23,6 @@ FAR = np.finfo(np.float32).max
 
 #: Most hits of a ray that can be counted, besides the codes of `termination`.
 MOST_HITS = 2**32 - 4
-
-#: Bytes of a ray: two vectors of four float32.
-RAY_BYTES = 32
 
 #: A hit.
 ROW = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4")])

@@ -14,6 +14,7 @@ from raystream.structures.base import Structure
 
 __all__ = [
     "INSTANCE_BYTES",
+    "OBJECT_ADDRESSES",
     "TREE",
     "InstanceRecord",
     "ObjectRecord",
@@ -44,7 +45,8 @@ TreeRecord = view(TREE)
 
 #: The arrays of an object's structure, 0 for those of another kind; and its `SceneFrame`. By these
 #: names, a view serves as both.
-_TREES = ("nodes", "leaves", "references", "corners", "triangle_count")
+OBJECT_ADDRESSES = ("nodes", "leaves", "references", "corners")
+_TREES = (*OBJECT_ADDRESSES, "triangle_count")
 _OBJECT = np.dtype(
     [
         *((name, "u8") for name in _TREES),

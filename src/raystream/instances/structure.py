@@ -17,6 +17,7 @@ from raystream.core.triangles import Triangles
 from raystream.instances.batches import InstanceTree, instance_bytes, trace_batch
 from raystream.instances.records import (
     INSTANCE_BYTES,
+    OBJECT_ADDRESSES,
     TREE,
     instance_records,
     object_records,
@@ -36,7 +37,7 @@ from raystream.instances.traversal import (
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
-from raystream.structures.base import BuildReport, Structure
+from raystream.structures.base import BuildReport, Nested, Structure
 from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.layout import NODE_BYTES
@@ -64,6 +65,8 @@ class InstancedStructure(Structure):
     Attributes
     ----------
     objects : tuple of Structure
+    trees : TopTrees
+        Over the instances.
     """
 
     make_searches = staticmethod(instance_searches)
@@ -76,7 +79,7 @@ class InstancedStructure(Structure):
         self.triangles, self.objects, self.options = triangles, tuple(objects), options
         boxes = world_frame(triangles)
         self.frame = SceneFrame.of(boxes)
-        trees = self._trees(boxes)
+        self.trees = trees = self._trees(boxes)
         order = trees.order
         leaves = instance_records(triangles, order)
         self._memory = {
@@ -133,6 +136,13 @@ class InstancedStructure(Structure):
     def memory(self) -> dict[str, NDArray[Any]]:
         """Nodes of the tree, and records of instances and objects."""
         return self._memory
+
+    @property
+    def nested(self) -> Nested:
+        """The objects' arrays, to which records point."""
+        objects = tuple(array for one in self.objects for array in one.memory.values())
+        fields = {"objects": OBJECT_ADDRESSES, "trees": TREE.names or ()}
+        return Nested(objects, fields, ("shared",))
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """Not supported yet."""

@@ -53,13 +53,13 @@ class HitArrays(NamedTuple):
 
     Attributes
     ----------
-    t, u, v : ndarray of shape (K,), float32
+    t, u, v : ndarray of shape (K,), float32, or float64 in tracers of that precision
     prim_id : ndarray of shape (K,), int32
     """
 
-    t: NDArray[np.float32]
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
+    t: NDArray[Any]
+    u: NDArray[Any]
+    v: NDArray[Any]
     prim_id: NDArray[np.int32]
 
     def part(self, rows: slice) -> HitArrays:
@@ -72,12 +72,15 @@ class HitArrays(NamedTuple):
         return HitArrays(t.copy(), u.copy(), v.copy(), prim_id.copy())
 
     @classmethod
-    def empty(cls, count: int) -> HitArrays:
-        """Uninitialised arrays for `count` hits, as parts of one allocation.
+    def empty(cls, count: int, kind: type[np.floating[Any]] = np.float32) -> HitArrays:
+        """Uninitialised arrays for `count` hits; of float32, as parts of one allocation.
 
         NumPy requests huge pages for allocations above 4 MB only.
         """
-        return cls.rows_of(np.empty((4, count), np.float32))
+        if kind is np.float32:
+            return cls.rows_of(np.empty((4, count), np.float32))
+        t, u, v = (np.empty(count, kind) for _ in range(3))
+        return cls(t, u, v, np.empty(count, np.int32))
 
     @classmethod
     def rows_of(cls, memory: NDArray[np.float32]) -> HitArrays:
@@ -124,9 +127,9 @@ class HitAddresses(NamedTuple):
         return cls(*np.array([one.ctypes.data for one in hits], np.uint64))
 
     @classmethod
-    def of_rows(cls, address: np.uint64, count: int) -> HitAddresses:
+    def of_rows(cls, address: np.uint64, count: int, item_bytes: int = 4) -> HitAddresses:
         """Addresses of the rows of an array of shape (4, count)."""
-        return cls(*(address + np.uint64(4 * count * k) for k in range(4)))
+        return cls(*(address + np.uint64(item_bytes * count * k) for k in range(4)))
 
 
 @device
@@ -256,16 +259,17 @@ def for_each_chunk(found: HitBatch, visitor: HitVisitor) -> None:
     parallel_for(body, len(found), max(LEAST_PART, min(share, MOST_PART)))
 
 
-def allocate_hits(count: int) -> HitArrays:
+def allocate_hits(count: int, kind: type[np.floating[Any]] = np.float32) -> HitArrays:
     """Allocate the hits of `multi_hit`; raises MemoryError if there is not enough memory."""
     if count >= CHECKED_HITS:
-        _check_hits(count)
-    return HitArrays.empty(count)
+        _check_hits(count, kind)
+    return HitArrays.empty(count, kind)
 
 
-def _check_hits(count: int) -> None:
+def _check_hits(count: int, kind: type[np.floating[Any]] = np.float32) -> None:
     remedy = "give max_hits, or fewer rays at a time"
-    check_memory(count * 16, f"multi_hit: {count:,} hits would", remedy)
+    hit_bytes = 3 * np.dtype(kind).itemsize + 4
+    check_memory(count * hit_bytes, f"multi_hit: {count:,} hits would", remedy)
 
 
 class HitAccumulator:
@@ -340,7 +344,7 @@ class Sink:
         Of `Kind.FIRST_HIT`, row i is ray i's: a miss has t = inf and prim_id = -1. Of
         `Kind.MULTI_HIT`, all rows. World distances, in direction lengths.
     memory : ndarray of shape (4, M), float32
-        The memory of the rows of `Kind.FIRST_HIT`, aligned to cache lines.
+        The memory of the rows of `Kind.FIRST_HIT` in float32, aligned to cache lines.
     seen : ndarray of shape (N,), bool
         Of `Kind.ANY_HIT`: whether anything is in the ray's way.
     counts : ndarray of shape (N,), int64
@@ -398,20 +402,25 @@ class Sink:
         count: int,
         records: NDArray[Any] | None = None,
         status: NDArray[np.uint8] | None = None,
+        kind: type[np.floating[Any]] = np.float32,
     ) -> Sink:
-        """Allocate the results of a query of `count` rays; also the status unless given."""
+        """Allocate the results of a query of `count` rays; also the status unless given.
+
+        Distances and weights are of type `kind`.
+        """
         sink = cls(
             np.zeros(count, np.uint8) if status is None else status,
             records=records,
             tallies=new_tallies(count) if query.counters else None,
         )
-        kind = query.kind
-        if kind is Kind.FIRST_HIT:
+        if query.kind is Kind.FIRST_HIT and kind is np.float32:
             sink.memory = aligned_rows(count)
             sink.hits = HitArrays.rows_of(sink.memory)
-        elif kind is Kind.ANY_HIT:
+        elif query.kind is Kind.FIRST_HIT:
+            sink.hits = HitArrays.empty(count, kind)
+        elif query.kind is Kind.ANY_HIT:
             sink.seen = np.empty(count, np.bool_)
-        elif kind is Kind.COUNT_HITS:
+        elif query.kind is Kind.COUNT_HITS:
             sink.counts = np.empty(count, np.int64)
         return sink
 

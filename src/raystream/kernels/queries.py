@@ -1,6 +1,6 @@
 """The queries as loops over rays, around any structure's traversal.
 
-The threads of CUDA (`cuda.threads`) are made of the same functions for a ray: `ray_search`, and
+The threads of CUDA (`cuda.query_kernels`) are made of the same functions for a ray: `Searches`, and
 those that write its results.
 """
 
@@ -34,7 +34,6 @@ __all__ = [
     "output_of",
     "ray_filter",
     "ray_queries",
-    "ray_search",
     "searches",
 ]
 
@@ -95,23 +94,6 @@ def note_status(at, i, status):
     """Write the status of ray i if it is not valid; `at` is None for no statuses."""
     if at is not None and status != _VALID:
         store(at + i, status)
-
-
-def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the search of a single ray with a structure's traversal.
-
-    Parameters
-    ----------
-    traverse : device function
-        See `kernels.queries.ray_queries`.
-
-    Returns
-    -------
-    device function
-        ``search_ray(i, scene, goal) -> (search, ray)`` for ray i of a `RayScene` and a `Goal`: the
-        finished search and the `LocalRay`.
-    """
-    return searches(traverse).of_batch
 
 
 class Searches(NamedTuple):

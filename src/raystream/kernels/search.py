@@ -37,6 +37,7 @@ __all__ = [
     "offer",
     "put_hit",
     "sort_hits",
+    "t_of",
     "wants_any",
 ]
 
@@ -49,7 +50,8 @@ _ONE = np.uint64(1)
 
 
 @device
-def _t_of(out, row):
+def t_of(out, row):
+    """Read the t of a row's hit."""
     return load(np.float32, out.t + (row << _WORD))
 
 
@@ -95,11 +97,11 @@ def _sift_down(out, first, count, hole, t, u, v, prim_id):
             break
         at = first + child
         if child + _ONE < count and is_before(
-            _t_of(out, at), _prim_id_of(out, at), _t_of(out, at + _ONE), _prim_id_of(out, at + _ONE)
+            t_of(out, at), _prim_id_of(out, at), t_of(out, at + _ONE), _prim_id_of(out, at + _ONE)
         ):
             child += _ONE
             at += _ONE
-        if not is_before(t, prim_id, _t_of(out, at), _prim_id_of(out, at)):
+        if not is_before(t, prim_id, t_of(out, at), _prim_id_of(out, at)):
             break
         t_, u_, v_, prim_id_ = get_hit(out, at)
         put_hit(out, first + hole, t_, u_, v_, prim_id_)
@@ -131,14 +133,14 @@ def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
         Hits beyond are not wanted any more.
     """
     if count == capacity:
-        if is_before(t, prim_id, _t_of(out, first), _prim_id_of(out, first)):
+        if is_before(t, prim_id, t_of(out, first), _prim_id_of(out, first)):
             _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
-        return count, _t_of(out, first)
+        return count, t_of(out, first)
     put_hit(out, first + count, t, u, v, prim_id)
     count += _ONE
     if count == capacity:
         _make_heap(out, first, count)
-        t_far = _t_of(out, first)
+        t_far = t_of(out, first)
     return count, t_far
 
 
@@ -264,7 +266,7 @@ def _offer_to(hits, search, t, u, v, prim_id):
     row = search.first_row
     if search.capacity == _ONE:  # without a call: known when a query of the nearest hit is compiled
         if search.hit_count == _NONE or is_before(
-            t, prim_id, _t_of(hits, row), _prim_id_of(hits, row)
+            t, prim_id, t_of(hits, row), _prim_id_of(hits, row)
         ):
             put_hit(hits, row, t, u, v, prim_id)
             return _changed(search, _ONE, t)
@@ -328,7 +330,7 @@ def _limited(hits, instance, t_far, search):
     """The farthest t in object space that the hits kept leave of an interval up to t_far."""
     if hits is None or search.hit_count != search.capacity:
         return t_far
-    farthest = _t_of(hits, search.first_row)
+    farthest = t_of(hits, search.first_row)
     return min(t_far, local_limit(farthest, instance.t_scale, instance.t_offset))
 
 

@@ -96,6 +96,6 @@ def make_machine(machine: str, structure: Structure, options: Mapping[str, Any])
     if structure.precision == "float64":
         from raystream.machines.float64 import Float64Backend
 
-        exact: Any = structure
-        return Float64Backend(exact)
+        made: Any = structure
+        return Float64Backend(made)
     return Branching(structure)

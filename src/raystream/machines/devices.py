@@ -95,9 +95,9 @@ def build_on_cpu(
     """Build a structure on the CPU; a `DeviceFactory`."""
     if isinstance(triangles, Float64Triangles):
         # Here, not above: few tracers are in float64.
-        from raystream.float64.structure import build_exact
+        from raystream.float64.structure import build_float64
 
-        return build_exact(structure, triangles, progress)
+        return build_float64(structure, triangles, progress)
     if isinstance(triangles, InstancedTriangles):
         # Here, not above: few scenes have instances.
         from raystream.instances.structure import build_instanced

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
@@ -12,7 +14,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Backend
-from raystream.machines.ray_block import blocks
+from raystream.machines.ray_block import RayBlock, blocks
 
 __all__ = ["LocalFrameBackend"]
 
@@ -49,18 +51,24 @@ class LocalFrameBackend(Backend):
         if query.kind is Kind.MULTI_HIT:
             self._count_and_fill(query, rays, sink, progress)
             return
-        for block in blocks(rays, self.structure.frame, sink.status, progress):
+        for block in self._blocks(rays, sink.status, progress):
             part = sink.part(block.rows)
             self.run_local(query, block.rays, part, block.progress)
             if query.kind is Kind.FIRST_HIT:
                 block.to_world(part.hits.t, np.arange(len(part.hits.t) + 1))
+
+    def _blocks(
+        self, rays: RayBatch, status: NDArray[np.uint8], progress: Progress | None
+    ) -> Iterator[RayBlock]:
+        """The blocks of a batch."""
+        return blocks(rays, self.structure.frame, status, progress)
 
     def _count_and_fill(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
     ) -> None:
         filled, half = self.room_for_hits(query, rays, sink, progress)
         splits, hits = filled.splits, filled.hits
-        for block in blocks(rays, self.structure.frame, sink.status, half):
+        for block in self._blocks(rays, sink.status, half):
             self.run_local(query, block.rays, filled.part(block.rows), block.progress)
             block.to_world(hits.t, splits[block.rows.start : block.rows.stop + 1])
         sink.put(splits, hits)

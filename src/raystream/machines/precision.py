@@ -10,7 +10,7 @@ from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
 from raystream.kernels.move_triangles import move_triangles
 
-__all__ = ["moved_triangles", "of_scene", "triangles_of"]
+__all__ = ["float64_triangles", "moved_triangles", "of_scene", "triangles_of"]
 
 
 def triangles_of(tracer: Any, scene: Any, precision: str) -> Any:
@@ -35,14 +35,19 @@ def triangles_of(tracer: Any, scene: Any, precision: str) -> Any:
     triangles = scene.triangles
     if precision == "float32":
         return triangles
-    if (tracer.device, tracer.machine) != ("cpu", "branching"):
+    if tracer.device not in ("cpu", "cuda") or tracer.machine != "branching":
         raise ValueError(
             f"device={tracer.device!r}, machine={tracer.machine!r}: {NOT_IN_FLOAT64}; use "
-            "device='cpu' with machine='branching'"
+            "device='cpu' or 'cuda' with machine='branching'"
         )
     if tracer.is_counting:
         raise ValueError(f"counters=True: {NOT_IN_FLOAT64}")
     check_plain("precision='float64'", triangles)
+    return float64_triangles(scene)
+
+
+def float64_triangles(scene: Any) -> Float64Triangles:
+    """The triangles of a scene, in float64."""
     made = Float64Triangles.of([(mesh.vertices, mesh.faces) for mesh in scene.meshes])
     made.attributes = scene.attributes
     return made

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
@@ -23,7 +23,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
 from raystream.machines.backend import Backend
-from raystream.machines.configuration import Configuration, configure
+from raystream.machines.configuration import Configuration, check_kind, configure
 from raystream.machines.devices import device_of
 from raystream.machines.precision import moved_triangles, of_scene
 from raystream.notebook import html_table, in_bytes
@@ -104,7 +104,7 @@ class TracedScene:
         ValueError
             If there are instances, and the structure, device or machine does not support them.
         """
-        self._check_instances(triangles)
+        check_kind(triangles, self.device, self.machine)
         return device_of(self.device).build(
             configuration.structure,
             triangles,
@@ -112,18 +112,8 @@ class TracedScene:
             device=configuration.device_options,
         )
 
-    def _check_instances(self, triangles: Any) -> None:
-        is_supported = (self.device, self.machine) == ("cpu", "branching")
-        if isinstance(triangles, InstancedTriangles) and not is_supported:
-            raise ValueError(
-                f"device={self.device!r}, machine={self.machine!r}: {NOT_INSTANCED}; device='cpu' "
-                "with machine='branching' supports them"
-            )
-        if isinstance(triangles, Primitives) and not is_supported:
-            raise ValueError(f"device={self.device!r}, machine={self.machine!r}: {NOT_TRIANGLES}")
-
     def _set(self, scene: Scene | None, structure: Structure) -> None:
-        self._check_instances(structure.triangles)
+        check_kind(structure.triangles, self.device, self.machine)
         self._scene = scene
         self.structure = structure
         placed: Any = structure.triangles
@@ -405,12 +395,12 @@ class TracedScene:
     ) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""
         if self._backend.capabilities.device_arrays and not self._counts:
-            arrays = RayArrays(origins, directions, t_min, t_max)
+            arrays = RayArrays(origins, directions, t_min, t_max, worlds)
             if arrays.is_on_gpu():
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")
-                if worlds is not None:
-                    raise ValueError("worlds: expected None for rays on a GPU")
+                if worlds is not None or self._world_count:
+                    self._check_for_worlds(worlds)
                 return arrays
         rays = self._backend.batch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
@@ -421,6 +411,11 @@ class TracedScene:
 
     def _checked_worlds(self, worlds: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
         """`worlds` of `Tracer.first_hit`, flat."""
+        self._check_for_worlds(worlds)
+        return flat_ids("worlds", worlds, self._world_count, shape)
+
+    def _check_for_worlds(self, worlds: Any) -> None:
+        """Check that worlds are given if the scene has any, and else not."""
         count = self._world_count
         if not count:
             raise ValueError("worlds: expected None: the scene has no worlds; see Scene.instances")
@@ -429,7 +424,6 @@ class TracedScene:
                 f"worlds: expected the world of each ray, 0 to {count - 1:,}, or -1 for none: the "
                 "scene's instances are in worlds"
             )
-        return flat_ids("worlds", worlds, count, shape)
 
     def _checked_sectors(self, near: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
         """`near` of `Tracer.first_hit`, flat."""

@@ -15,6 +15,7 @@ from raystream.primitives.levels import LEVEL, Levels
 
 __all__ = [
     "FIELD",
+    "FIELD_ADDRESSES",
     "SPHERES_PER_BLOCK",
     "FieldRecord",
     "LevelRecord",
@@ -38,13 +39,10 @@ LevelRecord = view(LEVEL)
 #: A height field: addresses of the arrays of `LocalField` and of `Levels`; then counts, the number
 #: of the first triangle, and 1 where the triangles' fronts are up in the order a, c, b, or x or y
 #: decreases.
+FIELD_ADDRESSES = ("heights", "x", "y", "ranges", "levels")
 FIELD = np.dtype(
     [
-        ("heights", "u8"),
-        ("x", "u8"),
-        ("y", "u8"),
-        ("ranges", "u8"),
-        ("levels", "u8"),
+        *((name, "u8") for name in FIELD_ADDRESSES),
         ("level_count", "u8"),
         ("width", "u8"),
         ("columns", "u8"),

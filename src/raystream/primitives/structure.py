@@ -16,6 +16,7 @@ from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
 from raystream.primitives.levels import field_levels
 from raystream.primitives.records import (
+    FIELD_ADDRESSES,
     SPHERES_PER_BLOCK,
     PrimitiveAddresses,
     field_records,
@@ -27,7 +28,7 @@ from raystream.primitives.traversal import (
     traverse_all,
     traverse_trees,
 )
-from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
+from raystream.structures.base import RAYS_PER_CALL, BuildReport, Nested, Structure
 from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.build import build_arrays
@@ -116,6 +117,13 @@ class PrimitiveStructure(Structure):
     def memory(self) -> dict[str, NDArray[Any]]:
         """Trees and records."""
         return self._memory
+
+    @property
+    def nested(self) -> Nested:
+        """The height fields' arrays, to which records point."""
+        fields = (array for one in self.triangles.local_fields for array in one)
+        levels = (array for one in self._levels for array in one)
+        return Nested((*fields, *levels), {"fields": FIELD_ADDRESSES})
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """Not supported."""

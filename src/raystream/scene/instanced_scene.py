@@ -84,8 +84,9 @@ class InstancedScene:
         it is reported: the lowest instance_id first, then the lowest prim_id. A direction longer
         than 2**500, or shorter than its inverse, makes a ray INVALID.
 
-        ``structure="bvh"`` and ``"brute"`` on the CPU trace and render such scenes. For closest
-        points, view factors and other devices make a plain scene by `flattened`.
+        ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, CUDA and, with
+        its machine ``"compute"``, ``device="graphics"``. For closest points, view factors and other
+        machines make a plain scene by `flattened`.
 
         Examples
         --------

@@ -59,8 +59,8 @@ class PrimitiveScene(InstancedScene):
         Spheres are tested in float64 with the ray's own numbers: a hit or miss is that of a sphere
         whose radius differs by no more than 2**-48 of (radius + distance from the ray's origin).
 
-        ``structure="bvh"`` and ``"brute"`` on the CPU answer `Tracer.first_hit`, `any_hit`,
-        `multi_hit`, `count_hits` and `cast`.
+        ``structure="bvh"`` and ``"brute"`` on the CPU and CUDA answer `Tracer.first_hit`,
+        `any_hit`, `multi_hit`, `count_hits` and `cast`.
 
         Examples
         --------

@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from raystream.kernels.queries import RayQueries, Searches, ray_queries, searche
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.registry import StructureOptions
 
-__all__ = ["BuildReport", "Structure", "UpdateReport"]
+__all__ = ["BuildReport", "Nested", "Structure", "UpdateReport"]
 
 #: Most rays per call of a compiled loop: enough to amortise the call (about 20 microseconds), few
 #: enough to balance the threads and to notice Ctrl-C.
@@ -65,6 +66,25 @@ class UpdateReport:
     seconds: float
     cost: float
     cost_when_built: float
+
+
+class Nested(NamedTuple):
+    """Addresses in a structure's memory, for copies of it elsewhere.
+
+    Attributes
+    ----------
+    arrays : tuple of ndarray
+        Arrays besides those of `Structure.memory`, which never change.
+    fields : mapping of str to tuple of str
+        By name of arrays in the memory: their fields that are addresses in one of all these arrays,
+        or 0.
+    names : tuple of str
+        Such fields of `Structure.arrays`, besides the names of the memory.
+    """
+
+    arrays: tuple[NDArray[Any], ...] = ()
+    fields: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    names: tuple[str, ...] = ()
 
 
 class Structure(ABC):
@@ -128,10 +148,15 @@ class Structure(ABC):
     @property
     @abstractmethod
     def memory(self) -> dict[str, NDArray[Any]]:
-        """The arrays at these addresses, by field name of `arrays`.
+        """The arrays at these addresses, by field name of `arrays`; and others of `nested`.
 
         The address of an empty one may be 0; kernels never read it.
         """
+
+    @property
+    def nested(self) -> Nested:
+        """The addresses that are in the memory, and the arrays there."""
+        return Nested()
 
     @abstractmethod
     def saved_arrays(self) -> dict[str, NDArray[Any]]:

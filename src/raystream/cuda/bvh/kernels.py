@@ -8,9 +8,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.structures import Structure, form_of
+from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
-__all__ = ["AUTO", "KERNELS", "LAYOUTS", "LaidOut", "kernel_of", "lay_out", "search_of"]
+__all__ = [
+    "AUTO",
+    "KERNELS",
+    "LAYOUTS",
+    "LaidOut",
+    "Traced",
+    "kernel_of",
+    "lay_out",
+    "search_of",
+    "traced_as",
+]
+
+#: What kernels are chosen by; see `traced_as`.
+Traced = str | type[Structure]
 
 #: Form of structures that have their own layouts and kernels on the device.
 LAYOUTS = "cuda kernels"
@@ -39,7 +52,19 @@ class LaidOut(NamedTuple):
     arrays: Mapping[str, NDArray[Any]]
 
 
-def kernel_of(structure: str, kernel: str) -> str | None:
+def traced_as(structure: Structure) -> Traced:
+    """The name of a structure; its class, if another one is registered by that name.
+
+    Structures of instances, of spheres and height fields, and in float64 are called as those of
+    their triangles are, and have kernels of their own: those of the CPU's functions.
+    """
+    name = structure.name
+    if name in STRUCTURES and not isinstance(structure, structure_class(name)):
+        return type(structure)
+    return name
+
+
+def kernel_of(structure: Traced, kernel: str) -> str | None:
     """The kernel that traces a structure; None if it has only one.
 
     Raises
@@ -47,8 +72,15 @@ def kernel_of(structure: str, kernel: str) -> str | None:
     TypeError
         If a kernel is given for a structure other than a BVH.
     ValueError
-        If the name is unknown.
+        If the name is unknown, or the kernel is not for the scene's kind.
     """
+    if not isinstance(structure, str):
+        if kernel not in ("auto", "wide"):
+            raise ValueError(
+                f"kernel: {kernel!r} on device 'cuda' traces triangles in float32, without "
+                "instances; expected 'auto' for this scene"
+            )
+        return None
     if form_of(structure, LAYOUTS) is None:
         if kernel != "auto":
             raise TypeError(f"{structure}: has no option 'kernel' on device 'cuda'; only 'bvh' has")
@@ -86,7 +118,7 @@ def lay_out(structure: Structure, kernel: str = "auto") -> LaidOut:
     TypeError, ValueError
         See `kernel_of`.
     """
-    chosen = kernel_of(structure.name, kernel)
+    chosen = kernel_of(traced_as(structure), kernel)
     if chosen is None or chosen == "wide":
         return LaidOut(structure.arrays, structure.memory)
     kind, arrays = _make(chosen, structure)

@@ -138,6 +138,10 @@ def mode_of(stages: Sequence[PathStage]) -> Mode | None:
 def unsupported(context: RenderContext) -> str | None:
     """What fragment programs do not support of a scene and its view; None if all."""
     scene, camera = context.tracer.scene, context.camera
+    if scene.placements is not None:
+        return "instances"
+    if scene.has_primitives:
+        return "spheres and height fields"
     used = [scene.materials[k] for k in np.unique(scene.attributes.material_ids).tolist()]
     if context.opacity is not None:
         return "surfaces that are not opaque"

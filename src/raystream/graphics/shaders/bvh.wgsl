@@ -1,11 +1,6 @@
 // The 8-wide bounding volume hierarchy: the steps of a traversal, and the traversal. As
 // raystream/structures/bvh/steps.py and traversal.py, where the reasons are.
 
-struct Tree {
-    // 0 in an empty tree.
-    node_count: u32,
-}
-
 // Nodes of 16 vectors, and leaf blocks: as raystream/structures/bvh/layout.py says. The bits of
 // floats and of integers.
 @group(1) @binding(0) var<storage, read> nodes: array<vec4u>;
@@ -16,20 +11,13 @@ const ROOT: i32 = 0;
 //! include "bvh_boxes.wgsl"
 //! include "bvh_leaf.wgsl"
 //! include "bvh_stack.wgsl"
+//! include "bvh_root.wgsl"
 
 struct Child {
     // False at the end of the search.
     is_found: bool,
     // A node, or a leaf; see is_leaf().
     link: i32,
-}
-
-// Push the root, if the tree is not empty.
-fn begin_search(ray: Ray) {
-    clear_stack();
-    if params.tree.node_count != 0u && ray.t_min <= ray.t_max {
-        push(Entry(0u, ROOT));
-    }
 }
 
 // Pop the next child whose box the ray enters before t_far.
@@ -68,7 +56,7 @@ fn next_leaf(ray: Ray) -> Child {
     return child;
 }
 
-fn search(ray: Ray) {
+fn search_tree(ray: Ray) {
     begin_search(ray);
     var slots = NO_SLOTS;
     while !is_full() && spend_budget() {

@@ -10,14 +10,6 @@ var<private> stack_keys: array<u32, STACK_SIZE>;
 var<private> stack_links: array<i32, STACK_SIZE>;
 var<private> stack_top: u32;
 
-fn clear_stack() {
-    stack_top = 0u;
-}
-
-fn has_entries() -> bool {
-    return stack_top != 0u;
-}
-
 fn push(entry: Entry) {
     stack_keys[stack_top] = entry.key;
     stack_links[stack_top] = entry.link;

@@ -2,8 +2,6 @@
 
 //! include "params.wgsl"
 
-// Origin and t_min, then direction and t_max, of each ray.
-@group(0) @binding(1) var<storage, read> rays: array<vec4f>;
 // For MULTI_HIT: first row and capacity of each ray.
 @group(0) @binding(2) var<storage, read> wanted: array<vec2u>;
 @group(0) @binding(3) var<storage, read_write> rows: array<Row>;
@@ -14,6 +12,7 @@
 // Whether steps and tests are counted.
 override COUNTS: bool = false;
 
+//! include "ray_buffer.wgsl"
 //! include "exact.wgsl"
 //! include "ray.wgsl"
 //! include "triangle.wgsl"
@@ -36,9 +35,7 @@ fn trace(@builtin(global_invocation_id) id: vec3u) {
     if i >= params.ray_count {
         return;
     }
-    let from_ = rays[2u * i];
-    let to = rays[2u * i + 1u];
-    let ray = set_up_ray(from_.xyz, to.xyz, from_.w, to.w);
+    let ray = load_ray(i);
     let wish = wish_of(i);
     begin_search_state(ray.t_max, wish.x, wish.y);
     if ray.t_min <= ray.t_max && wish.y != 0u {

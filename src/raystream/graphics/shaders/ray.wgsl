@@ -52,6 +52,11 @@ fn reciprocal(d: f32, tiny: f32) -> f32 {
 
 // Prepare a ray in the local frame, whose largest direction component is in [1, 2).
 fn set_up_ray(origin: vec3f, direction: vec3f, t_min: f32, t_max: f32) -> Ray {
+    return prepare_ray(origin, direction, vec2f(t_min, t_max), params.max_coordinate);
+}
+
+// The same in a frame with another largest coordinate; limits are t_min and t_max.
+fn prepare_ray(origin: vec3f, direction: vec3f, limits: vec2f, max_coordinate: f32) -> Ray {
     // Step 1: the frame's z axis is the largest component; the first one wins a tie.
     let size = abs(direction);
     var kz = 0u;
@@ -69,7 +74,7 @@ fn set_up_ray(origin: vec3f, direction: vec3f, t_min: f32, t_max: f32) -> Ray {
     // plane away from it, so it takes the direction's sign.
     let tiny = largest * TINY_DIRECTION;
     let reach = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
-    let pad = rounded(PAD * rounded(params.max_coordinate + reach));
+    let pad = rounded(PAD * rounded(max_coordinate + reach));
     let inv = vec3f(
         reciprocal(direction.x, tiny),
         reciprocal(direction.y, tiny),
@@ -87,7 +92,7 @@ fn set_up_ray(origin: vec3f, direction: vec3f, t_min: f32, t_max: f32) -> Ray {
     let d = to_frame(kz, direction);
     let sz = to_frame(kz, inv).z;
     let shear = vec3f(rounded(d.x * sz), rounded(d.y * sz), sz);
-    return Ray(kz, to_frame(kz, origin), d, shear, inv, near, far, t_min, t_max);
+    return Ray(kz, to_frame(kz, origin), d, shear, inv, near, far, limits.x, limits.y);
 }
 
 fn rounded3(v: vec3f) -> vec3f {

@@ -65,8 +65,10 @@ fn is_before(t: f32, prim_id: i32, other_t: f32, other_prim_id: i32) -> bool {
     return t < other_t || (t == other_t && prim_id < other_prim_id);
 }
 
-// Offer a hit: with t <= t_far, and once for each triangle.
-fn offer(hit: Hit, prim_id: i32) {
+//! include "offer.wgsl"
+
+// Keep or count a hit.
+fn take(hit: Hit, prim_id: i32) {
     if QUERY == FIRST_HIT {
         if is_before(hit.t, prim_id, found.t, found.prim_id) || found.prim_id == MISS {
             found.t = hit.t;

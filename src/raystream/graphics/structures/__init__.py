@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from raystream.core.choices import DeviceOptions
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.triangles import Triangles
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.structures.base import ShaderStructure
@@ -22,6 +25,12 @@ def shader_structure_of(structure: Structure) -> ShaderStructure:
         If there are no shaders for it.
     """
     _check_name(structure.name)
+    placed: Any = structure
+    if isinstance(placed.triangles, InstancedTriangles):
+        # Here, not above: few scenes have instances.
+        from raystream.graphics.structures.instances import instanced_structure
+
+        return instanced_structure(placed)
     shaders: ShaderStructure = form_of(structure.name, "graphics")(structure)
     return shaders
 

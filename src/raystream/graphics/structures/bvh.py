@@ -10,7 +10,7 @@ from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 from raystream.structures.bvh.structure import BvhStructure
 
-__all__ = ["shader_structure"]
+__all__ = ["leaf_blocks", "most_steps", "shader_structure", "stack_size"]
 
 #: Stack sizes are multiples of this, so that most trees share a shader.
 _STACK_STEP = 32
@@ -22,26 +22,29 @@ _NEVER_HIT = -2
 def shader_structure(bvh: BvhStructure) -> ShaderStructure:
     """The nodes and leaves of the CPU."""
     tree = bvh.tree
-    node_count, block_count = len(tree.nodes), len(tree.leaves)
-    # A node is visited once and its children are popped once; a slot is read once, and a
-    # triangle that is crossed once more.
-    most = (1 + WIDTH) * node_count + 2 * BLOCK_SIZE * block_count
     return ShaderStructure(
         name="bvh",
         shader="bvh.wgsl",
-        tree=numbers(node_count),
-        arrays=(tree.nodes.view(np.uint32), _blocks(tree)),
-        budget=budget_for(most),
-        sizes={"STACK_SIZE": _stack_size(bvh)},
+        tree=numbers(len(tree.nodes)),
+        arrays=(tree.nodes.view(np.uint32), leaf_blocks(tree)),
+        budget=budget_for(most_steps(tree)),
+        sizes={"STACK_SIZE": stack_size(bvh.stack_half)},
     )
 
 
-def _stack_size(bvh: BvhStructure) -> int:
-    entry_count = bvh.stack_half // 4
-    return -(-entry_count // _STACK_STEP) * _STACK_STEP
+def most_steps(tree: BvhArrays) -> int:
+    """Upper bound of the steps and tests of a search."""
+    # A node is visited once and its children are popped once; a slot is read once, and a
+    # triangle that is crossed once more.
+    return (1 + WIDTH) * len(tree.nodes) + 2 * BLOCK_SIZE * len(tree.leaves)
 
 
-def _blocks(tree: BvhArrays) -> NDArray[np.uint32]:
+def stack_size(half: int) -> int:
+    """Entries of a stack, from the bytes of half of the CPU's: see `steps.stack_half`."""
+    return -(-half // (4 * _STACK_STEP)) * _STACK_STEP
+
+
+def leaf_blocks(tree: BvhArrays) -> NDArray[np.uint32]:
     """The leaves; triangles without coordinates are marked by their prim_id."""
     blocks = tree.leaves.view(np.uint32)
     is_lost = np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)

@@ -25,11 +25,11 @@ from raystream.float64.ray import (
     MOST_COORDINATE,
     MOST_EXPONENT,
     Line,
-    exact_line,
-    exact_ray,
     local_origin,
+    make_line,
+    ray_of_line,
 )
-from raystream.float64.search import NO_PRIM, Nearest, is_counted, no_hit, offer, within
+from raystream.float64.search import NO_PRIM, Nearest, is_counted, offer, within
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -55,6 +55,7 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
+from raystream.kernels.hits import hit_addresses
 from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.kernels.ray_source import (
     load_direction,
@@ -64,15 +65,15 @@ from raystream.structures.bvh.packet_load import load_directions, load_origins
 from raystream.structures.bvh.packet_rays import three
 
 __all__ = [
-    "SIXTEEN",
-    "Sixteen",
-    "SixteenLanes",
-    "finish_sixteen",
+    "FLOAT64_GROUP",
+    "Float64Group",
+    "Float64Lanes",
+    "finish_rays",
+    "intersect_rays",
     "keep",
     "line_of",
-    "load_sixteen",
+    "load_rays",
     "short_far",
-    "test_sixteen",
 ]
 
 _NUMBERS = (
@@ -90,7 +91,7 @@ _NUMBERS = (
 )
 
 #: Rays and their nearest hits; and with a lane index.
-SIXTEEN = np.dtype(
+FLOAT64_GROUP = np.dtype(
     [
         ("origin", "f8", (3, 16)),
         ("direction", "f8", (3, 16)),
@@ -98,8 +99,8 @@ SIXTEEN = np.dtype(
         *((name, kind, 16) for name, kind in _NUMBERS),
     ]
 )
-Sixteen = view(SIXTEEN)
-SixteenLanes = view(
+Float64Group = view(FLOAT64_GROUP)
+Float64Lanes = view(
     [
         ("origin", "f8", (3, 16, 1)),
         ("direction", "f8", (3, 16, 1)),
@@ -121,7 +122,7 @@ _OFFSET_SLACK = 2.0**-50
 #: More than a step of float32, as a part of a number, and near 0.
 _STEPS, _LEAST_STEP = np.float32(2.0**-22), np.float32(2.0**-126)
 
-_nearest, _anything = tree_searches
+_nearest, _anything = tree_searches.nearest, tree_searches.anything
 
 _NONE, _ONE, _TWO = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD, _DOUBLE = np.uint64(2), np.uint64(3)
@@ -164,7 +165,7 @@ def _load_one(lanes, k, source, i, frame):
     t_min = source.t_min[i if len(source.t_min) > 1 else _NONE]
     t_max = source.t_max[i if len(source.t_max) > 1 else _NONE]
     given, way = load_origin(source.rays, i), load_direction(source.rays, i)
-    line, half, rest, status = exact_line(given, way, t_min, t_max)
+    line, half, rest, status = make_line(given, way, t_min, t_max)
     origin, direction = lanes.origin, lanes.direction
     origin[_X, k], origin[_Y, k], origin[_Z, k] = line.origin
     direction[_X, k], direction[_Y, k], direction[_Z, k] = line.direction
@@ -228,14 +229,14 @@ def _load_all(group, source, first, frame):
 
 
 @device
-def load_sixteen(at, source, first, count, frame, is_slow, local):
+def load_rays(at, source, first, count, frame, is_slow, local):
     """Load rays, at most 16.
 
     Parameters
     ----------
     at : uint64
-        Address of a `SIXTEEN`.
-    source : ExactSource
+        Address of a `FLOAT64_GROUP`.
+    source : Float64Source
     first, count : uint64
         The rays are `count` from `first` on; further lanes are not traced.
     frame : SceneFrame
@@ -244,7 +245,7 @@ def load_sixteen(at, source, first, count, frame, is_slow, local):
     local : GroupLanes
         The group that it loaded.
     """
-    group, lanes = Sixteen(at), SixteenLanes(at)
+    group, lanes = Float64Group(at), Float64Lanes(at)
     if count != _LANES or not _load_all(group, source, first, frame):
         for k in range(_LANES):
             _load_one(lanes, k, source, first + min(k, count - _ONE), frame)
@@ -278,7 +279,7 @@ def keep(lanes, k, low, high, is_sure, place, prim_id, wants_any):
 
     Parameters
     ----------
-    lanes : SixteenLanes
+    lanes : Float64Lanes
     k : uint64
     low, high, is_sure, place, prim_id
         See `search.offer`.
@@ -310,12 +311,12 @@ def _short(far, group):
 
 
 @device
-def test_sixteen(group, allowed, a, edges, place, prim_id, wants_any, spans):
+def intersect_rays(group, allowed, a, edges, place, prim_id, wants_any, spans):
     """Test 16 rays against a triangle, and keep the hits that are certain.
 
     Parameters
     ----------
-    group : Sixteen
+    group : Float64Group
     allowed : mask16
         The rays to test.
     a : triple of float64
@@ -419,40 +420,39 @@ def _finish_one(lanes, k, i, tree, frame, wants_any, status, rows, memory):
     is_alone = state & _ALONE != np.int32(0)
     if state & _INVALID:
         status[i] = np.uint8(RayStatus.INVALID)
-    stack, spans = memory
-    ray = exact_ray(line_of(lanes, k), lanes.half[k], lanes.rest[k], np.uint8(0), frame)
+    ray = ray_of_line(line_of(lanes, k), lanes.half[k], lanes.rest[k], np.uint8(0), frame)
     best = _best_of(lanes, k)
     if wants_any:
         is_hit = best.prim_id != NO_PRIM
         if is_alone:
-            is_hit = _anything(tree, ray, _NONE, stack, spans, True) != _NONE
+            is_hit = _anything(tree, ray, memory)
         rows.prim_id[i] = is_hit
         return
     if is_alone:
-        best = _nearest(tree, ray, no_hit(), stack, spans, False)
-    write_nearest(rows, i, best, ray)
+        best = _nearest(tree, ray, memory)
+    write_nearest(hit_addresses(rows), i, best, ray)
 
 
 @device
-def finish_sixteen(at, first, count, tree, frame, wants_any, status, rows, memory):
+def finish_rays(at, first, count, tree, frame, wants_any, status, rows, memory):
     """Write the results of rays.
 
     Parameters
     ----------
     at : uint64
-        Address of a `SIXTEEN`.
+        Address of a `FLOAT64_GROUP`.
     first, count : uint64
-        See `load_sixteen`.
-    tree : ExactTree
+        See `load_rays`.
+    tree : Float64Tree
     frame : SceneFrame
     wants_any : bool
     status : ndarray of shape (N,), uint8
-    rows : ExactRows
+    rows : HitArrays
         Of the nearest hits; or with a `prim_id` that becomes 1 for a ray with any hit, else 0.
     memory : tuple of two uint64
-        Addresses of a stack (`traversal.STACK_BYTES`), and of 64 bytes.
+        See `queries.Searches`.
     """
-    group, lanes = Sixteen(at), SixteenLanes(at)
+    group, lanes = Float64Group(at), Float64Lanes(at)
     is_usual = count == _LANES and not any_lane(group.state != np.int32(0))
     if is_usual and wants_any:
         bits, to = mask_bits(group.prim_id != NO_PRIM), address(rows.prim_id) + first

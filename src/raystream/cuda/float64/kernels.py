@@ -1,0 +1,95 @@
+"""Query kernels in float64: the CPU's searches of single rays, one ray per CUDA thread.
+
+The bits are the CPU's: products and sums are fused where the source says `fma`, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from raystream.cuda.query_kernels import QueryKernels
+from raystream.float64.queries import LANES_BYTES, Searches, write_nearest
+from raystream.float64.ray import prepare_float64
+from raystream.float64.traversal import STACK_BYTES
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.simd import load, scratch, store
+from raystream.kernels.queries import note_status
+from raystream.kernels.ray_source import load_direction, load_origin
+
+__all__ = ["make_float64_kernels"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LONG = np.uint64(3)  # eight bytes, as a shift
+
+
+@device
+def _ray(source, i, frame, status):
+    """Ray i, prepared; its status is written if it is invalid, unless `status` is None."""
+    t_min = load(np.float64, source.t_min + i * source.t_min_step)
+    t_max = load(np.float64, source.t_max + i * source.t_max_step)
+    origin, direction = load_origin(source, i), load_direction(source, i)
+    ray = prepare_float64(origin, direction, t_min, t_max, frame)
+    note_status(status, i, ray.status)
+    return ray
+
+
+def make_float64_kernels(
+    searches: Searches,
+    launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
+) -> QueryKernels:
+    """Make the kernels of a structure in float64.
+
+    Parameters
+    ----------
+    searches : Searches
+        Of a single ray.
+    launcher : callable
+        `RangeKernel` or `PersistentKernel`.
+
+    Returns
+    -------
+    QueryKernels
+        With the arguments of those of `cuda.query_kernels.make_kernels`. The limits of the
+        `RaySource`, and t, u and v, are float64; `tallies` is None.
+    """
+    nearest, anything, count, keep = searches
+
+    @kernel
+    def first_hit(i, source, frame, tree, _tallies, out):
+        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
+        ray = _ray(source, i, frame, out.status)
+        write_nearest(out, i, nearest(tree, ray, memory), ray)
+
+    @kernel
+    def any_hit(i, source, frame, tree, _tallies, out):
+        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
+        ray = _ray(source, i, frame, out.status)
+        store(out.seen + i, np.uint8(anything(tree, ray, memory)))
+
+    @kernel
+    def count_hits(i, source, frame, tree, _tallies, surfaces, limit, out):
+        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
+        ray = _ray(source, i, frame, out.status)
+        total = count(tree, ray, limit, surfaces, memory)
+        store(out.counts + (i << _LONG), np.int64(total))
+
+    @kernel
+    def multi_hit(i, source, frame, tree, _tallies, surfaces, out):
+        first = np.uint64(load(np.int64, out.splits + (i << _LONG)))
+        capacity = np.uint64(load(np.int64, out.splits + ((i + _ONE) << _LONG))) - first
+        store(out.found + (i << _LONG), np.int64(0))
+        if capacity == _NONE:
+            return
+        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
+        ray = _ray(source, i, frame, None)
+        kept = keep(tree, ray, capacity, out.hits, first, surfaces, memory)
+        store(out.found + (i << _LONG), np.int64(kept))
+
+    return QueryKernels(
+        launcher(first_hit), launcher(any_hit), launcher(count_hits), launcher(multi_hit)
+    )

@@ -1,0 +1,54 @@
+"""Rows of hits in float64, by address: read, written, and kept in order as those of float32."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.copies import Copies
+from raystream.jit.cpu import device
+from raystream.jit.simd import load, store
+from raystream.kernels import search
+
+__all__ = ["get_row", "keep_row", "put_row", "row_t", "sort_rows"]
+
+_WORD = np.uint64(2)  # four bytes, as a shift
+_DOUBLE = np.uint64(3)  # eight bytes, as a shift
+
+
+@device
+def row_t(out, row):
+    """Read the t of a row's hit."""
+    return load(np.float64, out.t + (row << _DOUBLE))
+
+
+@device
+def put_row(out, row, t, u, v, prim_id):
+    """Write a hit to a row of `kernels.hits.HitAddresses`."""
+    at = row << _DOUBLE
+    store(out.t + at, t)
+    store(out.u + at, u)
+    store(out.v + at, v)
+    store(out.prim_id + (row << _WORD), prim_id)
+
+
+@device
+def get_row(out, row):
+    """Read the hit of a row: t, u, v, prim_id."""
+    at = row << _DOUBLE
+    return (
+        load(np.float64, out.t + at),
+        load(np.float64, out.u + at),
+        load(np.float64, out.v + at),
+        load(np.int32, out.prim_id + (row << _WORD)),
+    )
+
+
+_of_float64 = Copies(
+    "of_float64", {search.t_of: row_t, search.put_hit: put_row, search.get_hit: get_row}
+).of
+
+#: Keep a hit if it is among the nearest: `kernels.search.keep_hit`.
+keep_row = _of_float64(search.keep_hit)
+
+#: Sort rows by t, then prim_id: `kernels.search.sort_hits`.
+sort_rows = _of_float64(search.sort_hits)
