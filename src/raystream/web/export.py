@@ -150,4 +150,7 @@ def _hash(text: str) -> str:
 
 
 def _text(name: str) -> str:
-    return (files("raystream.web") / "page" / name).read_text(encoding="utf-8")
+    """A file of the page, or one that the viewer has, too."""
+    room = files("raystream.web")
+    folder = next(one for one in ("page", "shared") if (room / one / name).is_file())
+    return (room / folder / name).read_text(encoding="utf-8")

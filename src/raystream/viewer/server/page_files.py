@@ -34,11 +34,11 @@ class PageFile(NamedTuple):
 def read_page_files() -> Mapping[str, PageFile]:
     """Read the page's files, by name; the server reads nothing else from disk.
 
-    Those that exported pages have, too, are in the folder of `raystream.web`.
+    Those that exported pages have, too, are in a folder of `raystream.web`.
     """
     found = {}
-    for room in ("raystream.web", "raystream.viewer"):
-        for file in sorted(files(room).joinpath("page").iterdir(), key=lambda one: one.name):
+    for room, folder in (("raystream.web", "shared"), ("raystream.viewer", "page")):
+        for file in sorted(files(room).joinpath(folder).iterdir(), key=lambda one: one.name):
             media_type = MEDIA_TYPES.get(file.name[file.name.rfind(".") :])
             if media_type is not None and file.is_file():
                 found[file.name] = PageFile(file.read_bytes(), media_type)
