@@ -35,6 +35,7 @@ ROOMS = (
     "ray_files",
     "line_of_sight",
     "cluster",
+    "web",
     "viewer",
     "torch",
     "jax",

@@ -92,7 +92,7 @@ def test_what_wgpu_would_print_is_an_error(opened, caplog):
 
 def test_what_wgpu_raises_is_an_error_of_the_query(fresh, scene, rays):
     tracer = rs.Tracer(scene, "brute", "graphics")
-    tracer._backend._dispatcher._arrays[0].handle.destroy()
+    tracer._backend._dispatcher.arrays[0].handle.destroy()
     with pytest.raises(GraphicsError, match=r"(?s)device 'graphics': .*destroyed"):
         tracer.any_hit(**rays)
     assert not fresh.is_lost

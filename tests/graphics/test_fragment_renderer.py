@@ -35,6 +35,7 @@ MODES = {
     "arnold": {"preset": "arnold"},
     "path": {"max_bounces": 4},
     "kajiya": {},
+    "ao": {"rays": 4},
 }
 
 #: Christen's scenes, then others; with structures whose passes on them are few.
@@ -422,7 +423,7 @@ def test_what_the_programs_do_not_support_is_rendered_by_queries(opened, what, m
     elif what == "sampler":
         options = {"sampler": "stratified", "samples": 2}
     elif what == "mode":
-        options, mode = {"rays": 4}, "ao"
+        mode = "xray"
     elif what == "targets":
         monkeypatch.setitem(opened.limits, "max-color-attachment-bytes-per-sample", 64)
     elif what == "constants":

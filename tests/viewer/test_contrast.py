@@ -9,7 +9,7 @@ import pytest
 
 import raystream as rs
 
-THEME = Path(rs.__file__).parent / "viewer" / "page" / "theme.css"
+THEME = Path(rs.__file__).parent / "web" / "shared" / "theme.css"
 
 #: Text on a ground, and marks beside one: 4.5 and 3 to 1.
 TEXT, MARK = 4.5, 3.0

@@ -15,6 +15,7 @@ from raystream.rendering.false_colors import color_ramp
 from viewer.browser import PHONE, Viewer, chromium, serving  # noqa: F401  a fixture
 
 PAGE = Path(rs.__file__).parent / "viewer" / "page"
+SHARED = Path(rs.__file__).parent / "web" / "shared"
 
 TRIANGLE = """\
 ply
@@ -196,8 +197,9 @@ def test_the_legend_has_the_colors_of_heat_maps():
 
 
 def test_the_page_asks_for_its_own_files_only():
-    names = {path.name for path in PAGE.iterdir()}
-    for path in PAGE.iterdir():
+    paths = [*PAGE.iterdir(), *SHARED.iterdir()]
+    names = {path.name for path in paths}
+    for path in paths:
         text = path.read_text(encoding="utf-8")
         assert "http://" not in text.replace("http://www.w3.org/2000/svg", ""), path.name
         assert "https://" not in text, path.name

@@ -22,6 +22,7 @@ from raystream.cli.console import (
     silence_stdout,
     write_note,
 )
+from raystream.cli.export import export
 from raystream.cli.info import info
 from raystream.cli.interrupts import end_quietly, keep_interrupts
 from raystream.cli.plugins import add_commands
@@ -52,6 +53,7 @@ app.command()(query)
 app.command()(compare)
 app.command()(bench)
 app.command()(view)
+app.command()(export)
 app.command()(warm)
 add_commands(app)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,12 @@ from raystream.graphics.backend import RAYS_AT_ONCE, Chunk, GraphicsBackend
 from raystream.graphics.dispatches import Dispatcher, ShaderVariant
 from raystream.graphics.packing import ROW, packed_rays
 from raystream.kernels.local_frame import LocalRays
+from raystream.machines.backend import Capabilities
 from raystream.structures import Structure
+
+if TYPE_CHECKING:
+    from raystream.graphics.rendering import ComputeBands
+    from raystream.rendering.integrator import RenderContext
 
 __all__ = ["ComputeBackend"]
 
@@ -37,6 +42,7 @@ class ComputeBackend(GraphicsBackend):
     """
 
     adapts_size = True
+    capabilities = Capabilities(shading=True)
 
     def __init__(
         self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
@@ -47,6 +53,13 @@ class ComputeBackend(GraphicsBackend):
         self._dispatcher.pipeline(
             ShaderVariant(Kind.FIRST_HIT)
         )  # raises for a shader that does not compile
+
+    def bands_on_device(self, context: RenderContext) -> ComputeBands:
+        """Render samples of an image by compute shaders; see `Tracer.bands_on_device`."""
+        from raystream.graphics.rendering import ComputeBands
+
+        arrays = self._dispatcher.arrays
+        return ComputeBands(context, self.opened, self._shaders, arrays, self.rays_at_once)
 
     def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
         wanted, tallies = chunk.wanted, chunk.tallies

@@ -75,6 +75,11 @@ class Dispatcher:
     max_coordinate : float32
         Largest absolute coordinate of the scene.
 
+    Attributes
+    ----------
+    arrays : list of Buffer
+        The structure's.
+
     Raises
     ------
     GraphicsError
@@ -89,9 +94,9 @@ class Dispatcher:
         self._max_coordinate = max_coordinate
         self._source = shaders.source("compute.wgsl")
         names = (f"{shaders.name}, array {k}" for k in range(len(shaders.arrays)))
-        self._arrays = upload(opened, zip(names, shaders.arrays, strict=True))
+        self.arrays = upload(opened, zip(names, shaders.arrays, strict=True))
         self._buffers = {name: Buffer(opened, name) for name in _NAMES}
-        self._layouts = _LAYOUT, ("gather",) * len(self._arrays)
+        self._layouts = _LAYOUT, ("gather",) * len(self.arrays)
         self._params = uniform(opened, shaders.params(max_coordinate))
         self._read_back = ReadBack(opened)
         self._groups: list[Any] = []
@@ -214,7 +219,7 @@ class Dispatcher:
     def _bound(self) -> list[Any]:
         if not self._groups:
             shared = [whole(self._params), *(self._buffers[name].binding for name in _NAMES)]
-            own = [buffer.binding for buffer in self._arrays]
+            own = [buffer.binding for buffer in self.arrays]
             self._groups = [
                 bind(self._opened, layout, resources, is_compute=True)
                 for layout, resources in zip(self._layouts, (shared, own), strict=True)

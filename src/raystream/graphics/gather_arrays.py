@@ -70,14 +70,19 @@ class Gather(NamedTuple):
     resource: Any
 
 
-def in_textures(source: str) -> str:
-    """A shader whose gather arrays are textures instead of buffers."""
+def in_textures(source: str, group: int | None = None) -> str:
+    """A shader whose gather arrays, or those of one bind group, are textures instead of buffers."""
+
+    def is_chosen(match: re.Match[str]) -> bool:
+        return group is None or int(match.group(1)) == group
 
     def declaration(match: re.Match[str]) -> str:
-        group, binding, name, element = match.groups()
+        number, binding, name, element = match.groups()
+        if not is_chosen(match):
+            return match.group(0)
         texel = _TEXELS[element]
         return (
-            f"@group({group}) @binding({binding}) var {name}_texels: "
+            f"@group({number}) @binding({binding}) var {name}_texels: "
             f"texture_2d<{texel.sampled}>;\n"
             f"fn {name}_at(index: u32) -> {element} {{\n"
             f"    let place = vec2u(index & {_WIDTH - 1}u, index >> {_WIDTH_BITS}u);\n"
@@ -85,7 +90,7 @@ def in_textures(source: str) -> str:
             f"}}"
         )
 
-    names = [match.group(3) for match in _DECLARED.finditer(source)]
+    names = [match.group(3) for match in _DECLARED.finditer(source) if is_chosen(match)]
     source = _DECLARED.sub(declaration, source)
     return _with_calls(source, re.compile(rf"\b({'|'.join(names)})\[")) if names else source
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.resources import files
 
-__all__ = ["shader_source", "with_early_test"]
+__all__ = ["TREE_GROUP", "shader_files", "shader_source", "with_early_test"]
 
 #: A line that is replaced by a file of the folder, unless it was included before.
 _INCLUDE = re.compile(r'^//! include "([a-z0-9_/]+\.wgsl)"$', re.MULTILINE)
+
+
+#: The bind group of a structure's arrays as its files have it; and of a renderer's arrays in files
+#: of this folder. A program with both moves the former.
+TREE_GROUP, _RENDERING = 1, "rendering/"
 
 
 @cache
@@ -18,7 +23,9 @@ def _text_of(name: str) -> str:
     return (files("raystream.graphics") / "shaders" / name).read_text(encoding="utf-8")
 
 
-def shader_source(*names: str, instead: Mapping[str, str] | None = None) -> str:
+def shader_source(
+    *names: str, instead: Mapping[str, str] | None = None, tree_group: int = TREE_GROUP
+) -> str:
     """Assemble shader files.
 
     Parameters
@@ -28,6 +35,8 @@ def shader_source(*names: str, instead: Mapping[str, str] | None = None) -> str:
         declarations may follow their use.
     instead : mapping of str to str, optional
         Files that replace others, by the names of these.
+    tree_group : int
+        The bind group of a structure's arrays.
 
     Returns
     -------
@@ -42,10 +51,25 @@ def shader_source(*names: str, instead: Mapping[str, str] | None = None) -> str:
         if name in seen:
             return ""
         seen.add(name)
-        text = _INCLUDE.sub(lambda match: included(match.group(1)), _text_of(name))
+        text = _text_of(name)
+        if not name.startswith(_RENDERING):
+            text = text.replace(f"@group({TREE_GROUP})", f"@group({tree_group})")
+        text = _INCLUDE.sub(lambda match: included(match.group(1)), text)
         return f"// {name}\n{text}"
 
     return "\n".join(included(name) for name in names)
+
+
+def shader_files(names: Iterable[str]) -> dict[str, str]:
+    """Shader files and all that they include, by name."""
+    found: dict[str, str] = {}
+    left = sorted(names)
+    while left:
+        name = left.pop()
+        if name not in found:
+            found[name] = _text_of(name)
+            left += _INCLUDE.findall(found[name])
+    return found
 
 
 def with_early_test(source: str, entry: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.structures import ShaderStructure
 
-__all__ = ["ENDLESS", "hit_counts"]
+__all__ = ["ENDLESS", "check_endings", "hit_counts"]
 
 #: Codes of rays that were not traced, that exceeded the budget, and whose loops a driver ended;
 #: any other code is one more than the ray's hits. See termination.wgsl and loop_limit.wgsl.
@@ -35,15 +37,35 @@ def hit_counts(
     GraphicsError
         If one did not.
     """
-    for ending, what in (
-        (_NOT_RUN, "were not traced: the device may be lost"),
-        (ENDLESS, f"took more than {shaders.budget:,} steps and tests"),
-        (_CUT_SHORT, "were cut short by a driver that ends long loops; take another structure"),
+    codes = _NOT_RUN, ENDLESS, _CUT_SHORT
+    check_endings([int((endings == one).sum()) for one in codes], len(endings), shaders, opened)
+    return endings - np.uint32(1)
+
+
+def check_endings(
+    failed: Sequence[int], ray_count: int, shaders: ShaderStructure, opened: OpenDevice
+) -> None:
+    """Raise `GraphicsError` if searches did not end normally.
+
+    Parameters
+    ----------
+    failed : sequence of three int
+        Rays that were not traced, that were endless, and that a driver cut short.
+    ray_count : int
+    shaders : ShaderStructure
+    opened : OpenDevice
+    """
+    for count, what in zip(
+        failed,
+        (
+            "were not traced: the device may be lost",
+            f"took more than {shaders.budget:,} steps and tests",
+            "were cut short by a driver that ends long loops; take another structure",
+        ),
+        strict=True,
     ):
-        count = int((endings == ending).sum())
         if count:
             raise GraphicsError(
-                f"device 'graphics': {count:,} of {len(endings):,} rays in {shaders.name!r} {what} "
+                f"device 'graphics': {count:,} of {ray_count:,} rays in {shaders.name!r} {what} "
                 f"({opened.adapter})"
             )
-    return endings - np.uint32(1)

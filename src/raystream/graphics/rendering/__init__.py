@@ -1,5 +1,6 @@
-"""Renderers on the graphics pipeline: every stage is a fragment program, in one loop of passes."""
+"""Renderers on the graphics device: fragment programs in one loop of passes, or compute shaders."""
 
-from raystream.graphics.rendering.bands import FragmentBands
+from raystream.graphics.rendering.compute_bands import ComputeBands
+from raystream.graphics.rendering.fragment_bands import FragmentBands
 
-__all__ = ["FragmentBands"]
+__all__ = ["ComputeBands", "FragmentBands"]

@@ -8,7 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.graphics.packing import FAR as MOST_LENGTH
 from raystream.kernels.ray import FAR
+from raystream.rendering.ao import distance_of, spawn_ambient_rays
 from raystream.rendering.integrator import (
     PathStage,
     RenderContext,
@@ -83,13 +85,18 @@ def _path_constants(context: RenderContext) -> Mapping[str, float]:
     }
 
 
+def _ambient_constants(context: RenderContext) -> Mapping[str, float]:
+    distance = distance_of(context) * float(context.tracer.scene.triangles.scale)
+    return {"DISTANCE": min(distance, float(MOST_LENGTH))}
+
+
 def _path_shadows(context: RenderContext) -> int:
     rules = context.options["rules"]
     return int(rules.samples_lights and not context.lights.is_dark and rules.max_bounces > 0)
 
 
 #: Stages after which shadow rays are traced.
-_SHADOWED = frozenset({shade_surfaces, sample_all_lights})
+_SHADOWED = frozenset({shade_surfaces, sample_all_lights, spawn_ambient_rays})
 
 #: The modes, by the stage that shades.
 _MODES: MappingProxyType[PathStage, Mode] = MappingProxyType(
@@ -102,6 +109,11 @@ _MODES: MappingProxyType[PathStage, Mode] = MappingProxyType(
             lambda context: int(context.options["max_bounces"]),
             lambda context: {"CASTS_SHADOWS": float(context.options["casts_shadows"])},
             _branches,
+        ),
+        spawn_ambient_rays: Mode(
+            "rendering/ao.wgsl",
+            lambda context: int(context.options["rays"]),
+            constants=_ambient_constants,
         ),
         shade_surfaces: Mode(
             "rendering/path.wgsl",
@@ -126,6 +138,10 @@ def mode_of(stages: Sequence[PathStage]) -> Mode | None:
 def unsupported(context: RenderContext) -> str | None:
     """What fragment programs do not support of a scene and its view; None if all."""
     scene, camera = context.tracer.scene, context.camera
+    if scene.placements is not None:
+        return "instances"
+    if scene.has_primitives:
+        return "spheres and height fields"
     used = [scene.materials[k] for k in np.unique(scene.attributes.material_ids).tolist()]
     if context.opacity is not None:
         return "surfaces that are not opaque"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.graphics.shader_source import shader_source
+from raystream.graphics.shader_source import TREE_GROUP, shader_source
 
 __all__ = ["TREE_AT", "ShaderStructure", "budget_for", "numbers"]
 
@@ -65,11 +65,18 @@ class ShaderStructure:
         shared = numbers(max_coordinate, 0, ray_count, row_size, self.budget, capacity)
         return shared + bytes(TREE_AT - len(shared)) + self.tree
 
-    def source(self, *names: str, instead: Mapping[str, str] | None = None) -> str:
+    def source(
+        self,
+        *names: str,
+        instead: Mapping[str, str] | None = None,
+        tree_group: int = TREE_GROUP,
+    ) -> str:
         """The source of a machine's shader files and the structure's; see `shader_source`."""
         declared = [f"const {name}: u32 = {size}u;" for name, size in self.sizes.items()]
         replaced = {**self.instead, **(instead or {})}
-        return "\n".join([*declared, shader_source(*names, self.shader, instead=replaced)])
+        return "\n".join(
+            [*declared, shader_source(*names, self.shader, instead=replaced, tree_group=tree_group)]
+        )
 
 
 def numbers(*values: float | np.integer[Any] | np.floating[Any]) -> bytes:

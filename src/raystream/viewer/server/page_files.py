@@ -32,11 +32,14 @@ class PageFile(NamedTuple):
 
 
 def read_page_files() -> Mapping[str, PageFile]:
-    """Read the page's files, by name; the server reads nothing else from disk."""
-    folder = files("raystream.viewer").joinpath("page")
+    """Read the page's files, by name; the server reads nothing else from disk.
+
+    Those that exported pages have, too, are in a folder of `raystream.web`.
+    """
     found = {}
-    for file in sorted(folder.iterdir(), key=lambda one: one.name):
-        media_type = MEDIA_TYPES.get(file.name[file.name.rfind(".") :])
-        if media_type is not None and file.is_file():
-            found[file.name] = PageFile(file.read_bytes(), media_type)
+    for room, folder in (("raystream.web", "shared"), ("raystream.viewer", "page")):
+        for file in sorted(files(room).joinpath(folder).iterdir(), key=lambda one: one.name):
+            media_type = MEDIA_TYPES.get(file.name[file.name.rfind(".") :])
+            if media_type is not None and file.is_file():
+                found[file.name] = PageFile(file.read_bytes(), media_type)
     return found

@@ -89,13 +89,17 @@ fn through_lens(eye: Eye, toward: WideVector, numbers: vec2f) -> array<WideVecto
     return array<WideVector, 2>(origin, direction);
 }
 
-@fragment
-fn eye_rays(@builtin(position) position: vec4f) -> Targets {
-    let texel = texel_at(position);
-    let number = pixel_number(texel);
-    if number >= params.ray_count {
-        discard;
-    }
+// A ray in the local frame, the largest component of its direction in [1, 2); an empty interval if it
+// does not reach the scene.
+struct EyeRay {
+    origin: vec3f,
+    t_min: f32,
+    direction: vec3f,
+    t_max: f32,
+}
+
+// The eye ray of a pixel of the band.
+fn eye_ray(number: u32) -> EyeRay {
     let view = shading.view;
     let pixel = shading.first_pixel + number;
     let width = u32(view.width);
@@ -116,14 +120,10 @@ fn eye_rays(@builtin(position) position: vec4f) -> Targets {
     var direction = wide_unit(toward);
     direction *= power_for(direction);
     eye = advanced(eye, direction);
-    // An empty interval where no ray reaches the scene.
-    return Targets(
-        vec4u(STARTING, 0u, bitcast<u32>(MISS), params.budget),
-        vec4f(eye.x.high, eye.y.high, eye.z.high, select(1.0, 0.0, eye.is_active)),
-        vec4f(direction, select(0.0, FAR, eye.is_active)),
-        vec4u(0u, 0u, 0u, bitcast<u32>(FAR)),
-        vec4u(bitcast<vec3u>(vec3f(1.0)), bitcast<u32>(MISS)),
-        vec4u(),
-        vec4f(),
+    return EyeRay(
+        vec3f(eye.x.high, eye.y.high, eye.z.high),
+        select(1.0, 0.0, eye.is_active),
+        direction,
+        select(0.0, FAR, eye.is_active),
     );
 }

@@ -40,42 +40,52 @@ var<private> current: Path;
 // Radiance of the pixel so far.
 var<private> gathered: vec3f;
 
-fn load_pixel(texel: vec2i) {
-    number = pixel_number(texel);
-    let record = textureLoad(pixels, texel, 0);
-    let counts = record.y;
+// A pixel's record in memory.
+struct PixelRecord {
+    pixel: vec4u,
+    weight: vec4u,
+    path: vec4u,
+    light: vec4f,
+}
+
+// Begin with a path from the eye.
+fn begin_pixel(own: u32) {
+    number = own;
+    pixel = Pixel(0u, 0u, false, 0u, 0u, 0u, 0u, 0u, 0u);
+    current = Path(vec3f(1.0), MISS, 0.0, 0.0, vec3f(0.0), FAR);
+    gathered = vec3f(0.0);
+}
+
+fn read_pixel(own: u32, record: PixelRecord) {
+    number = own;
+    let flags = record.pixel.x;
+    let counts = record.pixel.y;
     pixel = Pixel(
-        record.x & 0xffffu,
-        (record.x >> 16u) & 1u,
-        (record.x & 0x20000u) != 0u,
+        flags & 0xffffu,
+        (flags >> 16u) & 1u,
+        (flags & 0x20000u) != 0u,
         counts & 0xffu,
-        (record.x >> 18u) & 1u,
+        (flags >> 18u) & 1u,
         (counts >> 8u) & 0xffu,
         (counts >> 16u) & 0xffu,
         counts >> 24u,
-        record.z,
+        record.pixel.z,
     );
-    let weight = textureLoad(weights, texel, 0);
-    let path = textureLoad(paths, texel, 0);
-    let light = textureLoad(lights_found, texel, 0);
-    gathered = light.rgb;
+    gathered = record.light.rgb;
     current = Path(
-        bitcast<vec3f>(weight.xyz),
-        bitcast<i32>(weight.w),
-        bitcast<f32>(path.w),
-        light.w,
-        bitcast<vec3f>(path.xyz),
-        bitcast<f32>(record.w),
+        bitcast<vec3f>(record.weight.xyz),
+        bitcast<i32>(record.weight.w),
+        bitcast<f32>(record.path.w),
+        record.light.w,
+        bitcast<vec3f>(record.path.xyz),
+        bitcast<f32>(record.pixel.w),
     );
 }
 
-fn pixel_targets(state: vec4u, origin: vec4f, direction: vec4f) -> Targets {
+fn pixel_record() -> PixelRecord {
     let flags = (pixel.half << 16u) | select(0u, 0x20000u, pixel.is_shadow) | (pixel.branch << 18u);
     let counts = pixel.source | (pixel.source_count << 8u) | (pixel.row_count << 16u);
-    return Targets(
-        state,
-        origin,
-        direction,
+    return PixelRecord(
         vec4u(
             pixel.bounce | flags,
             counts | (pixel.onward_count << 24u),

@@ -1,4 +1,4 @@
-// Shades the hit of a pixel's ray, and gives the pixel its next ray: the kernel of all modes.
+// Shades the hit of a pixel's ray, and gives the pixel its next ray: the same for all modes.
 //
 // As raystream/rendering/shading/pixel_rays.py, in whose order rays are traced: the paths of a
 // bounce, then their shadow rays, then the paths of the next bounce. A ray to come is no record
@@ -67,48 +67,30 @@ fn next_ray() -> Spawned {
     return NO_RAY;
 }
 
-@fragment
-fn shade(@builtin(position) position: vec4f) -> Targets {
-    let texel = texel_at(position);
-    let state = textureLoad(states, texel, 0);
-    if state.x != SHADING && state.x != NO_ROOM {
-        return nothing();
-    }
-    load_pixel(texel);
-    let origin = textureLoad(origins, texel, 0);
-    let direction = textureLoad(directions, texel, 0);
-    if !has_room() {
-        return pixel_targets(vec4u(NO_ROOM, state.yzw), origin, direction);
-    }
-    let prim_id = bitcast<i32>(state.z);
+// Add the light of the traced ray, whose nearest hit, if any, is `prim_id`, and note what it spawns.
+fn shade_ray(direction: vec3f, prim_id: i32, hit: vec3f) {
     if pixel.is_shadow {
         if prim_id == MISS {
             gathered += shadow_ray(pixel.shadow).color;
         }
         pixel.shadow += 1u;
-    } else {
-        let hit = textureLoad(founds, texel, 0);
-        current.prim_id = prim_id;
-        current.u = hit.y;
-        current.v = hit.z;
-        current.direction = direction.xyz;
-        if shade_hit(hit.x) {
-            put_row();
-            pixel.row_count += 1u;
-            if pixel.bounce < LAST_BOUNCE {
-                count_onward();
-            }
+        return;
+    }
+    current.prim_id = prim_id;
+    current.u = hit.y;
+    current.v = hit.z;
+    current.direction = direction;
+    if shade_hit(hit.x) {
+        put_row();
+        pixel.row_count += 1u;
+        if pixel.bounce < LAST_BOUNCE {
+            count_onward();
         }
     }
-    let next = next_ray();
-    if !next.is_active {
-        return pixel_targets(vec4u(DONE, state.yzw), origin, direction);
-    }
-    let power = power_for(next.direction);
-    let t_max = select(next.t_max / power, FAR, next.t_max == FAR);
-    return pixel_targets(
-        vec4u(STARTING, 0u, bitcast<u32>(MISS), params.budget),
-        vec4f(next.origin, 0.0),
-        vec4f(next.direction * power, t_max),
-    );
+}
+
+// The direction of a ray and its end, as searches need them.
+fn search_direction(ray: Spawned) -> vec4f {
+    let power = power_for(ray.direction);
+    return vec4f(ray.direction * power, select(ray.t_max / power, FAR, ray.t_max == FAR));
 }

@@ -1,7 +1,5 @@
 // What all pixels of a band share. As raystream/graphics/rendering/uniforms.py.
 
-//! include "multipass/loop/frame.wgsl"
-
 struct Shading {
     view: View,
     // What is left of the eye's position in float32; radius of the lens, 0 for a pinhole.
@@ -51,10 +49,6 @@ override LAST_BOUNCE: u32 = 0u;
 override SAMPLER: u32 = 0u;
 override SPREADS: bool = false;
 override CASTS_SHADOWS: bool = true;
-
-// A ray through an edge hits all its triangles.
-const SURFACES: bool = false;
-const MISS: i32 = -1;
 
 //! include "exact.wgsl"
 //! include "camera.wgsl"

@@ -1,7 +1,6 @@
 // Surface points at hits. As raystream/rendering/shading/surface_points.py, with Wide for float64
 // where it matters: for positions on a triangle, and off it.
 
-@group(1) @binding(1) var<storage, read> corners: array<f32>;
 // Vertex indices, three for each triangle; empty if no mesh has attributes.
 @group(1) @binding(2) var<storage, read> faces: array<u32>;
 // Of each vertex: normal, zero where a mesh has none; colour; texture coordinates.
@@ -17,6 +16,7 @@ const WORLD_UNIT: f32 = 0x1p-50;
 const UNKNOWN: f32 = 1e30;
 
 //! include "rendering/shading.wgsl"
+//! include "rendering/corners.wgsl"
 //! include "triangle.wgsl"
 //! include "vertices.wgsl"
 

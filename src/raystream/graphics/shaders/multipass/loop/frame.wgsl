@@ -24,6 +24,10 @@ struct Params {
 @group(0) @binding(7) var lights_found: texture_2d<f32>;
 @group(0) @binding(8) var paths: texture_2d<u32>;
 
+// A ray through an edge hits all its triangles.
+const SURFACES: bool = false;
+const MISS: i32 = -1;
+
 // The number of a texel's pixel in its band.
 fn pixel_number(texel: vec2i) -> u32 {
     return u32(texel.y) * params.row_size + u32(texel.x);

@@ -1,0 +1,75 @@
+"""``raystream export``: a scene as a web page that traces it on the visitor's GPU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.bars import Bars
+from raystream.cli.camera_options import CameraOptions
+from raystream.cli.console import one_line, refuse, write_json, write_line
+from raystream.cli.load import Stopwatch, choose_threads
+from raystream.cli.option_groups import expand_groups
+
+__all__ = ["export"]
+
+#: The library's structures with shaders, for help and completion; a test compares them.
+STRUCTURES = ("bvh", "kdtree", "grid", "brute", "graph")
+
+
+@expand_groups
+def export(
+    scene: options.SceneName,
+    *,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="PAGE", help="The page, a .html file.")
+    ],
+    structure: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"A structure to choose from, again for each: {', '.join(STRUCTURES)} "
+            "[default: bvh]",
+            autocompletion=options.complete(STRUCTURES),
+        ),
+    ] = None,
+    size: Annotated[
+        str,
+        typer.Option(
+            metavar="WIDTHxHEIGHT", help="Of the image for visitors whose browser has no WebGPU."
+        ),
+    ] = "960x540",
+    viewing: CameraOptions,
+    threads: options.Threads = None,
+    loading: options.SceneOptions,
+    json: options.Json = False,
+) -> None:
+    """Write a scene as a web page that traces it on the visitor's GPU. It needs no network."""
+    options.check_output(output, [".html", ".htm"], [scene])
+    width, height = options.parse_size(size)
+    choose_threads(threads)
+    from raystream.scene.load import load
+    from raystream.web import export_page
+
+    watch = Stopwatch()
+    with Bars() as bars:
+        with watch.measure("load"), bars.step("loading"), refuse(ValueError):
+            found = load(scene, time=loading.time, triangles=loading.triangles)
+        found, camera = viewing.of(found, width / height)
+        with (
+            watch.measure("export"),
+            bars.step("exporting"),
+            refuse(ValueError),
+            refuse(OSError, where=str(output)),
+        ):
+            count = export_page(
+                found, output, structures=structure or ["bvh"], camera=camera, size=(width, height)
+            )
+    if json:
+        figures = {"output": str(output), "scene": scene, "bytes": count}
+        write_json({**figures, "triangles": found.triangle_count, "seconds": watch.rounded()})
+    else:
+        write_line(f"{one_line(str(output))}: {count:,} bytes; {watch.text()}")

@@ -1,0 +1,1 @@
+// Replaces corners.wgsl beside a structure that has the vertices itself.

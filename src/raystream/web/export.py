@@ -1,0 +1,156 @@
+"""export_page: a scene as a page that traces rays on the visitor's GPU."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import re
+from collections.abc import Sequence
+from importlib.resources import files
+from os import PathLike
+from typing import Any
+
+from raystream.core.atomic_write import atomic_write
+from raystream.graphics.shader_source import shader_files
+from raystream.rendering.arguments import check_camera, check_size
+from raystream.rendering.render import render
+from raystream.scene.camera import Camera
+from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
+from raystream.tracer import Tracer
+from raystream.web.pack import pack
+from raystream.web.scene_data import page_scene
+
+__all__ = ["export_page"]
+
+#: Modules of the page, each after those that it imports.
+MODULES = (
+    "vector.js",
+    "view.js",
+    "elements.js",
+    "gestures.js",
+    "pack.js",
+    "geometry.js",
+    "shaders.js",
+    "device.js",
+    "queries.js",
+    "view_uniform.js",
+    "images.js",
+    "exported.js",
+)
+
+STYLES = ("theme.css", "exported.css")
+
+#: Imports of other modules; and what is before exported names.
+_IMPORT = re.compile(r'^import (\{[^}]*\}) from "\./([a-z_]+\.js)";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=(?:async )?(?:const|function|class) (\w+))", re.MULTILINE)
+
+
+def export_page(
+    scene: Scene | Tracer,
+    path: str | PathLike[str],
+    *,
+    structures: Sequence[str | StructureOptions] = ("bvh",),
+    camera: Camera | None = None,
+    size: tuple[int, int] = (960, 540),
+) -> int:
+    """Write a scene as a page that traces it on the visitor's GPU, by WebGPU.
+
+    The page is one file, which opens from disk or any server and needs no network. It has the
+    scene's triangles, materials and lights, structures as they were built here, and the shaders of
+    ``device="graphics"``. Where there is no WebGPU it shows an image that was rendered here.
+
+    Parameters
+    ----------
+    scene : Scene or Tracer
+    path : path
+        Of the page, such as ``"page.html"``.
+    structures : sequence of str or StructureOptions
+        The structures to choose from; the first one is first seen.
+    camera : Camera, optional
+        The first view [default: the scene's camera, or one chosen by `Scene.camera_for`].
+    size : (int, int)
+        Of the image for visitors without WebGPU.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    RaystreamError
+        If the shaders do not support the scene, or a structure.
+    ValueError, TypeError
+        If an argument is wrong.
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> import raystream as rs
+    >>> page = pathlib.Path(tempfile.mkdtemp()) / "cornell.html"
+    >>> rs.export_page(rs.load("cornell"), page) < 500_000
+    True
+    """
+    width, height = check_size(size)
+    check_camera(camera)
+    if isinstance(scene, Tracer):
+        tracers = [scene]
+    else:
+        if not structures:
+            raise ValueError("structures: expected at least one")
+        tracers = [Tracer(scene, one) for one in structures]
+    view = camera or tracers[0].scene.camera_for(width / height)
+    made = page_scene(tracers, view)
+    image = render(tracers[0], "raycast", (width, height), samples=4, camera=view)
+    manifest = {**made.manifest, "shaders": shader_files(made.shaders)}
+    packed = pack(manifest, made.arrays)
+    content = _page(tracers[0].scene.name, packed.text, image.to_png()).encode()
+    with atomic_write(path) as file:
+        file.write_bytes(content)
+    return len(content)
+
+
+def _page(title: str, data: str, png: bytes) -> str:
+    script, style = _script(), "\n".join(map(_text, STYLES))
+    preview = "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+    policy = (
+        "default-src 'none'; img-src data: blob:; "
+        f"script-src '{_hash(script)}'; style-src '{_hash(style)}'; base-uri 'none'; "
+        "form-action 'none'"
+    )
+    parts: dict[str, Any] = {
+        "policy": policy,
+        "title": html.escape(title or "raystream"),
+        "style": style,
+        "script": script,
+        "preview": preview,
+        "data": data,
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match.group(1)], _text("exported.html"))
+
+
+def _script() -> str:
+    """The modules as one script: each is a function that returns what it exports."""
+    return "\nconst modules = {};\n" + "\n".join(map(_module, MODULES))
+
+
+def _module(name: str) -> str:
+    text = _IMPORT.sub(r'const \1 = modules["\2"];\n', _text(name))
+    names = ", ".join(_EXPORT.findall(text))
+    return f'modules["{name}"] = (() => {{\n{_EXPORT.sub(r"", text)}return {{{names}}};\n}})();'
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode()).digest()
+    return f"sha256-{base64.b64encode(digest).decode('ascii')}"
+
+
+def _text(name: str) -> str:
+    """A file of the page, or one that the viewer has, too."""
+    room = files("raystream.web")
+    folder = next(one for one in ("page", "shared") if (room / one / name).is_file())
+    return (room / folder / name).read_text(encoding="utf-8")

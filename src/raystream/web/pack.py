@@ -1,0 +1,72 @@
+"""Packing arrays into the text of a page, and out again in JavaScript; see ``page/pack.js``."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Packed", "pack"]
+
+#: Format of the packed text; the page refuses others.
+VERSION = 1
+
+
+class Packed(NamedTuple):
+    """What a page holds besides its code.
+
+    Attributes
+    ----------
+    text : str
+        Base64.
+    byte_count : int
+        Of the arrays, unpacked.
+    """
+
+    text: str
+    byte_count: int
+
+
+def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Packed:
+    """Pack named arrays and what describes them.
+
+    The bytes of each array's words are sorted by significance, those of integers after
+    subtracting their predecessor: neighbours are alike, so they compress better. What follows is
+    compressed as a whole.
+
+    Parameters
+    ----------
+    manifest : mapping
+        Of what JSON has.
+    arrays : mapping of str to ndarray
+        Of four-byte numbers, with any shape.
+    """
+    entries, parts = {}, []
+    for name, array in arrays.items():
+        words = np.ascontiguousarray(array).reshape(-1)
+        if words.dtype.itemsize != 4:
+            raise TypeError(f"{name}: expected numbers of four bytes, got {words.dtype}")
+        entries[name] = {"type": words.dtype.kind, "length": len(words)}
+        parts.append(_sorted_bytes(words))
+    content = b"".join(parts)
+    head = json.dumps(
+        {**manifest, "version": VERSION, "arrays": entries, "crc": zlib.crc32(content)},
+        separators=(",", ":"),
+    ).encode()
+    whole = len(head).to_bytes(4, "little") + head + content
+    deflater = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packed = deflater.compress(whole) + deflater.flush()
+    return Packed(base64.b64encode(packed).decode("ascii"), len(content))
+
+
+def _sorted_bytes(words: NDArray[Any]) -> bytes:
+    bits = words.view(np.uint32)
+    if words.dtype.kind in "iu":
+        steps = np.diff(bits, prepend=np.uint32(0)).view(np.int32)
+        bits = ((steps << 1) ^ (steps >> 31)).view(np.uint32)  # small ones of either sign
+    return bits.view(np.uint8).reshape(-1, 4).T.tobytes()

@@ -1,0 +1,149 @@
+// The visitor's GPU: opens it, and makes buffers, textures, bind groups and pipelines.
+
+import {PageError} from "./pack.js";
+import {TEXELS, TEXTURE_WIDTH} from "./shaders.js";
+
+const KINDS = {
+  uniform: {buffer: {type: "uniform"}},
+  gather: {buffer: {type: "read-only-storage"}},
+  scatter: {buffer: {type: "storage"}},
+};
+
+/** Limits that are asked for where the adapter offers more than the least. */
+const LIMITS = [
+  "maxStorageBuffersPerShaderStage", "maxStorageBufferBindingSize", "maxBufferSize",
+  "maxTextureDimension2D",
+];
+
+export class Gpu {
+  static async open() {
+    if (!navigator.gpu) {
+      const why = isSecureContext ? "This browser has no WebGPU"
+        : "Browsers offer WebGPU only to pages from disk, from this computer or by HTTPS";
+      throw new PageError(`${why}. The image was rendered beforehand.`);
+    }
+    const adapter = await navigator.gpu.requestAdapter({powerPreference: "high-performance"});
+    if (!adapter) throw new PageError("No GPU was found. The image was rendered beforehand.");
+    const requiredLimits = Object.fromEntries(LIMITS.map(name => [name, adapter.limits[name]]));
+    const wanted = ["timestamp-query"];
+    const requiredFeatures = wanted.filter(name => adapter.features.has(name));
+    const device = await adapter.requestDevice({requiredLimits, requiredFeatures});
+    return new Gpu(adapter, device);
+  }
+
+  constructor(adapter, device) {
+    this.device = device;
+    this.name = adapter.info.description || adapter.info.architecture || adapter.info.vendor;
+    this.modules = new Map();
+    this.layouts = new Map();
+  }
+
+  get limits() {
+    return this.device.limits;
+  }
+
+  /** A buffer with the content of an array, or room for a number of bytes. */
+  buffer(name, content, usage = GPUBufferUsage.STORAGE) {
+    const size = typeof content === "number" ? content : content.byteLength;
+    const room = Math.max(Math.ceil(size / 16) * 16, 64);
+    const most = Math.min(this.limits.maxStorageBufferBindingSize, this.limits.maxBufferSize);
+    if (room > most) {
+      throw new PageError(
+        `${name} would take ${room.toLocaleString()} bytes, and this GPU allows `
+        + `${most.toLocaleString()} in a buffer.`);
+    }
+    const made = this.device.createBuffer({
+      label: name, size: room, usage: usage | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC,
+    });
+    if (typeof content !== "number" && size) this.write(made, content);
+    return made;
+  }
+
+  write(buffer, content, at = 0) {
+    this.device.queue.writeBuffer(buffer, at, content.buffer, content.byteOffset,
+      content.byteLength);
+  }
+
+  /** The content of a buffer, once the GPU is done. */
+  async read(buffer, bytes, at = 0) {
+    const copy = this.device.createBuffer({
+      size: bytes, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST,
+    });
+    const encoder = this.device.createCommandEncoder();
+    encoder.copyBufferToBuffer(buffer, at, copy, 0, bytes);
+    this.device.queue.submit([encoder.finish()]);
+    await copy.mapAsync(GPUMapMode.READ);
+    const content = copy.getMappedRange().slice(0);
+    copy.destroy();
+    return content;
+  }
+
+  /** A texture that holds an array, in rows of TEXTURE_WIDTH texels. */
+  texture(name, array, element) {
+    const {format, words} = TEXELS[element];
+    const row = TEXTURE_WIDTH * words;
+    const height = Math.max(Math.ceil(array.length / row), 1);
+    if (height > this.limits.maxTextureDimension2D) {
+      throw new PageError(`${name} needs a texture of ${height.toLocaleString()} rows, and this GPU `
+        + `allows ${this.limits.maxTextureDimension2D.toLocaleString()}.`);
+    }
+    const texture = this.device.createTexture({
+      label: name, size: [TEXTURE_WIDTH, height], format,
+      usage: GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST,
+    });
+    const padded = new Uint8Array(4 * row * height);
+    padded.set(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));
+    this.device.queue.writeTexture({texture}, padded, {bytesPerRow: 4 * row},
+      [TEXTURE_WIDTH, height]);
+    return texture;
+  }
+
+  /** Layout of a bind group whose entries are kinds of buffers, or sample types of textures. */
+  layout(kinds) {
+    const key = kinds.join();
+    if (!this.layouts.has(key)) {
+      const entries = kinds.map((kind, binding) => ({
+        binding, visibility: GPUShaderStage.COMPUTE,
+        ...(KINDS[kind] ?? {texture: {sampleType: kind}}),
+      }));
+      this.layouts.set(key, this.device.createBindGroupLayout({entries}));
+    }
+    return this.layouts.get(key);
+  }
+
+  bind(kinds, resources) {
+    const entries = resources.map((one, binding) => ({
+      binding, resource: one instanceof GPUBuffer ? {buffer: one} : one.createView(),
+    }));
+    return this.device.createBindGroup({layout: this.layout(kinds), entries});
+  }
+
+  /** A compute pipeline: {source, entry, layouts, constants}. */
+  async pipeline({source, entry, layouts, constants}) {
+    if (!this.modules.has(source)) {
+      this.modules.set(source, this.device.createShaderModule({code: source}));
+    }
+    const groups = layouts.map(kinds => this.layout(kinds));
+    return this.device.createComputePipelineAsync({
+      layout: this.device.createPipelineLayout({bindGroupLayouts: groups}),
+      compute: {module: this.modules.get(source), entryPoint: entry, constants},
+    });
+  }
+
+  /** Arrays as textures, for the declarations of `gatherArrays`: {kinds, resources}. */
+  textures(declared, arrays) {
+    const kinds = [], resources = [];
+    for (const {binding, name, element} of declared) {
+      kinds[binding] = TEXELS[element].sampleType;
+      resources[binding] = this.texture(name, arrays[name], element);
+    }
+    return {kinds, resources};
+  }
+}
+
+/** Columns and rows of workgroups for a number of invocations, and invocations in a row. */
+export function dispatchSize(count, size, most = 65535) {
+  const groups = Math.ceil(count / size);
+  const columns = Math.min(groups, most);
+  return {columns, rows: Math.ceil(groups / columns), rowSize: columns * size};
+}

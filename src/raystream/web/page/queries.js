@@ -1,0 +1,151 @@
+// Queries of single rays or batches on the GPU: as raystream/graphics/dispatches.py.
+
+import {bvhArrays} from "./geometry.js";
+import {dispatchSize} from "./device.js";
+import {PageError} from "./pack.js";
+import {gatherArrays, inTextures, shaderSource} from "./shaders.js";
+
+const GROUP_SIZE = 64;
+const LAYOUT = ["uniform", "gather", "gather", "scatter", "scatter", "scatter"];
+const OTHERS = LAYOUT.length - 1; // buffers besides the structure's
+const KIND = {firstHit: 0, anyHit: 1, countHits: 2, multiHit: 3};
+const [ENDLESS, CUT_SHORT] = [0xffffffff, 0xfffffffe];
+const FAR = 3.4028234663852886e38;
+
+/** The uniform Params of a structure's shaders. */
+export function paramsOf(scene, structure, {rayCount, rowSize, capacity = 0}) {
+  const words = new Uint32Array(8 + Math.ceil(structure.tree.length / 4) * 4);
+  new Float32Array(words.buffer)[0] = scene.frame.max_coordinate;
+  words.set([0, rayCount, rowSize, structure.budget, capacity], 1);
+  words.set(structure.tree, 8);
+  return words;
+}
+
+/** A structure on the GPU. */
+export class StructureOnGpu {
+  constructor(gpu, {manifest, arrays}, corners, name) {
+    this.name = name;
+    this.about = manifest.structures[name];
+    const own = this.about.arrays.map(key => arrays[`${name} ${key}`]);
+    const made = this.about.how === "bvh" ? bvhArrays(...own, corners) : own;
+    // Shaders may have few buffers, beside as many textures.
+    this.isInTextures = made.length + OTHERS > gpu.limits.maxStorageBuffersPerShaderStage;
+    if (this.isInTextures) {
+      const declared = gatherArrays(this.plainSource(manifest.shaders, []), 1);
+      const byName = Object.fromEntries(declared.map(one => [one.name, made[one.binding]]));
+      const {kinds, resources} = gpu.textures(declared, byName);
+      [this.kinds, this.resources] = [kinds, resources];
+    } else {
+      this.kinds = made.map(() => "gather");
+      this.resources = made.map((array, k) => gpu.buffer(`${name}, array ${k}`, array));
+    }
+  }
+
+  plainSource(files, names, options = {}) {
+    const {shader, sizes, instead} = this.about;
+    return shaderSource(files, [...names, shader],
+      {...options, sizes, instead: {...instead, ...options.instead}});
+  }
+
+  /** The source of a machine's files and the structure's, which reads its arrays where they are. */
+  source(files, names, options = {}) {
+    const source = this.plainSource(files, names, options);
+    return this.isInTextures ? inTextures(source, options.treeGroup ?? 1) : source;
+  }
+}
+
+export class Queries {
+  constructor(gpu, scene, structure) {
+    this.gpu = gpu;
+    this.scene = scene;
+    this.structure = structure;
+    this.pipelines = new Map();
+  }
+
+  pipeline(kind) {
+    if (!this.pipelines.has(kind)) {
+      const {structure} = this;
+      this.pipelines.set(kind, this.gpu.pipeline({
+        source: structure.source(this.scene.shaders, ["compute.wgsl"]),
+        entry: "trace", layouts: [LAYOUT, structure.kinds],
+        constants: {...structure.about.constants, QUERY: KIND[kind]},
+      }));
+    }
+    return this.pipelines.get(kind);
+  }
+
+  /** The nearest hit of each ray: {t, u, v, primId}; t is Infinity and primId -1 for a miss. */
+  async firstHit(rays) {
+    const count = rays.length / 6;
+    const {rows} = await this.run("firstHit", rays, new Uint32Array(2), count, 1);
+    return hitsOf(rows, count);
+  }
+
+  /** All hits of a ray, nearest first. */
+  async allHits(ray) {
+    const {endings} = await this.run("countHits", ray, new Uint32Array(2), 0, 0xfffffffc);
+    const count = endings[0] - 1;
+    if (!count) return hitsOf(new Float32Array(0), 0);
+    const {rows} = await this.run("multiHit", ray, Uint32Array.of(0, count), count, count);
+    return hitsOf(rows, count);
+  }
+
+  /** Trace rays: origin and direction in world space, six numbers each. */
+  async run(kind, rays, wanted, rowCount, capacity) {
+    const {gpu, scene, structure} = this;
+    const count = rays.length / 6;
+    const {columns, rows, rowSize} = dispatchSize(count, GROUP_SIZE);
+    const {packed, lengths} = localRays(scene.frame, rays);
+    const params = paramsOf(scene, structure.about, {rayCount: count, rowSize, capacity});
+    const buffers = [
+      gpu.buffer("params", params, GPUBufferUsage.UNIFORM),
+      gpu.buffer("rays", packed), gpu.buffer("wanted", wanted),
+      gpu.buffer("rows", 16 * rowCount), gpu.buffer("endings", 4 * count),
+      gpu.buffer("tallies", 0),
+    ];
+    const pipeline = await this.pipeline(kind);
+    const encoder = gpu.device.createCommandEncoder();
+    const pass = encoder.beginComputePass();
+    pass.setPipeline(pipeline);
+    pass.setBindGroup(0, gpu.bind(LAYOUT, buffers));
+    pass.setBindGroup(1, gpu.bind(structure.kinds, structure.resources));
+    pass.dispatchWorkgroups(columns, rows);
+    pass.end();
+    gpu.device.queue.submit([encoder.finish()]);
+    const endings = new Uint32Array(await gpu.read(buffers[4], 4 * count));
+    const found = rowCount ? new Float32Array(await gpu.read(buffers[3], 16 * rowCount))
+      : new Float32Array(0);
+    buffers.forEach(buffer => buffer.destroy());
+    if (endings.some(code => !code || code === ENDLESS || code === CUT_SHORT)) {
+      throw new PageError(`Searches in ${structure.name} did not end on this GPU.`);
+    }
+    for (let row = 0; row < rowCount; row++) found[4 * row] /= lengths[rowCount === count ? row : 0];
+    return {rows: found, endings};
+  }
+}
+
+/** Rays in the local frame, the largest component of the direction in [1, 2). */
+function localRays({center, scale}, rays) {
+  const count = rays.length / 6;
+  const packed = new Float32Array(8 * count);
+  const lengths = new Float64Array(count); // local units of t per world unit
+  for (let i = 0; i < count; i++) {
+    const largest = Math.max(...[3, 4, 5].map(k => Math.abs(rays[6 * i + k])));
+    const power = 2 ** -Math.floor(Math.log2(largest));
+    for (let axis = 0; axis < 3; axis++) {
+      packed[8 * i + axis] = (rays[6 * i + axis] - center[axis]) * scale;
+      packed[8 * i + 4 + axis] = rays[6 * i + 3 + axis] * power;
+    }
+    packed[8 * i + 7] = FAR;
+    lengths[i] = scale / power;
+  }
+  return {packed, lengths};
+}
+
+function hitsOf(rows, count) {
+  const bits = new Int32Array(rows.buffer);
+  const column = k => Array.from({length: count}, (_, i) => rows[4 * i + k]);
+  const primId = Array.from({length: count}, (_, i) => bits[4 * i + 3]);
+  const t = column(0).map((value, i) => (primId[i] < 0 ? Infinity : value));
+  return {t, u: column(1), v: column(2), primId};
+}

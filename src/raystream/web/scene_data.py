@@ -1,0 +1,192 @@
+"""What a page needs of a scene: its surfaces and lights, and what each mode's shaders read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import RaystreamError
+from raystream.graphics.rendering.modes import Mode, mode_of, unsupported
+from raystream.graphics.rendering.scene_buffers import (
+    light_samples,
+    punctual_rows,
+    surface_arrays,
+)
+from raystream.graphics.rendering.uniforms import BandPlace, shading_uniform
+from raystream.graphics.structures import shader_structure_of
+from raystream.rendering.integrator import RenderContext, make_context
+from raystream.rendering.lighting import needs_light
+from raystream.rendering.render import RENDERERS
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.view_light import lit
+from raystream.scene.camera import Camera
+from raystream.tracer import Tracer
+from raystream.web.geometry import structure_arrays, triangle_arrays
+
+__all__ = ["MODES", "PageScene", "page_scene"]
+
+#: Modes of a page, the first one first seen.
+MODES = ("raycast", "shadow", "whitted", "ao", "path")
+
+#: Samples per pixel, after which a page rests.
+SAMPLES = 256
+
+#: Arrays of `surface_arrays` that the page makes of the vertices.
+_CORNERS = "the corners of triangles"
+
+
+class PageScene(NamedTuple):
+    """A scene as a page has it.
+
+    Attributes
+    ----------
+    manifest : dict
+        For JSON.
+    arrays : dict of str to ndarray
+        Of four-byte numbers.
+    shaders : set of str
+        Shader files of its modes and structures.
+    """
+
+    manifest: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+    shaders: frozenset[str]
+
+
+def page_scene(
+    tracers: Sequence[Tracer], camera: Camera, modes: Sequence[str] = MODES
+) -> PageScene:
+    """Collect what a page needs.
+
+    Parameters
+    ----------
+    tracers : sequence of Tracer
+        Of one scene, one for each structure; the first one is first seen.
+    camera : Camera
+    modes : sequence of str
+        Of `MODES`.
+
+    Raises
+    ------
+    RaystreamError
+        If the shaders do not support the scene.
+    """
+    scene = tracers[0].scene
+    arrays: dict[str, NDArray[Any]] = dict(triangle_arrays(scene.triangles, scene.attributes.faces))
+    files = {"compute.wgsl", "rendering/compute.wgsl", *_SHARED}
+    modes_made, surfaces = {}, False
+    for name in modes:
+        context = _context(tracers[0], camera, name)
+        reason = unsupported(context)
+        if reason is not None:
+            raise RaystreamError(
+                f"export: the shaders of a page do not support {reason}; leave it out of the scene"
+            )
+        mode = mode_of(RENDERERS[name].stages)
+        assert mode is not None
+        if not surfaces:
+            arrays.update(_surfaces(context))
+            surfaces = True
+        lights, key = _lights(context, mode)
+        arrays.setdefault(key, lights)
+        uniform = shading_uniform(context, mode, BandPlace(0, 0, 0, 1))
+        arrays[f"shading {name}"] = np.frombuffer(uniform, np.uint32)
+        modes_made[name] = _mode(context, mode, key)
+        files.add(mode.shader)
+    structures = {}
+    for tracer in tracers:
+        shaders = shader_structure_of(tracer.structure)
+        how, own = structure_arrays(tracer.structure, shaders)
+        name = tracer.structure.name
+        arrays.update({f"{name} {key}": one for key, one in own.items()})
+        structures[name] = {
+            "how": how,
+            "arrays": list(own),
+            "shader": shaders.shader,
+            "tree": np.frombuffer(shaders.tree, np.uint32).tolist(),
+            "budget": shaders.budget,
+            "constants": shaders.constants,
+            "sizes": shaders.sizes,
+            "instead": shaders.instead,
+        }
+        files |= {shaders.shader, *shaders.instead.values()}
+    frame = scene.triangles
+    manifest = {
+        "name": scene.name,
+        "triangles": scene.triangle_count,
+        "camera": {
+            "eye": list(camera.eye),
+            "look_at": list(camera.look_at),
+            "up": list(camera.up),
+            "fov": camera.fov,
+        },
+        "up": list(scene.up),
+        "bounds": scene.bounds.tolist(),
+        "frame": {
+            "center": frame.center.tolist(),
+            "scale": float(frame.scale),
+            "max_coordinate": float(frame.max_coordinate),
+        },
+        "modes": modes_made,
+        "structures": structures,
+        "samples": SAMPLES,
+    }
+    return PageScene(manifest, arrays, frozenset(files))
+
+
+#: Files that replace others, which no file includes.
+_SHARED = (
+    "page/accumulate.wgsl",
+    "page/show.wgsl",
+    "no_hit_rows.wgsl",
+    "rendering/no_corners.wgsl",
+    "rendering/path_rows.wgsl",
+)
+
+
+def _context(tracer: Tracer, camera: Camera, name: str) -> RenderContext:
+    renderer = RENDERERS[name]
+    sampler = Sampler.of("sobol", 0, SAMPLES)
+    chosen = renderer.check(renderer.complete({}))
+    context = make_context(tracer, camera, (4, 3), sampler, chosen)
+    return lit(renderer, context)
+
+
+def _surfaces(context: RenderContext) -> Mapping[str, NDArray[Any]]:
+    return {
+        f"surface {k}": array.reshape(-1)
+        for k, (name, array) in enumerate(surface_arrays(context))
+        if name != _CORNERS
+    }
+
+
+def _lights(context: RenderContext, mode: Mode) -> tuple[NDArray[np.float32], str]:
+    if mode.samples_lights:
+        return light_samples(context), "light samples"
+    return punctual_rows(context).reshape(-1), "lights"
+
+
+def _mode(context: RenderContext, mode: Mode, lights: str) -> dict[str, Any]:
+    headlight = -1
+    scene = context.tracer.scene
+    if not mode.samples_lights and needs_light(scene, context.chosen_lights):
+        # The last of the listed lights; patches of area lights come after it.
+        rows = punctual_rows(context)[:, :3]
+        eye = (np.array(context.camera.eye) - scene.triangles.center) * scene.triangles.scale
+        at_eye = np.flatnonzero((rows == eye.astype(np.float32)).all(axis=1))
+        headlight = int(at_eye[-1]) if len(at_eye) else -1
+    return {
+        "shader": mode.shader,
+        "lights": lights,
+        "headlight": headlight,
+        "branches": mode.branches(context),
+        "constants": {
+            "LAST_BOUNCE": mode.last_bounce(context),
+            "SAMPLER": context.sampler.kind,
+            "SPREADS": 1,
+            **mode.constants(context),
+        },
+    }

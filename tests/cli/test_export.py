@@ -1,0 +1,53 @@
+"""``raystream export``."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import raystream as rs
+from raystream.cli.export import STRUCTURES
+from raystream.structures import names_with
+
+
+def test_a_page_is_written(run, tmp_path):
+    page = tmp_path / "page.html"
+    said = run("export", "cornell", "-o", page, "--structure", "grid", "--size", "32x24")
+    assert f"{len(page.read_bytes()):,} bytes" in said.out
+    figures = run("export", "cornell", "-o", page, "--size", "32x24", "--json").figures
+    assert figures["bytes"] == len(page.read_bytes())
+    assert figures["triangles"] == 36
+    assert re.search(r"<title>cornell", page.read_text())
+
+
+def test_known_structures():
+    assert set(STRUCTURES) == set(names_with("graphics"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["cornell", "-o", "{}/page.png"], "html"),
+        (["cornell", "-o", "{}/no/page.html"], "does not exist"),
+        (["cornell", "-o", "{}/page.html", "--structure", "octree"], "octree"),
+        (["robots", "-o", "{}/page.html", "--projection", "orthographic"], "'orthographic'"),
+        (["nothing", "-o", "{}/page.html"], "nothing"),
+    ],
+)
+def test_bad_input_is_named(run, tmp_path, arguments, message):
+    complaint = run("export", *(one.format(tmp_path) for one in arguments)).complaint
+    assert message in complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_scenes_without_shaders_are_named(tmp_path):
+    ball = rs.Scene.combine([rs.load("cornell"), rs.Scene.spheres([[0, 0, 0]], 1.0)])
+    box = rs.Scene.instances([rs.load("cornell")], [[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]])
+    sheet = rs.Scene(rs.load("cornell").meshes, materials=[rs.Material(roughness=0.5)] * 4)
+    for scene, what in ((ball, "spheres"), (box, "instances"), (sheet, "roughness")):
+        with pytest.raises(rs.RaystreamError, match=what):
+            rs.export_page(scene, tmp_path / "page.html", size=(8, 8))
+    with pytest.raises(ValueError, match="structures"):
+        rs.export_page(rs.load("cornell"), tmp_path / "page.html", structures=[])
+    assert not list(tmp_path.iterdir())
