@@ -284,7 +284,8 @@ def test_scenes_without_anything_to_hit() -> None:
         assert (hits.instance_id, hits.mesh_id) == (1, 1)
 
 
-def test_invalid_rays_miss() -> None:
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_invalid_rays_miss(structure: str) -> None:
     scene = random_scene(65, 20)
     rays = random_rays(66, 400)
     directions, origins = rays["directions"], rays["origins"]
@@ -294,7 +295,7 @@ def test_invalid_rays_miss() -> None:
     origins[3::7] = np.inf
     directions[4::7] *= 1e-160
     expected = rs.Tracer(scene).first_hit(origins, directions)
-    hits = rs.Tracer(scene, "bvh", "graphics").first_hit(origins, directions)
+    hits = rs.Tracer(scene, structure, "graphics").first_hit(origins, directions)
     for name in ("status", "prim_id", "instance_id"):
         assert_same_bits(getattr(hits, name), getattr(expected, name))
     assert (hits.status[1::7] == rs.RayStatus.INVALID).all()

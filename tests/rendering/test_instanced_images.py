@@ -286,6 +286,31 @@ def test_flat_lamps_do_not_block_their_light() -> None:
         assert image.mean() == pytest.approx(images[0].mean(), rel=0.01)
 
 
+def test_a_lamp_far_from_the_rest_of_its_object_does_not_block_its_light() -> None:
+    """Its object's coordinates are rounded more than those of the place where it stands."""
+    pane = np.array([[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
+    faces, away = [[0, 1, 2], [0, 2, 3]], np.array([1000.0, 300.0, -700.0])
+    ground = rs.Mesh(pane[::-1] * 3.0 - [0.0, 2.0, 0.0], faces)
+    materials = [rs.Material(), rs.Material(emission=(5.0, 5.0, 5.0))]
+    turn = random_rotation(np.random.default_rng(5))
+    lamp = rs.Mesh(pane @ turn + away, faces, material_ids=[1, 1])
+    rest = rs.Mesh(np.eye(3) - 1000.0, [[0, 1, 2]])
+    place = np.concatenate([turn, -(turn @ away)[:, None]], axis=1)
+    camera = rs.Camera((0.0, -0.5, 4.0), (0.0, -2.0, 0.0))
+    objects = [
+        rs.Scene([ground], materials=materials),
+        rs.Scene([lamp, rest], materials=materials),
+    ]
+    scene = rs.Scene.instances(objects, [np.eye(3, 4), place], [0, 1], camera=camera)
+    plain = rs.Scene(
+        [ground, rs.Mesh(pane, faces, material_ids=[1, 1])], materials=materials, camera=camera
+    )
+    images = [
+        rs.render(one, "path", (24, 24), samples=16, lights="file").pixels for one in (scene, plain)
+    ]
+    assert images[0].mean() == pytest.approx(images[1].mean(), rel=0.01)
+
+
 def test_too_many_lamps_glow_only(lamps: rs.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("raystream.rendering.emitters.MOST_EMITTERS", 5)
     with pytest.warns(rs.RaystreamWarning, match="6 triangles that emit light.*more than 5"):

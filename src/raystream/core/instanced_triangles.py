@@ -27,7 +27,8 @@ class InstancedTriangles:
     """The triangles of a scene's objects, each in a local frame of its own, and their instances.
 
     ``prim_id`` counts the triangles of the objects, however often they are placed. Kernels count
-    those of all instances, one instance after another: `split_ids` converts.
+    those of all instances, one instance after another: `split_ids` converts, and for many hits
+    `instances.hit_ids`.
 
     Parameters
     ----------

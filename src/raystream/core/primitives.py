@@ -21,7 +21,7 @@ __all__ = ["NOT_TRIANGLES", "Primitives", "mesh_triangles"]
 NOT_TRIANGLES = (
     "not supported in a scene with spheres or height fields; first_hit, any_hit, multi_hit, "
     "count_hits, cast, render, lidar_returns and visibility are, with structure='bvh' or 'brute' "
-    "on the CPU's branching machine"
+    "and machine='branching' on the CPU or CUDA"
 )
 
 

@@ -38,15 +38,14 @@ def build_structure(
     Raises
     ------
     RaystreamError
-        If the GPU is to build it, and the scene has instances, spheres or height fields.
+        If the GPU is to build it, and the scene has instances, spheres or height fields, or the
+        triangles are in float64.
     ValueError
         If the GPU does not build the structure, or not with these options.
     TypeError
         If a method is given for a structure with a single one.
     CudaError
         If the GPU runs out of memory.
-    RaystreamError
-        If the GPU is to build it, and the triangles are in float64.
     """
     device = device or Cuda()
     if device.build == "host":

@@ -205,7 +205,8 @@ def _placed_worlds(
     if is_on_gpu(worlds):
         view = view_of(scope, "worlds", worlds)
         worlds = np.empty(view.shape, view.dtype)
-        if view.strides != worlds.strides:
+        long = [k for k, size in enumerate(view.shape) if size > 1] if worlds.size else []
+        if any(view.strides[k] != worlds.strides[k] for k in long):
             raise TypeError("worlds: expected an array without gaps on a GPU; copy it")
         scope.gpu.copy(worlds.ctypes.data, view.address, worlds.nbytes, scope.stream)
         scope.stream.sync()

@@ -102,7 +102,7 @@ class TracedScene:
         Raises
         ------
         ValueError
-            If there are instances, and the structure, device or machine does not support them.
+            If the structure, device or machine does not support the kind of scene.
         """
         check_kind(triangles, self.device, self.machine)
         return device_of(self.device).build(

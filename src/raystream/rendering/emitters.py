@@ -16,7 +16,7 @@ from raystream.core.spawn import plane_offset
 from raystream.scene.lights import AreaLight
 from raystream.scene.scene import Scene
 
-__all__ = ["MOST_EMITTERS", "Emitters", "emitters_of"]
+__all__ = ["MOST_EMITTERS", "Emitters", "emitters_of", "sampled_lights"]
 
 #: Instances of more triangles than this, together, glow but are not sampled: a row of tables
 #: takes about a hundred bytes.
@@ -32,8 +32,8 @@ class Emitters(NamedTuple):
         Scene's local frame; the side that emits sees them counter-clockwise.
     prim_ids, instance_ids : ndarray of shape (A,), int32
     offsets : ndarray of shape (A,), float64
-        Local frame: rays that start or end this much further from a triangle than its extent alone
-        asks for miss it. 0 without instances.
+        Local frame: how far from a triangle rays must start or end, for the rounding in the space
+        of its object; see `core.spawn`. 0 without instances.
     """
 
     corners: NDArray[np.float64]
@@ -42,14 +42,36 @@ class Emitters(NamedTuple):
     offsets: NDArray[np.float64]
 
 
-def emitters_of(scene: Scene, lights: Sequence[AreaLight]) -> Emitters:
-    """The triangles of some of a scene's area lights, sorted by instance and prim_id.
+def sampled_lights(scene: Scene) -> list[AreaLight]:
+    """The scene's area lights; none if they are too many to be sampled.
 
     Warns
     -----
     RaystreamWarning
-        If they are more than `MOST_EMITTERS` in all instances; there are none then.
+        If they have more than `MOST_EMITTERS` triangles in all instances.
     """
+    lights = scene.area_lights
+    held: Any = scene.triangles
+    if not isinstance(held, InstancedTriangles):
+        return lights
+    prims = np.concatenate([np.empty(0, np.int64), *(one.prim_ids for one in lights)])
+    owners = np.searchsorted(held.first_prims, prims, side="right") - 1
+    counts = np.bincount(owners.astype(np.int64), minlength=len(held.objects))
+    count = int(counts[held.instances.object_ids].sum())
+    if count <= MOST_EMITTERS:
+        return lights
+    warnings.warn(
+        f"lights: {count:,} triangles that emit light in all instances are more than "
+        f"{MOST_EMITTERS:,}: they glow, but are not sampled as lights, so images are noisy, and "
+        "other lights may be added; lights='file' adds none",
+        RaystreamWarning,
+        stacklevel=3,
+    )
+    return []
+
+
+def emitters_of(scene: Scene, lights: Sequence[AreaLight]) -> Emitters:
+    """The triangles of some of a scene's area lights, sorted by instance and prim_id."""
     prims = np.unique(np.concatenate([np.empty(0, np.int32), *(one.prim_ids for one in lights)]))
     prims = prims.astype(np.int32)
     held: Any = scene.triangles
@@ -74,14 +96,6 @@ def _in_instances(triangles: InstancedTriangles, prims: NDArray[np.int32]) -> Em
     ]
     ids = triangles.instances.object_ids
     counts = np.array([len(one) for one in own], np.int64)[ids]
-    if counts.sum() > MOST_EMITTERS:
-        warnings.warn(
-            f"lights: {counts.sum():,} triangles that emit light in all instances are more than "
-            f"{MOST_EMITTERS:,}: they glow, but are not sampled as lights, so images are noisy",
-            RaystreamWarning,
-            stacklevel=4,
-        )
-        counts[:] = 0
     lit = np.flatnonzero(counts)
     instance_ids = np.repeat(lit, counts[lit]).astype(np.int32)
     prim_ids = np.concatenate([np.empty(0, np.int32), *(own[ids[k]] for k in lit)])

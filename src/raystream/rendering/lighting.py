@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.rendering.emitters import emitters_of
+from raystream.rendering.emitters import emitters_of, sampled_lights
 from raystream.rendering.environment import image_light, mean_radiance
 from raystream.scene.camera import Camera
 from raystream.scene.lights import (
@@ -108,7 +108,7 @@ class PatchLight:
 def area_patches(scene: Scene) -> list[PatchLight]:
     """Approximate each of a scene's area lights by one patch, in each instance."""
     patches = []
-    for light in scene.area_lights:
+    for light in sampled_lights(scene):
         emitters = emitters_of(scene, [light])
         lit = np.unique(emitters.instance_ids)
         groups: list[Any]

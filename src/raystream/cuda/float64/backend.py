@@ -15,7 +15,7 @@ __all__ = ["Float64CudaBackend"]
 class Float64CudaBackend(CudaBackend):
     """Traces rays in float64 on a GPU, one per thread, with the CPU's functions; see the base."""
 
-    capabilities = Capabilities(device_arrays=True)
+    capabilities = Capabilities(device_arrays=True, programs=False)
 
     def batch(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch:
         """The rays of a query on the host, with limits in float64; see `RayBatch`."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.rendering.color import LUMINANCE
-from raystream.rendering.emitters import Emitters, emitters_of
+from raystream.rendering.emitters import Emitters, emitters_of, sampled_lights
 from raystream.rendering.environment import image_light
 from raystream.rendering.lighting import HEADLIGHT, SKY, added_sun, needs_light
 from raystream.rendering.shading.discrete_distribution import running_sums
@@ -108,7 +108,7 @@ def lights_of(
     if is_added and camera is not None:
         lights = (*lights, added_sun(camera))
     points, suns, color = _far_lights(scene, lights)
-    emitters = emitters_of(scene, scene.area_lights)
+    emitters = emitters_of(scene, sampled_lights(scene))
     check_rows(len(emitters.prim_ids), 17, "triangles that emit light")
     if is_added:
         color = color + SKY
