@@ -54,7 +54,7 @@ class ComputeBackend(GraphicsBackend):
             ShaderVariant(Kind.FIRST_HIT)
         )  # raises for a shader that does not compile
 
-    def bands_on_device(self, context: RenderContext) -> ComputeBands:
+    def bands_on_device(self, context: RenderContext) -> ComputeBands | None:
         """Render samples of an image by compute shaders; see `Tracer.bands_on_device`."""
         from raystream.graphics.rendering import ComputeBands
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from raystream.jit.threads import Progress
 from raystream.kernels.local_frame import LocalRays, TTransform
 from raystream.kernels.ray import SceneFrame
 from raystream.machines.ray_block import RAYS_PER_BLOCK, RayBlock
+
+if TYPE_CHECKING:
+    from raystream.rendering.integrator import RenderContext
 
 __all__ = ["InstancedBackend", "PlacedRays"]
 
@@ -99,6 +102,10 @@ class InstancedBackend(ComputeBackend):
 
     World rays are moved to objects' spaces in float64, by integers: `shaders/float64.wgsl`.
     """
+
+    def bands_on_device(self, context: RenderContext) -> None:  # noqa: ARG002
+        """None: images of such scenes are shaded on the CPU."""
+        return
 
     def _blocks(
         self, rays: RayBatch, status: NDArray[np.uint8], progress: Progress | None

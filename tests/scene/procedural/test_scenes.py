@@ -13,9 +13,10 @@ from raystream.scene.procedural import (
     MIN_TRIANGLES,
     generate,
 )
-from raystream.scene.procedural.building import inside_camera
+from raystream.scene.procedural.building import BOOK_COLORS, inside_camera
 from raystream.scene.procedural.forest import inside_camera as forest_inside_camera
 from raystream.scene.procedural.forest import top_camera
+from raystream.scene.procedural.rooms import BOOK, COLORS
 from scene.procedural.closed import open_edges
 
 #: Largest share by which the count may differ from targets of at least these.
@@ -277,6 +278,13 @@ def test_a_building_of_instances_has_the_same_rooms():
     rays = rng.uniform(low - 1.0, high + 1.0, (20_000, 3)), rng.normal(size=(20_000, 3))
     hits, same = rs.Tracer(plain).first_hit(*rays), rs.Tracer(instanced).first_hit(*rays)
     np.testing.assert_allclose(same.t, hits.t, rtol=1e-4, atol=1e-4)
+    walls = [one.colors for one in instanced.meshes if one.name == "walls and furniture"]
+    colors = np.concatenate(walls)
+    paints = np.concatenate([np.delete(COLORS, BOOK, axis=0), BOOK_COLORS])
+    ratios = colors[:, None] / paints[None]
+    is_paint = (np.ptp(ratios, axis=2) < 1e-4) & (ratios[..., 0] > 0.939) & (ratios[..., 0] < 1.001)
+    assert is_paint.any(axis=1).all()
+    assert is_paint.any(axis=0).all()
     cosines = np.einsum("nk,nk->n", hits.normals, same.normals)[hits.is_hit]
     assert (cosines > 0.999).mean() > 0.99  # but where boxes touch
 
