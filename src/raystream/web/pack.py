@@ -55,10 +55,11 @@ def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Pac
         parts.append(_sorted_bytes(words))
     content = b"".join(parts)
     head = json.dumps(
-        {**manifest, "version": VERSION, "arrays": entries, "crc": zlib.crc32(content)},
+        {**manifest, "version": VERSION, "arrays": entries},
         separators=(",", ":"),
     ).encode()
     whole = len(head).to_bytes(4, "little") + head + content
+    whole = zlib.crc32(whole).to_bytes(4, "little") + whole
     deflater = zlib.compressobj(9, zlib.DEFLATED, -15)
     packed = deflater.compress(whole) + deflater.flush()
     return Packed(base64.b64encode(packed).decode("ascii"), len(content))

@@ -128,9 +128,9 @@ _MODES: MappingProxyType[PathStage, Mode] = MappingProxyType(
 
 def mode_of(stages: Sequence[PathStage]) -> Mode | None:
     """The mode of a renderer's stages; None if it has no fragment programs."""
-    first, shading, *rest = stages
-    if first is not find_surfaces or shading not in _MODES:
+    if len(stages) < 2 or stages[0] is not find_surfaces or stages[1] not in _MODES:
         return None
+    _, shading, *rest = stages
     ends = [trace_shadow_rays] * (shading in _SHADOWED)
     return _MODES[shading] if rest == ends else None
 

@@ -8,9 +8,12 @@ const INCOMPLETE = "This page's data is incomplete or damaged; export or downloa
 export class PageError extends Error {}
 
 export async function unpack(text) {
-  const content = await inflate(text);
-  if (content.length < 4) throw new PageError(INCOMPLETE);
-  const length = new DataView(content.buffer).getUint32(0, true);
+  const whole = await inflate(text);
+  if (whole.length < 8) throw new PageError(INCOMPLETE);
+  const numbers = new DataView(whole.buffer);
+  const content = whole.subarray(4);
+  if (crc32(content) !== numbers.getUint32(0, true)) throw new PageError(INCOMPLETE);
+  const length = numbers.getUint32(4, true);
   let manifest;
   try {
     manifest = JSON.parse(new TextDecoder().decode(content.subarray(4, 4 + length)));
@@ -19,7 +22,6 @@ export async function unpack(text) {
   }
   if (manifest.version !== VERSION) throw new PageError("This page's data is of another version.");
   const rest = content.subarray(4 + length);
-  if (crc32(rest) !== manifest.crc) throw new PageError(INCOMPLETE);
   const arrays = {};
   let at = 0;
   for (const [name, {type, length: count}] of Object.entries(manifest.arrays)) {
