@@ -61,8 +61,9 @@ NAMES = """
     Animation Camera CameraTrack ClosestPoints Decision DirectionalLight EnvironmentLight
     FileFormatError Hits Image MODES Material Mesh MultiHits PointLight RayHit RayStatus
     RaystreamError RaystreamWarning Scene SpotLight Texture Tracer __version__ attenuation cluster
-    daylight export_page heatmap lidar_returns load query_zarr render render_frames set_thread_count streams
-    textures thickness thread_count view write_video Brute Bvh Graph Grid KdTree StructureOptions
+    daylight export_page heatmap lidar_returns load query_zarr render render_frames
+    set_thread_count streams textures thickness thread_count view write_video Brute Bvh Graph Grid
+    KdTree StructureOptions
     register_structure Cpu Cuda Graphics Branching Compute Multipass
     surface_points view_factors visibility visible_faces
     SensorTrack lidar_sweep sweep_patterns terrain

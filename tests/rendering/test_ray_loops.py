@@ -80,6 +80,14 @@ def test_images_have_the_bits_of_the_stages(scene, mode, structure, scheduler):
     assert image.pixels.any()
 
 
+def test_modes_without_a_loop_are_rendered_by_queries():
+    scene = rs.load("engine", triangles=2000)
+    machines = {}, {"machine": "multipass"}
+    images = [rs.render(rs.Tracer(scene, "grid", **one), "xray", (12, 9)) for one in machines]
+    np.testing.assert_array_equal(images[0].pixels, images[1].pixels)
+    assert images[0].pixels.any()
+
+
 def test_a_ray_caster_shades_once(scene):
     """As in the loop of Purcell 2002, section 3.2: its passes are those of the query."""
     tracer = rs.Tracer(scene, "grid", machine="multipass", counters=True)

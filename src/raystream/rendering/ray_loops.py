@@ -159,9 +159,9 @@ class MultipassBands:
         context = self._context
         if context.opacity is not None or context.camera.projection != "perspective":
             return False
-        first, shading, *rest = stages
-        if first is not find_surfaces or shading not in _MODES:
+        if len(stages) < 2 or stages[0] is not find_surfaces or stages[1] not in _MODES:
             return False
+        _, shading, *rest = stages
         return rest == [trace_shadow_rays] * (shading in _SHADOWED)
 
     def trace(
