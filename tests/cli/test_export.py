@@ -50,4 +50,10 @@ def test_scenes_without_shaders_are_named(tmp_path):
             rs.export_page(scene, tmp_path / "page.html", size=(8, 8))
     with pytest.raises(ValueError, match="structures"):
         rs.export_page(rs.load("cornell"), tmp_path / "page.html", structures=[])
+    with pytest.raises(TypeError, match=r"structures: expected a list, such as \['bvh'\]"):
+        rs.export_page(rs.load("cornell"), tmp_path / "page.html", structures="bvh")
+    with pytest.raises(ValueError, match="'bvh' twice"):
+        rs.export_page(rs.load("cornell"), tmp_path / "page.html", structures=["bvh", "bvh"])
+    with pytest.raises(ValueError, match="a tracer has its own"):
+        rs.export_page(rs.Tracer(rs.load("cornell")), tmp_path / "page.html", structures=["bvh"])
     assert not list(tmp_path.iterdir())

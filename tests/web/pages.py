@@ -65,7 +65,9 @@ class Exported:
         self.page.on("pageerror", lambda error: self.problems.append(f"error: {error}"))
         self.page.on(
             "console",
-            lambda one: self.problems.append(one.text) if one.type == "error" else None,
+            lambda one: (
+                self.problems.append(one.text) if one.type in ("error", "warning") else None
+            ),
         )
         self.page.on("request", lambda one: self.requests.append(one.url))
         if before:
@@ -102,8 +104,8 @@ class Exported:
     def light(self) -> NDArray[np.float32]:
         """The mean light of the canvas' pixels, shape (H, W, 3)."""
         words, (width, height) = self.run(
-            """async page => [Array.from(new Float32Array(await page.gpu.read(
-                page.display.sums, 16 * page.size[0] * page.size[1]))), page.size]"""
+            """async ({gpu, display: {sums, size}}) => [Array.from(new Float32Array(
+                await gpu.read(sums, 16 * size[0] * size[1]))), size]"""
         )
         sums = np.array(words, np.float32).reshape(height, width, 4)
         return sums[..., :3] / sums[..., 3:]

@@ -152,11 +152,10 @@ def test_the_image_has_the_window_s_size(browser, path):  # noqa: F811
 def test_a_lost_gpu_is_opened_again(browser, path):  # noqa: F811
     with Exported(browser, path) as page:
         page.wait_for_samples(1)
-        page.run(
-            "page => { page.isTested = true; page.first = page.gpu; page.gpu.device.destroy(); }"
-        )
+        page.run("page => { page.first = page.gpu; page.gpu.device.destroy(); }")
         page.wait("raystream.opened.then(p => p.gpu !== p.first && p.sample >= 1)")
         assert page.message == ""
+        assert page.page.locator("#picture").is_visible()
 
 
 def test_without_webgpu_the_page_shows_its_image_and_says_so(browser, path):  # noqa: F811

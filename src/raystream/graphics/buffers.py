@@ -54,13 +54,13 @@ class Buffer:
         if array.nbytes:
             self._opened.device.queue.write_buffer(self.handle, 0, np.ascontiguousarray(array))
 
-    def read(self, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Wait for the device, and copy its beginning back."""
+    def read(self, dtype: Any, shape: tuple[int, ...], offset: int = 0) -> NDArray[Any]:
+        """Wait for the device, and copy a part back, from an offset in bytes on."""
         byte_count = int(np.dtype(dtype).itemsize * np.prod(shape, dtype=np.int64))
         if byte_count == 0:
             return np.empty(shape, dtype)
         try:
-            memory = self._opened.device.queue.read_buffer(self.handle, 0, byte_count)
+            memory = self._opened.device.queue.read_buffer(self.handle, offset, byte_count)
         except Exception as error:  # wgpu wraps all errors of a driver
             raise GraphicsError(
                 f"device 'graphics': {self._opened.adapter}: {self._name} cannot be read: {error}"

@@ -6,12 +6,16 @@ import base64
 import hashlib
 import html
 import re
+import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.resources import files
 from os import PathLike
 from typing import Any
 
 from raystream.core.atomic_write import atomic_write
+from raystream.core.errors import RaystreamWarning
+from raystream.graphics.rendering.modes import TEXTURES
 from raystream.graphics.shader_source import shader_files
 from raystream.rendering.arguments import check_camera, check_size
 from raystream.rendering.render import render
@@ -20,7 +24,7 @@ from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 from raystream.web.pack import pack
-from raystream.web.scene_data import page_scene
+from raystream.web.scene_data import check_supported, page_scene
 
 __all__ = ["export_page"]
 
@@ -36,11 +40,17 @@ MODULES = (
     "device.js",
     "queries.js",
     "view_uniform.js",
+    "scene_on_gpu.js",
     "images.js",
+    "display.js",
     "exported.js",
 )
 
 STYLES = ("theme.css", "exported.css")
+
+#: Width over height of an image whose whole height the camera's field of view is: wider ones show
+#: more at the sides, others more above and below; see ``view.js``.
+PAGE_ASPECT = 4 / 3
 
 #: Imports of other modules; and what is before exported names.
 _IMPORT = re.compile(r'^import (\{[^}]*\}) from "\./([a-z_]+\.js)";\n', re.MULTILINE)
@@ -51,7 +61,7 @@ def export_page(
     scene: Scene | Tracer,
     path: str | PathLike[str],
     *,
-    structures: Sequence[str | StructureOptions] = ("bvh",),
+    structures: Sequence[str | StructureOptions] | None = None,
     camera: Camera | None = None,
     size: tuple[int, int] = (960, 540),
 ) -> int:
@@ -67,7 +77,8 @@ def export_page(
     path : path
         Of the page, such as ``"page.html"``.
     structures : sequence of str or StructureOptions
-        The structures to choose from; the first one is first seen.
+        The structures to choose from, of different names; the first one is first seen
+        [default: ``["bvh"]``]. A tracer has its own.
     camera : Camera, optional
         The first view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     size : (int, int)
@@ -87,6 +98,12 @@ def export_page(
     OSError
         If the file cannot be written.
 
+    Warns
+    -----
+    RaystreamWarning
+        If textures beside diffuse ones were left out, which the shaders do not have; for a tracer
+        they are an error.
+
     Examples
     --------
     >>> import tempfile, pathlib
@@ -98,27 +115,69 @@ def export_page(
     width, height = check_size(size)
     check_camera(camera)
     if isinstance(scene, Tracer):
+        if structures is not None:
+            raise ValueError("structures: a tracer has its own; pass its scene to choose others")
+        check_supported(scene, camera or scene.scene.camera_for(PAGE_ASPECT))
         tracers = [scene]
     else:
-        if not structures:
-            raise ValueError("structures: expected at least one")
-        tracers = [Tracer(scene, one) for one in structures]
-    view = camera or tracers[0].scene.camera_for(width / height)
-    made = page_scene(tracers, view)
-    image = render(tracers[0], "raycast", (width, height), samples=4, camera=view)
+        wanted = _checked(structures)
+        if not isinstance(scene, Scene):
+            raise TypeError(
+                f"scene: expected a Scene or Tracer, got {type(scene).__name__}; see rs.load"
+            )
+        scene = _with_known_textures(scene)
+        view = camera or scene.camera_for(PAGE_ASPECT)
+        check_supported(Tracer(scene, "brute"), view)
+        tracers = [Tracer(scene, one) for one in wanted]
+    found = tracers[0].scene
+    made = page_scene(tracers, camera or found.camera_for(PAGE_ASPECT), (width, height))
+    seen = camera or found.camera_for(width / height)
+    image = render(tracers[0], "raycast", (width, height), samples=4, camera=seen)
     manifest = {**made.manifest, "shaders": shader_files(made.shaders)}
-    packed = pack(manifest, made.arrays)
-    content = _page(tracers[0].scene.name, packed.text, image.to_png()).encode()
+    content = _page(found.name, pack(manifest, made.arrays), image.to_png()).encode()
     with atomic_write(path) as file:
         file.write_bytes(content)
     return len(content)
+
+
+def _checked(
+    structures: Sequence[str | StructureOptions] | None,
+) -> Sequence[str | StructureOptions]:
+    if structures is None:
+        return ["bvh"]
+    if isinstance(structures, (str, StructureOptions)):
+        raise TypeError(f"structures: expected a list, such as [{structures!r}]")
+    if not structures:
+        raise ValueError("structures: expected at least one")
+    names = [one if isinstance(one, str) else one.name for one in structures]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"structures: expected different ones, got {name!r} twice")
+    return structures
+
+
+def _with_known_textures(scene: Scene) -> Scene:
+    """The scene without the textures that shaders do not have."""
+    left_out = sorted({name for one in scene.materials for name in one.textures} - TEXTURES)
+    if not left_out:
+        return scene
+    warnings.warn(
+        f"export: pages have diffuse textures only; left out those of {', '.join(left_out)}",
+        RaystreamWarning,
+        stacklevel=3,
+    )
+    materials = [
+        replace(one, textures={k: v for k, v in one.textures.items() if k in TEXTURES})
+        for one in scene.materials
+    ]
+    return scene.replace(materials=materials)
 
 
 def _page(title: str, data: str, png: bytes) -> str:
     script, style = _script(), "\n".join(map(_text, STYLES))
     preview = "data:image/png;base64," + base64.b64encode(png).decode("ascii")
     policy = (
-        "default-src 'none'; img-src data: blob:; "
+        "default-src 'none'; img-src data:; "
         f"script-src '{_hash(script)}'; style-src '{_hash(style)}'; base-uri 'none'; "
         "form-action 'none'"
     )

@@ -6,34 +6,19 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Packed", "pack"]
+__all__ = ["pack"]
 
 #: Format of the packed text; the page refuses others.
 VERSION = 1
 
 
-class Packed(NamedTuple):
-    """What a page holds besides its code.
-
-    Attributes
-    ----------
-    text : str
-        Base64.
-    byte_count : int
-        Of the arrays, unpacked.
-    """
-
-    text: str
-    byte_count: int
-
-
-def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Packed:
-    """Pack named arrays and what describes them.
+def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Pack named arrays and what describes them, in Base64.
 
     The bytes of each array's words are sorted by significance, those of integers after
     subtracting their predecessor: neighbours are alike, so they compress better. What follows is
@@ -42,7 +27,7 @@ def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Pac
     Parameters
     ----------
     manifest : mapping
-        Of what JSON has.
+        Of what JSON has: numbers are finite.
     arrays : mapping of str to ndarray
         Of four-byte numbers, with any shape.
     """
@@ -57,12 +42,13 @@ def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Pac
     head = json.dumps(
         {**manifest, "version": VERSION, "arrays": entries},
         separators=(",", ":"),
+        allow_nan=False,
     ).encode()
     whole = len(head).to_bytes(4, "little") + head + content
     whole = zlib.crc32(whole).to_bytes(4, "little") + whole
     deflater = zlib.compressobj(9, zlib.DEFLATED, -15)
     packed = deflater.compress(whole) + deflater.flush()
-    return Packed(base64.b64encode(packed).decode("ascii"), len(content))
+    return base64.b64encode(packed).decode("ascii")
 
 
 def _sorted_bytes(words: NDArray[Any]) -> bytes:

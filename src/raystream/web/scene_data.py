@@ -26,13 +26,16 @@ from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 from raystream.web.geometry import structure_arrays, triangle_arrays
 
-__all__ = ["MODES", "PageScene", "page_scene"]
+__all__ = ["MODES", "PageScene", "check_supported", "page_scene"]
 
 #: Modes of a page, the first one first seen.
 MODES = ("raycast", "shadow", "whitted", "ao", "path")
 
 #: Samples per pixel, after which a page rests.
 SAMPLES = 256
+
+#: Longest side of the image of which samples decide whether lights are added.
+_TRIAL_SIZE = 64
 
 #: Arrays of `surface_arrays` that the page makes of the vertices.
 _CORNERS = "the corners of triangles"
@@ -56,42 +59,45 @@ class PageScene(NamedTuple):
     shaders: frozenset[str]
 
 
-def page_scene(
-    tracers: Sequence[Tracer], camera: Camera, modes: Sequence[str] = MODES
-) -> PageScene:
-    """Collect what a page needs.
+def check_supported(tracer: Tracer, camera: Camera) -> None:
+    """Raise RaystreamError, which says what, for a scene or view that shaders do not support.
+
+    Parameters
+    ----------
+    tracer : Tracer
+        Of the scene, with any structure.
+    camera : Camera
+    """
+    reason = unsupported(_context(tracer, camera, (1, 1), MODES[0]))
+    if reason is not None:
+        raise RaystreamError(f"export: the shaders of pages do not support {reason}")
+
+
+def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int]) -> PageScene:
+    """Collect what a page needs of a supported scene; see `check_supported`.
 
     Parameters
     ----------
     tracers : sequence of Tracer
         Of one scene, one for each structure; the first one is first seen.
     camera : Camera
-    modes : sequence of str
-        Of `MODES`.
-
-    Raises
-    ------
-    RaystreamError
-        If the shaders do not support the scene.
+    size : (int, int)
+        Of the image whose light decides whether lights are added.
     """
     scene = tracers[0].scene
     arrays: dict[str, NDArray[Any]] = dict(triangle_arrays(scene.triangles, scene.attributes.faces))
     files = {"compute.wgsl", "rendering/compute.wgsl", *_SHARED}
-    modes_made, surfaces = {}, False
-    for name in modes:
-        context = _context(tracers[0], camera, name)
-        reason = unsupported(context)
-        if reason is not None:
-            raise RaystreamError(
-                f"export: the shaders of a page do not support {reason}; leave it out of the scene"
-            )
+    modes_made: dict[str, Any] = {}
+    shrink = max(*size, _TRIAL_SIZE) / _TRIAL_SIZE
+    trial = max(int(size[0] / shrink), 1), max(int(size[1] / shrink), 1)
+    for name in MODES:
+        context = _context(tracers[0], camera, trial, name)
+        context = lit(RENDERERS[name], context)
         mode = mode_of(RENDERERS[name].stages)
         assert mode is not None
-        if not surfaces:
+        if not modes_made:
             arrays.update(_surfaces(context))
-            surfaces = True
-        lights, key = _lights(context, mode)
-        arrays.setdefault(key, lights)
+        key = _add_lights(arrays, name, _lights(context, mode))
         uniform = shading_uniform(context, mode, BandPlace(0, 0, 0, 1))
         arrays[f"shading {name}"] = np.frombuffer(uniform, np.uint32)
         modes_made[name] = _mode(context, mode, key)
@@ -123,7 +129,6 @@ def page_scene(
             "up": list(camera.up),
             "fov": camera.fov,
         },
-        "up": list(scene.up),
         "bounds": scene.bounds.tolist(),
         "frame": {
             "center": frame.center.tolist(),
@@ -147,12 +152,11 @@ _SHARED = (
 )
 
 
-def _context(tracer: Tracer, camera: Camera, name: str) -> RenderContext:
+def _context(tracer: Tracer, camera: Camera, size: tuple[int, int], name: str) -> RenderContext:
     renderer = RENDERERS[name]
     sampler = Sampler.of("sobol", 0, SAMPLES)
     chosen = renderer.check(renderer.complete({}))
-    context = make_context(tracer, camera, (4, 3), sampler, chosen)
-    return lit(renderer, context)
+    return make_context(tracer, camera, size, sampler, chosen)
 
 
 def _surfaces(context: RenderContext) -> Mapping[str, NDArray[Any]]:
@@ -163,10 +167,17 @@ def _surfaces(context: RenderContext) -> Mapping[str, NDArray[Any]]:
     }
 
 
-def _lights(context: RenderContext, mode: Mode) -> tuple[NDArray[np.float32], str]:
-    if mode.samples_lights:
-        return light_samples(context), "light samples"
-    return punctual_rows(context).reshape(-1), "lights"
+def _lights(context: RenderContext, mode: Mode) -> NDArray[np.float32]:
+    return light_samples(context) if mode.samples_lights else punctual_rows(context).reshape(-1)
+
+
+def _add_lights(arrays: dict[str, NDArray[Any]], mode: str, lights: NDArray[np.float32]) -> str:
+    """Add a mode's lights, which may be those of a mode before; returns their name."""
+    for name, known in arrays.items():
+        if name.startswith("lights ") and np.array_equal(known, lights):
+            return name
+    arrays[f"lights {mode}"] = lights
+    return f"lights {mode}"
 
 
 def _mode(context: RenderContext, mode: Mode, lights: str) -> dict[str, Any]:

@@ -23,8 +23,9 @@ from raystream.rendering.integrator import RenderContext
 
 __all__ = ["ComputeBands"]
 
-#: Invocations of a workgroup, and bytes of a pixel in ``records``; see rendering/compute.wgsl.
-_GROUP_SIZE, _PIXEL_BYTES = 64, 96
+#: Invocations of a workgroup, bytes of a pixel in ``records``, and of those before its light; see
+#: rendering/compute.wgsl.
+_GROUP_SIZE, _PIXEL_BYTES, _LIGHT_OFFSET = 64, 96, 80
 
 #: Group 0, and the group of the structure's arrays.
 _LAYOUT, _TREE_GROUP = ("uniform", "scatter", "scatter"), 2
@@ -126,8 +127,8 @@ class ComputeBands(ShaderBands):
             elif not active:
                 break
             dispatch_count = min(2 * dispatch_count, _MOST_DISPATCHES)
-        words = self._records.read(np.float32, (6, count, 4))
-        return np.ascontiguousarray(words[5, :, :3])
+        light = self._records.read(np.float32, (count, 4), _LIGHT_OFFSET * count)
+        return np.ascontiguousarray(light[:, :3])
 
     def _submit(self, pipelines: list[Any], size: tuple[int, int]) -> list[int]:
         """Dispatch pipelines; returns the last one's counts, and all failures."""

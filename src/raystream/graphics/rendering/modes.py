@@ -1,4 +1,4 @@
-"""The modes whose shading is a fragment program, and what their programs do not support."""
+"""The modes whose shading is in shaders, and what these do not support."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 from raystream.scene.lights import SpotLight
 
-__all__ = ["Mode", "mode_of", "unsupported"]
+__all__ = ["TEXTURES", "Mode", "mode_of", "unsupported"]
 
 #: Supported textures, and one that no renderer uses.
-_ROLES = frozenset(["diffuse", "occlusion"])
+TEXTURES = frozenset(["diffuse", "occlusion"])
 
 
 class Mode(NamedTuple):
-    """A mode's shading as a fragment program.
+    """A mode's shading in WGSL, for fragment programs and compute shaders.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ _MODES: MappingProxyType[PathStage, Mode] = MappingProxyType(
 
 
 def mode_of(stages: Sequence[PathStage]) -> Mode | None:
-    """The mode of a renderer's stages; None if it has no fragment programs."""
+    """The mode of a renderer's stages; None if they have no shaders."""
     if len(stages) < 2 or stages[0] is not find_surfaces or stages[1] not in _MODES:
         return None
     _, shading, *rest = stages
@@ -136,7 +136,7 @@ def mode_of(stages: Sequence[PathStage]) -> Mode | None:
 
 
 def unsupported(context: RenderContext) -> str | None:
-    """What fragment programs do not support of a scene and its view; None if all."""
+    """What shaders do not support of a scene and its view; None if all."""
     scene, camera = context.tracer.scene, context.camera
     if scene.placements is not None:
         return "instances"
@@ -149,7 +149,7 @@ def unsupported(context: RenderContext) -> str | None:
         return f"cameras of projection {camera.projection!r}"
     if context.tables.kinds & IS_ROUGH and any(one.roughness is not None for one in used):
         return "materials with a roughness"
-    if any(not _ROLES.issuperset(one.textures) for one in used):
+    if any(not TEXTURES.issuperset(one.textures) for one in used):
         return "textures beside diffuse ones"
     if any(texture.transform for one in used for texture in one.textures.values()):
         return "textures with a transform"

@@ -15,6 +15,12 @@ const LIMITS = [
   "maxTextureDimension2D",
 ];
 
+/** Milliseconds that an error may precede the report that the GPU is lost. */
+const REPORTED_WITHIN = 500;
+
+/** Pixels of the first dispatch; seconds that one should take; largest growth to the next. */
+const FIRST = 1 << 10, SECONDS = 0.07, GROWTH = 8;
+
 export class Gpu {
   static async open() {
     if (!navigator.gpu) {
@@ -25,10 +31,7 @@ export class Gpu {
     const adapter = await navigator.gpu.requestAdapter({powerPreference: "high-performance"});
     if (!adapter) throw new PageError("No GPU was found. The image was rendered beforehand.");
     const requiredLimits = Object.fromEntries(LIMITS.map(name => [name, adapter.limits[name]]));
-    const wanted = ["timestamp-query"];
-    const requiredFeatures = wanted.filter(name => adapter.features.has(name));
-    const device = await adapter.requestDevice({requiredLimits, requiredFeatures});
-    return new Gpu(adapter, device);
+    return new Gpu(adapter, await adapter.requestDevice({requiredLimits}));
   }
 
   constructor(adapter, device) {
@@ -36,21 +39,33 @@ export class Gpu {
     this.name = adapter.info.description || adapter.info.architecture || adapter.info.vendor;
     this.modules = new Map();
     this.layouts = new Map();
+    this.isLost = false;
+    this.loss = device.lost.then(() => { this.isLost = true; });
   }
 
   get limits() {
     return this.device.limits;
   }
 
+  /** Most bytes of a buffer. */
+  get mostBytes() {
+    return Math.min(this.limits.maxStorageBufferBindingSize, this.limits.maxBufferSize);
+  }
+
+  /** Whether the GPU is lost: after an error it may take a while to be reported. */
+  async wasLost() {
+    await Promise.race([this.loss, new Promise(done => setTimeout(done, REPORTED_WITHIN))]);
+    return this.isLost;
+  }
+
   /** A buffer with the content of an array, or room for a number of bytes. */
   buffer(name, content, usage = GPUBufferUsage.STORAGE) {
     const size = typeof content === "number" ? content : content.byteLength;
     const room = Math.max(Math.ceil(size / 16) * 16, 64);
-    const most = Math.min(this.limits.maxStorageBufferBindingSize, this.limits.maxBufferSize);
-    if (room > most) {
+    if (room > this.mostBytes) {
       throw new PageError(
         `${name} would take ${room.toLocaleString()} bytes, and this GPU allows `
-        + `${most.toLocaleString()} in a buffer.`);
+        + `${this.mostBytes.toLocaleString()} in a buffer.`);
     }
     const made = this.device.createBuffer({
       label: name, size: room, usage: usage | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC,
@@ -91,11 +106,22 @@ export class Gpu {
       label: name, size: [TEXTURE_WIDTH, height], format,
       usage: GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST,
     });
-    const padded = new Uint8Array(4 * row * height);
-    padded.set(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));
-    this.device.queue.writeTexture({texture}, padded, {bytesPerRow: 4 * row},
-      [TEXTURE_WIDTH, height]);
+    this.fill(texture, array, element);
     return texture;
+  }
+
+  /** Copy an array to a texture that was made for one of this length. */
+  fill(texture, array, element) {
+    const row = 4 * TEXTURE_WIDTH * TEXELS[element].words;
+    const padded = new Uint8Array(row * texture.height);
+    padded.set(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));
+    this.device.queue.writeTexture({texture}, padded, {bytesPerRow: row},
+      [TEXTURE_WIDTH, texture.height]);
+  }
+
+  /** The kind of a bind group's entry that is a texture. */
+  kindOf(element) {
+    return TEXELS[element].sampleType;
   }
 
   /** Layout of a bind group whose entries are kinds of buffers, or sample types of textures. */
@@ -134,11 +160,21 @@ export class Gpu {
   textures(declared, arrays) {
     const kinds = [], resources = [];
     for (const {binding, name, element} of declared) {
-      kinds[binding] = TEXELS[element].sampleType;
+      kinds[binding] = this.kindOf(element);
       resources[binding] = this.texture(name, arrays[name], element);
     }
     return {kinds, resources};
   }
+}
+
+/** The value or promise of a key, made once; again after a promise was rejected. */
+export function cached(map, key, makeOne) {
+  if (!map.has(key)) {
+    const made = makeOne();
+    map.set(key, made);
+    if (made instanceof Promise) made.catch(() => map.delete(key));
+  }
+  return map.get(key);
 }
 
 /** Columns and rows of workgroups for a number of invocations, and invocations in a row. */
@@ -146,4 +182,19 @@ export function dispatchSize(count, size, most = 65535) {
   const groups = Math.ceil(count / size);
   const columns = Math.min(groups, most);
   return {columns, rows: Math.ceil(groups / columns), rowSize: columns * size};
+}
+
+/** The number of pixels of a dispatch, so that none takes long: as raystream/graphics/dispatch_size.py. */
+export class DispatchSize {
+  constructor(most) {
+    this.most = most;
+    this.size = Math.min(FIRST, most);
+  }
+
+  /** Take in the time of a dispatch. */
+  took(count, seconds) {
+    if (count < this.size && seconds <= SECONDS) return; // the last ones: too few to extrapolate
+    const right = Math.floor(count * SECONDS / Math.max(seconds, 1e-9));
+    this.size = Math.max(Math.min(right, this.size * GROWTH, this.most), 1);
+  }
 }

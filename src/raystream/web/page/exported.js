@@ -1,20 +1,23 @@
 // An exported page: shows the scene, sample after sample, traced on this computer's GPU.
 
+import {Display} from "./display.js";
 import {byId, fillSelect, make} from "./elements.js";
-import {Gpu, dispatchSize} from "./device.js";
+import {Gpu, cached} from "./device.js";
 import {cornersOf} from "./geometry.js";
 import {Gestures} from "./gestures.js";
 import {ImageRenderer} from "./images.js";
 import {PageError, unpack} from "./pack.js";
 import {Queries, StructureOnGpu} from "./queries.js";
-import {shaderSource} from "./shaders.js";
+import {SceneOnGpu} from "./scene_on_gpu.js";
 import {add, length, scale, subtract} from "./vector.js";
 import {fromCamera, likelyUp, orbit, pan, toShapedCamera, worldOf, zoom} from "./view.js";
 import {basisOf} from "./view_uniform.js";
 
-const GROUP_SIZE = 64;
 const MOST_PIXELS = 1 << 20;
+const MOST_LOSSES = 2; // of the GPU, without a sample between
 const LOST = "The GPU stopped; this page starts it again.";
+const STOPPED = "The GPU stopped again. Another mode or structure may take it less time; choosing one "
+  + "starts it again.";
 const STEP = 0.04; // of keys, in image heights
 
 class Page {
@@ -22,12 +25,16 @@ class Page {
     this.page = unpacked;
     this.scene = unpacked.manifest;
     this.corners = cornersOf(unpacked.arrays.vertices, unpacked.arrays.faces);
-    this.structures = new Map();
     this.mode = Object.keys(this.scene.modes)[0];
     this.structure = Object.keys(this.scene.structures)[0];
+    this.canvas = byId("picture");
     this.sample = 0;
     this.changes = 0;
+    this.picks = 0;
+    this.losses = 0;
+    this.errorCount = 0; // reported by the GPU
     this.isRunning = false;
+    this.isStopped = false;
     const [lower, upper] = this.scene.bounds;
     const up = likelyUp(this.scene.camera.up);
     const world = worldOf(up, length(subtract(upper, lower)));
@@ -36,81 +43,57 @@ class Page {
   }
 
   async open() {
-    this.gpu = await Gpu.open();
-    this.structures.clear();
+    const gpu = await Gpu.open();
+    gpu.device.onuncapturederror = ({error}) => {
+      this.errorCount += 1;
+      if (gpu === this.gpu) this.stop(new PageError(`The GPU reported an error: ${error.message}`));
+    };
+    this.display = await Display.make(gpu, this.scene.shaders, this.canvas);
+    this.surfaces = new SceneOnGpu(gpu, this.page, this.corners);
+    this.structures = new Map();
     this.renderers = new Map();
     this.queries = new Map();
-    this.canvas = byId("picture");
-    this.context = this.canvas.getContext("webgpu");
-    this.format = navigator.gpu.getPreferredCanvasFormat();
-    this.context.configure({device: this.gpu.device, format: this.format});
-    this.display = await this.makeDisplay();
-    this.gpu.device.lost.then(({reason}) => {
-      if (reason !== "destroyed" || this.isTested) this.reopen();
-    });
+    this.gpu = gpu;
+    gpu.loss.then(() => this.change());
   }
 
   async reopen() {
+    this.losses += 1;
+    if (this.losses >= MOST_LOSSES) throw new PageError(STOPPED);
     say(LOST);
-    try {
-      await this.open();
-      say("");
-      this.change();
-    } catch (error) {
-      say(error.message);
-      byId("preview").hidden = false;
-      this.canvas.hidden = true;
-    }
+    await this.open();
+    this.sample = 0;
   }
 
-  async makeDisplay() {
-    const {gpu} = this;
-    const kinds = ["uniform", "gather", "scatter"];
-    const adding = await gpu.pipeline({
-      source: shaderSource(this.scene.shaders, ["page/accumulate.wgsl"]),
-      entry: "accumulate", layouts: [kinds], constants: {},
-    });
-    const module = gpu.device.createShaderModule({
-      code: shaderSource(this.scene.shaders, ["page/show.wgsl"]),
-    });
-    const showing = await gpu.device.createRenderPipelineAsync({
-      layout: "auto", vertex: {module, entryPoint: "cover"},
-      fragment: {module, entryPoint: "show", targets: [{format: this.format}]},
-    });
-    return {
-      kinds, adding, showing, sums: null,
-      sample: gpu.buffer("sample", 16, GPUBufferUsage.UNIFORM),
-      picture: gpu.buffer("picture", 16, GPUBufferUsage.UNIFORM),
-    };
+  /** Stop, and show the image that was rendered beforehand, until something is changed. */
+  stop(error) {
+    if (!(error instanceof PageError)) console.error(error);
+    this.isStopped = true;
+    this.losses = 0;
+    say(error.message);
+    byId("preview").hidden = false;
+    this.canvas.hidden = true;
   }
 
   onGpu(name) {
-    if (!this.structures.has(name)) {
-      this.structures.set(name, new StructureOnGpu(this.gpu, this.page, this.corners, name));
-    }
-    return this.structures.get(name);
+    return cached(this.structures, name,
+      () => new StructureOnGpu(this.gpu, this.page, this.corners, name));
   }
 
   queriesOf(name) {
-    if (!this.queries.has(name)) {
-      this.queries.set(name, new Queries(this.gpu, this.scene, this.onGpu(name)));
-    }
-    return this.queries.get(name);
+    return cached(this.queries, name, () => new Queries(this.gpu, this.scene, this.onGpu(name)));
   }
 
   rendererOf(structure, mode) {
-    const key = `${structure} ${mode}`;
-    if (!this.renderers.has(key)) {
-      this.renderers.set(key,
-        ImageRenderer.make(this.gpu, this.page, this.onGpu(structure), this.corners, mode));
-    }
-    return this.renderers.get(key);
+    return cached(this.renderers, `${structure} ${mode}`,
+      () => ImageRenderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
   }
 
   /** Begin the image again: the view, the size or a choice has changed. */
   change() {
     this.changes += 1;
     this.sample = 0;
+    this.isStopped = false;
     if (!this.isRunning) this.run();
   }
 
@@ -127,69 +110,50 @@ class Page {
 
   async run() {
     this.isRunning = true;
-    try {
-      while (this.sample < this.scene.samples) await this.frame();
-    } catch (error) {
-      if (!(error instanceof PageError)) console.error(error);
-      say(error.message);
+    while (this.sample < this.scene.samples && !this.isStopped) {
+      try {
+        if (this.gpu.isLost) await this.reopen();
+      } catch (error) {
+        this.stop(error);
+        break;
+      }
+      try {
+        await this.frame();
+      } catch (error) {
+        if (!(await this.gpu.wasLost())) this.stop(error);
+      }
     }
     this.isRunning = false;
   }
 
+  /** Add one sample to the image, or begin it. */
   async frame() {
     const began = performance.now();
-    const changes = this.changes;
-    const renderer = await this.rendererOf(this.structure, this.mode);
-    const size = this.size;
-    if (this.sample === 0) renderer.begin(this.camera, size);
-    await renderer.trace(this.sample);
-    this.show(renderer, this.sample, size);
-    await this.gpu.device.queue.onSubmittedWorkDone();
+    const {gpu, display, structure, mode} = this;
+    const renderer = await this.rendererOf(structure, mode);
+    if (structure !== this.structure || mode !== this.mode) return;
+    const {changes, sample, size} = this;
+    if (sample === 0) {
+      display.begin(size);
+      renderer.begin(this.camera, size);
+    }
+    for (let first = 0; first < renderer.pixelCount;) {
+      const band = await renderer.trace(sample, first);
+      display.add(band, sample, first);
+      first += band.count;
+      // A first sample is finished, so that there is an image while the camera moves.
+      if (this.isStopped || (sample && changes !== this.changes)) return;
+    }
+    await display.show();
+    if (this.isStopped) return;
+    if (sample === 0) say("");
+    this.losses = 0;
     byId("preview").hidden = true;
     this.canvas.hidden = false;
-    const seconds = (performance.now() - began) / 1000;
-    this.latest = {sample: this.sample, seconds, size};
-    byId("figures").textContent = `${this.sample + 1} of ${this.scene.samples} samples, `
-      + `${(1000 * seconds).toFixed(0)} ms, ${this.gpu.name}`;
+    const milliseconds = (performance.now() - began).toFixed(0);
+    byId("figures").textContent = `${sample + 1} of ${this.scene.samples} samples, `
+      + `${milliseconds} ms, ${gpu.name}`;
     if (changes === this.changes) this.sample += 1;
-  }
-
-  show(renderer, number, [width, height]) {
-    const {gpu, display} = this;
-    const count = width * height;
-    if (display.sums?.size !== Math.max(16 * count, 64)) {
-      display.sums?.destroy();
-      display.sums = gpu.buffer("sums of samples", 16 * count);
-    }
-    const {columns, rows, rowSize} = dispatchSize(count, GROUP_SIZE);
-    gpu.write(display.sample, Uint32Array.of(count, rowSize, number, 0));
-    const picture = new Uint32Array(4);
-    picture.set([width, height]);
-    new Float32Array(picture.buffer)[2] = 1;
-    gpu.write(display.picture, picture);
-    [this.canvas.width, this.canvas.height] = [width, height];
-    const encoder = gpu.device.createCommandEncoder();
-    const adding = encoder.beginComputePass();
-    adding.setPipeline(display.adding);
-    adding.setBindGroup(0,
-      gpu.bind(display.kinds, [display.sample, renderer.records, display.sums]));
-    adding.dispatchWorkgroups(columns, rows);
-    adding.end();
-    const view = this.context.getCurrentTexture().createView();
-    const showing = encoder.beginRenderPass({
-      colorAttachments: [{view, loadOp: "clear", storeOp: "store"}],
-    });
-    showing.setPipeline(display.showing);
-    showing.setBindGroup(0, gpu.device.createBindGroup({
-      layout: display.showing.getBindGroupLayout(0),
-      entries: [
-        {binding: 0, resource: {buffer: display.picture}},
-        {binding: 1, resource: {buffer: display.sums}},
-      ],
-    }));
-    showing.draw(3);
-    showing.end();
-    gpu.device.queue.submit([encoder.finish()]);
   }
 
   /** The ray through a place of the image, fractions from its upper left corner. */
@@ -202,18 +166,22 @@ class Page {
     return [...camera.eye, ...direction];
   }
 
+  /** List the hits of the ray through a place of the image. */
   async pick(x, y) {
+    const {structure} = this;
+    const number = ++this.picks;
     const ray = this.rayThrough(x, y);
-    const hits = await this.queriesOf(this.structure).allHits(Float64Array.from(ray));
+    const hits = await this.queriesOf(structure).allHits(Float64Array.from(ray));
+    if (number !== this.picks) return; // another was picked since
     const count = hits.primId.length;
-    byId("hits-title").textContent = count ? `${count} hits along the ray, by ${this.structure}`
+    byId("hits").hidden = false;
+    byId("hits-title").textContent = count
+      ? `${count} ${count === 1 ? "hit" : "hits"} along the ray, by ${structure}`
       : "No hit along the ray";
     byId("hits-list").replaceChildren(...hits.primId.map((prim, i) => {
       const distance = hits.t[i] * length(ray.slice(3));
       return make("li", "", `triangle ${prim} at ${distance.toPrecision(6)}`);
     }));
-    byId("hits").hidden = false;
-    return hits;
   }
 }
 
@@ -222,29 +190,43 @@ function say(text) {
   byId("message").hidden = !text;
 }
 
+/** Call a function whenever an image pixel gets another size, as by the browser's zoom. */
+function onPixelRatio(call) {
+  matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", () => {
+    call();
+    onPixelRatio(call);
+  }, {once: true});
+}
+
 function connect(page) {
   const move = how => {
     page.view = how(page.view);
     page.change();
   };
+  const pick = (x, y) => page.pick(x, y).catch(error => say(error.message));
   new Gestures(byId("picture"), {
     orbit: (dx, dy) => move(view => orbit(view, dx, dy)),
     pan: (dx, dy) => move(view => pan(view, dx, dy)),
     look: (dx, dy) => move(view => orbit(view, dx, dy)),
     zoom: (factor, x, y) => move(view => zoom(view, factor, x, y)),
-    tap: (x, y) => page.pick(x, y).catch(error => say(error.message)),
+    tap: pick,
     doubleTap: () => move(() => page.home),
     looking: () => false,
   });
-  const keys = {
-    ArrowLeft: view => orbit(view, -STEP, 0), ArrowRight: view => orbit(view, STEP, 0),
-    ArrowUp: view => orbit(view, 0, -STEP), ArrowDown: view => orbit(view, 0, STEP),
-    "+": view => zoom(view, 0.9), "-": view => zoom(view, 1 / 0.9), h: () => page.home,
+  const arrows = {
+    ArrowLeft: [-STEP, 0], ArrowRight: [STEP, 0], ArrowUp: [0, -STEP], ArrowDown: [0, STEP],
+  };
+  const others = {
+    "+": () => move(view => zoom(view, 0.9)), "-": () => move(view => zoom(view, 1 / 0.9)),
+    h: () => move(() => page.home), Enter: () => pick(0.5, 0.5),
   };
   byId("picture").addEventListener("keydown", event => {
-    if (!keys[event.key]) return;
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const shift = arrows[event.key];
+    if (!shift && !others[event.key]) return;
     event.preventDefault();
-    move(keys[event.key]);
+    if (shift) move(view => (event.shiftKey ? pan : orbit)(view, ...shift));
+    else others[event.key]();
   });
   for (const name of ["mode", "structure"]) {
     const choices = Object.keys(page.scene[`${name}s`]);
@@ -255,7 +237,11 @@ function connect(page) {
     });
   }
   byId("home").addEventListener("click", () => move(() => page.home));
-  byId("hits-close").addEventListener("click", () => { byId("hits").hidden = true; });
+  byId("hits-close").addEventListener("click", () => {
+    byId("hits").hidden = true;
+    byId("picture").focus();
+  });
+  onPixelRatio(() => page.change());
   new ResizeObserver(() => page.change()).observe(byId("stage"));
 }
 

@@ -1,7 +1,7 @@
-// Images, sample after sample: each dispatch traces one ray of each pixel. As
-// raystream/graphics/rendering/compute_bands.py.
+// Images, sample after sample, in bands of pixels: each dispatch traces one ray of each pixel of a
+// band. As raystream/graphics/rendering/compute_bands.py.
 
-import {dispatchSize} from "./device.js";
+import {DispatchSize, dispatchSize} from "./device.js";
 import {PageError} from "./pack.js";
 import {paramsOf} from "./queries.js";
 import {gatherArrays, inTextures} from "./shaders.js";
@@ -9,156 +9,141 @@ import {localEye, viewNumbers} from "./view_uniform.js";
 
 const GROUP_SIZE = 64, PIXEL_BYTES = 96, ROW_BYTES = 48;
 const LAYOUT = ["uniform", "scatter", "scatter"];
-const SHADING_GROUP = 1, TREE_GROUP = 2;
+const SHADING_GROUP = 1, TREE_GROUP = 2, ROWS_BINDING = 8;
 const MOST_DISPATCHES = 8, FIRST_ROOM = 2, MOST_ROOM = 128;
-const LIGHT_COLUMNS = 15, LIGHT_REST = 12;
+const MOST_BYTES = 1 << 28; // of a buffer for the pixels of a band
 
 /** Words of the uniform Shading. */
-const AT = {firstPixel: 48, sample: 49, pixelCount: 51, room: 54};
-
-/** What the image shaders read of a scene, besides its structure. */
-export function surfacesOf({arrays}, corners, lights) {
-  return {
-    corners, faces: arrays["surface 1"], vertices: arrays["surface 2"],
-    material_ids: arrays["surface 3"], materials: arrays["surface 4"],
-    texels: arrays["surface 5"], lights: arrays[lights],
-  };
-}
+const AT = {first_pixel: 48, sample: 49, pixel_count: 51, room: 54};
 
 export class ImageRenderer {
-  static async make(gpu, page, structure, corners, mode) {
-    const made = new ImageRenderer(gpu, page, structure, mode);
-    await made.prepare(corners);
+  static async make(gpu, page, scene, structure, mode) {
+    const made = new ImageRenderer(gpu, page, scene, structure, mode);
+    await made.prepare();
     return made;
   }
 
-  constructor(gpu, page, structure, mode) {
+  constructor(gpu, page, scene, structure, mode) {
     this.gpu = gpu;
-    this.page = page;
-    this.scene = page.manifest;
+    this.manifest = page.manifest;
+    this.scene = scene;
     this.structure = structure;
-    this.mode = this.scene.modes[mode];
+    this.mode = this.manifest.modes[mode];
+    this.hasRows = this.mode.branches > 1;
     this.words = page.arrays[`shading ${mode}`].slice();
-    this.room = FIRST_ROOM;
-    this.count = 0;
+    this.size = new DispatchSize(Math.floor(this.mostBytes / PIXEL_BYTES));
+    this.room = this.hasRows ? FIRST_ROOM : 1;
   }
 
-  async prepare(corners) {
-    const {gpu, scene, structure, mode} = this;
-    const instead = {};
-    if (mode.branches > 1) instead["rendering/one_path.wgsl"] = "rendering/path_rows.wgsl";
-    if (/\bcorners: array/.test(structure.plainSource(scene.shaders, []))) {
+  get mostBytes() {
+    return Math.min(this.gpu.mostBytes, MOST_BYTES);
+  }
+
+  async prepare() {
+    const {gpu, manifest, structure, mode, hasRows} = this;
+    const instead = {"nearest_hits.wgsl": "no_hit_rows.wgsl"};
+    if (hasRows) instead["rendering/one_path.wgsl"] = "rendering/path_rows.wgsl";
+    if (/\bcorners: array/.test(structure.plainSource(manifest.shaders, []))) {
       instead["rendering/corners.wgsl"] = "rendering/no_corners.wgsl";
     }
-    const plain = structure.source(scene.shaders, ["rendering/compute.wgsl", mode.shader],
-      {instead: {"nearest_hits.wgsl": "no_hit_rows.wgsl", ...instead}, treeGroup: TREE_GROUP});
-    const arrays = surfacesOf(this.page, corners, mode.lights);
-    const {kinds, resources} = gpu.textures(gatherArrays(plain, SHADING_GROUP), arrays);
+    const plain = structure.source(manifest.shaders, ["rendering/compute.wgsl", mode.shader],
+      {instead, treeGroup: TREE_GROUP});
     this.uniform = gpu.buffer("shading", this.words, GPUBufferUsage.UNIFORM);
-    this.params = gpu.buffer("params", paramsOf(scene, structure.about, {rayCount: 0, rowSize: 0}),
-      GPUBufferUsage.UNIFORM);
+    this.params = gpu.buffer("params", paramsOf(this.manifest, structure.about,
+      {rayCount: 0, rowSize: 0}), GPUBufferUsage.UNIFORM);
+    this.counts = gpu.buffer("counts", 16);
+    const declared = gatherArrays(plain, SHADING_GROUP);
+    const kinds = [], resources = [];
+    for (const one of declared) {
+      kinds[one.binding] = gpu.kindOf(one.element);
+      resources[one.binding] = this.scene.texture(one, mode);
+    }
     // Bindings that this mode's shaders do not declare stay unused.
-    const last = mode.branches > 1 ? 9 : kinds.length;
+    const last = hasRows ? ROWS_BINDING + 1 : Math.max(kinds.length, 1);
     this.kinds = Array.from({length: last}, (_, k) => kinds[k] ?? "uniform");
     this.resources = Array.from({length: last}, (_, k) => resources[k] ?? this.uniform);
-    this.kinds[0] = "uniform";
-    if (mode.branches > 1) this.kinds[8] = "scatter";
+    if (hasRows) this.kinds[ROWS_BINDING] = "scatter";
     const layouts = [LAYOUT, this.kinds, structure.kinds];
     const source = inTextures(plain, SHADING_GROUP);
     const constants = {...structure.about.constants, ...mode.constants};
     [this.beginning, this.advancing] = await Promise.all(["begin", "trace_and_shade"].map(
       entry => gpu.pipeline({source, entry, layouts, constants})));
-    this.counts = gpu.buffer("counts", 16);
-    this.lights = arrays.lights;
   }
 
-  /** Set the camera and the size, and forget all samples. */
-  begin(camera, size) {
-    const count = size[0] * size[1];
-    if (count !== this.count) {
-      this.records?.destroy();
-      this.records = this.gpu.buffer("pixels and their rays", PIXEL_BYTES * count);
-      this.count = count;
-      this.makeRows();
-    }
-    this.size = size;
-    new Float32Array(this.words.buffer).set(viewNumbers(camera, size, this.scene.frame));
-    this.words[AT.firstPixel] = 0;
-    this.words[AT.pixelCount] = count;
-    this.follow(camera);
-    this.dispatch = dispatchSize(count, GROUP_SIZE);
-    const {rowSize} = this.dispatch;
-    this.gpu.write(this.params,
-      paramsOf(this.scene, this.structure.about, {rayCount: count, rowSize}));
+  /** Set the camera and the size of the image. */
+  begin(camera, [width, height]) {
+    const {frame} = this.manifest;
+    if (width * height !== this.pixelCount) this.room = this.hasRows ? FIRST_ROOM : 1;
+    this.pixelCount = width * height;
+    new Float32Array(this.words.buffer).set(viewNumbers(camera, [width, height], frame));
+    this.scene.moveLight(this.mode, localEye(camera, frame));
   }
 
-  /** Move the light at the eye along with it. */
-  follow(camera) {
-    const row = this.mode.headlight;
-    if (row < 0) return;
-    const eye = localEye(camera, this.scene.frame);
-    eye.forEach((value, axis) => {
-      this.lights[LIGHT_COLUMNS * row + axis] = value;
-      this.lights[LIGHT_COLUMNS * row + LIGHT_REST + axis] = value - Math.fround(value);
-    });
-    this.resources[7].destroy();
-    this.resources[7] = this.gpu.texture("lights", this.lights, "f32");
-  }
-
-  makeRows() {
-    if (this.mode.branches === 1) return;
-    this.resources[8] = this.gpu.buffer("paths behind glass", this.rowBytes() * 2);
-  }
-
-  rowBytes() {
-    return this.count * this.room * ROW_BYTES;
-  }
-
-  /** Room for twice as many paths of each pixel, after the same ones as before. */
-  grow(encoder) {
-    if (this.room * 2 > MOST_ROOM) {
-      throw new PageError(`A pixel has more than ${MOST_ROOM} paths at once behind glass.`);
-    }
-    const [before, bytes] = [this.resources[8], this.rowBytes()];
-    this.room *= 2;
-    this.makeRows();
-    for (const half of [0, 1]) {
-      encoder.copyBufferToBuffer(before, half * bytes, this.resources[8],
-        half * this.rowBytes(), bytes);
-    }
-    this.words[AT.room] = this.room;
-    this.gpu.write(this.uniform, this.words);
-  }
-
-  /** Trace one sample of every pixel; its light is in the last vector of each record. */
-  async trace(sample) {
-    this.words[AT.sample] = sample;
-    this.words[AT.room] = this.mode.branches > 1 ? this.room : 1;
-    this.gpu.write(this.uniform, this.words);
-    await this.submit([this.beginning], false);
-    let dispatches = 1, rays = 0;
+  /**
+   * Trace one sample of the pixels from a first one on: as many as take a short time. Their light is
+   * in the last vectors of their records, until the next call.
+   */
+  async trace(sample, first) {
+    const {gpu, scene, words} = this;
     for (;;) {
+      const rows = this.hasRows ? Math.floor(this.mostBytes / this.rowBytes(1)) : Infinity;
+      const count = Math.min(this.size.size, rows, this.pixelCount - first);
+      words[AT.first_pixel] = first;
+      words[AT.sample] = sample;
+      words[AT.pixel_count] = count;
+      words[AT.room] = this.room;
+      gpu.write(this.uniform, words);
+      const dispatch = dispatchSize(count, GROUP_SIZE, gpu.limits.maxComputeWorkgroupsPerDimension);
+      gpu.write(this.params, paramsOf(this.manifest, this.structure.about,
+        {rayCount: count, rowSize: dispatch.rowSize}));
+      const records = scene.buffer("pixels and their rays", PIXEL_BYTES * count);
+      if (this.hasRows) scene.buffer("paths behind glass", this.rowBytes(count));
+      if (await this.advance(count, records, dispatch)) return {count, records, dispatch};
+    }
+  }
+
+  /** Trace all rays of some pixels; false if there is no room for their paths, with more now. */
+  async advance(count, records, dispatch) {
+    await this.submit([this.beginning], records, dispatch);
+    for (let dispatches = 1;; dispatches = Math.min(2 * dispatches, MOST_DISPATCHES)) {
+      const began = performance.now();
       const [active, stuck, endless, cut] = await this.submit(
-        Array(dispatches).fill(this.advancing), true);
-      rays += dispatches;
+        Array(dispatches).fill(this.advancing), records, dispatch, true);
+      this.size.took(count, (performance.now() - began) / 1000 / dispatches);
       if (endless || cut) {
         throw new PageError(`Searches in ${this.structure.name} did not end on this GPU.`);
       }
       if (stuck) {
-        const encoder = this.gpu.device.createCommandEncoder();
-        this.grow(encoder);
-        this.gpu.device.queue.submit([encoder.finish()]);
-      } else if (!active) return rays;
-      dispatches = Math.min(2 * dispatches, MOST_DISPATCHES);
+        if (!this.grow(count)) return false;
+      } else if (!active) return true;
     }
   }
 
-  async submit(pipelines, reads) {
-    const {gpu} = this;
+  rowBytes(count) {
+    return 2 * count * this.room * ROW_BYTES;
+  }
+
+  /** Room for twice as many paths of each pixel; false if the pixels have to be fewer. */
+  grow(count) {
+    const before = this.rowBytes(count);
+    if (this.room * 2 > MOST_ROOM) {
+      throw new PageError(`A pixel has more than ${MOST_ROOM} paths at once behind glass.`);
+    }
+    this.room *= 2;
+    if (this.rowBytes(count) > this.mostBytes) return false;
+    this.scene.growHalves("paths behind glass", this.rowBytes(count), before);
+    this.gpu.write(this.uniform, Uint32Array.of(this.room), 4 * AT.room);
+    return true;
+  }
+
+  async submit(pipelines, records, {columns, rows}, isRead = false) {
+    const {gpu, structure, scene} = this;
+    const resources = [...this.resources];
+    if (this.hasRows) resources[ROWS_BINDING] = scene.buffer("paths behind glass", 0);
     const groups = [
-      gpu.bind(LAYOUT, [this.params, this.records, this.counts]),
-      gpu.bind(this.kinds, [this.uniform, ...this.resources.slice(1)]),
-      gpu.bind(this.structure.kinds, this.structure.resources),
+      gpu.bind(LAYOUT, [this.params, records, this.counts]),
+      gpu.bind(this.kinds, resources),
+      gpu.bind(structure.kinds, structure.resources),
     ];
     const encoder = gpu.device.createCommandEncoder();
     encoder.clearBuffer(this.counts);
@@ -167,17 +152,10 @@ export class ImageRenderer {
       const pass = encoder.beginComputePass();
       pass.setPipeline(pipeline);
       groups.forEach((group, number) => pass.setBindGroup(number, group));
-      pass.dispatchWorkgroups(this.dispatch.columns, this.dispatch.rows);
+      pass.dispatchWorkgroups(columns, rows);
       pass.end();
     }
     gpu.device.queue.submit([encoder.finish()]);
-    return reads ? new Uint32Array(await gpu.read(this.counts, 16)) : null;
-  }
-
-  /** The light of each pixel, three numbers each, of the last sample. */
-  async light() {
-    const vectors = new Float32Array(
-      await this.gpu.read(this.records, 16 * this.count, 5 * 16 * this.count));
-    return vectors;
+    return isRead ? new Uint32Array(await gpu.read(this.counts, 16)) : null;
   }
 }

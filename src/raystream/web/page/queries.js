@@ -1,14 +1,14 @@
 // Queries of single rays or batches on the GPU: as raystream/graphics/dispatches.py.
 
 import {bvhArrays} from "./geometry.js";
-import {dispatchSize} from "./device.js";
+import {cached, dispatchSize} from "./device.js";
 import {PageError} from "./pack.js";
 import {gatherArrays, inTextures, shaderSource} from "./shaders.js";
 
 const GROUP_SIZE = 64;
 const LAYOUT = ["uniform", "gather", "gather", "scatter", "scatter", "scatter"];
 const OTHERS = LAYOUT.length - 1; // buffers besides the structure's
-const KIND = {firstHit: 0, anyHit: 1, countHits: 2, multiHit: 3};
+const KIND = {firstHit: 0, countHits: 2, multiHit: 3};
 const [ENDLESS, CUT_SHORT] = [0xffffffff, 0xfffffffe];
 const FAR = 3.4028234663852886e38;
 
@@ -63,15 +63,12 @@ export class Queries {
   }
 
   pipeline(kind) {
-    if (!this.pipelines.has(kind)) {
-      const {structure} = this;
-      this.pipelines.set(kind, this.gpu.pipeline({
-        source: structure.source(this.scene.shaders, ["compute.wgsl"]),
-        entry: "trace", layouts: [LAYOUT, structure.kinds],
-        constants: {...structure.about.constants, QUERY: KIND[kind]},
-      }));
-    }
-    return this.pipelines.get(kind);
+    const {structure} = this;
+    return cached(this.pipelines, kind, () => this.gpu.pipeline({
+      source: structure.source(this.scene.shaders, ["compute.wgsl"]),
+      entry: "trace", layouts: [LAYOUT, structure.kinds],
+      constants: {...structure.about.constants, QUERY: KIND[kind]},
+    }));
   }
 
   /** The nearest hit of each ray: {t, u, v, primId}; t is Infinity and primId -1 for a miss. */

@@ -1,0 +1,79 @@
+// Adds up the light of samples, and shows their mean on the canvas.
+
+import {shaderSource} from "./shaders.js";
+
+const KINDS = ["uniform", "gather", "scatter"];
+
+export class Display {
+  static async make(gpu, shaders, canvas) {
+    const made = new Display(gpu, canvas);
+    await made.prepare(shaders);
+    return made;
+  }
+
+  constructor(gpu, canvas) {
+    this.gpu = gpu;
+    this.canvas = canvas;
+    this.context = canvas.getContext("webgpu");
+    this.format = navigator.gpu.getPreferredCanvasFormat();
+    this.context.configure({device: gpu.device, format: this.format});
+    this.band = gpu.buffer("band", 16, GPUBufferUsage.UNIFORM);
+    this.picture = gpu.buffer("picture", 16, GPUBufferUsage.UNIFORM);
+    this.size = [0, 0];
+  }
+
+  async prepare(shaders) {
+    const {gpu} = this;
+    this.adding = await gpu.pipeline({
+      source: shaderSource(shaders, ["page/accumulate.wgsl"]),
+      entry: "accumulate", layouts: [KINDS], constants: {},
+    });
+    const module = gpu.device.createShaderModule({code: shaderSource(shaders, ["page/show.wgsl"])});
+    this.showing = await gpu.device.createRenderPipelineAsync({
+      layout: "auto", vertex: {module, entryPoint: "cover"},
+      fragment: {module, entryPoint: "show", targets: [{format: this.format}]},
+    });
+  }
+
+  /** Begin an image: width and height in pixels. */
+  begin(size) {
+    if (size.join() === this.size.join()) return;
+    this.sums?.destroy();
+    this.sums = this.gpu.buffer("sums of samples", 16 * size[0] * size[1]);
+    this.size = size;
+    this.gpu.write(this.picture, Uint32Array.of(...size, 0, 0));
+  }
+
+  /** Add a sample of a band's pixels, from a first one on; sample 0 replaces what was there. */
+  add({count, records, dispatch: {columns, rows, rowSize}}, sample, first) {
+    const {gpu} = this;
+    gpu.write(this.band, Uint32Array.of(count, rowSize, sample, first));
+    const encoder = gpu.device.createCommandEncoder();
+    const pass = encoder.beginComputePass();
+    pass.setPipeline(this.adding);
+    pass.setBindGroup(0, gpu.bind(KINDS, [this.band, records, this.sums]));
+    pass.dispatchWorkgroups(columns, rows);
+    pass.end();
+    gpu.device.queue.submit([encoder.finish()]);
+  }
+
+  async show() {
+    const {gpu, canvas, size: [width, height]} = this;
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
+    const encoder = gpu.device.createCommandEncoder();
+    const view = this.context.getCurrentTexture().createView();
+    const pass = encoder.beginRenderPass({
+      colorAttachments: [{view, loadOp: "clear", storeOp: "store"}],
+    });
+    pass.setPipeline(this.showing);
+    pass.setBindGroup(0, gpu.device.createBindGroup({
+      layout: this.showing.getBindGroupLayout(0),
+      entries: [this.picture, this.sums].map((buffer, binding) => ({binding, resource: {buffer}})),
+    }));
+    pass.draw(3);
+    pass.end();
+    gpu.device.queue.submit([encoder.finish()]);
+    await gpu.device.queue.onSubmittedWorkDone();
+  }
+}
