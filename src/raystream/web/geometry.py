@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import RaystreamError
 from raystream.core.triangles import Triangles
 from raystream.graphics.structures import ShaderStructure
+from raystream.graphics.structures.bvh import has_lost_triangles
 from raystream.structures import Structure
 from raystream.structures.bvh.structure import BvhStructure
 
@@ -43,10 +44,10 @@ def structure_arrays(
     -------
     how : {"bvh", "arrays"}
         For a BVH only the links of its nodes and the triangles of its leaves are kept: boxes and
-        corners follow, bit for bit.
+        corners follow, bit for bit. Not for one with triangles that an update made unhittable.
     arrays : mapping of str to ndarray
     """
-    if isinstance(structure, BvhStructure):
+    if isinstance(structure, BvhStructure) and not has_lost_triangles(structure.tree):
         tree = structure.tree
         return "bvh", {"links": tree.children, "prim_ids": tree.prim_ids}
     names = (f"array {k}" for k in range(len(shaders.arrays)))

@@ -121,8 +121,6 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
         files |= {shaders.shader, *shaders.instead.values()}
     frame = scene.triangles
     manifest = {
-        "name": scene.name,
-        "triangles": scene.triangle_count,
         "camera": {
             "eye": list(camera.eye),
             "look_at": list(camera.look_at),

@@ -10,7 +10,7 @@ from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 from raystream.structures.bvh.structure import BvhStructure
 
-__all__ = ["leaf_blocks", "most_steps", "shader_structure", "stack_size"]
+__all__ = ["has_lost_triangles", "leaf_blocks", "most_steps", "shader_structure", "stack_size"]
 
 #: Stack sizes are multiples of this, so that most trees share a shader.
 _STACK_STEP = 32
@@ -39,6 +39,17 @@ def most_steps(tree: BvhArrays) -> int:
     return (1 + WIDTH) * len(tree.nodes) + 2 * BLOCK_SIZE * len(tree.leaves)
 
 
+def has_lost_triangles(tree: BvhArrays) -> bool:
+    """Whether an update has moved triangles so that they cannot be hit."""
+    return bool(_lost(tree).any())
+
+
+def _lost(tree: BvhArrays) -> NDArray[np.bool_]:
+    """The slots of triangles without coordinates, shape (B, 4)."""
+    lost: NDArray[np.bool_] = np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)
+    return lost
+
+
 def stack_size(half: int) -> int:
     """Entries of a stack, from the bytes of half of the CPU's: see `steps.stack_half`."""
     return -(-half // (4 * _STACK_STEP)) * _STACK_STEP
@@ -47,7 +58,7 @@ def stack_size(half: int) -> int:
 def leaf_blocks(tree: BvhArrays) -> NDArray[np.uint32]:
     """The leaves; triangles without coordinates are marked by their prim_id."""
     blocks = tree.leaves.view(np.uint32)
-    is_lost = np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)
+    is_lost = _lost(tree)
     if is_lost.any():
         blocks = blocks.copy()
         ids = BvhArrays(tree.nodes, blocks.view(np.float32)).prim_ids

@@ -53,7 +53,8 @@ export class SceneOnGpu {
 
   /** Move the light at the eye of a mode to an eye, given in the local frame. */
   moveLight({lights, headlight}, eye) {
-    if (headlight < 0) return;
+    // Shaders of ambient occlusion read no lights.
+    if (headlight < 0 || !this.textures.has(lights)) return;
     const moved = this.kept[lights].slice();
     eye.forEach((value, axis) => {
       moved[LIGHT_COLUMNS * headlight + axis] = value;
