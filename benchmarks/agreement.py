@@ -77,21 +77,9 @@ OPTIONS = {
 
 #: On a GPU, the ways to trace and build there.
 CUDA_OPTIONS = {
-    "bvh": [
-        {"max_leaf_size": 2},
-        {"kernel": "wide"},
-        {"kernel": "binary", "launch": "persistent"},
-        {"kernel": "packet"},
-        {"kernel": "packet", "order": "sorted", "launch": "persistent"},
-        {"order": "sorted"},
-        {"order": "sorted", "kernel": "wide", "launch": "persistent"},
-        {"build": "device"},
-        {"build": "device", "method": "linear", "kernel": "compressed", "order": "sorted"},
-        {"build": "device", "kernel": "binary"},
-    ],
-    "grid": [*OPTIONS["grid"], {"build": "device"}, {"build": "device", "order": "sorted"}],
-    "graph": [*OPTIONS["graph"], {"order": "sorted"}],
-    "kdtree": [*OPTIONS["kdtree"], {"order": "sorted", "launch": "persistent"}],
+    **OPTIONS,
+    "bvh": [{"max_leaf_size": 2}, {"build": "device"}],
+    "grid": [*OPTIONS["grid"], {"build": "device"}],
 }
 
 

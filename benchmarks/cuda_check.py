@@ -10,9 +10,6 @@ takes CUDA with it, does not keep the others from running:
     small scene  a small scene is asked everything, on the GPU and on the CPU
     agreement    tests/cuda: every structure, query and case, CUDA's bits against the CPU's
     sanitizer    compute-sanitizer's memcheck while the small scene is asked again
-    coherence    benchmarks/cuda_coherence.py: orders, launches and kernels in turns
-    counters     benchmarks/cuda_counters.py: what the hardware counts, if NVIDIA's ncu is there and
-                 this user may
     speed        benchmarks/cuda_speed.py for each scene, beside NVIDIA Warp
 
 Ends with 0 if nothing failed, 1 if something did, and 2 where there is no GPU. ``--tiny`` tries the
@@ -38,32 +35,15 @@ TOTAL = 460
 LEAST = 5
 LIMITS = {
     **{"machine": 60, "small scene": 120, "agreement": 150, "sanitizer": 60},
-    **{"coherence": 60, "counters": 60, "speed": 60},
+    "speed": 60,
 }
-
-#: A step's script ends with this if the step is not for this machine.
-NOT_HERE = 3
 
 #: A little of each step: some tests, and few rays.
 TINY_TESTS = "layout or invalid"
-TINY = ["--size", "6x4", "--per-hit", "2", "--repeats", "1", "--part", "64", "--ours", "grid"]
+TINY = ["--size", "6x4", "--per-hit", "2", "--repeats", "1", "--ours", "grid"]
 
-#: Ways to use coherence: all of `cuda_coherence` would take a minute to compile.
-COHERENCE = tuple(
-    f"bvh:kernel={kernel},launch={launch},order={order}"
-    for kernel, launch in (
-        ("compressed", "range"),
-        ("compressed", "persistent"),
-        ("binary", "range"),
-        ("packet", "range"),
-    )
-    for order in ("given", "sorted")
-)
-
-#: What the small scene is asked besides each structure: blocks that sort and build, and votes.
+#: What the small scene is asked besides each structure: blocks that build, and float64.
 SMALL_WAYS = [
-    ("bvh", {"order": "sorted", "launch": "persistent"}),
-    ("bvh", {"kernel": "packet"}),
     ("bvh", {"build": "device"}),
     ("grid", {"build": "device"}),
     ("bvh", {"precision": "float64"}),
@@ -97,7 +77,7 @@ class Check:
         self._end = time.monotonic() + total
         self.results = {"steps": []}
 
-    def run(self, name, command, limit, summary, accepted=(0,), left_out=()):
+    def run(self, name, command, limit, summary):
         """Run a step; ``summary(returncode, out, err)`` says in a line what came of it."""
         given = min(limit, self._end - time.monotonic())
         started = time.monotonic()
@@ -108,8 +88,7 @@ class Check:
             try:
                 done = _run(command, given)
                 out, err = done.stdout, done.stderr
-                status = "passed" if done.returncode in accepted else "failed"
-                status = "left out" if done.returncode in left_out else status
+                status = "failed" if done.returncode else "passed"
                 line = summary(done.returncode, out, err)
             except subprocess.TimeoutExpired as error:
                 out, err = (_text(one) for one in (error.stdout, error.stderr))
@@ -279,34 +258,6 @@ def _same(ours, theirs):
     return all(getattr(ours, one).tobytes() == getattr(theirs, one).tobytes() for one in columns)
 
 
-def coherence(check, tiny):
-    """Ways to use coherence, on built-in scenes."""
-    more = ["cornell", "--size", "6x4", "--rates"] if tiny else ["forest:100000"]
-    for way in ("grid", "grid:launch=persistent") if tiny else COHERENCE:
-        more += ["--way", way]
-    _with_figures(check, "coherence", "cuda_coherence.py", more)
-
-
-def counters(check, tiny):
-    """What the hardware counts, if it may be asked."""
-    more = ["cornell", "--size", "6x4"] if tiny else ["forest:100000"]
-    for order in ("given", "shuffled", "sorted"):
-        for way in ("compressed, range", "compressed, persistent", "packet, range"):
-            more += ["--way", f"{way}, {order}"]
-    _with_figures(check, "counters", "cuda_counters.py", more)
-
-
-def _with_figures(check, name, file, more):
-    """Run a script that writes figures, and keep them."""
-    with tempfile.TemporaryDirectory() as folder:
-        kept = Path(folder, "figures.json")
-        command = [sys.executable, str(ROOT / "benchmarks" / file), *more, "--json", str(kept)]
-        check.run(name, command, LIMITS[name], _speed_summary, left_out=(NOT_HERE,))
-        if kept.is_file():
-            check.results[name] = json.loads(kept.read_text())
-            check.write()
-
-
 def speed(check, scenes, more):
     """Rays per second, a process for each scene; what was measured before a limit is kept."""
     check.results["speed"] = []
@@ -338,19 +289,6 @@ def table(check):
             cells = {row["contender"]: row for row in one["rows"] if row["set"] == name}
             shown = "".join(f"{_cell(cells.get(label)):>24}" for label in labels)
             print(f"{one['scene']:18}{name:9}{shown}")
-
-
-def counters_table(check):
-    """What the hardware counted: a line for each way."""
-    launches = check.results.get("counters", {}).get("launches", [])
-    if not launches:
-        return
-    titles = [title for title in launches[0] if title not in ("way", "kernel")]
-    print(f"\n{check.results['counters']['scene']:32}" + "".join(f"{one:>14}" for one in titles))
-    for launch in launches:
-        values = [launch.get(title) for title in titles]
-        shown = "".join(f"{'-' if one is None else format(one, ',.1f'):>14}" for one in values)
-        print(f"{launch['way'][:31]:32}{shown}")
 
 
 def _cell(row):
@@ -400,15 +338,12 @@ def main():
     small_scene(check, arguments.tiny)
     agreement(check, arguments.tiny)
     sanitizer(check, arguments.tiny)
-    coherence(check, arguments.tiny)
-    counters(check, arguments.tiny)
     more = TINY if arguments.tiny else []
     for word in arguments.ours or []:
         more = [*more, "--ours", word]
     scenes = arguments.scene or (["cornell"] if arguments.tiny else SCENES)
     speed(check, scenes, more)
     table(check)
-    counters_table(check)
     is_bad = [one["status"] in ("failed", "timed out") for one in check.results["steps"]]
     return 1 if any(is_bad) else 0
 

@@ -1,27 +1,31 @@
 """Rays per second on a GPU: raystream's kernels beside NVIDIA Warp's `mesh_query_ray`.
 
     python benchmarks/cuda_speed.py sponza forest:1000000 --json speed.json
-    python benchmarks/cuda_speed.py bunny --ours bvh --ours grid:resolution=64
+    python benchmarks/cuda_speed.py bunny --ours bvh --ours grid:resolution=64 --shuffled
 
 After the protocol of Aila and Laine ("Understanding the Efficiency of Ray Traversal on GPUs",
-2009): 1024 x 768 primary rays, and 32 secondary rays where each of them hits: for ambient
+2009): 1024 x 768 primary rays, and 8 secondary rays where each of them hits: for ambient
 occlusion, short ones that ask for any hit; for diffuse light, long ones that ask for the first.
-Pixels follow each other in Morton order, and the rays of a hit follow each other.
+Pixels follow each other in Morton order, and the rays of a hit follow each other; with
+``--shuffled`` each set is traced in random order, too.
 
-Everyone gets the same rays, in turns, from arrays on the host. Times are those of the kernels, by
-events around each launch on the device, with those that sort rays, whose share is listed; and of
-the whole call, with all copies. Each part of the
-rays is traced several times, and the best time counts. What others find in the first part is
-compared with the first of ours, and that, for primary rays, with the CPU's bits.
+Everyone gets the same rays, in turns, from arrays on the device, and leaves its results there.
+Times are those of the kernels, by events around each launch on the device; and of the whole call,
+until the device is done: medians of several repeats. What others find is compared with the first
+of ours, and that, for primary rays, with the CPU's bits. With ``--lock FILE`` several processes
+prepare scenes at once, and measure one by one.
 """
 
 import argparse
 import contextlib
+import fcntl
 import inspect
 import json
+import statistics
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,24 +39,17 @@ from raystream.bench.runner import geometry_of
 from raystream.cli.tracer_options import parse_keywords
 from raystream.jit.threads import thread_count
 
-#: Rays that are traced together.
-PART = 1 << 22
+#: raystream's structures that are measured unless others are asked for: the first is the usual one.
+OURS = ("bvh", "bvh:build=device", "kdtree", "graph", "grid")
 
-#: raystream's kernels that are measured unless others are asked for: the first is the usual one.
-OURS = (
-    "bvh",
-    "bvh:kernel=wide",
-    "bvh:kernel=binary",
-    "bvh:kernel=binary,launch=persistent",
-    "bvh:kernel=packet",
-    "bvh:kernel=compressed",
-    "bvh:kernel=compressed,launch=persistent",
-    "bvh:kernel=compressed,order=sorted",
-    "bvh:kernel=compressed,order=sorted,launch=persistent",
-)
+#: Warp's ways to build, by label; the first is its own choice.
+WARP = {
+    "warp": {},
+    **{f"warp, {one}": {"constructor": one} for one in ("sah", "median", "lbvh", "cubql")},
+}
 
-#: Warp's ways to build, by label: its own choice, and the one that traces best.
-WARP = {"warp": {}, "warp, sah": {"constructor": "sah"}}
+#: Rays of a set whose answers are compared.
+COMPARED = 1 << 20
 
 #: What takes longer to build than this, seconds, is not built a second time.
 PATIENCE = 2.0
@@ -60,22 +57,11 @@ PATIENCE = 2.0
 
 @contextlib.contextmanager
 def launches():
-    """Seconds of all kernels that raystream launches meanwhile; none in the simulator.
-
-    Yields those of all, and of those that sort rays.
-    """
-    from raystream.cuda import launch as ray_launch
+    """Seconds of all kernels that raystream launches meanwhile; none in the simulator."""
     from raystream.jit.cuda import Gpu
 
-    launch, events, seconds, sorting = Gpu.launch, [], [], []
+    launch, events, seconds = Gpu.launch, [], []
     taken = inspect.signature(launch)
-    sort_rays, sorts = ray_launch.sort_rays, []
-
-    def noted(*arguments, **named):
-        begin = len(events)
-        order = sort_rays(*arguments, **named)
-        sorts.append(slice(begin, len(events)))
-        return order
 
     def timed(gpu, *arguments, **named):
         from cuda.core import EventOptions
@@ -90,17 +76,45 @@ def launches():
         launch(gpu, *arguments, **named)
         events.append((gpu, begin, record()))
 
-    Gpu.launch, ray_launch.sort_rays = timed, noted
+    Gpu.launch = timed
     try:
-        yield seconds, sorting
+        yield seconds
     finally:
-        Gpu.launch, ray_launch.sort_rays = launch, sort_rays
+        Gpu.launch = launch
     for gpu, begin, end in events:
         with gpu.doing("reading an event"):
             end.sync()
             seconds.append((end - begin) / 1e3)
-    for rows in sorts:
-        sorting += seconds[rows]
+
+
+class DeviceRays(NamedTuple):
+    """Rays in arrays on the device.
+
+    Attributes
+    ----------
+    origins, directions : device array of shape (N, 3), float32
+    t_max : float
+    """
+
+    origins: object
+    directions: object
+    t_max: float
+
+    @classmethod
+    def of(cls, rays):
+        """Copy rays to the device."""
+        from raystream.jit.cuda import open_gpu
+
+        gpu = open_gpu()
+        origins, directions = (gpu.upload("rays", one) for one in rays.rows())
+        return cls(origins, directions, rays.t_max)
+
+    def __len__(self):
+        return len(self.origins)
+
+    def rows(self):
+        """Origins and directions."""
+        return self.origins, self.directions
 
 
 class Turn:
@@ -110,23 +124,36 @@ class Turn:
     ----------
     label : str
     contender : Contender
-    sorting_share : float
-        Of the latest kernels' time, what it took to sort rays.
     """
 
     def __init__(self, label, contender):
         self.label, self.contender = label, contender
-        self.sorting_share = 0.0
 
     def run(self, query, rays):
-        """An answer, seconds of its kernels or None, and of the whole."""
+        """An answer on the device, seconds of its kernels or None, and of the whole."""
+        from numba import cuda
+
+        cuda.synchronize()
         started = time.perf_counter()
-        with launches() as (spent, sorting):
-            answer = self.contender.run(query, rays, "")
+        self.contender.run(query, rays, "")
+        cuda.synchronize()
         whole = time.perf_counter() - started
-        self.sorting_share = sum(sorting) / sum(spent) if sum(spent) else 0.0
+        with launches() as spent:  # whose events take time
+            answer = self.contender.run(query, rays, "")
         kernels = getattr(self.contender, "kernel_seconds", None)
         return answer, sum(spent) if spent else kernels, whole
+
+
+def on_host(answer):
+    """An answer as NumPy arrays."""
+    if isinstance(answer, FirstHits):
+        return FirstHits(_on_host(answer.t), _on_host(answer.prim_id))
+    return _on_host(answer)
+
+
+def _on_host(array):
+    """A device array of raystream, or Warp's, as NumPy's."""
+    return array.host() if hasattr(array, "host") else array.numpy()
 
 
 class Ours(Raystream):
@@ -153,8 +180,7 @@ class Ours(Raystream):
         del geometry  # the scene's
         made = rs.Tracer.__new__(rs.Tracer)
         chosen = made._configure(self._structure, "cuda", self._machine, False, self._options)
-        how = chosen.device_options
-        self.built = chosen.structure, how.build, how.method
+        self.built = chosen.structure, chosen.device_options.build
         for other in self._others:
             if other is not self and other.built == self.built:
                 made._set(self._scene, other.tracer.structure)
@@ -166,13 +192,13 @@ class Ours(Raystream):
         self._tracer = made
 
 
-def contenders(words, scene, absent):
+def contenders(words, scene, warp, absent):
     """raystream's, as they were asked for, and Warp's, by label."""
     ours = []
     for word in words:
         ours.append(Ours(word, scene, ours[:]))
         yield word, ours[-1]
-    for label, own in WARP.items():
+    for label, own in warp.items():
         try:
             yield label, make_contender(Entry(label, "warp", {"device": "cuda", **own}), 1)
         except UnavailableError as error:
@@ -202,8 +228,8 @@ def secondary(hits, eye, per_hit, t_max, generator):
     return Rays(spread, directions.reshape(-1, 3), t_max)
 
 
-def ray_sets(scene, tracer, size, per_hit, part):
-    """Name, query and parts of each set."""
+def ray_sets(scene, tracer, size, per_hit):
+    """Name, query and rays of each set."""
     width, height = size
     camera = scene.camera_for(width / height)
     given = camera.rays(width, height)
@@ -216,22 +242,10 @@ def ray_sets(scene, tracer, size, per_hit, part):
     found = tracer.first_hit(origins, directions)
     hits = found[found.is_hit]
     ends = {"ao": AO_LENGTH * float(np.linalg.norm(high - low)), "diffuse": np.inf}
-
-    def primary():
-        for begin in range(0, len(origins), part):
-            rows = slice(begin, begin + part)
-            yield Rays(origins[rows], directions[rows], np.inf)
-
-    def spread(name):
+    yield "primary", "first", Rays(origins, directions, np.inf)
+    for name, query in (("ao", "any"), ("diffuse", "first")):
         generator = np.random.default_rng([len(name), per_hit])
-        step = max(part // per_hit, 1)
-        for begin in range(0, len(hits.t), step):
-            own = hits[begin : begin + step]
-            yield secondary(own, camera.eye, per_hit, ends[name], generator)
-
-    yield "primary", "first", primary()
-    yield "ao", "any", spread("ao")
-    yield "diffuse", "first", spread("diffuse")
+        yield name, query, secondary(hits, camera.eye, per_hit, ends[name], generator)
 
 
 def same_bits(ours, structure, rays):
@@ -242,49 +256,57 @@ def same_bits(ours, structure, rays):
     return int((is_other | (ours.t.ravel().view("i4") != theirs.t.view("i4"))).sum())
 
 
-def trace_set(name, query, parts, turns, repeats):
+def trace_set(name, query, rays, turns, repeats):
     """Rates of a set; the first turn's answers are what others are compared with."""
     kernels, whole = ({turn.label: [] for turn in turns} for _ in range(2))
-    count, other_bits, differing = 0, None, {}
-    for number, rays in enumerate(parts):
-        count += len(rays)
-        answers, best = {}, {turn.label: (np.inf, np.inf) for turn in turns}
-        for again in range(repeats + (number == 0)):  # the first time, something is compiled
-            for turn in turns:
-                answers[turn.label], device, total = turn.run(query, rays)
-                if number or again:
-                    before = best[turn.label]
-                    device = np.inf if device is None else device
-                    best[turn.label] = min(before[0], device), min(before[1], total)
+    given, first, differing, other_bits = DeviceRays.of(rays), None, {}, None
+    for again in range(repeats + 1):  # the first time, something is compiled
         for turn in turns:
-            kernels[turn.label].append(best[turn.label][0])
-            whole[turn.label].append(best[turn.label][1])
-            if number == 0:
-                differing[turn.label] = compare(
-                    query, outcome(answers[turns[0].label]), outcome(answers[turn.label])
-                )
-        first = answers[turns[0].label]
-        if name == "primary" and number == 0 and isinstance(first, FirstHits):
-            other_bits = same_bits(first, turns[0].contender.tracer.structure, rays)
+            answer, device, total = turn.run(query, given)
+            if again:
+                kernels[turn.label].append(np.nan if device is None else device)
+                whole[turn.label].append(total)
+                continue
+            answer = on_host(answer)
+            if turn is turns[0]:
+                first = answer
+            own, other = (outcome(few_of(one)) for one in (first, answer))
+            differing[turn.label] = compare(query, own, other).differing
+    if name == "primary":
+        other_bits = same_bits(first, turns[0].contender.tracer.structure, rays)
     for turn in turns:
-        device, total = sum(kernels[turn.label]), sum(whole[turn.label])
+        device, total = (statistics.median(one[turn.label]) for one in (kernels, whole))
         yield {
             "set": name,
             "query": query,
-            "rays": count,
+            "rays": len(rays),
             "contender": turn.label,
-            "mrays_per_second": count / device / 1e6 if 0.0 < device < np.inf else None,
-            "mrays_per_second_whole": count / total / 1e6 if total else None,
-            "sorting_share": round(turn.sorting_share, 4),
-            "differing": differing[turn.label].differing if differing else 0.0,
+            "mrays_per_second": len(rays) / device / 1e6 if device > 0.0 else None,
+            "mrays_per_second_whole": len(rays) / total / 1e6 if total else None,
+            "differing": differing[turn.label],
             "other_bits_than_cpu": other_bits if turn is turns[0] else None,
         }
 
 
-def built(scene, words, absent):
+def few_of(answer):
+    """The answers that are compared."""
+    if isinstance(answer, FirstHits):
+        return FirstHits(*(one[:COMPARED] for one in answer))
+    return answer[:COMPARED]
+
+
+def in_orders(rays, shuffled):
+    """Rays as they are given and, if that is asked, in random order."""
+    yield "given", rays
+    if shuffled:
+        order = np.random.default_rng(len(rays)).permutation(len(rays))
+        yield "shuffled", Rays(rays.origins[order], rays.directions[order], rays.t_max)
+
+
+def built(scene, words, warp, absent):
     """Contenders that are there, with their builds' seconds."""
     geometry = geometry_of(scene)
-    for label, contender in contenders(words, scene, absent):
+    for label, contender in contenders(words, scene, warp, absent):
         seconds = []
         try:
             for _ in range(2):  # the first may compile
@@ -307,7 +329,7 @@ def measure(name, arguments, keep):
     found["rows"] = []
     keep(found)
     turns = []
-    for turn, seconds in built(scene, arguments.ours, found["absent"]):
+    for turn, seconds in built(scene, arguments.ours, arguments.warp, found["absent"]):
         turns.append(turn)
         found["builds"][turn.label] = round(seconds, 4)
     if not turns or turns[0].label != arguments.ours[0]:
@@ -315,11 +337,30 @@ def measure(name, arguments, keep):
     width, _, height = arguments.size.partition("x")
     size = int(width), int(height)
     tracer = turns[0].contender.tracer
-    for set_name, query, parts in ray_sets(scene, tracer, size, arguments.per_hit, arguments.part):
-        for row in trace_set(set_name, query, parts, turns, arguments.repeats):
-            found["rows"].append(row)
-            print(line_of(found, row), flush=True)
-        keep(found)
+    sets = list(ray_sets(scene, tracer, size, arguments.per_hit))
+    for _, query, rays in sets:  # compile
+        few = DeviceRays.of(Rays(rays.origins[:1], rays.directions[:1], rays.t_max))
+        for turn in turns:
+            turn.run(query, few)
+    with alone(arguments.lock):
+        for set_name, query, rays in sets:
+            for order, own in in_orders(rays, arguments.shuffled):
+                for row in trace_set(set_name, query, own, turns, arguments.repeats):
+                    row["rays_come"] = order
+                    found["rows"].append(row)
+                    print(line_of(found, row), flush=True)
+                keep(found)
+
+
+@contextlib.contextmanager
+def alone(path):
+    """Wait until no other process that names the file measures."""
+    if path is None:
+        yield
+        return
+    with open(path, "w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def line_of(found, row):
@@ -330,15 +371,15 @@ def line_of(found, row):
     note = "" if bits is None else f"  {bits} rays with other bits than the CPU"
     build = found["builds"][row["contender"]]
     return (
-        f"{found['scene']:18}{found['triangles']:>11,}{row['set']:>9}{row['rays']:>12,}  "
-        f"{row['contender']:18}{shown}{100 * row['sorting_share']:>8.1f}"
+        f"{found['scene']:18}{found['triangles']:>11,}{row['set']:>9}{row['rays_come']:>10}"
+        f"{row['rays']:>12,}  {row['contender']:24}{shown}"
         f"{build:>9.3f}{100 * row['differing']:>9.4f}{note}"
     )
 
 
 TITLES = (
-    f"{'scene':18}{'triangles':>11}{'set':>9}{'rays':>12}  {'contender':18}"
-    f"{'Mrays/s':>12}{'with copies':>12}{'sort %':>8}{'build s':>9}{'differ %':>9}"
+    f"{'scene':18}{'triangles':>11}{'set':>9}{'order':>10}{'rays':>12}  {'contender':24}"
+    f"{'Mrays/s':>12}{'whole call':>12}{'build s':>9}{'differ %':>9}"
 )
 
 
@@ -347,12 +388,15 @@ def main():
     parser.add_argument("scenes", nargs="+")
     parser.add_argument("--ours", action="append", help="STRUCTURE[:KEY=VALUE,...]")
     parser.add_argument("--size", default="1024x768")
-    parser.add_argument("--per-hit", type=int, default=32)
-    parser.add_argument("--repeats", type=int, default=2)
-    parser.add_argument("--part", type=int, default=PART)
+    parser.add_argument("--per-hit", type=int, default=8)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--shuffled", action="store_true", help="in random order, too")
+    parser.add_argument("--no-warp", action="store_true")
+    parser.add_argument("--lock", type=Path, help="file that measuring processes share")
     parser.add_argument("--json", type=Path, help="file for the figures, written after each set")
     arguments = parser.parse_args()
     arguments.ours = arguments.ours or list(OURS)
+    arguments.warp = {} if arguments.no_warp else WARP
     scenes, failures = [], 0
     print(TITLES)
 

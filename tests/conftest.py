@@ -275,9 +275,7 @@ CUDA = {"device": "cuda"}
 #: rays in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 CUDA_TRACERS = {
     "brute": {"structure": "brute", **CUDA},
-    "bvh": {"structure": "bvh", "kernel": "wide", **CUDA},
-    "bvh, compressed": {"structure": "bvh", "kernel": "compressed", **CUDA},
-    "bvh, binary": {"structure": "bvh", "kernel": "binary", "launch": "persistent", **CUDA},
+    "bvh": {"structure": "bvh", **CUDA},
     "grid": {"structure": "grid", **CUDA},
     "grid, two levels": {"structure": "grid", "resolution": (2, 3, 2), "levels": 2, **CUDA},
     "kdtree, stack": {"structure": "kdtree", **CUDA},
@@ -313,35 +311,21 @@ CUDA_TRACERS = {
 }
 
 BUILT = {"build": "device", **CUDA}
-SORTED = {"order": "sorted", **CUDA}
 
-#: And those that are for a GPU alone: blocks of threads that build or sort take the simulator
-#: seconds.
+#: And those that are for a GPU alone: blocks of threads that build take the simulator seconds.
 GPU_TRACERS = {
     "bvh, built there": {"structure": "bvh", **BUILT},
-    "bvh, linear, built there": {"structure": "bvh", "method": "linear", **BUILT},
-    "bvh, compressed, built there": {"structure": "bvh", "kernel": "compressed", **BUILT},
-    "bvh, binary, built there": {"structure": "bvh", "kernel": "binary", **BUILT},
     "grid, built there": {"structure": "grid", **BUILT},
     "kdtree, built there": {"structure": "kdtree", **BUILT},
     "graph, built there": {"structure": "graph", **BUILT},
-    "bvh, packets": {"structure": "bvh", "kernel": "packet", **CUDA},
-    "bvh, packets, sorted": {"structure": "bvh", "kernel": "packet", **SORTED},
-    "brute, sorted": {"structure": "brute", **SORTED},
-    "bvh, sorted": {"structure": "bvh", **SORTED, "launch": "persistent"},
-    "grid, sorted": {"structure": "grid", **SORTED, "launch": "persistent"},
-    "kdtree, sorted": {"structure": "kdtree", **SORTED},
-    "graph, sorted": {"structure": "graph", **SORTED},
 }
 
 
-#: In float64; the last one is for a GPU alone.
+#: In float64.
 FLOAT64 = {"precision": "float64", **CUDA}
 FLOAT64_CUDA_TRACERS = {
     "bvh, float64": {"structure": "bvh", **FLOAT64},
     "brute, float64": {"structure": "brute", **FLOAT64},
-    "bvh, float64, persistent": {"structure": "bvh", "launch": "persistent", **FLOAT64},
-    "bvh, float64, sorted": {"structure": "bvh", "order": "sorted", **FLOAT64},
 }
 
 

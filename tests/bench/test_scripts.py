@@ -161,7 +161,6 @@ class Event(float):
 
 def test_launches_are_timed(monkeypatch):
     need("numba_cuda")
-    from raystream.cuda import launch
     from raystream.jit.cuda import Gpu
 
     monkeypatch.setitem(sys.modules, "cuda.core", SimpleNamespace(EventOptions=dict))
@@ -172,16 +171,12 @@ def test_launches_are_timed(monkeypatch):
     gpu = SimpleNamespace(
         doing=lambda _: contextlib.nullcontext(), _legacy=SimpleNamespace(native=legacy)
     )
-    monkeypatch.setattr(launch, "sort_rays", lambda gpu: gpu.launch(gpu, [3], stream=legacy))
-    gpu.launch = lambda *arguments, **named: Gpu.launch(*arguments, **named)
-    with script("cuda_speed").launches() as (seconds, sorting):
+    with script("cuda_speed").launches() as seconds:
         Gpu.launch(gpu, [1])
-        launch.sort_rays(gpu)
         Gpu.launch(gpu, [2], stream=other)
-        assert (legacy.count, other.count) == (4, 2)
-    assert seconds == [0.25e-3] * 3
-    assert sorting == [0.25e-3]
-    assert asked == [[1], [3], [2]]
+        assert (legacy.count, other.count) == (2, 2)
+    assert seconds == [0.25e-3] * 2
+    assert asked == [[1], [2]]
     assert Gpu.launch is before
 
 
@@ -208,135 +203,3 @@ def test_secondary_rays_leave_what_was_hit():
     assert abs(rays.directions[:, 1].mean() - 2 / 3) < 5 * np.sqrt(1 / 18 / len(rays.directions))
     np.testing.assert_array_equal(rays.origins[::32], rays.origins[31::32])
     assert not rs.Tracer(scene, "brute").any_hit(rays.origins, rays.directions).any()
-
-
-def test_lanes_that_have_something_to_do():
-    coherence = script("cuda_coherence")
-    nodes, tests = np.full(64, 3), np.zeros(64, int)
-    assert coherence.lanes_used(nodes, tests) == 1.0
-    nodes[0] = 13  # the other 31 wait for ten turns; the other warp does not
-    assert coherence.lanes_used(nodes, tests) == (64 * 3 + 10) / (32 * (13 + 3))
-    tests[33] = 4
-    assert coherence.turns_of(nodes, tests).tolist() == [13, 7]
-    assert coherence.blocks_used(np.array([5, 5, 5, 5, 8, 0, 0, 0, 9])) == 28 / (4 * 13)
-
-
-def test_lanes_of_warps_that_fetch_rays():
-    refilled = script("cuda_coherence").lanes_refilled
-    assert refilled(np.full(320, 5), 20) == 1.0
-    # One long ray among short ones: it stays while others come and go, and ends alone.
-    turns = np.ones(32 + 31 * 9, np.int64)
-    turns[0] = 10
-    assert refilled(turns, 20) == 1.0
-    assert refilled(turns, 1) == turns.sum() / (32 * (10 + 9))
-    assert refilled(np.zeros(40, np.int64), 20) == 0.0
-
-
-def test_nodes_that_rays_must_visit():
-    """A warp of equal rays visits one ray's nodes; with two kinds of rays, the nodes of both."""
-    coherence = script("cuda_coherence")
-    # The root, two nodes below it, at x = -2 and 2, each with two leaves.
-    nodes = np.zeros((3, 16), np.float32)
-    nodes[0, :12] = [-3, -1, -1, 1, 1, 3, -1, 1, -1, 1, -1, 1]
-    nodes[1, :12] = [-3, -1, -1, 1, -3, -1, -1, 1, -1, 1, -1, 1]
-    nodes[2, :12] = [1, 3, -1, 1, 1, 3, -1, 1, -1, 1, -1, 1]
-    links = nodes.view(np.int32)
-    links[:, 12:14] = [[1, 2], [~0, ~1], [~2, ~3]]
-    directions = np.tile([0.5, 0.01, 0.01], (64, 1))
-    directions[48:] *= -1.0
-
-    def asked(end):
-        return coherence.visits(nodes, links, np.zeros((64, 3)), 1.0 / directions, np.full(64, end))
-
-    longest, every = asked(9.0)
-    assert longest.tolist() == [2, 2]
-    assert every.tolist() == [2, 3]
-    assert [one.tolist() for one in asked(1.0)] == [[1, 1], [1, 1]]  # they end before the boxes
-
-
-#: Output of ncu for two launches: its own lines, the program's, and the table.
-COUNTED = """\
-==PROF== Connected to process 4711 (/usr/bin/python3.11)
-compiling
-==PROF== Profiling "first_hit" - 0: 0%....50%....100% - 5 passes
-"ID","Process ID","Process Name","Host Name","Kernel Name","Context","Stream","Block Size",\
-"Grid Size","Device","CC","Section Name","Metric Name","Metric Unit","Metric Value"
-"1","4711","python3.11","here","first_hit(a, ""b"")","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
-"Command line profiler metrics","gpu__time_duration.sum","nsecond","1,234,500"
-"0","4711","python3.11","here","first_hit_reordered","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
-"Command line profiler metrics","l1tex__t_sector_hit_rate.pct","%","81.25"
-"0","4711","python3.11","here","first_hit_reordered","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
-"Command line profiler metrics","dram__throughput.avg.pct_of_peak_sustained_elapsed","%","n/a"
-"0","4711","python3.11","here","first_hit_reordered","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
-"Command line profiler metrics","another.sum","","7"
-==PROF== Disconnected from process 4711
-"""
-
-
-def test_counters_are_read_from_ncu():
-    counters = script("cuda_counters")
-    first, second = counters.launches_of(COUNTED)
-    assert first == {"kernel": "first_hit_reordered", "L1 hits %": 81.25, "DRAM %": None}
-    assert second == {"kernel": 'first_hit(a, "b")', "microseconds": 1234.5}
-    assert counters.launches_of(COUNTED[: COUNTED.index('"ID"')]) == []
-    assert counters.line_of("a way", first).split() == ["a", "way", *"---", "81.2", "-", "-"]
-
-
-def test_why_there_are_no_counters():
-    reason_of = script("cuda_counters").reason_of
-    denied = "==PROF== Connected\n==ERROR== ERR_NVGPUCTRPERM - The user does not have permission"
-    reason, is_not_here = reason_of(denied)
-    assert "ERR_NVGPUCTRPERM" in reason
-    assert is_not_here
-    assert reason_of("==ERROR== Unknown metric\n==WARNING== rest") == ("Unknown metric", False)
-    assert reason_of("==WARNING== No kernels were profiled.") == ("no kernel was counted", False)
-    assert reason_of("Traceback\nIndexError: 3\n\n") == ("IndexError: 3", False)
-    assert reason_of("") == ("it said nothing", False)
-
-
-#: A stand-in for ncu: records its arguments, and prints the output of NVIDIA's.
-PRETENDER = """\
-#!{python}
-import json, pathlib, sys
-pathlib.Path({folder!r}, "asked.json").write_text(json.dumps(sys.argv[1:]))
-print(pathlib.Path({folder!r}, "said.txt").read_text())
-sys.exit({code})
-"""
-
-
-@pytest.mark.parametrize("is_allowed", [True, False])
-def test_counters_of_a_tool(check, monkeypatch, tmp_path, capsys, is_allowed):
-    tool = tmp_path / "bin" / "ncu"
-    tool.parent.mkdir()
-    told = {"python": sys.executable, "folder": str(tmp_path), "code": 0 if is_allowed else 1}
-    tool.write_text(PRETENDER.format(**told))
-    tool.chmod(0o755)
-    (tmp_path / "said.txt").write_text(COUNTED if is_allowed else "==ERROR== ERR_NVGPUCTRPERM")
-    monkeypatch.setenv("CUDA_HOME", str(tmp_path))
-    module = script("cuda_check")
-    module.counters(check, tiny=False)
-    asked = json.loads((tmp_path / "asked.json").read_text())
-    counters = script("cuda_counters")
-    assert asked[:3] == ["--csv", "--metrics", ",".join(counters.METRICS.values())]
-    assert asked[-1] in counters.WAYS
-    (step,) = check.results["steps"]
-    assert step["status"] == ("passed" if is_allowed else "left out")
-    module.counters_table(check)
-    said = capsys.readouterr().out
-    if is_allowed:  # two launches where there are nine ways: by their names
-        assert [one["way"] for one in check.results["counters"]["launches"]] == [
-            *("first_hit_reordered", 'first_hit(a, "b")'),
-        ]
-        assert "81.2" in said
-    else:
-        assert "ERR_NVGPUCTRPERM" in step["line"]
-        assert "counters" not in check.results
-
-
-def test_no_tool_for_counters(check, monkeypatch):
-    monkeypatch.setenv("CUDA_HOME", "/nowhere")
-    if script("cuda_counters").find_ncu():
-        pytest.skip("there is one")
-    script("cuda_check").counters(check, tiny=True)
-    assert steps_of(check) == [("counters", "left out")]
-    assert "ncu: not found" in check.results["steps"][0]["line"]

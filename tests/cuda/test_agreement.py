@@ -68,7 +68,6 @@ FLOAT64_PAIRS = [
     )
     for i, tracer in enumerate(FLOAT64_CUDA_TRACERS)
     for k, name in enumerate(CASES)
-    if not (is_simulated() and "sorted" in tracer)
 ]
 
 
@@ -106,7 +105,6 @@ def test_float64_from_a_planet_away(gpu):
     [
         ({"machine": "multipass"}, "machine='multipass': not supported with precision='float64'"),
         ({"build": "device"}, "build='device': not supported with precision='float64'"),
-        ({"kernel": "binary"}, "kernel: 'binary' on device 'cuda'"),
         ({"structure": "grid"}, "'grid' is not supported with precision='float64'"),
         ({"counters": True}, "counters=True: not supported with precision='float64'"),
     ],
@@ -130,20 +128,12 @@ def test_queries_that_float64_does_not_support_are_named(gpu):
             call()
 
 
-#: Those whose tree and search are the CPU's; "wide" is one by its CUDA name.
-AS_ON_THE_CPU = {
-    name: {key: value for key, value in options.items() if key != "kernel"}
-    for name, options in CUDA_TRACERS.items()
-    if options.get("kernel", "wide") == "wide"
-}
-
-
-@pytest.mark.parametrize("tracer", AS_ON_THE_CPU)
+@pytest.mark.parametrize("tracer", CUDA_TRACERS)
 def test_rays_meet_what_they_meet_on_the_cpu(gpu, tracer):
     case = few_of(case_of("random_soup"))
     options = {**CUDA_TRACERS[tracer], "counters": True}
     ours = rs.Tracer(case.scene, **options)
-    theirs = rs.Tracer(case.scene, **{**AS_ON_THE_CPU[tracer], "counters": True, "device": "cpu"})
+    theirs = rs.Tracer(case.scene, **{**options, "device": "cpu"})
     for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
         for one in (ours, theirs):
             getattr(one, query)(**rays_of(case))

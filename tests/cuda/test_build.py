@@ -23,8 +23,6 @@ from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.structure import hittable_corners, trace_cost
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
-METHODS = ("clusters", "linear")
-
 
 def built(scene, structure, **options):
     return rs.Tracer(scene, structure, "cuda", build="device", **options)
@@ -96,11 +94,25 @@ def test_moved_grids_are_rebuilt(device):
 # ---- BVHs.
 
 
+@pytest.fixture(params=["clusters", "keys"])
+def way(request, monkeypatch):
+    """Trees of clusters, and those of keys, as if the former were too deep."""
+    if request.param == "keys":
+        from raystream.cuda.builders import bvh
+        from raystream.cuda.builders.wide import TooDeepError
+
+        def too_deep(*_arguments):
+            raise TooDeepError
+
+        monkeypatch.setattr(bvh, "_build", too_deep)
+    return request.param
+
+
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("method", METHODS)
-def test_trees_are_whole(device, method, name):
+@pytest.mark.usefixtures("way")
+def test_trees_are_whole(device, name):
     scene = case_of(name).scene
-    structure = built(scene, "bvh", method=method).structure
+    structure = built(scene, "bvh").structure
     assert_whole(structure)
     if structure.cost_when_built == structure.cost_when_built:  # nan: a scene without area
         assert structure.cost_when_built == pytest.approx(trace_cost(structure.tree))
@@ -120,19 +132,19 @@ def test_rays_find_what_brute_force_finds(gpu, simple_sort, structure):
         assert_expected(answers_of(tracer, rays_of(case)), answers_of(oracle, rays_of(case)))
 
 
-@pytest.mark.parametrize(("method", "most"), [("clusters", 1.1), ("linear", 1.3)])
 @pytest.mark.parametrize("scene", ["spheres", "cornell"])
-def test_trees_cost_about_what_the_cpus_fast_ones_do(device, scene, method, most):
+def test_trees_cost_about_what_the_cpus_fast_ones_do(device, scene, way):
     scene = rs.load(scene)
     fast = rs.Tracer(scene, "bvh", quality="fast").structure
-    assert_whole(structure := built(scene, "bvh", method=method).structure)
+    assert_whole(structure := built(scene, "bvh").structure)
+    most = {"clusters": 1.1, "keys": 1.3}[way]
     assert structure.cost_when_built <= most * trace_cost(fast.tree)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("size", [1, 3, 32])
-def test_leaves_are_no_larger_than_allowed(device, method, size):
-    structure = built(rs.load("cornell"), "bvh", method=method, max_leaf_size=size).structure
+def test_leaves_are_no_larger_than_allowed(device, size):
+    structure = built(rs.load("cornell"), "bvh", max_leaf_size=size).structure
     assert_whole(structure)
     links = structure.tree.children
     blocks = (~links[links < 0] & 7) + 1
@@ -141,10 +153,10 @@ def test_leaves_are_no_larger_than_allowed(device, method, size):
         assert (structure.tree.prim_ids >= 0).sum(axis=1).max() <= size
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_trees_in_the_simulator_itself(gpu, simple_sort, method):
+@pytest.mark.usefixtures("gpu", "simple_sort", "way")
+def test_trees_in_the_simulator_itself():
     """Threads run at once: those that climb meet in every node."""
-    assert_whole(built(rs.load("cornell"), "bvh", method=method).structure)
+    assert_whole(built(rs.load("cornell"), "bvh").structure)
 
 
 def _row_of_triangles(places, sizes):
@@ -177,25 +189,6 @@ def test_clusters_need_few_rounds(device, monkeypatch, places, sizes):
     monkeypatch.setattr(RangeKernel, "launch", launch)
     assert_whole(built(_row_of_triangles(places, sizes), "bvh").structure)
     assert len(rounds) <= 10 * np.log2(len(places))
-
-
-def test_trees_that_are_too_deep_are_built_of_shorter_keys(device, monkeypatch):
-    from raystream.cuda.builders import bvh
-    from raystream.cuda.builders.binary_tree import COARSE_BITS
-    from raystream.cuda.builders.wide import TooDeepError
-
-    asked = []
-    usual = bvh._build
-
-    def build(*arguments):
-        asked.append(arguments[3:])
-        if len(asked) == 1:
-            raise TooDeepError
-        return usual(*arguments)
-
-    monkeypatch.setattr(bvh, "_build", build)
-    assert_whole(built(rs.load("cornell"), "bvh").structure)
-    assert asked[1] == ("linear", 4, COARSE_BITS)
 
 
 def test_levels_are_counted(device, monkeypatch):
@@ -236,11 +229,10 @@ def test_trees_are_refitted_as_on_the_cpu(device):
 
 def test_trees_that_lost_their_shape_are_rebuilt(device):
     case = case_of("random_soup")
-    tracer = built(case.scene, "bvh", method="linear")
+    tracer = built(case.scene, "bvh")
     order = np.random.default_rng(5).permutation(len(case.vertices))
     report = tracer.update(case.vertices[order], max_cost_growth=1.01)
     assert report.rebuilt
-    assert tracer.structure.method == "linear"
     assert_whole(tracer.structure)
 
 
@@ -268,7 +260,7 @@ def test_what_was_built_is_not_copied(device):
 
     for structure in ("bvh", "grid"):
         tracer = built(rs.load("cornell"), structure)
-        assert place(tracer.structure, device, "wide") is tracer.structure.resident
+        assert place(tracer.structure, device, is_own=True) is tracer.structure.resident
         assert "_on_host" not in tracer.structure.__dict__
         assert tracer.structure.report.byte_count > 0
 
@@ -297,7 +289,6 @@ def test_no_triangles(device):
     [
         ("bvh", {"build": "there"}, "build: expected one of 'host', 'device', got 'there'"),
         ("brute", {}, "build: 'device' builds 'bvh', 'graph', 'grid', 'kdtree', not 'brute'"),
-        ("bvh", {"method": "best"}, "method: expected one of 'clusters', 'linear', got 'best'"),
         ("bvh", {"max_leaf_size": 33}, "max_leaf_size: expected 1 to 32, got 33"),
         ("grid", {"levels": 2}, "levels: expected 1 where build='device', got 2"),
         ("grid", {"resolution": 0}, "resolution: expected 1 to"),
@@ -307,11 +298,6 @@ def test_no_triangles(device):
 def test_options_are_checked(device, structure, options, message):
     with pytest.raises((ValueError, rs.RaystreamError), match=message):
         rs.Tracer(rs.load("cornell"), structure, "cuda", **{"build": "device", **options})
-
-
-def test_options_that_the_device_lacks_are_refused(device):
-    with pytest.raises(TypeError, match="grid: build='device' has no option 'method'"):
-        built(rs.load("cornell"), "grid", method="linear")
 
 
 def test_progress_is_reported(device):

@@ -46,11 +46,7 @@ def scene():
 #: Every structure, and its ways to be traced: options of `structure_kernels`.
 WAYS = {
     **{name: {} for name in STRUCTURES},
-    "bvh": {"kernel": "wide"},
-    "bvh, compressed": {"kernel": "compressed"},
-    "bvh, binary": {"kernel": "binary", "launch": "persistent"},
-    "bvh, sorted": {"order": "sorted"},
-    "bvh, packets": {"kernel": "packet"},
+    "bvh, own layout": {"is_own": True},
     "bvh, float64": {"precision": "float64"},
     "brute, float64": {"precision": "float64"},
 }
@@ -59,7 +55,7 @@ WAYS = {
 #: The kernels compiled in a default run; .ci/nightly compiles everything.
 USUAL = [
     ("kdtree", "multi_hit"),
-    ("bvh, compressed", "first_hit"),
+    ("bvh", "first_hit"),
     ("bvh, float64", "multi_hit"),
 ]
 
@@ -80,14 +76,10 @@ def test_every_kernel_compiles(scene, name, query):
     made, arguments = structure_kernels(name.partition(",")[0], scene, **WAYS[name])[query]
     compiled = made.compiled(arguments, CAPABILITIES[0])
     assert f".target sm_{CAPABILITIES[0][0]}{CAPABILITIES[0][1]}" in compiled.ptx
-    # How many; and where persistent threads fetch rays, an array, which is seven numbers.
-    own = 8 if "persistent" in WAYS[name].values() else 1
-    assert len(parameters_of(compiled)) == own + len(list(flat(arguments)))
+    assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
     # Nodes and triangles made for GPUs are read by 16 bytes.
     is_float64 = "float64" in name
-    assert ("ld.global.nc.v4" in compiled.ptx) == (name not in STRUCTURES and not is_float64)
-    # Threads of a warp vote in packet traversal: at each node and leaf.
-    assert compiled.ptx.count("vote.sync.ballot") == (4 if name == "bvh, packets" else 0)
+    assert ("ld.global.nc.v4" in compiled.ptx) == (name == "bvh")
     # Fused in float64 is on purpose: distances of boxes, signs with bounds, errors of products.
     assert ("fma.rn.f64" in compiled.ptx) == is_float64
     assert "fma.rn.f32" not in compiled.ptx or not is_float64

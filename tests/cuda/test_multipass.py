@@ -89,12 +89,7 @@ def assert_same_passes(ours, theirs):
         assert_same_bits(getattr(ours.counters, column), getattr(theirs.counters, column))
 
 
-#: Of a BVH only the processor's layout has steps; and no thread stays here.
-STEPPED = {
-    name: {key: value for key, value in options.items() if key not in ("kernel", "launch")}
-    for name, options in CUDA_TRACERS.items()
-    if "multipass" not in name and options.get("kernel", "wide") == "wide"
-}
+STEPPED = {name: one for name, one in CUDA_TRACERS.items() if "multipass" not in name}
 
 
 #: The simulator's cases in a default run: each of WAYS once. Others take it up to a minute.

@@ -105,8 +105,7 @@ def rays():
 def tracers_of(name, **more):
     """One on the device, and the same on the CPU."""
     options, scene = CUDA_TRACERS[name], layers_scene()
-    own = {key: value for key, value in options.items() if key not in ("kernel", "launch")}
-    return rs.Tracer(scene, **options, **more), rs.Tracer(scene, **{**own, "device": "cpu"})
+    return rs.Tracer(scene, **options, **more), rs.Tracer(scene, **{**options, "device": "cpu"})
 
 
 @pytest.fixture

@@ -125,18 +125,6 @@ def test_updates_place_instances_elsewhere(gpu, monkeypatch) -> None:
     assert_same(tracer.first_hit(**rays), oracle.first_hit(**rays), FIRST)
 
 
-@pytest.mark.parametrize("name", ["worlds", "primitives_of_all_kinds"])
-def test_orders_and_launches(gpu, name) -> None:
-    scene, rays = case_of(name)
-    ways = (
-        [{"order": "sorted"}] if is_simulated() else [{"order": "sorted", "launch": "persistent"}]
-    )
-    for options in ways:
-        tracer = rs.Tracer(scene, DEFAULT, "cuda", **options)
-        expected = rs.Tracer(scene, "brute").first_hit(**rays)
-        assert_same(tracer.first_hit(**rays), expected, FIRST)
-
-
 @pytest.mark.parametrize("structure", [pytest.param(one, marks=SLOW) for one in ("bvh", "brute")])
 def test_counters_are_the_processor_s(gpu, structure) -> None:
     scene, rays = case_of("mirrors_and_uneven_scales")
@@ -206,8 +194,6 @@ def test_what_is_not_supported_says_so(gpu) -> None:
             rs.Tracer(scene, device="cuda", machine="multipass")
         with pytest.raises(rs.RaystreamError, match=f"build='device'.*{says}"):
             rs.Tracer(scene, device="cuda", build="device")
-        with pytest.raises(ValueError, match=r"kernel: 'binary' on device 'cuda'.*'auto'"):
-            rs.Tracer(scene, device="cuda", kernel="binary")
         with pytest.raises(ValueError, match="'bvh' and 'brute'"):
             rs.Tracer(scene, "grid", "cuda")
         tracer = rs.Tracer(scene, DEFAULT, "cuda")

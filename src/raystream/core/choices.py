@@ -53,18 +53,6 @@ class Cuda(DeviceOptions):
         Its number in CUDA's order.
     build : {"host", "device"}
         Where structures are built.
-    method : {"clusters", "linear"}, optional
-        With ``build="device"``, how a BVH is built: ``"clusters"`` merges neighbours along a
-        Morton curve, for a better tree; ``"linear"`` takes the hierarchy of the Morton codes'
-        bits, for a faster build [default: clusters].
-    kernel : {"auto", "compressed", "binary", "packet", "wide"}
-        With the branching machine, the layout and kernel of a BVH.
-    launch : {"range", "persistent"}
-        With the branching machine, how threads get rays: one each, or, in persistent threads,
-        another whenever a warp has finished.
-    order : {"given", "sorted"}
-        With the branching machine, which rays share a warp: neighbours in the batch, or
-        similar rays.
     loop : {"batches", "graph"}
         With the multipass machine, who ends the loop of passes: the host after each batch of
         passes, or the device in a CUDA graph.
@@ -84,18 +72,9 @@ class Cuda(DeviceOptions):
     name = "cuda"
     gpu: Annotated[int, Range(0)] = 0
     build: Literal["host", "device"] = "host"
-    method: Literal["clusters", "linear"] | None = None
-    kernel: Literal["auto", "compressed", "binary", "packet", "wide"] = "auto"
-    launch: Literal["range", "persistent"] = "range"
-    order: Literal["given", "sorted"] = "given"
     loop: Literal["batches", "graph"] = "batches"
     max_passes: _AtLeastOne = None
     rays_at_once: _AtLeastOne = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.method is not None and self.build != "device":
-            raise ValueError("method: only with build='device'")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,18 +9,17 @@ from raystream.core.errors import RaystreamError
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.core.triangles import Triangles
-from raystream.cuda.bvh.kernels import kernel_of, traced_as
+from raystream.cuda.bvh.kernels import has_binary_layout, traced_as
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.host_rays import trace_from_host
 from raystream.cuda.launch import DeviceScene
-from raystream.cuda.point_kernels import LAYOUT
 from raystream.cuda.points import DevicePoints
 from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.cuda.programs.payload import record_of
 from raystream.cuda.queries import QUERIES, trace_on_device
 from raystream.cuda.rays import usual_limits
 from raystream.cuda.staging import StagingStreams
-from raystream.cuda.structures import kernel_for, kernels_of, place
+from raystream.cuda.structures import is_built_there, kernels_of, place
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import Gpu
 from raystream.jit.threads import Progress
@@ -53,13 +52,6 @@ class CudaBackend(Backend):
     rays_at_once : int
         Most rays from the host that are on the device together: half of them are traced while
         the others are copied. Rays in device arrays are traced all together.
-    kernel : {"auto", "compressed", "binary", "packet", "wide"}
-        For a BVH: its layout on the device and its traversal.
-    launch : {"range", "persistent"}
-        One thread per ray, or persistent threads, whose warps fetch rays until none is left.
-    order : {"given", "sorted"}
-        Trace rays in the given order, or sort them first so that the rays of a warp are similar;
-        see `ray_order`. Answers come in the order of the rays.
 
     Raises
     ------
@@ -67,11 +59,12 @@ class CudaBackend(Backend):
         If the structure has no kernels, or there is not enough memory.
     ValueError
         If an option is out of range.
-    TypeError
-        If `kernel` is given for a structure other than a BVH.
     """
 
     capabilities = Capabilities(device_arrays=True, shading=True, points=True)
+
+    #: Whether a BVH has the CPU's layout, instead of binary nodes, for all queries.
+    reads_own_layout = False
 
     def __init__(
         self,
@@ -79,27 +72,24 @@ class CudaBackend(Backend):
         gpu: Gpu,
         *,
         rays_at_once: int = RAYS_AT_ONCE,
-        kernel: str = "auto",
-        launch: str = "range",
-        order: str = "given",
     ) -> None:
         self.structure = structure
         self.gpu = gpu
         self.rays_at_once = operator.index(rays_at_once)
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
-        self._kernel = kernel = kernel_for(structure, gpu, kernel)
-        kernels = kernels_of(traced_as(structure), kernel, launch, order)
+        is_own = self.reads_own_layout or is_built_there(structure, gpu)
+        is_own = is_own or not has_binary_layout(traced_as(structure))
         self._scene = DeviceScene(
             gpu,
-            kernels,
-            place(structure, gpu, kernel),
+            kernels_of(traced_as(structure), is_own=is_own),
+            place(structure, gpu, is_own=is_own),
             structure.frame,
             structure.triangles,
-            order == "sorted",
             DeviceTriangles(gpu, structure.triangles),
             HitIds(gpu, structure.triangles),
         )
+        self._own_scene = self._scene if is_own else None
         #: Whether the scene has triangles alone, where they are: for shading and programs.
         self._is_plain = isinstance(structure.triangles, Triangles)
         self._staging_streams = StagingStreams(gpu)
@@ -166,9 +156,8 @@ class CudaBackend(Backend):
     ) -> None:
         """Find the triangles nearest to points in host memory; see `Backend.find_nearest`."""
         if self._points is None:
-            same = kernel_of(self.structure.name, self._kernel) in (None, LAYOUT)
-            resident = self._scene.resident if same else None
-            self._points = DevicePoints(self.gpu, self.structure, self.rays_at_once, resident)
+            resident = self._in_own_layout().resident
+            self._points = DevicePoints(self.gpu, self.structure, resident, self.rays_at_once)
         self._points.find(points, limits, capacity, out, progress)
 
     def bands_on_device(self, context: RenderContext) -> CudaBands | None:
@@ -180,10 +169,20 @@ class CudaBackend(Backend):
             return None
         from raystream.cuda.rendering import CudaBands
 
-        gpu, kernels, resident, frame, *_ = scene = self._scene
+        gpu, kernels, resident, frame, *_ = self._scene
         own = gpu, kernels, resident, frame, self._staging_streams
-        return CudaBands(context, *own, self.rays_at_once, is_sorted=scene.is_sorted)
+        return CudaBands(context, *own, self.rays_at_once)
 
     def _trace(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
-        own = self._scene, self._staging_streams, self.rays_at_once
+        # Counters are those of the CPU's nodes.
+        scene = self._scene if sink.tallies is None else self._in_own_layout()
+        own = scene, self._staging_streams, self.rays_at_once
         trace_from_host(*own, query, rays, sink, progress)
+
+    def _in_own_layout(self) -> DeviceScene:
+        """The scene with the structure's own arrays, copied when they are first needed."""
+        if self._own_scene is None:
+            kernels = kernels_of(traced_as(self.structure), is_own=True)
+            resident = place(self.structure, self.gpu, is_own=True)
+            self._own_scene = self._scene._replace(kernels=kernels, resident=resident)
+        return self._own_scene

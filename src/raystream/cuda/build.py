@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-
 from raystream.core.choices import Cuda
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import Primitives
@@ -42,8 +40,6 @@ def build_structure(
         triangles are in float64.
     ValueError
         If the GPU does not build the structure, or not with these options.
-    TypeError
-        If a method is given for a structure with a single one.
     CudaError
         If the GPU runs out of memory.
     """
@@ -55,10 +51,7 @@ def build_structure(
     if build is None:
         known = ", ".join(map(repr, names_with("cuda build")))
         raise ValueError(f"build: 'device' builds {known}, not {name!r}; use build='host'")
-    more = {} if device.method is None else {"method": device.method}
-    if more and "method" not in inspect.signature(build).parameters:
-        raise TypeError(f"{name}: build='device' has no option 'method'")
-    made: Structure = build(open_device(device.gpu), triangles, structure, **more)
+    made: Structure = build(open_device(device.gpu), triangles, structure)
     if progress:
         progress(len(triangles), len(triangles))
     return made

@@ -1,4 +1,4 @@
-"""RayLauncher: launches query kernels over rays on the device, sorted if wanted."""
+"""RayLauncher: launches query kernels over rays on the device."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.hit_kinds import distance_type
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.query_kernels import QueryKernels
-from raystream.cuda.ray_order import sort_rays
-from raystream.cuda.rays import DeviceRays, moved, usual_limits
+from raystream.cuda.rays import DeviceRays, moved
 from raystream.cuda.structures import Resident
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.ray_source import RaySource
 from raystream.kernels.tally import ROW
 
 __all__ = ["DeviceScene", "RayLauncher", "Steps", "resume"]
@@ -47,8 +44,6 @@ class DeviceScene(NamedTuple):
     resident : Resident
     frame : SceneFrame
     triangles : Triangles, InstancedTriangles or Primitives
-    is_sorted : bool
-        Whether the kernels take rays in the order of their keys, see `ray_order`.
     program_triangles : DeviceTriangles
     ids : HitIds
     """
@@ -58,7 +53,6 @@ class DeviceScene(NamedTuple):
     resident: Resident
     frame: SceneFrame
     triangles: Any
-    is_sorted: bool
     program_triangles: DeviceTriangles
     ids: HitIds
 
@@ -92,7 +86,6 @@ class RayLauncher:
         self.scene, self.scope, self.rays, self.first = scene, scope, rays, first
         self.report = report
         self._tallies = tallies
-        self._orders: dict[tuple[int, int], DeviceArray] = {}
 
     def __len__(self) -> int:
         return len(self.rays)
@@ -110,23 +103,5 @@ class RayLauncher:
         if self.rays.worlds is not None:
             tree = tree._replace(worlds=moved(self.rays.worlds, start, 4))
         shared: tuple[Any, ...] = source, scene.frame, tree, tallies
-        if scene.is_sorted:
-            shared = self._order(start, end - start).address, *shared
         self.scope.follow()
         self.scope.launch(kernel, end - start, (*shared, *arguments))
-
-    def _order(self, start: int, count: int) -> DeviceArray:
-        """Indices of some rays in the order of their keys, sorted once."""
-        if (start, count) not in self._orders:
-            scope, source = self.scope, self._float32_limits(self.rays.source_from(start))
-            order = sort_rays(scope.gpu, source, count, self.scene.frame, scope.ready, scope.stream)
-            self._orders[start, count] = order
-        return self._orders[start, count]
-
-    def _float32_limits(self, source: RaySource) -> RaySource:
-        """A source for keys, which do not depend on the limits, but read float32 there."""
-        if distance_type(self.scene.triangles) is np.float32:
-            return source
-        limits = usual_limits(self.scene.gpu)
-        low, high, none = limits[0.0].address, limits[np.inf].address, np.uint64(0)
-        return source._replace(t_min=low, t_min_step=none, t_max=high, t_max_step=none)

@@ -15,7 +15,7 @@ from raystream.kernels.nearest import ROW
 from raystream.kernels.point_queries import PointSearch, begin_point, read_point, write_nearest
 from raystream.structures import form_of
 
-__all__ = ["LAYOUT", "nearest_kernel", "point_kernel"]
+__all__ = ["nearest_kernel", "point_kernel"]
 
 #: Layout of a BVH's arrays that the search reads: the CPU's.
 LAYOUT = "wide"

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.point_kernels import LAYOUT, nearest_kernel
-from raystream.cuda.structures import Resident, place
+from raystream.cuda.point_kernels import nearest_kernel
+from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
 from raystream.kernels.nearest import ROW
@@ -52,27 +52,21 @@ class DevicePoints:
     ----------
     gpu : Gpu
     structure : Structure
-        A BVH's arrays are copied to the device in the CPU's layout.
+    resident : Resident
+        Its arrays on the device, in its own layout.
     points_at_once : int
         Most points on the device together; fewer if each has many rows.
-    resident : Resident, optional
-        The arrays, if they are on the device already.
-
-    Raises
-    ------
-    CudaError
-        If there is not enough memory.
     """
 
     def __init__(
         self,
         gpu: Gpu,
         structure: Structure,
+        resident: Resident,
         points_at_once: int,
-        resident: Resident | None = None,
     ) -> None:
         self._gpu, self._structure, self._at_once = gpu, structure, points_at_once
-        self._resident = place(structure, gpu, LAYOUT) if resident is None else resident
+        self._resident = resident
 
     def find(
         self,

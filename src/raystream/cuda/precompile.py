@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
-from raystream.cuda.bvh.kernels import KERNELS, kernel_of, lay_out, traced_as
+from raystream.cuda.bvh.kernels import has_binary_layout, lay_out, traced_as
 from raystream.cuda.hit_ids import HALVE, SPLIT, InstanceIds
 from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
-from raystream.cuda.point_kernels import LAYOUT, nearest_kernel
+from raystream.cuda.point_kernels import nearest_kernel
 from raystream.cuda.programs.precompile import program_kernels
 from raystream.cuda.query_kernels import CountAddresses, RowAddresses
-from raystream.cuda.ray_order import MAKE_KEY
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import Compiled, RangeKernel
@@ -51,7 +50,6 @@ ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
     "split ids": (SPLIT, (InstanceIds(_AT, _AT, _AT, _AT), _AT, _AT)),
     "halve ids": (HALVE, (np.int32(0), _AT)),
     "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
-    "ray keys": (MAKE_KEY, (_SOURCE, _FRAME, _AT, _AT)),
 }
 
 
@@ -60,9 +58,7 @@ def structure_kernels(
     scene: Scene,
     *,
     counters: bool = False,
-    kernel: str = "auto",
-    launch: str = "range",
-    order: str = "given",
+    is_own: bool = False,
     precision: str = "float32",
     **options: Any,
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
@@ -76,8 +72,8 @@ def structure_kernels(
         Any, with instances or primitives or without; the structure is built for it.
     counters : bool
         Whether rays have counters.
-    kernel, launch, order : str
-        See `CudaBackend`.
+    is_own : bool
+        Whether a BVH has its own layout.
     precision : {"float32", "float64"}
     **options
         Options of the structure.
@@ -89,10 +85,9 @@ def structure_kernels(
     """
     triangles = scene.triangles if precision == "float32" else float64_triangles(scene)
     structure = build_on_cpu(options_of(name, options), triangles)
-    kernels = kernels_of(traced_as(structure), kernel, launch, order)
-    tree = lay_out(structure, kernel).tree
-    first = (_AT,) if order == "sorted" else ()
-    shared = *first, _SOURCE, structure.frame, tree, _AT if counters else None
+    kernels = kernels_of(traced_as(structure), is_own=is_own)
+    tree = lay_out(structure, is_own=is_own).tree
+    shared = _SOURCE, structure.frame, tree, _AT if counters else None
     hits = HitAddresses(_AT, _AT, _AT, _AT)
     more: dict[str, tuple[Any, ...]] = {
         "first_hit": (ResultAddresses(*[_AT] * 6),),
@@ -117,8 +112,7 @@ def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]
     made = {}
     for name in names_with("nearest search"):
         structure = build_structure(name, scene.triangles)
-        has_layouts = kernel_of(name, "auto") is not None
-        tree = lay_out(structure, LAYOUT if has_layouts else "auto").tree
+        tree = lay_out(structure, is_own=True).tree
         arguments = PointSource(_AT, _AT, _AT), structure.frame, tree, _AT, _AT, to
         made[name] = nearest_kernel(name), arguments
     return made
@@ -139,10 +133,12 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
         have to be linked are left out.
     """
     ways: list[tuple[str, str, dict[str, Any]]] = [
-        *((name, name, {}) for name in STRUCTURES if name != "bvh"),
-        *((f"bvh, {one}", "bvh", {"kernel": one}) for one in KERNELS if one != "auto"),
-        ("bvh, persistent", "bvh", {"launch": "persistent"}),
-        ("bvh, sorted", "bvh", {"order": "sorted"}),
+        *((name, name, {}) for name in STRUCTURES),
+        *(
+            (f"{name}, own layout", name, {"is_own": True})
+            for name in STRUCTURES
+            if has_binary_layout(name)
+        ),
         *((f"{one}, float64", one, {"precision": "float64"}) for one in ("bvh", "brute")),
     ]
     listed = {

@@ -90,7 +90,6 @@ def _tally_at(tallies, i):
 def make_kernels(
     traverse: Callable[..., Any],
     stack_bytes: int,
-    launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
     make_searches: Callable[[Callable[..., Any]], Searches] = searches,
 ) -> QueryKernels:
     """Make the kernels of a structure.
@@ -101,8 +100,6 @@ def make_kernels(
         See `kernels.queries.ray_queries`.
     stack_bytes : int
         Of its stack.
-    launcher : callable
-        `RangeKernel` or `PersistentKernel`.
     make_searches : callable, optional
         `Structure.make_searches` [default: `searches`].
 
@@ -161,6 +158,4 @@ def make_kernels(
         add_to(tally, SHADINGS, search.hit_count)
         finish_rows(out.hits, first, search.hit_count, ray, True)
 
-    return QueryKernels(
-        launcher(first_hit), launcher(any_hit), launcher(count_hits), launcher(multi_hit)
-    )
+    return QueryKernels(*map(RangeKernel, (first_hit, any_hit, count_hits, multi_hit)))

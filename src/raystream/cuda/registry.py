@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from raystream.cuda.bvh.kernels import kernel_of
 from raystream.cuda.devices import open_device
-from raystream.cuda.options import OPTIONS, check_names
+from raystream.cuda.options import OPTIONS
 from raystream.machines.backend import Backend
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
@@ -33,8 +32,6 @@ class _CudaMachines:
                 raise TypeError(
                     f"{machine}: has no option {name!r}; it is one of machine={homes[0]!r}"
                 )
-        kernel_of("bvh", own.get("kernel", "auto"))  # raises if it is unknown
-        check_names(own)
         open_device(own.get("gpu", 0))
         return own
 

@@ -2,79 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
-from raystream.cuda.bvh.kernels import LAYOUTS, Traced, kernel_of, lay_out, traced_as
+from raystream.cuda.bvh.kernels import LAYOUTS, Traced, has_binary_layout, lay_out, traced_as
 from raystream.cuda.nested import AddressMap, SharedAllocation
-from raystream.cuda.options import check_names
 from raystream.cuda.query_kernels import QueryKernels, make_kernels
-from raystream.cuda.ray_order import reordered
-from raystream.jit.cuda import CudaError, DeviceArray, Gpu, PersistentKernel, RangeKernel
+from raystream.jit.cuda import CudaError, DeviceArray, Gpu
 from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
 __all__ = [
     "BuiltOnDevice",
     "Resident",
-    "kernel_for",
+    "is_built_there",
     "kernels_of",
     "place",
 ]
 
-#: Classes of kernels, by `options.LAUNCHES`.
-_LAUNCHERS = {"range": RangeKernel, "persistent": PersistentKernel}
 
-_Launcher = Callable[[Callable[..., Any]], RangeKernel]
-
-
-def kernels_of(
-    made: Traced, kernel: str = "auto", launch: str = "range", order: str = "given"
-) -> QueryKernels:
+def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
     """The query kernels of a structure.
 
     Parameters
     ----------
     made : str or type of Structure
         Name of the structure, or its class; see `bvh.kernels.traced_as`.
-    kernel : str
-        For a BVH, see `bvh.kernels.KERNELS`.
-    launch, order : str
-        See `options`. Kernels for sorted rays take the address of the order first, see
-        `ray_order.reordered`.
+    is_own : bool
+        Whether a BVH has its own layout, which is the CPU's, instead of binary nodes.
 
     Raises
     ------
     CudaError
         If the structure has no kernels.
-    ValueError
-        If a kernel, launch or order is unknown.
-    TypeError
-        If a kernel is named for a structure other than a BVH.
     """
     if isinstance(made, str) and made not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
         raise CudaError(f"device 'cuda': has the structures {known}, not {made!r}")
-    check_names({"launch": launch, "order": order})
-    return _made(made, kernel_of(made, kernel), launch, order)
+    return _made(made, has_binary_layout(made) and not is_own)
 
 
 @cache
-def _made(made: Traced, kernel: str | None, launch: str, order: str) -> QueryKernels:
+def _made(made: Traced, is_binary: bool) -> QueryKernels:
     held: Any = structure_class(made) if isinstance(made, str) else made
-    plain = _LAUNCHERS[launch]
-    launcher: _Launcher = plain
-    if order == "sorted":
-        launcher = lambda function: plain(reordered(function))  # noqa: E731
     if held.precision == "float64":
         # Here, not above: few tracers are in float64.
         from raystream.cuda.float64.kernels import make_float64_kernels
 
-        return make_float64_kernels(held.searches, launcher)
+        return make_float64_kernels(held.searches)
     traverse, stack_bytes = held.traverse, held.stack_bytes
-    if kernel is not None and isinstance(made, str):
-        traverse, stack_bytes = form_of(made, LAYOUTS).search_of(kernel)
-    return make_kernels(traverse, stack_bytes, launcher, held.make_searches)
+    if is_binary and isinstance(made, str):
+        traverse, stack_bytes = form_of(made, LAYOUTS).binary_search()
+    return make_kernels(traverse, stack_bytes, held.make_searches)
 
 
 class Resident(NamedTuple):
@@ -109,36 +87,30 @@ class BuiltOnDevice(Protocol):
     resident: Resident
 
 
-def _has_layouts(structure: Structure) -> bool:
-    """Whether the structure has other layouts on the device."""
-    return kernel_of(traced_as(structure), "auto") is not None
+def is_built_there(structure: Structure, gpu: Gpu) -> bool:
+    """Whether a structure was built on a device, where it keeps its own layout."""
+    return isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
 
 
-def kernel_for(structure: Structure, gpu: Gpu, kernel: str) -> str:
-    """Resolve ``"auto"``: a BVH that was built on the device keeps its layout."""
-    is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
-    return "wide" if kernel == "auto" and is_there and _has_layouts(structure) else kernel
-
-
-def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
+def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
     """Copy the arrays of a structure's traversal to a device, or return those built there.
 
     Parameters
     ----------
     structure : Structure
     gpu : Gpu
-    kernel : str
-        For a BVH, as in `kernels_of`.
+    is_own : bool
+        As in `kernels_of`.
 
     Raises
     ------
     CudaError
         If there is not enough memory; nothing has been copied then.
     """
-    is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
-    if is_there and (kernel == "wide" or not _has_layouts(structure)):
+    is_own = is_own or not has_binary_layout(traced_as(structure))
+    if is_own and is_built_there(structure, gpu):
         return cast("BuiltOnDevice", structure).resident
-    tree, given = lay_out(structure, kernel)
+    tree, given = lay_out(structure, is_own=is_own)
     nested = structure.nested
     # Address 0 marks arrays that are absent.
     memory = {name: one for name, one in given.items() if getattr(tree, name, one.size)}

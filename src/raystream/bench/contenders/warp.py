@@ -73,6 +73,8 @@ def _closest(
 class Warp(Contender):
     """``mesh_query_ray``, ``_ray_anyhit`` and ``_point_no_sign`` in a kernel.
 
+    Results for rays in arrays on the GPU are Warp's arrays there.
+
     Parameters
     ----------
     threads : int
@@ -121,13 +123,13 @@ class Warp(Contender):
         t = wp.empty(len(rays), dtype=wp.float32, device=self._device)
         prim_id = wp.empty(len(rays), dtype=wp.int32, device=self._device)
         self._launch(_first, rays, [t, prim_id])
-        return FirstHits(t.numpy(), prim_id.numpy())
+        return FirstHits(t, prim_id) if _is_on_gpu(rays) else FirstHits(t.numpy(), prim_id.numpy())
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
         """Test whether each ray hits anything."""
         seen = wp.empty(len(rays), dtype=wp.bool, device=self._device)
         self._launch(_any, rays, [seen])
-        result: NDArray[np.bool_] = seen.numpy()
+        result: NDArray[np.bool_] = seen if _is_on_gpu(rays) else seen.numpy()
         return result
 
     def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
@@ -159,4 +161,10 @@ class Warp(Contender):
 
     def _array(self, array: NDArray[Any], dtype: Any) -> Any:
         """Share an array's memory with Warp, or copy it to the GPU."""
-        return wp.array(array, dtype=dtype, device=self._device, copy=self._device != "cpu")
+        is_there = self._device == "cpu" or hasattr(array, "__cuda_array_interface__")
+        return wp.array(array, dtype=dtype, device=self._device, copy=not is_there)
+
+
+def _is_on_gpu(rays: Rays) -> bool:
+    """Whether rays are in arrays on a GPU, where results then stay."""
+    return hasattr(rays.origins, "__cuda_array_interface__")

@@ -36,7 +36,6 @@ class DeviceBvh(DeviceResident, BvhStructure):
     triangles : Triangles
     gpu : Gpu
     wide : WideTree
-    method : {"clusters", "linear"}
     options : Bvh
     started : float
         When the build began, by `time.perf_counter`.
@@ -53,11 +52,10 @@ class DeviceBvh(DeviceResident, BvhStructure):
         triangles: Triangles,
         gpu: Gpu,
         wide: WideTree,
-        method: str,
         options: Bvh,
         started: float,
     ) -> None:
-        self.triangles, self.gpu, self.wide, self.method = triangles, gpu, wide, method
+        self.triangles, self.gpu, self.wide = triangles, gpu, wide
         self.options = options
         self.resident = Resident(TreeAddresses(wide.nodes.address, wide.leaves.address), wide[:2])
         self._held_ids = triangles.prim_ids
@@ -91,12 +89,10 @@ class DeviceBvh(DeviceResident, BvhStructure):
                 self._refit(self.triangles)
                 raise
             if cost <= max_cost_growth * old_cost:
-                moved = DeviceBvh(
-                    triangles, self.gpu, self.wide, self.method, self.options, started
-                )
+                moved = DeviceBvh(triangles, self.gpu, self.wide, self.options, started)
                 moved._held_ids, moved.cost_when_built = self._held_ids, old_cost
                 return moved, UpdateReport(False, moved.report.seconds, cost, old_cost)
-        rebuilt = build_bvh(self.gpu, triangles, self.options, self.method)
+        rebuilt = build_bvh(self.gpu, triangles, self.options)
         cost = rebuilt.cost_when_built
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
 
@@ -114,9 +110,7 @@ def _aligned(array: DeviceArray) -> Any:
     return copy
 
 
-def build_bvh(
-    gpu: Gpu, triangles: Triangles, options: Bvh, method: str = "clusters"
-) -> BvhStructure:
+def build_bvh(gpu: Gpu, triangles: Triangles, options: Bvh) -> BvhStructure:
     """Build a BVH on a device.
 
     Parameters
@@ -125,14 +119,12 @@ def build_bvh(
     triangles : Triangles
     options : Bvh
         `quality` applies to CPU builds.
-    method : {"clusters", "linear"}
-        ``"linear"`` splits by the bits of Morton keys; ``"clusters"`` merges neighbours in
-        Morton order whose common box is small, for a tree that traces faster.
 
     Returns
     -------
     BvhStructure
-        Deterministic. The binary tree is collapsed to wide nodes as on the CPU.
+        Deterministic. Neighbours in Morton order whose common box is small are merged; the binary
+        tree is collapsed to wide nodes as on the CPU.
 
     Raises
     ------
@@ -147,17 +139,25 @@ def build_bvh(
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
     try:
-        wide = _build(gpu, triangles, corners, method, options.max_leaf_size, FINE_BITS)
+        wide = _build(gpu, triangles, corners, options.max_leaf_size)
     except TooDeepError:
-        # Leaves differ within 30 bits of key and 31 of row index, which limits the depth.
-        wide = _build(gpu, triangles, corners, "linear", options.max_leaf_size, COARSE_BITS)
-    return DeviceBvh(triangles, gpu, wide, method, options, started)
+        wide = _build_by_keys(gpu, triangles, corners, options.max_leaf_size)
+    return DeviceBvh(triangles, gpu, wide, options, started)
 
 
-def _build(
-    gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: str, max_leaf_size: int, bits: int
-) -> WideTree:
+def _build(gpu: Gpu, triangles: Triangles, corners: DeviceArray, max_leaf_size: int) -> WideTree:
     nodes = Nodes.allocate(gpu, len(triangles.prim_ids), max_leaf_size)
-    keys = make_leaves(gpu, triangles, corners, nodes, bits)
-    root = link_by_keys(gpu, keys, nodes) if method == "linear" else merge_clusters(gpu, nodes)
-    return make_wide(gpu, nodes, root, corners)
+    make_leaves(gpu, triangles, corners, nodes, FINE_BITS)
+    return make_wide(gpu, nodes, merge_clusters(gpu, nodes), corners)
+
+
+def _build_by_keys(
+    gpu: Gpu, triangles: Triangles, corners: DeviceArray, max_leaf_size: int
+) -> WideTree:
+    """Split by the bits of Morton keys: a worse tree, whose depth is limited.
+
+    Leaves differ within 30 bits of key and 31 of row index.
+    """
+    nodes = Nodes.allocate(gpu, len(triangles.prim_ids), max_leaf_size)
+    keys = make_leaves(gpu, triangles, corners, nodes, COARSE_BITS)
+    return make_wide(gpu, nodes, link_by_keys(gpu, keys, nodes), corners)

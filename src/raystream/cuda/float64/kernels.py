@@ -5,9 +5,6 @@ The bits are the CPU's: products and sums are fused where the source says `fma`,
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
 from raystream.cuda.query_kernels import QueryKernels
@@ -38,18 +35,13 @@ def _ray(source, i, frame, status):
     return ray
 
 
-def make_float64_kernels(
-    searches: Searches,
-    launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
-) -> QueryKernels:
+def make_float64_kernels(searches: Searches) -> QueryKernels:
     """Make the kernels of a structure in float64.
 
     Parameters
     ----------
     searches : Searches
         Of a single ray.
-    launcher : callable
-        `RangeKernel` or `PersistentKernel`.
 
     Returns
     -------
@@ -90,6 +82,4 @@ def make_float64_kernels(
         kept = keep(tree, ray, capacity, out.hits, first, surfaces, memory)
         store(out.found + (i << _LONG), np.int64(kept))
 
-    return QueryKernels(
-        launcher(first_hit), launcher(any_hit), launcher(count_hits), launcher(multi_hit)
-    )
+    return QueryKernels(*map(RangeKernel, (first_hit, any_hit, count_hits, multi_hit)))

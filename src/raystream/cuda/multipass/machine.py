@@ -85,6 +85,8 @@ class Multipass(CudaBackend):
 
     capabilities = Capabilities(device_arrays=True, passes=True)
 
+    reads_own_layout = True
+
     def __init__(
         self,
         structure: Structure,
@@ -112,9 +114,7 @@ class Multipass(CudaBackend):
         self.compaction = given.compaction
         self.passes: Passes | None = None
         self._rules = rules_of(steps.kernels, scheduler, given.threshold, self.compaction)
-        # The steps traverse the CPU's layout.
-        own = {"kernel": "wide"} if structure.name == "bvh" else {}
-        super().__init__(structure, gpu, rays_at_once=rays_at_once, **own)
+        super().__init__(structure, gpu, rays_at_once=rays_at_once)
         self._steps = _on_device(steps, structure, self._scene.resident)
 
     def recording(self, passes: Passes) -> Multipass:

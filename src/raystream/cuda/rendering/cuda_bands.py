@@ -43,8 +43,6 @@ class CudaBands:
         The machine's.
     max_pixels : int
         Maximum number of pixels in flight.
-    is_sorted : bool
-        Whether the kernels take rays in the order of their keys, see `cuda.ray_order`.
     """
 
     def __init__(
@@ -56,12 +54,10 @@ class CudaBands:
         frame: SceneFrame,
         staging_streams: StagingStreams,
         max_pixels: int,
-        *,
-        is_sorted: bool = False,
     ) -> None:
         self._max_pixels = min(max_pixels, MAX_PIXELS)
         self._context, self._staging_streams = context, staging_streams
-        self._queries = gpu, kernels, resident, frame, is_sorted
+        self._queries = gpu, kernels, resident, frame
         self._lock = threading.Lock()
         self._scene: RenderScene | None = None
 

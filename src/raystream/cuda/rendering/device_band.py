@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.ray_order import sort_rays
 from raystream.cuda.rays import usual_limits
 from raystream.cuda.rendering.columns import HitColumns, StreamColumns
 from raystream.cuda.rendering.kernels import GENERATE_CAMERA_RAYS
@@ -44,8 +43,6 @@ class RenderScene:
     resident : Resident
         The structure.
     frame : SceneFrame
-    is_sorted : bool
-        Whether the kernels take rays in the order of their keys.
     context : RenderContext
 
     Attributes
@@ -61,11 +58,9 @@ class RenderScene:
         kernels: QueryKernels,
         resident: Resident,
         frame: SceneFrame,
-        is_sorted: bool,
         context: RenderContext,
     ) -> None:
         self.gpu, self.kernels, self.resident, self.frame = gpu, kernels, resident, frame
-        self.is_sorted = is_sorted
         self.context = context
         self.sampler: Any = plain(context.sampler)
         self.view: Any = None
@@ -207,13 +202,7 @@ class DeviceBand:
         places["status"] = status.address
         source = rays.source(*self._limits, has_ends)
         scene, answers = self.scene, ResultAddresses(**places)
-        shared = source, scene.frame, scene.resident.tree, None, answers
-        if not scene.is_sorted:
-            self.run(kernel, count, *shared)
-            return
-        own = self.empty, self._staging.stream
-        order = sort_rays(scene.gpu, source, count, scene.frame, *own)
-        self.run(kernel, count, order.address, *shared)
+        self.run(kernel, count, source, scene.frame, scene.resident.tree, None, answers)
 
     def wait(self) -> None:
         """Wait until all launches are done."""

@@ -17,7 +17,6 @@ from raystream.jit.cuda.devices import (
 from raystream.jit.cuda.gather_table import MAX_DIMENSIONS, gather_table_at
 from raystream.jit.cuda.gpu import CudaError, Gpu
 from raystream.jit.cuda.graph_loop import DeviceLoop, Launch, set_condition
-from raystream.jit.cuda.persistent_kernel import PersistentKernel
 from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.stream_scope import StreamScope
@@ -36,7 +35,6 @@ __all__ = [
     "Gpu",
     "GpuFacts",
     "Launch",
-    "PersistentKernel",
     "RangeKernel",
     "StreamScope",
     "UserKernel",
