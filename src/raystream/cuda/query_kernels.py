@@ -158,4 +158,4 @@ def make_kernels(
         add_to(tally, SHADINGS, search.hit_count)
         finish_rows(out.hits, first, search.hit_count, ray, True)
 
-    return QueryKernels(*map(RangeKernel, (first_hit, any_hit, count_hits, multi_hit)))
+    return QueryKernels(*(RangeKernel(one) for one in (first_hit, any_hit, count_hits, multi_hit)))

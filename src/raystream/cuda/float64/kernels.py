@@ -82,4 +82,4 @@ def make_float64_kernels(searches: Searches) -> QueryKernels:
         kept = keep(tree, ray, capacity, out.hits, first, surfaces, memory)
         store(out.found + (i << _LONG), np.int64(kept))
 
-    return QueryKernels(*map(RangeKernel, (first_hit, any_hit, count_hits, multi_hit)))
+    return QueryKernels(*(RangeKernel(one) for one in (first_hit, any_hit, count_hits, multi_hit)))
