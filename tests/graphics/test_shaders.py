@@ -13,6 +13,7 @@ from conftest import GRAPHICS_TRACERS
 from meshes import soup
 from raystream.graphics import shader_source as sources
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.pipelines import shader_module
 from raystream.graphics.shader_source import shader_source
 from raystream.graphics.structures import shader_structure_of
 
@@ -34,6 +35,9 @@ OF_PICTURES = ("multipass/loop/", "rendering/", "raster/", "camera.wgsl", "no_hi
 
 #: Those of scenes with instances.
 OF_INSTANCES = ("instances/", "float64.wgsl")
+
+#: Those that only pages run, by themselves.
+OF_PAGES = "page/"
 
 #: Tracers that have other files than those of the agreement.
 MORE_TRACERS = (
@@ -103,7 +107,7 @@ def test_plain_scenes_have_no_code_for_instances(structure):
 
 @pytest.mark.exhaustive
 def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
-    """Every file is in some tracer's shaders: with hits, without, or counting."""
+    """Every file is in some tracer's shaders, with hits, without, or counting, or in a page's."""
     made = type(fresh.device).create_shader_module
     compiled: set[str] = set()
 
@@ -121,8 +125,10 @@ def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
         seen = rs.Tracer(scene, **options).any_hit(**rays)
         every = rs.Tracer(scene, **options, counters=True).multi_hit(**rays)
         assert seen.tolist() == (every.counts > 0).tolist()
+    for name in (name for name in FILES if name.startswith(OF_PAGES)):
+        shader_module(fresh, shader_source(name), name)
     left = {name for name in FILES if not name.startswith(OF_PICTURES)}
-    assert not left - SOMETIMES - compiled
+    assert sorted(left - SOMETIMES - compiled) == []
 
 
 @pytest.mark.parametrize(
