@@ -13,6 +13,7 @@ from conftest import GRAPHICS_TRACERS
 from meshes import soup
 from raystream.graphics import shader_source as sources
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.pipelines import shader_module
 from raystream.graphics.shader_source import shader_source
 from raystream.graphics.structures import shader_structure_of
 
@@ -34,6 +35,11 @@ OF_PICTURES = ("multipass/loop/", "rendering/", "raster/", "camera.wgsl", "no_hi
 
 #: Those of scenes with instances.
 OF_INSTANCES = ("instances/", "float64.wgsl")
+
+#: Those of exported pages, which `web.test_pages` runs in a browser.
+OF_PAGES = "page/"
+
+ENTRY = re.compile(r"^@(compute|vertex|fragment)\b", re.MULTILINE)
 
 #: Tracers that have other files than those of the agreement.
 MORE_TRACERS = (
@@ -121,8 +127,16 @@ def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
         seen = rs.Tracer(scene, **options).any_hit(**rays)
         every = rs.Tracer(scene, **options, counters=True).multi_hit(**rays)
         assert seen.tolist() == (every.counts > 0).tolist()
-    left = {name for name in FILES if not name.startswith(OF_PICTURES)}
-    assert not left - SOMETIMES - compiled
+    left = {name for name in FILES if not name.startswith((*OF_PICTURES, OF_PAGES))}
+    assert sorted(left - SOMETIMES - compiled) == []
+
+
+def test_programs_of_pages_are_valid_for_another_compiler(opened):
+    """That of Firefox: browsers differ in what they accept."""
+    names = [name for name in FILES if name.startswith(OF_PAGES) and ENTRY.search(text_of(name))]
+    assert names
+    for name in names:
+        shader_module(opened, shader_source(name), name)
 
 
 @pytest.mark.parametrize(
