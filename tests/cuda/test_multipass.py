@@ -165,7 +165,7 @@ def test_options_are_checked(gpu):
         ({"threshold": 2.0}, ValueError, "0 to 1"),
         ({"traversal_steps": 0}, ValueError, "at least 1"),
         ({"max_passes": 0}, ValueError, "at least 1"),
-        ({"loop": "queries"}, ValueError, "'batches', 'graph'"),
+        ({"loop": "queries"}, ValueError, "'graph', 'batches'"),
         ({"machine": "branching", "loop": "graph"}, TypeError, "machine='multipass'"),
     ):
         with pytest.raises(error, match=text):

@@ -53,9 +53,9 @@ class Cuda(DeviceOptions):
         Its number in CUDA's order.
     build : {"host", "device"}
         Where structures are built.
-    loop : {"batches", "graph"}
-        With the multipass machine, who ends the loop of passes: the host after each batch of
-        passes, or the device in a CUDA graph.
+    loop : {"graph", "batches"}
+        With the multipass machine, who ends the loop of passes: the device in a CUDA graph, or,
+        for drivers older than CUDA 12.4, the host after each batch of passes.
     max_passes : int, optional
         With the multipass machine, the maximum number of passes of a query.
     rays_at_once : int, optional
@@ -72,7 +72,7 @@ class Cuda(DeviceOptions):
     name = "cuda"
     gpu: Annotated[int, Range(0)] = 0
     build: Literal["host", "device"] = "host"
-    loop: Literal["batches", "graph"] = "batches"
+    loop: Literal["graph", "batches"] = "graph"
     max_passes: _AtLeastOne = None
     rays_at_once: _AtLeastOne = None
 

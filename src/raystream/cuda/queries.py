@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import closing, nullcontext
+from contextlib import closing
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -409,9 +409,7 @@ def trace_on_device(
 
     kind = distance_type(scene.triangles)
     world_count = 0 if arrays.worlds is None else scene.triangles.instances.world_count
-    # Once for all steps; but a caller's function may make another device the current one.
-    held = nullcontext() if progress else scene.gpu.current()
-    with held, StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
+    with StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
         placed = place_device_rays(scope, arrays, world_count, kind)
         rays = RayLauncher(scene, scope, placed, report=report)
         task = QUERIES[query.kind](query, rays, payload=payload)

@@ -102,4 +102,4 @@ class DeviceGraph:
 
 
 #: By the value of the machine's option ``loop``.
-LOOPS: dict[str, Callable[[RayStreams, Rules], Loop]] = {"batches": Batches, "graph": DeviceGraph}
+LOOPS: dict[str, Callable[[RayStreams, Rules], Loop]] = {"graph": DeviceGraph, "batches": Batches}

@@ -92,7 +92,7 @@ class Multipass(CudaBackend):
         structure: Structure,
         gpu: Gpu,
         *,
-        loop: str = "batches",
+        loop: str = "graph",
         max_passes: int = MAX_PASSES,
         rays_at_once: int = _RAYS_AT_ONCE,
         **options: Any,

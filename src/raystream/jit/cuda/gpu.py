@@ -9,7 +9,6 @@ import contextlib
 import ctypes
 import math
 import operator
-import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -26,10 +25,6 @@ from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import LEGACY, CudaStream
 
 __all__ = ["CudaError", "Gpu"]
-
-
-#: The device that `Gpu.current` has made current in this thread.
-_entered = threading.local()
 
 
 class CudaError(RaystreamError):
@@ -86,22 +81,13 @@ class Gpu:
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:
-        """Make it the current device of this thread.
-
-        Within itself it does nothing: entering a device takes several microseconds, and a query
-        does so sixteen times.
-        """
-        before = getattr(_entered, "number", None)
-        if is_simulated() or before == self.number:
+        """Make it the current device of this thread."""
+        if is_simulated():
             yield
             return
         with cuda.gpus[self.number]:
             self._device.set_current()
-            _entered.number = self.number
-            try:
-                yield
-            finally:
-                _entered.number = before
+            yield
 
     @contextlib.contextmanager
     def doing(self, what: str) -> Iterator[None]:
