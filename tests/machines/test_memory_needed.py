@@ -102,7 +102,7 @@ def test_estimates_bound_what_is_used(name, query, rays, rng):
     if query != "multi_hit" or rays is parallel:  # all rays have three hits
         status = len(origins) if isinstance(result, np.ndarray) else 0  # not returned, but kept
         assert byte_count(result) + status == pytest.approx(needed.results, rel=0.001)
-        spare = 300_000 * rs.thread_count()
+        spare = 500_000 * rs.thread_count()  # beside the arrays
         if name in CHOOSING and len(origins) > 1024:
             spare += 22_000_000 * rs.thread_count()
         assert needed.total <= 2 * peak + spare
