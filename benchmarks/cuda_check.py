@@ -33,10 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: with less than the least.
 TOTAL = 460
 LEAST = 5
-LIMITS = {
-    **{"machine": 60, "small scene": 120, "agreement": 150, "sanitizer": 60},
-    "speed": 60,
-}
+LIMITS = {"machine": 60, "small scene": 120, "agreement": 150, "sanitizer": 60, "speed": 60}
 
 #: A little of each step: some tests, and few rays.
 TINY_TESTS = "layout or invalid"

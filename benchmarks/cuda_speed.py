@@ -9,10 +9,10 @@ occlusion, short ones that ask for any hit; for diffuse light, long ones that as
 Pixels follow each other in Morton order, and the rays of a hit follow each other; with
 ``--shuffled`` each set is traced in random order, too.
 
-Everyone gets the same rays, in turns, from arrays on the device, and leaves its results there.
+All contenders trace the same rays, alternately, from arrays on the device, and leave results there.
 Times are those of the kernels, by events around each launch on the device; and of the whole call,
-until the device is done: medians of several repeats. What others find is compared with the first
-of ours, and that, for primary rays, with the CPU's bits. With ``--lock FILE`` several processes
+until the device is done: medians of several repeats. Answers are compared with those of the first
+contender, and that, for primary rays, with the CPU's bits. With ``--lock FILE`` several processes
 prepare scenes at once, and measure one by one.
 """
 

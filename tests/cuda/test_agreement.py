@@ -61,6 +61,22 @@ def test_structures_equal_brute_force(gpu, tracer, name):
     assert_expected(answers, answers_of(rs.Tracer(case.scene, "brute"), rays_of(case)))
 
 
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(one, marks=[pytest.mark.exhaustive] * (one != "random_soup")) for one in CASES],
+)
+def test_the_cpus_layout_equals_brute_force(gpu, monkeypatch, name):
+    """That of trees built on the device, here of one that was not."""
+    from raystream.cuda.backend import CudaBackend
+
+    monkeypatch.setattr(CudaBackend, "reads_own_layout", True)
+    case = few_of(case_of(name))
+    answers = answers_of(
+        rs.Tracer(case.scene, "bvh", "cuda"), rays_of(case), is_brief=is_simulated()
+    )
+    assert_expected(answers, answers_of(rs.Tracer(case.scene, "brute"), rays_of(case)))
+
+
 #: The simulator compiles for 20 seconds, and then takes a tenth of a second for each.
 FLOAT64_PAIRS = [
     pytest.param(

@@ -99,12 +99,18 @@ def way(request, monkeypatch):
     """Trees of clusters, and those of keys, as if the former were too deep."""
     if request.param == "keys":
         from raystream.cuda.builders import bvh
+        from raystream.cuda.builders.binary_tree import COARSE_BITS
         from raystream.cuda.builders.wide import TooDeepError
 
         def too_deep(*_arguments):
             raise TooDeepError
 
+        def make_leaves(*arguments, usual=bvh.make_leaves):
+            assert arguments[-1] == COARSE_BITS
+            return usual(*arguments)
+
         monkeypatch.setattr(bvh, "_build", too_deep)
+        monkeypatch.setattr(bvh, "make_leaves", make_leaves)
     return request.param
 
 

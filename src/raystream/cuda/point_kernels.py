@@ -17,9 +17,6 @@ from raystream.structures import form_of
 
 __all__ = ["nearest_kernel", "point_kernel"]
 
-#: Layout of a BVH's arrays that the search reads: the CPU's.
-LAYOUT = "wide"
-
 _NONE = np.uint64(0)
 _ROW_BYTES = np.uint64(ROW.itemsize)
 _VALID = np.uint8(RayStatus.VALID)

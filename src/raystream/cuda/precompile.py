@@ -21,7 +21,6 @@ from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.point_queries import NearestAddresses, PointSource
-from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.machines.devices import build_on_cpu
 from raystream.machines.precision import float64_triangles
@@ -40,10 +39,8 @@ __all__ = [
 Compiler = Callable[[tuple[int, int]], Compiled]
 
 _AT = np.uint64(0)
-_CORNER = (np.float32(0.0),) * 3
 
 _SOURCE = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
-_FRAME = SceneFrame((0.0, 0.0, 0.0), 1.0, 1.0, _CORNER, _CORNER, np.float32(0.0))
 
 #: Kernels for rays in device arrays by name; they do not depend on the structure.
 ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {

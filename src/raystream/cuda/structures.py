@@ -88,7 +88,7 @@ class BuiltOnDevice(Protocol):
 
 
 def is_built_there(structure: Structure, gpu: Gpu) -> bool:
-    """Whether a structure was built on a device, where it keeps its own layout."""
+    """Whether a structure was built on this device, where it keeps its own layout."""
     return isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
 
 

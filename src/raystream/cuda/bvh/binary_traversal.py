@@ -21,7 +21,7 @@ from raystream.kernels.search import is_full
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
 
-__all__ = ["child_intervals", "pop", "traverse"]
+__all__ = ["traverse"]
 
 _ENTRY = np.uint64(4)
 _NODE = np.uint64(64)
@@ -50,7 +50,7 @@ def traverse(tree, ray, search, stack):
                 if is_last:
                     break
                 triangle += TRIANGLE
-            link, top = pop(stack, top)
+            link, top = _pop(stack, top)
     return search
 
 
@@ -72,11 +72,11 @@ def _visit(at, ray, t_min, t_far, stack, top):
         A node or leaf, or `_DONE`.
     top : uint64
     """
-    left, right, near, far = child_intervals(at, ray)
+    left, right, near, far = _child_intervals(at, ray)
     enters_left = max(left[0], t_min) <= min(left[1], t_far)
     enters_right = max(right[0], t_min) <= min(right[1], t_far)
     if not (enters_left or enters_right):
-        return pop(stack, top)
+        return _pop(stack, top)
     if enters_right and (not enters_left or right[0] < left[0]):
         near, far = far, near
     if enters_left and enters_right:
@@ -86,7 +86,7 @@ def _visit(at, ray, t_min, t_far, stack, top):
 
 
 @device
-def child_intervals(at, ray):
+def _child_intervals(at, ray):
     """Intervals in which a ray is inside the boxes of a node's children.
 
     Parameters
@@ -119,7 +119,7 @@ def _interval(ray, box, low_z, high_z):
 
 
 @device
-def pop(stack, top):
+def _pop(stack, top):
     """Pop the latest child, or `_DONE` from an empty stack."""
     if top == stack:
         return _DONE, top

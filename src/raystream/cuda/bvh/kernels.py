@@ -67,7 +67,7 @@ def binary_search() -> tuple[Callable[..., Any], int]:
 
 
 def lay_out(structure: Structure, *, is_own: bool = False) -> LaidOut:
-    """Convert a structure to the layout that its kernel reads; with `is_own`, to none."""
+    """Convert a structure to the layout that its kernel reads; with `is_own`, leave it as it is."""
     if is_own or not has_binary_layout(traced_as(structure)):
         return LaidOut(structure.arrays, structure.memory)
     from raystream.cuda.bvh.binary import unfold

@@ -103,7 +103,9 @@ class DeviceLoop:
         from cuda.core import LaunchConfig
         from cuda.core.graph import GraphDefinition
 
-        with self._gpu.doing("making a graph with a loop, for which the driver may be too old"):
+        with self._gpu.doing(
+            "making a graph with a loop (needs a driver for CUDA 12.4; or use loop='batches')"
+        ):
             graph = GraphDefinition()
             condition = graph.create_condition(default_value=1)
             latest = graph.while_loop(condition).body
