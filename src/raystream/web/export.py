@@ -21,10 +21,11 @@ from raystream.rendering.arguments import check_camera, check_size
 from raystream.rendering.render import render
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
-from raystream.structures import StructureOptions
+from raystream.structures import StructureOptions, options_of
 from raystream.tracer import Tracer
 from raystream.web.pack import pack
 from raystream.web.scene_data import check_supported, page_scene
+from raystream.web.structure_names import structure_names
 
 __all__ = ["export_page"]
 
@@ -43,6 +44,7 @@ MODULES = (
     "scene_on_gpu.js",
     "images.js",
     "display.js",
+    "counts.js",
     "exported.js",
 )
 
@@ -77,8 +79,9 @@ def export_page(
     path : path
         Of the page, such as ``"page.html"``.
     structures : sequence of str or StructureOptions
-        The structures to choose from, of different names; the first one is first seen
-        [default: ``["bvh"]``]. A tracer has its own.
+        The structures to choose from; the first one is first seen [default: ``["bvh"]``]. Several
+        may be of one kind with different options, such as the traversals of a kd-tree: arrays that
+        are equal are kept once. A tracer has its own.
     camera : Camera, optional
         The first view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     size : (int, int)
@@ -142,18 +145,16 @@ def export_page(
 
 def _checked(
     structures: Sequence[str | StructureOptions] | None,
-) -> Sequence[str | StructureOptions]:
+) -> Sequence[StructureOptions]:
     if structures is None:
-        return ["bvh"]
+        return [options_of("bvh")]
     if isinstance(structures, (str, StructureOptions)):
         raise TypeError(f"structures: expected a list, such as [{structures!r}]")
     if not structures:
         raise ValueError("structures: expected at least one")
-    names = [one if isinstance(one, str) else one.name for one in structures]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"structures: expected different ones, got {name!r} twice")
-    return structures
+    wanted = [options_of(one) for one in structures]
+    structure_names(wanted)
+    return wanted
 
 
 def _with_known_textures(scene: Scene) -> Scene:

@@ -25,6 +25,7 @@ from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 from raystream.web.geometry import structure_arrays, triangle_arrays
+from raystream.web.structure_names import structure_names
 
 __all__ = ["MODES", "PageScene", "check_supported", "page_scene"]
 
@@ -103,14 +104,13 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
         modes_made[name] = _mode(context, mode, key)
         files.add(mode.shader)
     structures = {}
-    for tracer in tracers:
+    names = structure_names([one.structure.options for one in tracers])
+    for name, tracer in zip(names, tracers, strict=True):
         shaders = shader_structure_of(tracer.structure)
         how, own = structure_arrays(tracer.structure, shaders)
-        name = tracer.structure.name
-        arrays.update({f"{name} {key}": one for key, one in own.items()})
         structures[name] = {
             "how": how,
-            "arrays": list(own),
+            "arrays": [_add_array(arrays, f"{name} {key}", one) for key, one in own.items()],
             "shader": shaders.shader,
             "tree": np.frombuffer(shaders.tree, np.uint32).tolist(),
             "budget": shaders.budget,
@@ -167,6 +167,16 @@ def _surfaces(context: RenderContext) -> Mapping[str, NDArray[Any]]:
 
 def _lights(context: RenderContext, mode: Mode) -> NDArray[np.float32]:
     return light_samples(context) if mode.samples_lights else punctual_rows(context).reshape(-1)
+
+
+def _add_array(arrays: dict[str, NDArray[Any]], name: str, array: NDArray[Any]) -> str:
+    """Add an array, which may be one of a structure before; returns its name."""
+    for known, other in arrays.items():
+        is_like = other.dtype == array.dtype and other.size == array.size
+        if is_like and other.tobytes() == array.tobytes():
+            return known
+    arrays[name] = array
+    return name
 
 
 def _add_lights(arrays: dict[str, NDArray[Any]], mode: str, lights: NDArray[np.float32]) -> str:

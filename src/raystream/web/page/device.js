@@ -39,6 +39,7 @@ export class Gpu {
     this.name = adapter.info.description || adapter.info.architecture || adapter.info.vendor;
     this.modules = new Map();
     this.layouts = new Map();
+    this.kept = new Map();
     this.isLost = false;
     this.loss = device.lost.then(() => { this.isLost = true; });
   }
@@ -119,6 +120,11 @@ export class Gpu {
       [TEXTURE_WIDTH, texture.height]);
   }
 
+  /** A resource of a kind for an array, made once: structures share arrays. */
+  shared(kind, array, makeOne) {
+    return cached(cached(this.kept, kind, () => new Map()), array, makeOne);
+  }
+
   /** The kind of a bind group's entry that is a texture. */
   kindOf(element) {
     return TEXELS[element].sampleType;
@@ -161,7 +167,8 @@ export class Gpu {
     const kinds = [], resources = [];
     for (const {binding, name, element} of declared) {
       kinds[binding] = this.kindOf(element);
-      resources[binding] = this.texture(name, arrays[name], element);
+      resources[binding] = this.shared(element, arrays[name],
+        () => this.texture(name, arrays[name], element));
     }
     return {kinds, resources};
   }

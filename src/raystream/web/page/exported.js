@@ -1,5 +1,6 @@
 // An exported page: shows the scene, sample after sample, traced on this computer's GPU.
 
+import {meanCounts, raysOf, showCounts} from "./counts.js";
 import {Display} from "./display.js";
 import {byId, fillSelect, make} from "./elements.js";
 import {Gpu, cached} from "./device.js";
@@ -157,13 +158,23 @@ class Page {
   }
 
   /** The ray through a place of the image, fractions from its upper left corner. */
-  rayThrough(x, y) {
-    const {camera, size: [width, height]} = this;
+  rayThrough(x, y, {camera, size: [width, height]} = this) {
     const [right, up, forward] = basisOf(camera);
     const slope = Math.tan(camera.fov * Math.PI / 360);
     const across = scale(right, (2 * x - 1) * slope * width / height);
     const direction = add(add(forward, across), scale(up, (1 - 2 * y) * slope));
     return [...camera.eye, ...direction];
+  }
+
+  /** Count the work per ray of all structures in this view. */
+  async compare() {
+    const {camera, size} = this;
+    const rays = raysOf(size, (x, y) => this.rayThrough(x, y, {camera, size}));
+    const means = {};
+    for (const name of Object.keys(this.scene.structures)) {
+      means[name] = await meanCounts(this.queriesOf(name), rays);
+    }
+    showCounts(means, rays.length / 6);
   }
 
   /** List the hits of the ray through a place of the image. */
@@ -237,10 +248,14 @@ function connect(page) {
     });
   }
   byId("home").addEventListener("click", () => move(() => page.home));
-  byId("hits-close").addEventListener("click", () => {
-    byId("hits").hidden = true;
-    byId("picture").focus();
-  });
+  byId("compare").addEventListener("click",
+    () => page.compare().catch(error => say(error.message)));
+  for (const name of ["hits", "counts"]) {
+    byId(`${name}-close`).addEventListener("click", () => {
+      byId(name).hidden = true;
+      byId("picture").focus();
+    });
+  }
   onPixelRatio(() => page.change());
   new ResizeObserver(() => page.change()).observe(byId("stage"));
 }
