@@ -45,6 +45,7 @@ MODULES = (
     "images.js",
     "display.js",
     "counts.js",
+    "heatmaps.js",
     "exported.js",
 )
 

@@ -25,6 +25,7 @@ from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 from raystream.web.geometry import structure_arrays, triangle_arrays
+from raystream.web.heatmaps import COUNTS, counts_of, ramp_words
 from raystream.web.structure_names import structure_names
 
 __all__ = ["MODES", "PageScene", "check_supported", "page_scene"]
@@ -98,11 +99,11 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
         assert mode is not None
         if not modes_made:
             arrays.update(_surfaces(context))
-        key = _add_lights(arrays, name, _lights(context, mode))
-        uniform = shading_uniform(context, mode, BandPlace(0, 0, 0, 1))
-        arrays[f"shading {name}"] = np.frombuffer(uniform, np.uint32)
-        modes_made[name] = _mode(context, mode, key)
+        modes_made[name] = _add_mode(arrays, name, context, mode)
         files.add(mode.shader)
+    context = _context(tracers[0], camera, trial, MODES[0])
+    modes_made["heatmap"] = _add_mode(arrays, "heatmap", context, COUNTS)
+    arrays["ramp"] = ramp_words()
     structures = {}
     names = structure_names([one.structure.options for one in tracers])
     for name, tracer in zip(names, tracers, strict=True):
@@ -110,6 +111,7 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
         how, own = structure_arrays(tracer.structure, shaders)
         structures[name] = {
             "how": how,
+            "counts": counts_of(tracer.structure.name),
             "arrays": [_add_array(arrays, f"{name} {key}", one) for key, one in own.items()],
             "shader": shaders.shader,
             "tree": np.frombuffer(shaders.tree, np.uint32).tolist(),
@@ -142,8 +144,10 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
 
 #: Files that replace others, which no file includes.
 _SHARED = (
+    COUNTS.shader,
     "page/accumulate.wgsl",
     "page/show.wgsl",
+    "page/show_counts.wgsl",
     "no_hit_rows.wgsl",
     "rendering/no_corners.wgsl",
     "rendering/path_rows.wgsl",
@@ -167,6 +171,16 @@ def _surfaces(context: RenderContext) -> Mapping[str, NDArray[Any]]:
 
 def _lights(context: RenderContext, mode: Mode) -> NDArray[np.float32]:
     return light_samples(context) if mode.samples_lights else punctual_rows(context).reshape(-1)
+
+
+def _add_mode(
+    arrays: dict[str, NDArray[Any]], name: str, context: RenderContext, mode: Mode
+) -> dict[str, Any]:
+    """Add what a mode's shaders read; returns what describes it."""
+    lights = _add_lights(arrays, name, _lights(context, mode))
+    uniform = shading_uniform(context, mode, BandPlace(0, 0, 0, 1))
+    arrays[f"shading {name}"] = np.frombuffer(uniform, np.uint32)
+    return _mode(context, mode, lights)
 
 
 def _add_array(arrays: dict[str, NDArray[Any]], name: str, array: NDArray[Any]) -> str:

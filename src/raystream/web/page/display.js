@@ -28,10 +28,16 @@ export class Display {
       source: shaderSource(shaders, ["page/accumulate.wgsl"]),
       entry: "accumulate", layouts: [KINDS], constants: {},
     });
-    const module = gpu.device.createShaderModule({code: shaderSource(shaders, ["page/show.wgsl"])});
-    this.showing = await gpu.device.createRenderPipelineAsync({
+    this.showing = await this.pipeline(shaderSource(shaders, ["page/show.wgsl"]), "show");
+  }
+
+  /** A pipeline that draws the whole canvas: source and entry point of a fragment shader. */
+  pipeline(code, entryPoint) {
+    const {device} = this.gpu;
+    const module = device.createShaderModule({code});
+    return device.createRenderPipelineAsync({
       layout: "auto", vertex: {module, entryPoint: "cover"},
-      fragment: {module, entryPoint: "show", targets: [{format: this.format}]},
+      fragment: {module, entryPoint, targets: [{format: this.format}]},
     });
   }
 
@@ -58,22 +64,28 @@ export class Display {
   }
 
   async show() {
+    const {device} = this.gpu;
+    const encoder = device.createCommandEncoder();
+    this.draw(encoder, this.showing, [this.picture, this.sums]);
+    device.queue.submit([encoder.finish()]);
+    await device.queue.onSubmittedWorkDone();
+  }
+
+  /** Draw the canvas by a pipeline, which reads some buffers. */
+  draw(encoder, pipeline, buffers) {
     const {gpu, canvas, size: [width, height]} = this;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
-    const encoder = gpu.device.createCommandEncoder();
     const view = this.context.getCurrentTexture().createView();
     const pass = encoder.beginRenderPass({
       colorAttachments: [{view, loadOp: "clear", storeOp: "store"}],
     });
-    pass.setPipeline(this.showing);
+    pass.setPipeline(pipeline);
     pass.setBindGroup(0, gpu.device.createBindGroup({
-      layout: this.showing.getBindGroupLayout(0),
-      entries: [this.picture, this.sums].map((buffer, binding) => ({binding, resource: {buffer}})),
+      layout: pipeline.getBindGroupLayout(0),
+      entries: buffers.map((buffer, binding) => ({binding, resource: {buffer}})),
     }));
     pass.draw(3);
     pass.end();
-    gpu.device.queue.submit([encoder.finish()]);
-    await gpu.device.queue.onSubmittedWorkDone();
   }
 }

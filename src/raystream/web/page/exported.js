@@ -6,6 +6,7 @@ import {byId, fillSelect, make} from "./elements.js";
 import {Gpu, cached} from "./device.js";
 import {cornersOf} from "./geometry.js";
 import {Gestures} from "./gestures.js";
+import {HeatmapDisplay, modeChoices, partsOf} from "./heatmaps.js";
 import {ImageRenderer} from "./images.js";
 import {PageError, unpack} from "./pack.js";
 import {Queries, StructureOnGpu} from "./queries.js";
@@ -90,6 +91,11 @@ class Page {
       () => ImageRenderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
   }
 
+  heatmaps() {
+    return cached(this.renderers, "heat maps",
+      () => HeatmapDisplay.make(this.gpu, this.page, this.display));
+  }
+
   /** Begin the image again: the view, the size or a choice has changed. */
   change() {
     this.changes += 1;
@@ -131,7 +137,9 @@ class Page {
   async frame() {
     const began = performance.now();
     const {gpu, display, structure, mode} = this;
-    const renderer = await this.rendererOf(structure, mode);
+    const [rendered, what] = partsOf(mode);
+    const renderer = await this.rendererOf(structure, rendered);
+    const heatmaps = what && await this.heatmaps();
     if (structure !== this.structure || mode !== this.mode) return;
     const {changes, sample, size} = this;
     if (sample === 0) {
@@ -145,7 +153,9 @@ class Page {
       // A first sample is finished, so that there is an image while the camera moves.
       if (this.isStopped || (sample && changes !== this.changes)) return;
     }
-    await display.show();
+    byId("legend").hidden = !what;
+    if (what) await heatmaps.show(this.scene.structures[structure].counts[what]);
+    else await display.show();
     if (this.isStopped) return;
     if (sample === 0) say("");
     this.losses = 0;
@@ -239,9 +249,12 @@ function connect(page) {
     if (shift) move(view => (event.shiftKey ? pan : orbit)(view, ...shift));
     else others[event.key]();
   });
+  const choices = {
+    mode: modeChoices(page.scene),
+    structure: Object.keys(page.scene.structures).map(one => [one, one]),
+  };
   for (const name of ["mode", "structure"]) {
-    const choices = Object.keys(page.scene[`${name}s`]);
-    fillSelect(byId(name), choices.map(one => [one, one]));
+    fillSelect(byId(name), choices[name]);
     byId(name).addEventListener("change", () => {
       page[name] = byId(name).value;
       page.change();
