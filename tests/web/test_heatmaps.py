@@ -65,7 +65,6 @@ def test_counts_are_python_s(opened, scene, what, structure):
     counts = opened.run(f"page => page.scene.structures.{structure}.counts.{what}")
     found = opened.light()[..., counts["channel"]]
     same = found == heat.counts
-    print(what, structure, same.mean(), found.mean(), found.max())
     assert same.mean() > 0.995
     assert found.mean() == pytest.approx(heat.counts.mean(), rel=1e-3)
     assert found.std() > 0.3
@@ -85,7 +84,6 @@ def test_colours_are_python_s(opened, scene):
     pixels = np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
     known = heat.image.to_bytes()[: pixels.shape[0]].astype(int)
     close = (np.abs(pixels - known) <= 1).all(axis=2)
-    print(close.mean())
     assert close.mean() > 0.99
     assert pixels.std() > 20
 

@@ -103,7 +103,6 @@ def test_counts_are_the_cpu_s(opened, scene, name):
     tracer.first_hit(rays[:, :3], rays[:, 3:])
     known = np.stack([getattr(tracer.counters, column) for column in COLUMNS], axis=1)
     same = (counts == known).all(axis=1)
-    print(name, same.mean(), counts.mean(axis=0).round(3).tolist())
     assert same.mean() > 0.99
     assert counts.sum(axis=0) == pytest.approx(known.sum(axis=0), rel=0.005)
     assert (counts[:, 0] > 0).mean() > 0.3
@@ -112,9 +111,7 @@ def test_counts_are_the_cpu_s(opened, scene, name):
 def test_the_table_compares_structures(opened, scene):
     opened.page.locator("#compare").click()
     opened.wait("!document.getElementById('counts').hidden")
-    rows = [
-        row.split("\t") for row in opened.page.locator("#counts-table tr").all_inner_texts()
-    ]
+    rows = [row.split("\t") for row in opened.page.locator("#counts-table tr").all_inner_texts()]
     assert rows[0] == [
         *("Structure", "Steps down", "Steps up", "Leaves", "Tests", "Restarts", "Link nodes")
     ]

@@ -148,6 +148,7 @@ _SHARED = (
     "page/accumulate.wgsl",
     "page/show.wgsl",
     "page/show_counts.wgsl",
+    "page/walk.wgsl",
     "no_hit_rows.wgsl",
     "rendering/no_corners.wgsl",
     "rendering/path_rows.wgsl",

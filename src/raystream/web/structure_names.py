@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from typing import Any
 
 from raystream.structures import StructureOptions
 
@@ -41,5 +43,9 @@ def structure_names(structures: Sequence[StructureOptions]) -> list[str]:
 
 
 def _with_options(structure: StructureOptions) -> str:
-    given = ",".join(f"{name}={value}" for name, value in structure.given().items())
+    given = ",".join(f"{name}={_text(value)}" for name, value in structure.given().items())
     return f"{structure.name}:{given}" if given else structure.name
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))

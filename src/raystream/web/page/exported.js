@@ -1,6 +1,7 @@
 // An exported page: shows the scene, sample after sample, traced on this computer's GPU.
 
 import {meanCounts, raysOf, showCounts} from "./counts.js";
+import {boxesOf} from "./boxes.js";
 import {Display} from "./display.js";
 import {byId, fillSelect, make} from "./elements.js";
 import {Gpu, cached} from "./device.js";
@@ -14,8 +15,11 @@ import {SceneOnGpu} from "./scene_on_gpu.js";
 import {add, length, scale, subtract} from "./vector.js";
 import {fromCamera, likelyUp, orbit, pan, toShapedCamera, worldOf, zoom} from "./view.js";
 import {basisOf} from "./view_uniform.js";
+import {recordWalk} from "./walk.js";
+import {WalkPanel} from "./walk_panel.js";
 
 const MOST_PIXELS = 1 << 20;
+const MOST_STEPS = 500; // that are listed
 const MOST_LOSSES = 2; // of the GPU, without a sample between
 const LOST = "The GPU stopped; this page starts it again.";
 const STOPPED = "The GPU stopped again. Another mode or structure may take it less time; choosing one "
@@ -33,6 +37,8 @@ class Page {
     this.sample = 0;
     this.changes = 0;
     this.picks = 0;
+    this.picked = null; // a ray
+    this.walk = new WalkPanel(byId("walk-picture"));
     this.losses = 0;
     this.errorCount = 0; // reported by the GPU
     this.isRunning = false;
@@ -101,6 +107,7 @@ class Page {
     this.changes += 1;
     this.sample = 0;
     this.isStopped = false;
+    this.walk.draw(this.camera, this.size);
     if (!this.isRunning) this.run();
   }
 
@@ -187,13 +194,36 @@ class Page {
     showCounts(means, rays.length / 6);
   }
 
-  /** List the hits of the ray through a place of the image. */
-  async pick(x, y) {
-    const {structure} = this;
+  /** List the hits of the ray through a place of the image, and its steps through the structure. */
+  pick(x, y) {
+    this.picked = this.rayThrough(x, y);
+    return this.list();
+  }
+
+  /** The steps of a ray through a structure, and their number. */
+  async walkOf(structure, ray) {
+    const boxOf = boxesOf(this.onGpu(structure), this.scene);
+    if (!boxOf) return [[], 0];
+    const {visits, count} = await recordWalk(this.queriesOf(structure), Float64Array.from(ray));
+    const steps = visits.slice(0, MOST_STEPS).map(visit => ({...visit, ...boxOf(visit)}));
+    return [steps, count];
+  }
+
+  /** Forget the ray that was picked. */
+  close() {
+    this.picks += 1;
+    this.picked = null;
+    this.walk.hide();
+  }
+
+  async list() {
+    const {structure, picked: ray} = this;
     const number = ++this.picks;
-    const ray = this.rayThrough(x, y);
-    const hits = await this.queriesOf(structure).allHits(Float64Array.from(ray));
+    const queries = this.queriesOf(structure);
+    const hits = await queries.allHits(Float64Array.from(ray));
+    const walked = await this.walkOf(structure, ray);
     if (number !== this.picks) return; // another was picked since
+    this.walk.show(ray, ...walked);
     const count = hits.primId.length;
     byId("hits").hidden = false;
     byId("hits-title").textContent = count
@@ -258,6 +288,7 @@ function connect(page) {
     byId(name).addEventListener("change", () => {
       page[name] = byId(name).value;
       page.change();
+      if (name === "structure" && page.picked) page.list().catch(error => say(error.message));
     });
   }
   byId("home").addEventListener("click", () => move(() => page.home));
@@ -266,6 +297,7 @@ function connect(page) {
   for (const name of ["hits", "counts"]) {
     byId(`${name}-close`).addEventListener("click", () => {
       byId(name).hidden = true;
+      if (name === "hits") page.close();
       byId("picture").focus();
     });
   }

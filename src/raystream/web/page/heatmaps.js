@@ -5,7 +5,7 @@ import {shaderSource} from "./shaders.js";
 
 const KINDS = ["uniform", "gather", "scatter"];
 const MODE = "heatmap", GROUP = 8;
-const CHANNEL_AT = 8; // bytes before the channel in Picture
+const CHANNEL_AT = 8; // bytes before the channel in the uniform of picture.wgsl
 
 /** Choices of modes: each heat map is one. */
 export function modeChoices({modes, structures}) {

@@ -32,7 +32,9 @@ export class StructureOnGpu {
     this.name = name;
     this.about = manifest.structures[name];
     const own = this.about.arrays.map(key => arrays[key]);
-    const made = this.about.how === "bvh" ? bvhArrays(...own, corners) : own;
+    /** Arrays on the host; those of a BVH are made again for each call. */
+    this.arrays = () => (this.about.how === "bvh" ? bvhArrays(...own, corners) : own);
+    const made = this.arrays();
     // Shaders may have few buffers, beside as many textures.
     this.isInTextures = made.length + OTHERS > gpu.limits.maxStorageBuffersPerShaderStage;
     if (this.isInTextures) {
@@ -136,7 +138,7 @@ export class Queries {
 }
 
 /** Rays in the local frame, the largest component of the direction in [1, 2). */
-function localRays({center, scale}, rays) {
+export function localRays({center, scale}, rays) {
   const count = rays.length / 6;
   const packed = new Float32Array(8 * count);
   const lengths = new Float64Array(count); // local units of t per world unit
