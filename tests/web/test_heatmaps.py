@@ -13,7 +13,7 @@ from meshes import soup
 from raystream.rendering.color import encode_srgb
 from raystream.rendering.false_colors import color_ramp
 from raystream.rendering.heatmap import HEATMAPS
-from raystream.web.heatmaps import ramp_words
+from raystream.web.heatmaps import counts_of, ramp_words
 from web.pages import Exported, browser  # noqa: F401  a fixture
 
 STRUCTURES = {
@@ -97,6 +97,11 @@ def test_the_legend_belongs_to_heat_maps(opened):
 def test_the_modes_are_python_s(opened):
     choices = opened.page.locator("#mode option").evaluate_all("all => all.map(one => one.value)")
     assert [one for one in choices if " " in one] == [f"heatmap {what}" for what in HEATMAPS]
+
+
+def test_cells_are_those_that_the_structure_counts():
+    channels = {one.name: counts_of(one.name)["cells"]["channel"] for one in STRUCTURES.values()}
+    assert channels == {"kdtree": 1, "bvh": 1, "grid": 0, "graph": 0}
 
 
 def test_the_ramp_is_python_s():

@@ -1,7 +1,7 @@
 // An exported page: shows the scene, sample after sample, traced on this computer's GPU.
 
-import {meanCounts, raysOf, showCounts} from "./counts.js";
 import {boxesOf} from "./boxes.js";
+import {meanCounts, raysOf, showCounts} from "./counts.js";
 import {Display} from "./display.js";
 import {byId, fillSelect, make} from "./elements.js";
 import {Gpu, cached} from "./device.js";
@@ -38,6 +38,7 @@ class Page {
     this.changes = 0;
     this.picks = 0;
     this.picked = null; // a ray
+    this.boxes = new Map();
     this.walk = new WalkPanel(byId("walk-picture"));
     this.losses = 0;
     this.errorCount = 0; // reported by the GPU
@@ -80,6 +81,7 @@ class Page {
     this.losses = 0;
     say(error.message);
     byId("preview").hidden = false;
+    byId("legend").hidden = true;
     this.canvas.hidden = true;
   }
 
@@ -188,8 +190,13 @@ class Page {
     const {camera, size} = this;
     const rays = raysOf(size, (x, y) => this.rayThrough(x, y, {camera, size}));
     const means = {};
-    for (const name of Object.keys(this.scene.structures)) {
-      means[name] = await meanCounts(this.queriesOf(name), rays);
+    byId("compare").disabled = true;
+    try {
+      for (const name of Object.keys(this.scene.structures)) {
+        means[name] = await meanCounts(this.queriesOf(name), rays);
+      }
+    } finally {
+      byId("compare").disabled = false;
     }
     showCounts(means, rays.length / 6);
   }
@@ -200,27 +207,10 @@ class Page {
     return this.list();
   }
 
-  /** The steps of a ray through a structure, and their number. */
-  async walkOf(structure, ray) {
-    const boxOf = boxesOf(this.onGpu(structure), this.scene);
-    if (!boxOf) return [[], 0];
-    const {visits, count} = await recordWalk(this.queriesOf(structure), Float64Array.from(ray));
-    const steps = visits.slice(0, MOST_STEPS).map(visit => ({...visit, ...boxOf(visit)}));
-    return [steps, count];
-  }
-
-  /** Forget the ray that was picked. */
-  close() {
-    this.picks += 1;
-    this.picked = null;
-    this.walk.hide();
-  }
-
   async list() {
     const {structure, picked: ray} = this;
     const number = ++this.picks;
-    const queries = this.queriesOf(structure);
-    const hits = await queries.allHits(Float64Array.from(ray));
+    const hits = await this.queriesOf(structure).allHits(Float64Array.from(ray));
     const walked = await this.walkOf(structure, ray);
     if (number !== this.picks) return; // another was picked since
     this.walk.show(ray, ...walked);
@@ -233,6 +223,23 @@ class Page {
       const distance = hits.t[i] * length(ray.slice(3));
       return make("li", "", `triangle ${prim} at ${distance.toPrecision(6)}`);
     }));
+  }
+
+  /** The steps of a ray through a structure, and their number. */
+  async walkOf(structure, ray) {
+    const boxOf = cached(this.boxes, structure,
+      () => boxesOf(this.onGpu(structure), this.scene));
+    if (!boxOf) return [[], 0];
+    const {visits, count} = await recordWalk(this.queriesOf(structure), Float64Array.from(ray));
+    const steps = visits.slice(0, MOST_STEPS).map(visit => ({...visit, ...boxOf(visit)}));
+    return [steps, count];
+  }
+
+  /** Forget the ray that was picked. */
+  close() {
+    this.picks += 1;
+    this.picked = null;
+    this.walk.hide();
   }
 }
 

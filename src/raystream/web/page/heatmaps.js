@@ -36,7 +36,7 @@ export class HeatmapDisplay {
     drawRamp(byId("legend-bar"), colors);
   }
 
-  /** Show a channel of the display's sums; returns the largest count, at the top of the scale. */
+  /** Show a channel of the display's sums, and its largest count at the top of the scale. */
   async show({channel, title}) {
     const {gpu, display, most} = this;
     const [width, height] = display.size;
@@ -53,8 +53,6 @@ export class HeatmapDisplay {
     const [top] = new Float32Array(await gpu.read(most, 4));
     byId("legend-title").textContent = `${title} per ray`;
     byId("legend-top").textContent = top.toLocaleString(undefined, {maximumFractionDigits: 1});
-    byId("legend").hidden = false;
-    return top;
   }
 }
 
