@@ -192,6 +192,8 @@ def test_boxes_are_drawn_where_they_are(opened, scene):
     assert 0 < np.count_nonzero(alpha) < alpha.size // 10
     opened.page.locator("#hits-close").click()
     assert opened.page.evaluate("document.getElementById('walk-picture').width") == 1
+    places = [opened.page.locator(one).bounding_box() for one in ("#picture", "#walk-picture")]
+    assert places[0] == places[1] == {"x": 0, "y": 0, "width": width, "height": height}
 
 
 def test_shaders_of_queries_record_nothing():
