@@ -41,7 +41,12 @@ MODULES = (
     "queries.js",
     "view_uniform.js",
     "scene_on_gpu.js",
+    "gpu_clock.js",
     "images.js",
+    "pass_streams.js",
+    "pass_schedule.js",
+    "passes.js",
+    "pass_panel.js",
     "display.js",
     "exported.js",
 )

@@ -57,7 +57,13 @@ export class Display {
     gpu.device.queue.submit([encoder.finish()]);
   }
 
-  async show() {
+  show() {
+    return this.draw(this.showing, [this.picture, this.sums].map(
+      (buffer, binding) => [binding, {buffer}]));
+  }
+
+  /** Cover the canvas by a pipeline with resources, pairs of binding and resource. */
+  async draw(pipeline, resources) {
     const {gpu, canvas, size: [width, height]} = this;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
@@ -66,10 +72,10 @@ export class Display {
     const pass = encoder.beginRenderPass({
       colorAttachments: [{view, loadOp: "clear", storeOp: "store"}],
     });
-    pass.setPipeline(this.showing);
+    pass.setPipeline(pipeline);
     pass.setBindGroup(0, gpu.device.createBindGroup({
-      layout: this.showing.getBindGroupLayout(0),
-      entries: [this.picture, this.sums].map((buffer, binding) => ({binding, resource: {buffer}})),
+      layout: pipeline.getBindGroupLayout(0),
+      entries: resources.map(([binding, resource]) => ({binding, resource})),
     }));
     pass.draw(3);
     pass.end();

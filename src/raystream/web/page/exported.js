@@ -7,6 +7,9 @@ import {cornersOf} from "./geometry.js";
 import {Gestures} from "./gestures.js";
 import {ImageRenderer} from "./images.js";
 import {PageError, unpack} from "./pack.js";
+import {PassPanel} from "./pass_panel.js";
+import {whyNoPasses} from "./pass_streams.js";
+import {MOST_PIXELS_OF_PASSES, PassRenderer} from "./passes.js";
 import {Queries, StructureOnGpu} from "./queries.js";
 import {SceneOnGpu} from "./scene_on_gpu.js";
 import {add, length, scale, subtract} from "./vector.js";
@@ -27,6 +30,8 @@ class Page {
     this.corners = cornersOf(unpacked.arrays.vertices, unpacked.arrays.faces);
     this.mode = Object.keys(this.scene.modes)[0];
     this.structure = Object.keys(this.scene.structures)[0];
+    this.machine = "compute";
+    this.panel = new PassPanel(this);
     this.canvas = byId("picture");
     this.sample = 0;
     this.changes = 0;
@@ -53,6 +58,7 @@ class Page {
     this.structures = new Map();
     this.renderers = new Map();
     this.queries = new Map();
+    this.begun = null;
     this.gpu = gpu;
     gpu.loss.then(() => this.change());
   }
@@ -84,9 +90,10 @@ class Page {
     return cached(this.queries, name, () => new Queries(this.gpu, this.scene, this.onGpu(name)));
   }
 
-  rendererOf(structure, mode) {
-    return cached(this.renderers, `${structure} ${mode}`,
-      () => ImageRenderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
+  rendererOf(structure, mode, machine) {
+    const renderer = machine === "passes" ? PassRenderer : ImageRenderer;
+    return cached(this.renderers, `${structure} ${mode} ${machine}`,
+      () => renderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
   }
 
   /** Begin the image again: the view, the size or a choice has changed. */
@@ -94,12 +101,29 @@ class Page {
     this.changes += 1;
     this.sample = 0;
     this.isStopped = false;
-    if (!this.isRunning) this.run();
+    if (this.isByStep) this.panel.restart();
+    else this.goOn();
+  }
+
+  goOn() {
+    if (!this.isRunning) this.running = this.run();
+  }
+
+  /** Whether passes run one by one. */
+  get isByStep() {
+    return this.machine === "passes" && this.panel.isPaused;
+  }
+
+  /** Stop, unless the GPU was lost: then it is opened again. */
+  async failed(error) {
+    if (!(error instanceof PageError) && await this.gpu.wasLost()) this.change();
+    else this.stop(error);
   }
 
   get size() {
     const box = this.canvas.parentElement.getBoundingClientRect();
-    const ratio = Math.min(devicePixelRatio || 1, Math.sqrt(MOST_PIXELS / (box.width * box.height)));
+    const most = this.machine === "passes" ? MOST_PIXELS_OF_PASSES : MOST_PIXELS;
+    const ratio = Math.min(devicePixelRatio || 1, Math.sqrt(most / (box.width * box.height)));
     return [box.width, box.height].map(side => Math.max(Math.round(side * ratio), 1));
   }
 
@@ -110,7 +134,7 @@ class Page {
 
   async run() {
     this.isRunning = true;
-    while (this.sample < this.scene.samples && !this.isStopped) {
+    while (this.sample < this.scene.samples && !this.isStopped && !this.isByStep) {
       try {
         if (this.gpu.isLost) await this.reopen();
       } catch (error) {
@@ -126,19 +150,35 @@ class Page {
     this.isRunning = false;
   }
 
+  /** The renderer of the image, which begins it if anything has changed; null if a choice has. */
+  async beginImage() {
+    const {structure, mode, machine} = this;
+    const renderer = await this.rendererOf(structure, mode, machine);
+    if (structure !== this.structure || mode !== this.mode || machine !== this.machine) return null;
+    const {changes, size} = this;
+    if (this.sample === 0 && this.begun !== changes) {
+      this.display.begin(size);
+      renderer.begin(this.camera, size);
+      this.begun = changes;
+    }
+    return renderer;
+  }
+
   /** Add one sample to the image, or begin it. */
   async frame() {
     const began = performance.now();
-    const {gpu, display, structure, mode} = this;
-    const renderer = await this.rendererOf(structure, mode);
-    if (structure !== this.structure || mode !== this.mode) return;
-    const {changes, sample, size} = this;
-    if (sample === 0) {
-      display.begin(size);
-      renderer.begin(this.camera, size);
-    }
+    const {gpu, display} = this;
+    const renderer = await this.beginImage();
+    if (!renderer) return;
+    const {changes, sample} = this;
+    renderer.clock.restart();
+    const goesOn = counts => {
+      this.panel.show(counts);
+      return !this.isStopped && !this.isByStep && !(sample && changes !== this.changes);
+    };
     for (let first = 0; first < renderer.pixelCount;) {
-      const band = await renderer.trace(sample, first);
+      const band = await renderer.trace(sample, first, goesOn);
+      if (!band) return;
       display.add(band, sample, first);
       first += band.count;
       // A first sample is finished, so that there is an image while the camera moves.
@@ -147,13 +187,31 @@ class Page {
     await display.show();
     if (this.isStopped) return;
     if (sample === 0) say("");
+    this.reveal();
+    const milliseconds = (performance.now() - began).toFixed(0);
+    byId("figures").textContent = `${sample + 1} of ${this.scene.samples} samples, `
+      + `${milliseconds} ms, ${[renderer.clock, gpu.name].filter(String).join(", ")}`;
+    if (changes === this.changes) this.sample += 1;
+  }
+
+  /** Show the canvas instead of the image that was rendered beforehand. */
+  reveal() {
     this.losses = 0;
     byId("preview").hidden = true;
     this.canvas.hidden = false;
-    const milliseconds = (performance.now() - began).toFixed(0);
-    byId("figures").textContent = `${sample + 1} of ${this.scene.samples} samples, `
-      + `${milliseconds} ms, ${gpu.name}`;
-    if (changes === this.changes) this.sample += 1;
+  }
+
+  /** Choose a mode, structure or machine; passes only run on some structures. */
+  choose(name, value) {
+    this[name] = value;
+    const {structures} = this.scene;
+    if (this.machine === "passes" && !structures[this.structure].passes) {
+      if (name === "machine") this.structure = Object.keys(structures).find(one => structures[one].passes);
+      else this.machine = "compute";
+    }
+    for (const one of ["structure", "machine"]) byId(one).value = this[one];
+    byId("passes").hidden = this.machine !== "passes";
+    this.change();
   }
 
   /** The ray through a place of the image, fractions from its upper left corner. */
@@ -231,11 +289,15 @@ function connect(page) {
   for (const name of ["mode", "structure"]) {
     const choices = Object.keys(page.scene[`${name}s`]);
     fillSelect(byId(name), choices.map(one => [one, one]));
-    byId(name).addEventListener("change", () => {
-      page[name] = byId(name).value;
-      page.change();
-    });
+    byId(name).addEventListener("change", () => page.choose(name, byId(name).value));
   }
+  const why = whyNoPasses(page.gpu);
+  fillSelect(byId("machine"), [["compute", "compute"], ["passes", "passes"]]);
+  byId("machine").options[1].disabled = Boolean(why);
+  byId("machine").title = why ?? "";
+  byId("machine").parentElement.hidden = Object.values(page.scene.structures).every(
+    ({passes}) => !passes);
+  byId("machine").addEventListener("change", () => page.choose("machine", byId("machine").value));
   byId("home").addEventListener("click", () => move(() => page.home));
   byId("hits-close").addEventListener("click", () => {
     byId("hits").hidden = true;
