@@ -45,7 +45,11 @@ def pass_kernels(structure: Structure) -> dict[str, Any] | None:
             "state": int(one.state),
             # All rays are shaded, those that miss the structure's box, too.
             "next": [
-                int(RayState.SHADING if one.state == RayState.STARTING and to == RayState.DONE else to)
+                int(
+                    RayState.SHADING
+                    if one.state == RayState.STARTING and to == RayState.DONE
+                    else to
+                )
                 for to in one.transitions
             ],
             "writes": list(one.writes),

@@ -171,7 +171,6 @@ class Page {
     const renderer = await this.beginImage();
     if (!renderer) return;
     const {changes, sample} = this;
-    renderer.clock.restart();
     const goesOn = counts => {
       this.panel.show(counts);
       return !this.isStopped && !this.isByStep && !(sample && changes !== this.changes);

@@ -109,6 +109,7 @@ export class ImageRenderer {
    */
   async trace(sample, first) {
     const {gpu, scene} = this;
+    if (first === 0) this.clock.restart();
     for (;;) {
       const rows = this.hasRows ? Math.floor(this.mostBytes / this.rowBytes(1)) : Infinity;
       const count = Math.min(this.size.size, rows, this.pixelCount - first);

@@ -44,7 +44,6 @@ export class PassPanel {
     this.isStarting = false;
     byId("step").addEventListener("click", () => this.press());
     byId("run").addEventListener("click", () => this.resume());
-    byId("passes").addEventListener("keydown", event => event.stopPropagation());
   }
 
   /** Run the next pass; at first, begin the image again. */

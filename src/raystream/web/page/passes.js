@@ -99,10 +99,13 @@ export class PassRenderer extends ImageRenderer {
     this.last = null;
     this.passes = new Map([["eye rays", 0], ...this.kernels.map(({name}) => [name, 0])]);
     this.waiting = new Uint32Array(16);
-    if (this.streams?.count !== this.pixelCount) {
-      this.streams?.destroy();
-      this.streams = new Streams(this.gpu, this.pixelCount);
+    // One image is traced at a time.
+    const {scene, pixelCount} = this;
+    if (scene.streams?.count !== pixelCount) {
+      scene.streams?.destroy();
+      scene.streams = new Streams(this.gpu, pixelCount);
     }
+    this.streams = scene.streams;
   }
 
   /** Rays that wait for a kernel. */
@@ -138,6 +141,7 @@ export class PassRenderer extends ImageRenderer {
     this.setBand(0, pixelCount, sample);
     gpu.write(this.params, paramsOf(this.manifest, this.structure.about,
       {rayCount: pixelCount, rowSize: streams.width}));
+    this.clock.restart();
     schedule.begin(streams);
     this.bindAll();
     const encoder = gpu.device.createCommandEncoder();
