@@ -200,7 +200,7 @@ def test_states_are_colors_until_the_image_goes_on(opened):
             const {streams} = await page.rendererOf("grid", "raycast", "passes");
             const {width, height} = page.canvas;
             const copy = new OffscreenCanvas(width, height).getContext("2d");
-            page.panel.picture.show(streams);
+            page.panel.image.show(streams);
             copy.drawImage(page.canvas, 0, 0); // before it is presented
             return Array.from(copy.getImageData(0, 0, width, height).data);
         }"""

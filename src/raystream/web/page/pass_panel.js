@@ -1,4 +1,4 @@
-// The papers' machine in the page: its counts, steps of one pass, and the picture of rays' states.
+// The papers' machine in the page: its counts, steps of one pass, and rays' states as an image.
 
 import {byId, make} from "./elements.js";
 import {shaderSource} from "./shaders.js";
@@ -9,8 +9,8 @@ export const STATE_COLORS = [
 ];
 const STATE_COUNT = 16;
 
-/** Draws the states of rays on the canvas of a display. */
-class StatesPicture {
+/** Shows the states of rays on the canvas of a display. */
+class StatesImage {
   constructor(gpu, shaders, display) {
     this.gpu = gpu;
     this.display = display;
@@ -94,18 +94,18 @@ export class PassPanel {
       page.sample += 1;
       await page.display.show();
     } else {
-      await this.pictureOf(page).show(renderer.streams);
+      await this.imageOf(page).show(renderer.streams);
     }
     page.reveal();
     this.show(renderer);
     byId("figures").textContent = `Pass by pass, ${page.gpu.name}`;
   }
 
-  pictureOf({gpu, display, scene}) {
-    if (this.picture?.display !== display) {
-      this.picture = new StatesPicture(gpu, scene.shaders, display);
+  imageOf({gpu, display, scene}) {
+    if (this.image?.display !== display) {
+      this.image = new StatesImage(gpu, scene.shaders, display);
     }
-    return this.picture;
+    return this.image;
   }
 
   /** Show the counts of a renderer. */
