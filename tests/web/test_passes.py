@@ -9,7 +9,7 @@ import pytest
 
 import raystream as rs
 from conftest import skip_without_adapter
-from raystream.web.pass_kernels import pass_kernels
+from meshes import icosphere
 from web.pages import Exported, browser  # noqa: F401  a fixture
 
 STRUCTURES = ("bvh", "grid", "kdtree", "brute")
@@ -244,6 +244,20 @@ def test_a_view_begins_again_with_eye_rays(opened):
     opened.wait("raystream.opened.then(page => page.sample === 1 && !page.isRunning)")
 
 
+@pytest.mark.exhaustive
+def test_a_lost_gpu_begins_the_passes_again(browser, path):  # noqa: F811
+    with Exported(browser, path, SIZE) as page:
+        page.wait_for_samples(1)
+        finish(page, 1, structure="grid", machine="passes")
+        step(page)
+        step(page)
+        page.run("page => { page.first = page.gpu; page.gpu.device.destroy(); }")
+        page.wait("raystream.opened.then(p => p.gpu !== p.first && p.begun === p.changes)")
+        page.run("page => page.panel.work")
+        assert waiting(page)[1]["kernel"] == "eye rays"
+        assert page.page.locator("#picture").is_visible()
+
+
 def test_passes_only_run_where_they_can(opened):
     finish(opened, 1, mode="raycast", structure="bvh", machine="compute")
     choose(opened, "machine", "passes")
@@ -286,26 +300,16 @@ def test_rays_per_second_name_their_clock(browser, path, has_times):  # noqa: F8
         assert 0 < seconds < 10
 
 
-def test_structures_without_passes_have_no_kernels(scene):
-    assert pass_kernels(rs.Tracer(scene, "bvh").structure) is None
-    assert pass_kernels(rs.Tracer(scene, "graph").structure) is None
-    for traversal, file in {
-        "stack": "restart",
-        "short-stack": "restart",
-        "backtrack": "backtrack",
-    }.items():
-        made = pass_kernels(rs.Tracer(scene, "kdtree", traversal=traversal).structure)
-        assert made["instead"]["kdtree/stack.wgsl"] == f"kdtree/{file}.wgsl"
-
-
 @pytest.mark.exhaustive
 def test_glass_takes_more_room(browser, tmp_path):  # noqa: F811
-    scene = rs.load("spheres")
-    rs.export_page(scene, tmp_path / "page.html", structures=["grid"], size=SIZE)
+    glass = rs.Material(diffuse=(0.1,) * 3, transmission=(0.9,) * 3, ior=1.5)
+    scene = rs.Scene.from_arrays(*icosphere(1)).replace(materials=[glass])
+    rs.export_page(scene, tmp_path / "page.html", structures=["kdtree"], size=SIZE)
     with Exported(browser, tmp_path / "page.html", SIZE) as page:
         page.wait_for_samples(1)
         finish(page, 2, mode="whitted", machine="passes")
         passes, _ = counts(page)
-        room = page.run("async p => (await p.rendererOf('grid', 'whitted', 'passes')).room")
+        room = page.run("async p => (await p.rendererOf('kdtree', 'whitted', 'passes')).room")
     assert room > 2
-    assert passes == traced(scene, "grid", "whitted", 2).figures["passes"]
+    known = traced(scene, "kdtree", "whitted", 2).figures["passes"]
+    assert {name: count for name, count in passes.items() if count} == known

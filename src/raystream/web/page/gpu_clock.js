@@ -31,12 +31,11 @@ export class GpuClock {
     this.began = performance.now();
   }
 
-  /** Add the work, once it is done, and the rays that it traced. */
-  async add(rays) {
-    const passed = (performance.now() - this.began) / 1000;
-    this.rays += rays;
+  /** Add the time of work that was submitted, once it is done. */
+  async addTime() {
     if (!this.isGpus) {
-      this.seconds += passed;
+      await this.gpu.device.queue.onSubmittedWorkDone();
+      this.seconds += (performance.now() - this.began) / 1000;
       return;
     }
     const [began, ended] = new BigInt64Array(await this.gpu.read(this.times, 16));

@@ -133,7 +133,7 @@ export class ImageRenderer {
         Array(dispatches).fill(this.advancing), records, dispatch, true);
       const actives = Array.from({length: dispatches}, (_, k) => counts[4 * k]);
       const [active, stuck, endless, cut] = counts.subarray(4 * (dispatches - 1));
-      await this.clock.add(actives.slice(0, -1).reduce((sum, one) => sum + one, rays));
+      this.clock.rays += actives.slice(0, -1).reduce((sum, one) => sum + one, rays);
       rays = active + stuck;
       this.size.took(count, (performance.now() - began) / 1000 / dispatches);
       if (endless || cut) {
@@ -183,6 +183,10 @@ export class ImageRenderer {
     }
     clock.end(encoder);
     gpu.device.queue.submit([encoder.finish()]);
-    return isRead ? new Uint32Array(await gpu.read(this.copied, 16 * pipelines.length)) : null;
+    if (!isRead) return null;
+    const [counts] = await Promise.all([
+      gpu.read(this.copied, 16 * pipelines.length), clock.addTime(),
+    ]);
+    return new Uint32Array(counts);
   }
 }

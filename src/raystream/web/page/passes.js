@@ -166,10 +166,12 @@ export class PassRenderer extends ImageRenderer {
         [clock.writes(k === 0, false), clock.writes(false, k === length - 1)]);
     }
     clock.end(encoder);
-    const {passes, waiting} = await schedule.read(encoder);
+    const [{passes, waiting}] = await Promise.all([schedule.read(encoder), clock.addTime()]);
     this.waiting = waiting;
-    for (const {kernel, rays} of passes) this.note(this.kernels[kernel].name, rays);
-    await clock.add(passes.reduce((sum, {kernel, rays}) => sum + (kernel === 0 ? rays : 0), 0));
+    for (const {kernel, rays} of passes) {
+      this.note(this.kernels[kernel].name, rays);
+      if (kernel === 0) clock.rays += rays; // each ray is set up once
+    }
     this.sampleCount += passes.length;
     if (this.sampleCount > MAX_PASSES) {
       throw new PageError(`Rays are still active after ${this.sampleCount.toLocaleString()} passes.`);
