@@ -185,6 +185,8 @@ def test_pass_by_pass(opened):
         before = now
         shown = opened.page.locator("#passes-rows tr.last th").all_inner_texts()
         assert shown == [last["kernel"]]
+        text = opened.page.locator("#passes-last").text_content()
+        assert text == f"Last pass: {last['kernel']}, on {last['rays']:,} of {pixels:,} pixels"
     assert ran == Counter(known)
     assert opened.run("page => page.sample") == 1
     np.testing.assert_array_equal(opened.light(), light)

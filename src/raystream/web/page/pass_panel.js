@@ -110,8 +110,8 @@ export class PassPanel {
 
   /** Show the counts of a renderer. */
   show({kernels, passes, waiting, last, pixelCount, activeCount, states}) {
-    const text = last ? `Last pass: ${last.kernel}, on ${last.rays.toLocaleString()} rays` : "";
-    byId("passes-last").textContent = text;
+    byId("passes-last").textContent = last ? `Last pass: ${last.kernel}, on `
+      + `${last.rays.toLocaleString()} of ${pixelCount.toLocaleString()} pixels` : "";
     const rows = [["eye rays", null, null], ...kernels.map(
       ({name, state}) => [name, state, waiting[state]])];
     const done = last ? pixelCount - activeCount : 0;
