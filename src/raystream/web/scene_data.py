@@ -25,6 +25,7 @@ from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 from raystream.web.geometry import structure_arrays, triangle_arrays
+from raystream.web.pass_kernels import pass_files, pass_kernels, schedule
 from raystream.web.heatmaps import COUNTS, counts_of, ramp_words
 from raystream.web.structure_names import structure_names
 
@@ -119,8 +120,10 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
             "constants": shaders.constants,
             "sizes": shaders.sizes,
             "instead": shaders.instead,
+            "passes": pass_kernels(tracer.structure),
         }
         files |= {shaders.shader, *shaders.instead.values()}
+        files |= pass_files(structures[name]["passes"]) if structures[name]["passes"] else set()
     frame = scene.triangles
     manifest = {
         "camera": {
@@ -137,6 +140,7 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
         },
         "modes": modes_made,
         "structures": structures,
+        "schedule": schedule(),
         "samples": SAMPLES,
     }
     return PageScene(manifest, arrays, frozenset(files))
@@ -217,6 +221,7 @@ def _mode(context: RenderContext, mode: Mode, lights: str) -> dict[str, Any]:
         "lights": lights,
         "headlight": headlight,
         "branches": mode.branches(context),
+        "spawns": mode.spawns(context),
         "constants": {
             "LAST_BOUNCE": mode.last_bounce(context),
             "SAMPLER": context.sampler.kind,

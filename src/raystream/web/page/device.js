@@ -12,8 +12,11 @@ const KINDS = {
 /** Limits that are asked for where the adapter offers more than the least. */
 const LIMITS = [
   "maxStorageBuffersPerShaderStage", "maxStorageBufferBindingSize", "maxBufferSize",
-  "maxTextureDimension2D",
+  "maxTextureDimension2D", "maxColorAttachments", "maxColorAttachmentBytesPerSample",
 ];
+
+/** Features that are asked for where the adapter has them. */
+const FEATURES = ["timestamp-query"];
 
 /** Milliseconds that an error may precede the report that the GPU is lost. */
 const REPORTED_WITHIN = 500;
@@ -31,7 +34,8 @@ export class Gpu {
     const adapter = await navigator.gpu.requestAdapter({powerPreference: "high-performance"});
     if (!adapter) throw new PageError("No GPU was found. The image was rendered beforehand.");
     const requiredLimits = Object.fromEntries(LIMITS.map(name => [name, adapter.limits[name]]));
-    return new Gpu(adapter, await adapter.requestDevice({requiredLimits}));
+    const requiredFeatures = FEATURES.filter(name => adapter.features.has(name));
+    return new Gpu(adapter, await adapter.requestDevice({requiredFeatures, requiredLimits}));
   }
 
   constructor(adapter, device) {
@@ -135,7 +139,7 @@ export class Gpu {
     const key = kinds.join();
     if (!this.layouts.has(key)) {
       const entries = kinds.map((kind, binding) => ({
-        binding, visibility: GPUShaderStage.COMPUTE,
+        binding, visibility: GPUShaderStage.COMPUTE | GPUShaderStage.FRAGMENT,
         ...(KINDS[kind] ?? {texture: {sampleType: kind}}),
       }));
       this.layouts.set(key, this.device.createBindGroupLayout({entries}));
@@ -145,21 +149,31 @@ export class Gpu {
 
   bind(kinds, resources) {
     const entries = resources.map((one, binding) => ({
-      binding, resource: one instanceof GPUBuffer ? {buffer: one} : one.createView(),
+      binding,
+      resource: one instanceof GPUBuffer ? {buffer: one}
+        : one instanceof GPUTexture ? one.createView() : one,
     }));
     return this.device.createBindGroup({layout: this.layout(kinds), entries});
   }
 
   /** A compute pipeline: {source, entry, layouts, constants}. */
   async pipeline({source, entry, layouts, constants}) {
+    return this.device.createComputePipelineAsync({
+      layout: this.pipelineLayout(layouts),
+      compute: {module: this.module(source), entryPoint: entry, constants},
+    });
+  }
+
+  module(source) {
     if (!this.modules.has(source)) {
       this.modules.set(source, this.device.createShaderModule({code: source}));
     }
+    return this.modules.get(source);
+  }
+
+  pipelineLayout(layouts) {
     const groups = layouts.map(kinds => this.layout(kinds));
-    return this.device.createComputePipelineAsync({
-      layout: this.device.createPipelineLayout({bindGroupLayouts: groups}),
-      compute: {module: this.modules.get(source), entryPoint: entry, constants},
-    });
+    return this.device.createPipelineLayout({bindGroupLayouts: groups});
   }
 
   /** Arrays as textures, for the declarations of `gatherArrays`: {kinds, resources}. */

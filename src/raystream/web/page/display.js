@@ -63,16 +63,22 @@ export class Display {
     gpu.device.queue.submit([encoder.finish()]);
   }
 
-  async show() {
+  show() {
+    return this.present(this.showing, [this.picture, this.sums].map(
+      (buffer, binding) => [binding, {buffer}]));
+  }
+
+  /** Draw the canvas as `draw` does, and wait until the GPU is done. */
+  async present(pipeline, resources) {
     const {device} = this.gpu;
     const encoder = device.createCommandEncoder();
-    this.draw(encoder, this.showing, [this.picture, this.sums]);
+    this.draw(encoder, pipeline, resources);
     device.queue.submit([encoder.finish()]);
     await device.queue.onSubmittedWorkDone();
   }
 
-  /** Draw the canvas by a pipeline, which reads some buffers. */
-  draw(encoder, pipeline, buffers) {
+  /** Cover the canvas by a pipeline with resources, pairs of binding and resource. */
+  draw(encoder, pipeline, resources) {
     const {gpu, canvas, size: [width, height]} = this;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
@@ -83,7 +89,7 @@ export class Display {
     pass.setPipeline(pipeline);
     pass.setBindGroup(0, gpu.device.createBindGroup({
       layout: pipeline.getBindGroupLayout(0),
-      entries: buffers.map((buffer, binding) => ({binding, resource: {buffer}})),
+      entries: resources.map(([binding, resource]) => ({binding, resource})),
     }));
     pass.draw(3);
     pass.end();

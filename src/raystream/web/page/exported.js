@@ -10,6 +10,9 @@ import {Gestures} from "./gestures.js";
 import {HeatmapDisplay, modeChoices, partsOf} from "./heatmaps.js";
 import {ImageRenderer} from "./images.js";
 import {PageError, unpack} from "./pack.js";
+import {PassPanel} from "./pass_panel.js";
+import {whyNoPasses} from "./pass_streams.js";
+import {MOST_PIXELS_OF_PASSES, PassRenderer} from "./passes.js";
 import {Queries, StructureOnGpu} from "./queries.js";
 import {SceneOnGpu} from "./scene_on_gpu.js";
 import {add, length, scale, subtract} from "./vector.js";
@@ -33,6 +36,8 @@ class Page {
     this.corners = cornersOf(unpacked.arrays.vertices, unpacked.arrays.faces);
     this.mode = Object.keys(this.scene.modes)[0];
     this.structure = Object.keys(this.scene.structures)[0];
+    this.machine = "compute";
+    this.panel = new PassPanel(this);
     this.canvas = byId("picture");
     this.sample = 0;
     this.changes = 0;
@@ -62,6 +67,7 @@ class Page {
     this.structures = new Map();
     this.renderers = new Map();
     this.queries = new Map();
+    this.begun = null;
     this.gpu = gpu;
     gpu.loss.then(() => this.change());
   }
@@ -94,9 +100,10 @@ class Page {
     return cached(this.queries, name, () => new Queries(this.gpu, this.scene, this.onGpu(name)));
   }
 
-  rendererOf(structure, mode) {
-    return cached(this.renderers, `${structure} ${mode}`,
-      () => ImageRenderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
+  rendererOf(structure, mode, machine) {
+    const renderer = machine === "passes" ? PassRenderer : ImageRenderer;
+    return cached(this.renderers, `${structure} ${mode} ${machine}`,
+      () => renderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
   }
 
   heatmaps() {
@@ -110,12 +117,29 @@ class Page {
     this.sample = 0;
     this.isStopped = false;
     this.walk.draw(this.camera, this.size);
-    if (!this.isRunning) this.run();
+    if (this.isByStep) this.panel.restart();
+    else this.goOn();
+  }
+
+  goOn() {
+    if (!this.isRunning) this.running = this.run();
+  }
+
+  /** Whether passes run one by one. */
+  get isByStep() {
+    return this.machine === "passes" && this.panel.isPaused;
+  }
+
+  /** Stop, unless the GPU was lost: then it is opened again. */
+  async failed(error) {
+    if (!(error instanceof PageError) && await this.gpu.wasLost()) this.change();
+    else this.stop(error);
   }
 
   get size() {
     const box = this.canvas.parentElement.getBoundingClientRect();
-    const ratio = Math.min(devicePixelRatio || 1, Math.sqrt(MOST_PIXELS / (box.width * box.height)));
+    const most = this.machine === "passes" ? MOST_PIXELS_OF_PASSES : MOST_PIXELS;
+    const ratio = Math.min(devicePixelRatio || 1, Math.sqrt(most / (box.width * box.height)));
     return [box.width, box.height].map(side => Math.max(Math.round(side * ratio), 1));
   }
 
@@ -126,7 +150,7 @@ class Page {
 
   async run() {
     this.isRunning = true;
-    while (this.sample < this.scene.samples && !this.isStopped) {
+    while (this.sample < this.scene.samples && !this.isStopped && !this.isByStep) {
       try {
         if (this.gpu.isLost) await this.reopen();
       } catch (error) {
@@ -142,38 +166,77 @@ class Page {
     this.isRunning = false;
   }
 
+  /** The renderer of the image, which begins it if anything has changed; null if a choice has. */
+  async beginImage() {
+    const {structure, mode, machine} = this;
+    const renderer = await this.rendererOf(structure, partsOf(mode)[0], machine);
+    if (structure !== this.structure || mode !== this.mode || machine !== this.machine) return null;
+    const {changes, size} = this;
+    if (this.sample === 0 && this.begun !== changes) {
+      this.display.begin(size);
+      renderer.begin(this.camera, size);
+      this.begun = changes;
+    }
+    return renderer;
+  }
+
   /** Add one sample to the image, or begin it. */
   async frame() {
     const began = performance.now();
-    const {gpu, display, structure, mode} = this;
-    const [rendered, what] = partsOf(mode);
-    const renderer = await this.rendererOf(structure, rendered);
+    const {gpu, display} = this;
+    const renderer = await this.beginImage();
+    if (!renderer) return;
+    const {changes, sample, structure} = this;
+    const what = partsOf(this.mode)[1];
     const heatmaps = what && await this.heatmaps();
-    if (structure !== this.structure || mode !== this.mode) return;
-    const {changes, sample, size} = this;
-    if (sample === 0) {
-      display.begin(size);
-      renderer.begin(this.camera, size);
-    }
+    const goesOn = counts => {
+      this.panel.show(counts);
+      return !this.isStopped && !this.isByStep && !(sample && changes !== this.changes);
+    };
     for (let first = 0; first < renderer.pixelCount;) {
-      const band = await renderer.trace(sample, first);
+      const band = await renderer.trace(sample, first, goesOn);
+      if (!band) return;
       display.add(band, sample, first);
       first += band.count;
       // A first sample is finished, so that there is an image while the camera moves.
       if (this.isStopped || (sample && changes !== this.changes)) return;
     }
-    byId("legend").hidden = !what;
     if (what) await heatmaps.show(this.scene.structures[structure].counts[what]);
     else await display.show();
     if (this.isStopped) return;
     if (sample === 0) say("");
-    this.losses = 0;
-    byId("preview").hidden = true;
-    this.canvas.hidden = false;
+    this.reveal();
     const milliseconds = (performance.now() - began).toFixed(0);
     byId("figures").textContent = `${sample + 1} of ${this.scene.samples} samples, `
-      + `${milliseconds} ms, ${gpu.name}`;
+      + `${milliseconds} ms, ${[renderer.clock, gpu.name].filter(String).join(", ")}`;
     if (changes === this.changes) this.sample += 1;
+  }
+
+  /** Show the canvas instead of the image that was rendered beforehand. */
+  reveal() {
+    this.losses = 0;
+    byId("preview").hidden = true;
+    byId("legend").hidden = !partsOf(this.mode)[1];
+    this.canvas.hidden = false;
+  }
+
+  /** Choose a mode, structure or machine; passes run in some modes, on some structures. */
+  choose(name, value) {
+    const {modes, structures} = this.scene;
+    const before = this.structure;
+    const has = one => Boolean(structures[one].passes);
+    const isHeatmap = () => partsOf(this.mode).length > 1;
+    this[name] = value;
+    if (this.machine === "passes" && name === "machine") {
+      if (!has(this.structure)) this.structure = Object.keys(structures).find(has);
+      if (isHeatmap()) this.mode = Object.keys(modes)[0];
+    } else if (isHeatmap() || !has(this.structure)) {
+      this.machine = "compute";
+    }
+    for (const one of ["mode", "structure", "machine"]) byId(one).value = this[one];
+    byId("passes").hidden = this.machine !== "passes";
+    this.change();
+    if (before !== this.structure && this.picked) this.list().catch(error => say(error.message));
   }
 
   /** The ray through a place of the image, fractions from its upper left corner. */
@@ -292,12 +355,15 @@ function connect(page) {
   };
   for (const name of ["mode", "structure"]) {
     fillSelect(byId(name), choices[name]);
-    byId(name).addEventListener("change", () => {
-      page[name] = byId(name).value;
-      page.change();
-      if (name === "structure" && page.picked) page.list().catch(error => say(error.message));
-    });
+    byId(name).addEventListener("change", () => page.choose(name, byId(name).value));
   }
+  const why = whyNoPasses(page.gpu);
+  fillSelect(byId("machine"), [["compute", "compute"], ["passes", "passes"]]);
+  byId("machine").options[1].disabled = Boolean(why);
+  byId("machine").title = why ?? "";
+  byId("machine").parentElement.hidden = Object.values(page.scene.structures).every(
+    ({passes}) => !passes);
+  byId("machine").addEventListener("change", () => page.choose("machine", byId("machine").value));
   byId("home").addEventListener("click", () => move(() => page.home));
   byId("compare").addEventListener("click",
     () => page.compare().catch(error => say(error.message)));

@@ -48,7 +48,8 @@ export class HeatmapDisplay {
     pass.setBindGroup(0, gpu.bind(KINDS, [display.picture, display.sums, most]));
     pass.dispatchWorkgroups(Math.ceil(width / GROUP), Math.ceil(height / GROUP));
     pass.end();
-    display.draw(encoder, this.showing, [display.picture, display.sums, most, this.ramp]);
+    const buffers = [display.picture, display.sums, most, this.ramp];
+    display.draw(encoder, this.showing, buffers.map((buffer, binding) => [binding, {buffer}]));
     gpu.device.queue.submit([encoder.finish()]);
     const [top] = new Float32Array(await gpu.read(most, 4));
     byId("legend-title").textContent = `${title} per ray`;
