@@ -37,12 +37,14 @@ MODULES = (
     "pack.js",
     "geometry.js",
     "shaders.js",
+    "webgpu.js",
     "device.js",
     "queries.js",
     "view_uniform.js",
     "scene_on_gpu.js",
     "images.js",
     "display.js",
+    "traced_image.js",
     "exported.js",
 )
 

@@ -1,40 +1,22 @@
 // An exported page: shows the scene, sample after sample, traced on this computer's GPU.
 
-import {Display} from "./display.js";
 import {byId, fillSelect, make} from "./elements.js";
-import {Gpu, cached} from "./device.js";
-import {cornersOf} from "./geometry.js";
+import {cached} from "./device.js";
 import {Gestures} from "./gestures.js";
-import {ImageRenderer} from "./images.js";
 import {PageError, unpack} from "./pack.js";
-import {Queries, StructureOnGpu} from "./queries.js";
-import {SceneOnGpu} from "./scene_on_gpu.js";
+import {Queries} from "./queries.js";
+import {TracedImage} from "./traced_image.js";
 import {add, length, scale, subtract} from "./vector.js";
 import {fromCamera, likelyUp, orbit, pan, toShapedCamera, worldOf, zoom} from "./view.js";
 import {basisOf} from "./view_uniform.js";
 
 const MOST_PIXELS = 1 << 20;
-const MOST_LOSSES = 2; // of the GPU, without a sample between
-const LOST = "The GPU stopped; this page starts it again.";
-const STOPPED = "The GPU stopped again. Another mode or structure may take it less time; choosing one "
-  + "starts it again.";
 const STEP = 0.04; // of keys, in image heights
 
-class Page {
+class Page extends TracedImage {
   constructor(unpacked) {
-    this.page = unpacked;
-    this.scene = unpacked.manifest;
-    this.corners = cornersOf(unpacked.arrays.vertices, unpacked.arrays.faces);
-    this.mode = Object.keys(this.scene.modes)[0];
-    this.structure = Object.keys(this.scene.structures)[0];
-    this.canvas = byId("picture");
-    this.sample = 0;
-    this.changes = 0;
+    super(unpacked, byId("picture"));
     this.picks = 0;
-    this.losses = 0;
-    this.errorCount = 0; // reported by the GPU
-    this.isRunning = false;
-    this.isStopped = false;
     const [lower, upper] = this.scene.bounds;
     const up = likelyUp(this.scene.camera.up);
     const world = worldOf(up, length(subtract(upper, lower)));
@@ -43,58 +25,22 @@ class Page {
   }
 
   async open() {
-    const gpu = await Gpu.open();
-    gpu.device.onuncapturederror = ({error}) => {
-      this.errorCount += 1;
-      if (gpu === this.gpu) this.stop(new PageError(`The GPU reported an error: ${error.message}`));
-    };
-    this.display = await Display.make(gpu, this.scene.shaders, this.canvas);
-    this.surfaces = new SceneOnGpu(gpu, this.page, this.corners);
-    this.structures = new Map();
-    this.renderers = new Map();
+    await super.open();
     this.queries = new Map();
-    this.gpu = gpu;
-    gpu.loss.then(() => this.change());
   }
 
-  async reopen() {
-    this.losses += 1;
-    if (this.losses >= MOST_LOSSES) throw new PageError(STOPPED);
-    say(LOST);
-    await this.open();
-    this.sample = 0;
+  say(text) {
+    say(text);
   }
 
-  /** Stop, and show the image that was rendered beforehand, until something is changed. */
-  stop(error) {
-    if (!(error instanceof PageError)) console.error(error);
-    this.isStopped = true;
-    this.losses = 0;
-    say(error.message);
+  /** Show the image that was rendered beforehand. */
+  hide() {
     byId("preview").hidden = false;
     this.canvas.hidden = true;
   }
 
-  onGpu(name) {
-    return cached(this.structures, name,
-      () => new StructureOnGpu(this.gpu, this.page, this.corners, name));
-  }
-
   queriesOf(name) {
     return cached(this.queries, name, () => new Queries(this.gpu, this.scene, this.onGpu(name)));
-  }
-
-  rendererOf(structure, mode) {
-    return cached(this.renderers, `${structure} ${mode}`,
-      () => ImageRenderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
-  }
-
-  /** Begin the image again: the view, the size or a choice has changed. */
-  change() {
-    this.changes += 1;
-    this.sample = 0;
-    this.isStopped = false;
-    if (!this.isRunning) this.run();
   }
 
   get size() {
@@ -108,52 +54,11 @@ class Page {
     return toShapedCamera({...this.view, aspect: width / height});
   }
 
-  async run() {
-    this.isRunning = true;
-    while (this.sample < this.scene.samples && !this.isStopped) {
-      try {
-        if (this.gpu.isLost) await this.reopen();
-      } catch (error) {
-        this.stop(error);
-        break;
-      }
-      try {
-        await this.frame();
-      } catch (error) {
-        if (!(await this.gpu.wasLost())) this.stop(error);
-      }
-    }
-    this.isRunning = false;
-  }
-
-  /** Add one sample to the image, or begin it. */
-  async frame() {
-    const began = performance.now();
-    const {gpu, display, structure, mode} = this;
-    const renderer = await this.rendererOf(structure, mode);
-    if (structure !== this.structure || mode !== this.mode) return;
-    const {changes, sample, size} = this;
-    if (sample === 0) {
-      display.begin(size);
-      renderer.begin(this.camera, size);
-    }
-    for (let first = 0; first < renderer.pixelCount;) {
-      const band = await renderer.trace(sample, first);
-      display.add(band, sample, first);
-      first += band.count;
-      // A first sample is finished, so that there is an image while the camera moves.
-      if (this.isStopped || (sample && changes !== this.changes)) return;
-    }
-    await display.show();
-    if (this.isStopped) return;
-    if (sample === 0) say("");
-    this.losses = 0;
+  shown(sample, milliseconds) {
     byId("preview").hidden = true;
     this.canvas.hidden = false;
-    const milliseconds = (performance.now() - began).toFixed(0);
     byId("figures").textContent = `${sample + 1} of ${this.scene.samples} samples, `
-      + `${milliseconds} ms, ${gpu.name}`;
-    if (changes === this.changes) this.sample += 1;
+      + `${milliseconds.toFixed(0)} ms, ${this.gpu.name}`;
   }
 
   /** The ray through a place of the image, fractions from its upper left corner. */
@@ -255,7 +160,9 @@ async function start() {
 
 const opened = start();
 opened.catch(error => {
-  say(error instanceof PageError ? error.message : `This page does not work here: ${error.message}`);
+  const why = error instanceof PageError ? error.message
+    : `This page does not work here: ${error.message}`;
+  say(`${why} The image was rendered beforehand.`);
   byId("controls").hidden = true;
 });
 globalThis.raystream = {opened};
