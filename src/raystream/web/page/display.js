@@ -20,6 +20,7 @@ export class Display {
     this.band = gpu.buffer("band", 16, GPUBufferUsage.UNIFORM);
     this.picture = gpu.buffer("picture", 16, GPUBufferUsage.UNIFORM);
     this.size = [0, 0];
+    this.exposure = 1; // factor on the light
   }
 
   async prepare(shaders) {
@@ -41,7 +42,6 @@ export class Display {
     this.sums?.destroy();
     this.sums = this.gpu.buffer("sums of samples", 16 * size[0] * size[1]);
     this.size = size;
-    this.gpu.write(this.picture, Uint32Array.of(...size, 0, 0));
   }
 
   /** Add a sample of a band's pixels, from a first one on; sample 0 replaces what was there. */
@@ -58,9 +58,12 @@ export class Display {
   }
 
   async show() {
-    const {gpu, canvas, size: [width, height]} = this;
+    const {gpu, canvas, exposure, size: [width, height]} = this;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
+    const picture = Uint32Array.of(width, height, 0, 0);
+    new Float32Array(picture.buffer)[2] = exposure;
+    gpu.write(this.picture, picture);
     const encoder = gpu.device.createCommandEncoder();
     const view = this.context.getCurrentTexture().createView();
     const pass = encoder.beginRenderPass({

@@ -3,6 +3,8 @@
 struct Picture {
     width: u32,
     height: u32,
+    // Factor on the light.
+    exposure: f32,
 }
 
 @group(0) @binding(0) var<uniform> picture: Picture;
@@ -25,6 +27,6 @@ fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {
 fn show(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let place = min(vec2u(position.xy), vec2u(picture.width - 1u, picture.height - 1u));
     let sum = sums[place.y * picture.width + place.x];
-    let mean = sum.rgb / max(sum.a, 1.0);
+    let mean = picture.exposure * sum.rgb / max(sum.a, 1.0);
     return vec4f(encoded(clamp(mean, vec3f(0.0), vec3f(1.0))), 1.0);
 }
