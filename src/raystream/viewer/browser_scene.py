@@ -7,7 +7,6 @@ from dataclasses import replace
 from raystream.core.errors import RaystreamError
 from raystream.rendering.integrator import RenderContext
 from raystream.scene.camera import Camera
-from raystream.structures import names_with
 from raystream.viewer.messages import Message
 from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import PreparedTracer, device_lock
@@ -34,7 +33,7 @@ def browser_support(prepared: PreparedTracer) -> Message:
     Returns
     -------
     dict
-        ``"modes"``, none if the scene or the structure is not supported, and ``"reason"``.
+        ``"modes"``, none if the scene is not supported, and then ``"reason"``.
     """
     from raystream.web.scene_data import MODES
 
@@ -111,12 +110,9 @@ def _plain(camera: Camera) -> Camera:
 
 
 def _unsupported(prepared: PreparedTracer) -> str | None:
-    """What shaders of pages do not support of a scene and its structure, as a sentence."""
+    """What shaders of pages do not support of a scene, as a sentence."""
     from raystream.graphics.rendering.modes import unsupported
 
-    name = prepared.key.structure
-    if name not in names_with("graphics"):
-        return f"Browsers have no shaders for the structure {name!r}."
     count = prepared.tracer.scene.triangle_count
     if _LEAST_BYTES * count > MAX_BYTES:
         return f"The scene has {count:,} triangles, more than are sent to a browser."

@@ -55,6 +55,7 @@ export class BrowserImage extends TracedImage {
     this.mode = mode;
     this.structure = structure;
     this.take(samples);
+    this.canvas.dataset.samples = 0;
     this.change();
   }
 
@@ -84,6 +85,7 @@ export class BrowserImage extends TracedImage {
   async frame() {
     if (this.sample === 0) this.traced = this.wanted;
     await super.frame();
+    this.canvas.dataset.samples = this.sample;
   }
 
   say(text) {
