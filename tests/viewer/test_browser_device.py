@@ -41,6 +41,11 @@ KEPT = """
 
 
 @pytest.fixture(scope="module")
+def scene():
+    return rs.load("cornell")
+
+
+@pytest.fixture(scope="module")
 def address():
     with serving("cornell") as address:
         yield address
@@ -80,11 +85,29 @@ def traced(viewer: Viewer, samples: int = SAMPLES) -> np.ndarray:
 def shown(viewer: Viewer) -> np.ndarray:
     """The pixels of the image on the screen."""
     box = viewer.page.locator("#picture").bounding_box()
+    viewer.page.evaluate("document.activeElement.blur()")  # else it has an outline
     return pixels(viewer.page.screenshot(clip=box))
 
 
-def rendered(viewer: Viewer) -> np.ndarray:
-    """The image as the server saves it, from where the page says that it is seen."""
+def rendered(viewer: Viewer, scene: rs.Scene) -> np.ndarray:
+    """The image as the server renders it, with the last settings and camera."""
+    camera, settings = viewer.camera, viewer.last("settings")
+    size = [one for one in viewer.sent if one["type"] == "size"][-1]
+    seen = rs.Camera(**{name: camera[name] for name in ("eye", "look_at", "up", "fov")})
+    bounces = settings["max_bounces"]
+    image = rs.render(
+        scene,
+        settings["mode"],
+        (size["width"], size["height"]),
+        samples=settings["samples"],
+        camera=seen,
+        **({} if bounces is None else {"max_bounces": bounces}),
+    )
+    return image.to_bytes(settings["exposure"]).astype(np.int16)
+
+
+def saved(viewer: Viewer) -> np.ndarray:
+    """The image that the page saves."""
     with viewer.page.expect_download() as download:
         viewer.page.locator("#picture").press("p")
     return pixels(Path(download.value.path()).read_bytes())
@@ -110,19 +133,22 @@ def move(viewer: Viewer, how: Any) -> np.ndarray:
     return traced(viewer)
 
 
-def test_the_server_and_the_browser_show_the_same_and_the_camera_stays(viewer):
+def test_the_server_and_the_browser_show_the_same_and_the_camera_stays(viewer, scene):
     viewer.wait_for_rest()
     by_server = shown(viewer)
     choose_browser(viewer)
     image = traced(viewer)
     assert says(viewer).startswith("Traced by ")
-    assert_same(image, rendered(viewer))
+    assert_same(image, rendered(viewer, scene))
     assert_same(image, by_server, within=12)  # a JPEG
+    assert_same(image, saved(viewer), within=0, share=0.9999)
+    outline = "getComputedStyle(document.getElementById('traced')).outlineStyle"
+    assert viewer.page.evaluate(outline) == "solid"  # of the focused image below
     start = viewer.camera
     turned = move(viewer, lambda: viewer.drag((0.5, 0.5), (0.6, 0.45), steps=1))
     assert (abs(turned - image) > 8).mean() > 0.05
     assert viewer.camera["eye"] != start["eye"]
-    assert_same(turned, rendered(viewer))
+    assert_same(turned, rendered(viewer, scene))
     there = viewer.camera
     count = len(viewer.messages)
     viewer.page.select_option("select[name=device]", "cpu")
@@ -150,24 +176,19 @@ def test_the_server_rests_while_the_browser_traces_and_picks_for_it(viewer, scen
     assert not [one for one in viewer.messages[count:] if one["type"] == "frame"]
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return rs.load("cornell")
-
-
-def test_exposure_bounces_and_samples_are_the_server_s(viewer):
+def test_exposure_bounces_and_samples_are_the_server_s(viewer, scene):
     choose_browser(viewer)
     plain = traced(viewer)
     viewer.page.locator("input[name=exposure]").fill("1")
     viewer.wait(lambda: viewer.last("settings")["exposure"] == 2.0, "twice the light")
     viewer.wait(lambda: shown(viewer).mean() > 1.2 * plain.mean(), "a brighter image")
-    assert_same(shown(viewer), rendered(viewer))
+    assert_same(shown(viewer), rendered(viewer, scene))
     viewer.page.select_option("select[name=mode]", "path")
     viewer.page.fill("input[name=samples]", "1")
     viewer.page.keyboard.press("Enter")
     viewer.wait(lambda: viewer.last("settings")["samples"] == 1, "one sample")
     image = traced(viewer, 1)
-    assert_same(image, rendered(viewer), share=0.97)
+    assert_same(image, rendered(viewer, scene), share=0.97)
     viewer.page.fill("input[name=max_bounces]", "1")
     viewer.page.keyboard.press("Enter")
     viewer.wait(lambda: viewer.last("settings")["max_bounces"] == 1, "one bounce")
@@ -175,7 +196,7 @@ def test_exposure_bounces_and_samples_are_the_server_s(viewer):
         lambda: viewer.page.locator("#traced").is_visible() and (shown(viewer) != image).any(),
         "another image",
     )
-    assert_same(shown(viewer), rendered(viewer), share=0.97)
+    assert_same(shown(viewer), rendered(viewer, scene), share=0.97)
 
 
 def test_the_server_renders_what_browsers_do_not_trace(viewer):
@@ -206,7 +227,7 @@ def test_the_server_renders_what_browsers_do_not_trace(viewer):
 def test_a_structure_is_loaded_when_it_is_chosen(viewer):
     asked = []
     viewer.page.on("request", lambda one: asked.append(one.url.rsplit("/", 1)[1]))
-    viewer.page.select_option("select[name=structure]", "kdtree")
+    viewer.choose("structure", "kdtree")
     viewer.wait_for_rest()
     assert "scene" not in asked
     choose_browser(viewer)
@@ -257,7 +278,6 @@ def test_a_lost_gpu_is_opened_again_and_given_up_the_second_time(browser, addres
     viewer.page.evaluate("isBroken = true; devices[1].destroy()")
     wait_until_it_says(viewer, "The GPU stopped again.")
     assert viewer.page.locator("#traced").is_hidden()
-    viewer.wait_for_rest()
     with viewer.changing_picture():
         viewer.drag((0.5, 0.5), (0.6, 0.45), steps=1)
     viewer.page.evaluate("isBroken = false")

@@ -82,6 +82,13 @@ export class BrowserImage extends TracedImage {
     }
   }
 
+  /** The image on the canvas as a PNG. */
+  toFile() {
+    // A canvas has its content until the end of the task that draws it.
+    this.display.show();
+    return new Promise(done => this.canvas.toBlob(done, "image/png"));
+  }
+
   async frame() {
     if (this.sample === 0) this.traced = this.wanted;
     await super.frame();

@@ -29,6 +29,7 @@ const figures = new Figures();
 const seen = new Map(); // views by camera number
 let wanted = urlState.read(location.hash); // state to restore with the next scene
 let line = null;
+let served = null; // header of the server's last frame
 let isWelcome = false; // hello has been received
 let screenshots = 0;
 let writing = null;
@@ -49,6 +50,7 @@ const controller = new CameraController({
 const frameCanvas = new FrameCanvas(byId("picture"), (header, isDrawn) => {
   send({type: "shown", frame: header.number});
   if (isDrawn) byId("stage").dataset.frame = header.number;
+  served = header;
   if (browser.isShowing) return;
   // A frame from before its camera was numbered belongs to the current view.
   const view = seen.get(header.camera) || controller.view;
@@ -81,7 +83,10 @@ const browser = new BrowserDevice(byId("traced"), {
     return {view: controller.view, size: [width, height]};
   },
   offer: (reason, note) => settings.offerBrowser(reason, note),
-  showing: () => pauseServer(),
+  showing(is) {
+    pauseServer();
+    if (!is && served) figures.drew(served, false);
+  },
   drawn(header, view) {
     byId("stage").dataset.frame = "browser";
     picking.follow(view);
@@ -164,13 +169,18 @@ byId("aim").onclick = () => {
 byId("screenshot").onclick = takeScreenshot;
 byId("retry").onclick = () => line.retry();
 
-function takeScreenshot() {
-  screenshots += 1;
-  send({type: "screenshot", number: screenshots});
+async function takeScreenshot() {
+  const number = ++screenshots;
+  if (!browser.isShowing) {
+    send({type: "screenshot", number});
+    return;
+  }
+  const {width, height} = browser.canvas;
+  saveScreenshot({number, width, height}, await browser.image.toFile());
 }
 
-function saveScreenshot(header, bytes) {
-  const place = URL.createObjectURL(new Blob([bytes], {type: header.format}));
+function saveScreenshot(header, file) {
+  const place = URL.createObjectURL(file);
   const link = document.createElement("a");
   const name = (views.scene ? views.scene.name : "picture").replace(/[^\w.-]+/g, "_");
   link.href = place;
@@ -285,7 +295,7 @@ line = new Connection(live, {
   open() {},
   text: message => (ANSWERS[message.type] || (() => {}))(message),
   image(header, bytes) {
-    if (header.type === "screenshot") saveScreenshot(header, bytes);
+    if (header.type === "screenshot") saveScreenshot(header, new Blob([bytes], {type: header.format}));
     else frameCanvas.take(header, bytes);
   },
   lost: lose,
