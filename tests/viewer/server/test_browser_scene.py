@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import base64
 import json
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -13,10 +16,11 @@ need("starlette", "uvicorn", "websockets")
 
 import raystream as rs
 from raystream.viewer import browser_scene
+from raystream.viewer.client import Client
 from raystream.viewer.render_service import RenderService
 from raystream.viewer.serve import ViewServer, bind
 from viewer.server.test_with_engine import ID, MODEL, read_until
-from viewer_home import Guest, no_view_threads_left
+from viewer_home import Guest, no_view_threads_left, wait_until
 from web.test_pack import unpacked
 
 
@@ -85,6 +89,27 @@ def test_only_a_page_of_the_viewer_gets_it(visit, key):
     assert load(guest, client, Host="other.example.org").status == 403
     assert load(guest, client, Origin="http://other.example.org").status == 403
     assert load(guest, client).status == 200
+
+
+def test_of_requests_that_wait_the_last_one_is_answered(visit, monkeypatch):
+    guest, client = visit(rs.load("cornell"))
+    begun, may_end = [], threading.Event()
+
+    def pack(self):
+        begun.append(self)
+        may_end.wait(10)
+        return b"packed"
+
+    monkeypatch.setattr(Client, "packed_scene", pack)
+    with ThreadPoolExecutor(3) as pool:
+        answers = []
+        for _ in range(3):
+            answers.append(pool.submit(load, guest, client))
+            wait_until(lambda: begun)
+            time.sleep(0.2)  # until the server has it
+        may_end.set()
+        assert [one.result().status for one in answers] == [200, 409, 200]
+    assert len(begun) == 2
 
 
 def test_what_shaders_do_not_support_is_named(visit):

@@ -15,7 +15,7 @@ __all__ = ["SceneSender"]
 
 
 class SceneSender:
-    """Answers requests for scenes, one at a time: packing one takes memory.
+    """Answers requests for scenes, one at a time, and of each page the last one that waits.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class SceneSender:
     def __init__(self, connections: Connections) -> None:
         self._connections = connections
         self._turn = asyncio.Lock()
-        self._asking: set[str] = set()
+        self._latest: dict[str, Request] = {}
 
     async def send(self, request: Request) -> Response:
         """Send the scene of a connection.
@@ -44,15 +44,16 @@ class SceneSender:
         connection = self._connections.find(key)
         if connection is None or connection.client is None:
             return PlainTextResponse("the key does not belong to a live connection\n", 403)
-        if key in self._asking:
-            return PlainTextResponse("the scene is being packed already\n", 503)
-        self._asking.add(key)
+        self._latest[key] = request
         try:
             async with self._turn:
+                if self._latest.get(key) is not request:  # what the page wants now
+                    return PlainTextResponse("the page has asked again since\n", 409)
                 content = await asyncio.to_thread(connection.client.packed_scene)
         except (RaystreamError, MemoryError) as error:
             reason = connection.uploads.without_paths(str(error) or "out of memory")
             return PlainTextResponse(f"{reason}\n", 409)
         finally:
-            self._asking.discard(key)
+            if self._latest.get(key) is request:
+                del self._latest[key]
         return Response(content, media_type="application/octet-stream")

@@ -61,9 +61,9 @@ export class Display {
     const {gpu, canvas, exposure, size: [width, height]} = this;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
-    const picture = Uint32Array.of(width, height, 0, 0);
-    new Float32Array(picture.buffer)[2] = exposure;
-    gpu.write(this.picture, picture);
+    const words = Uint32Array.of(width, height, 0, 0);
+    new Float32Array(words.buffer)[2] = exposure;
+    gpu.write(this.picture, words);
     const encoder = gpu.device.createCommandEncoder();
     const view = this.context.getCurrentTexture().createView();
     const pass = encoder.beginRenderPass({
