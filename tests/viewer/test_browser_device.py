@@ -279,7 +279,7 @@ def test_a_lost_gpu_is_opened_again_and_given_up_the_second_time(browser, addres
     wait_until_it_says(viewer, "The GPU stopped again.")
     assert viewer.page.locator("#traced").is_hidden()
     with viewer.changing_picture():
-        viewer.drag((0.5, 0.5), (0.6, 0.45), steps=1)
+        viewer.page.locator("#picture").press("+")
     viewer.page.evaluate("isBroken = false")
     viewer.page.select_option("select[name=mode]", "shadow")
     traced(viewer)
