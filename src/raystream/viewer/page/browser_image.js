@@ -26,7 +26,7 @@ export class BrowserImage extends TracedImage {
 
   async open() {
     await super.open();
-    this.display.exposure = this.exposure;
+    this.display.expose(this.exposure);
   }
 
   get size() {
@@ -37,23 +37,22 @@ export class BrowserImage extends TracedImage {
     return toShapedCamera(this.traced.view);
   }
 
-  /** Whether the packed scene has the structure and the bounces of settings. */
+  /** Whether the packed scene, of one structure, has that one and the bounces of settings. */
   fits({structure, traversal, mode, max_bounces: bounces}) {
     const {traversals, modes} = this.scene;
     return traversals[structure] === traversal && modes[mode].max_bounces === bounces;
   }
 
   /** Trace what settings say: from the first sample on, if the image is another one than before. */
-  follow({mode, structure, samples, exposure}, view, size) {
+  follow({mode, samples, exposure}, view, size) {
     this.expose(exposure);
     const seen = JSON.stringify([toShapedCamera(view), size]);
-    const choice = JSON.stringify([seen, mode, structure, samples]);
+    const choice = JSON.stringify([seen, mode, samples]);
     this.wanted = {view, size, seen};
     if (choice === this.choice) return;
     this.choice = choice;
     if (seen !== this.traced?.seen) this.movedAt = performance.now();
     this.mode = mode;
-    this.structure = structure;
     this.take(samples);
     this.canvas.dataset.samples = 0;
     this.change();
@@ -68,7 +67,7 @@ export class BrowserImage extends TracedImage {
   expose(exposure) {
     if (exposure === this.exposure) return;
     this.exposure = exposure;
-    this.display.exposure = exposure;
+    this.display.expose(exposure);
     if (!this.isRunning && this.sample && !this.gpu.isLost) this.display.show();
   }
 

@@ -3,6 +3,7 @@
 struct Picture {
     width: u32,
     height: u32,
+    unused: u32,
     // Factor on the light.
     exposure: f32,
 }
