@@ -2,7 +2,7 @@
 
 import {shaderSource} from "./shaders.js";
 
-const EXPOSURE_AT = 12; // bytes, in the uniform Picture
+const EXPOSURE_AT = 12; // bytes, in the uniform of show.wgsl
 const KINDS = ["uniform", "gather", "scatter"];
 
 export class Display {
