@@ -76,7 +76,13 @@ def check_supported(tracer: Tracer, camera: Camera) -> None:
         raise RaystreamError(f"export: the shaders of pages do not support {reason}")
 
 
-def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int]) -> PageScene:
+def page_scene(
+    tracers: Sequence[Tracer],
+    camera: Camera,
+    size: tuple[int, int],
+    *,
+    contexts: Mapping[str, RenderContext] | None = None,
+) -> PageScene:
     """Collect what a page needs of a supported scene; see `check_supported`.
 
     Parameters
@@ -86,6 +92,8 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
     camera : Camera
     size : (int, int)
         Of the image whose light decides whether lights are added.
+    contexts : mapping of str to RenderContext, optional
+        Of each mode, with its options and lights [default: those of `render`].
     """
     scene = tracers[0].scene
     arrays: dict[str, NDArray[Any]] = dict(triangle_arrays(scene.triangles, scene.attributes.faces))
@@ -94,8 +102,10 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
     shrink = max(*size, _TRIAL_SIZE) / _TRIAL_SIZE
     trial = max(int(size[0] / shrink), 1), max(int(size[1] / shrink), 1)
     for name in MODES:
-        context = _context(tracers[0], camera, trial, name)
-        context = lit(RENDERERS[name], context)
+        if contexts is None:
+            context = lit(RENDERERS[name], _context(tracers[0], camera, trial, name))
+        else:
+            context = contexts[name]
         mode = mode_of(RENDERERS[name].stages)
         assert mode is not None
         if not modes_made:

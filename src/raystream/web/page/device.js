@@ -2,6 +2,7 @@
 
 import {PageError} from "./pack.js";
 import {TEXELS, TEXTURE_WIDTH} from "./shaders.js";
+import {missingWebGpu} from "./webgpu.js";
 
 const KINDS = {
   uniform: {buffer: {type: "uniform"}},
@@ -26,13 +27,10 @@ const FIRST = 1 << 10, SECONDS = 0.07, GROWTH = 8;
 
 export class Gpu {
   static async open() {
-    if (!navigator.gpu) {
-      const why = isSecureContext ? "This browser has no WebGPU"
-        : "Browsers offer WebGPU only to pages from disk, from this computer or by HTTPS";
-      throw new PageError(`${why}. The image was rendered beforehand.`);
-    }
+    const missing = missingWebGpu();
+    if (missing) throw new PageError(missing);
     const adapter = await navigator.gpu.requestAdapter({powerPreference: "high-performance"});
-    if (!adapter) throw new PageError("No GPU was found. The image was rendered beforehand.");
+    if (!adapter) throw new PageError("No GPU was found.");
     const requiredLimits = Object.fromEntries(LIMITS.map(name => [name, adapter.limits[name]]));
     const requiredFeatures = FEATURES.filter(name => adapter.features.has(name));
     return new Gpu(adapter, await adapter.requestDevice({requiredFeatures, requiredLimits}));

@@ -2,6 +2,7 @@
 
 import {shaderSource} from "./shaders.js";
 
+const EXPOSURE_AT = 12; // bytes, in the uniform of picture.wgsl
 const KINDS = ["uniform", "gather", "scatter"];
 
 export class Display {
@@ -20,6 +21,7 @@ export class Display {
     this.band = gpu.buffer("band", 16, GPUBufferUsage.UNIFORM);
     this.picture = gpu.buffer("picture", 16, GPUBufferUsage.UNIFORM);
     this.size = [0, 0];
+    this.expose(1);
   }
 
   async prepare(shaders) {
@@ -41,13 +43,18 @@ export class Display {
     });
   }
 
+  /** Set the factor on the light of images. */
+  expose(exposure) {
+    this.gpu.write(this.picture, Float32Array.of(exposure), EXPOSURE_AT);
+  }
+
   /** Begin an image: width and height in pixels. */
   begin(size) {
     if (size.join() === this.size.join()) return;
     this.sums?.destroy();
     this.sums = this.gpu.buffer("sums of samples", 16 * size[0] * size[1]);
     this.size = size;
-    this.gpu.write(this.picture, Uint32Array.of(...size, 0, 0));
+    this.gpu.write(this.picture, Uint32Array.of(...size));
   }
 
   /** Add a sample of a band's pixels, from a first one on; sample 0 replaces what was there. */

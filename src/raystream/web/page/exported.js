@@ -2,19 +2,16 @@
 
 import {boxesOf} from "./boxes.js";
 import {meanCounts, raysOf, showCounts} from "./counts.js";
-import {Display} from "./display.js";
 import {byId, fillSelect, make} from "./elements.js";
-import {Gpu, cached} from "./device.js";
-import {cornersOf} from "./geometry.js";
+import {cached} from "./device.js";
 import {Gestures} from "./gestures.js";
 import {HeatmapDisplay, modeChoices, partsOf} from "./heatmaps.js";
-import {ImageRenderer} from "./images.js";
 import {PageError, unpack} from "./pack.js";
 import {PassPanel} from "./pass_panel.js";
 import {whyNoPasses} from "./pass_streams.js";
 import {MOST_PIXELS_OF_PASSES, PassRenderer} from "./passes.js";
-import {Queries, StructureOnGpu} from "./queries.js";
-import {SceneOnGpu} from "./scene_on_gpu.js";
+import {Queries} from "./queries.js";
+import {TracedImage} from "./traced_image.js";
 import {add, length, scale, subtract} from "./vector.js";
 import {fromCamera, likelyUp, orbit, pan, toShapedCamera, worldOf, zoom} from "./view.js";
 import {basisOf} from "./view_uniform.js";
@@ -23,32 +20,17 @@ import {WalkPanel} from "./walk_panel.js";
 
 const MOST_PIXELS = 1 << 20;
 const MOST_STEPS = 500; // that are listed
-const MOST_LOSSES = 2; // of the GPU, without a sample between
-const LOST = "The GPU stopped; this page starts it again.";
-const STOPPED = "The GPU stopped again. Another mode or structure may take it less time; choosing one "
-  + "starts it again.";
 const STEP = 0.04; // of keys, in image heights
 
-class Page {
+class Page extends TracedImage {
   constructor(unpacked) {
-    this.page = unpacked;
-    this.scene = unpacked.manifest;
-    this.corners = cornersOf(unpacked.arrays.vertices, unpacked.arrays.faces);
-    this.mode = Object.keys(this.scene.modes)[0];
-    this.structure = Object.keys(this.scene.structures)[0];
-    this.machine = "compute";
+    super(unpacked, byId("picture"));
+    this.machines = {...this.machines, passes: PassRenderer};
     this.panel = new PassPanel(this);
-    this.canvas = byId("picture");
-    this.sample = 0;
-    this.changes = 0;
     this.picks = 0;
     this.picked = null; // a ray
     this.boxes = new Map();
     this.walk = new WalkPanel(byId("walk-picture"));
-    this.losses = 0;
-    this.errorCount = 0; // reported by the GPU
-    this.isRunning = false;
-    this.isStopped = false;
     const [lower, upper] = this.scene.bounds;
     const up = likelyUp(this.scene.camera.up);
     const world = worldOf(up, length(subtract(upper, lower)));
@@ -57,43 +39,19 @@ class Page {
   }
 
   async open() {
-    const gpu = await Gpu.open();
-    gpu.device.onuncapturederror = ({error}) => {
-      this.errorCount += 1;
-      if (gpu === this.gpu) this.stop(new PageError(`The GPU reported an error: ${error.message}`));
-    };
-    this.display = await Display.make(gpu, this.scene.shaders, this.canvas);
-    this.surfaces = new SceneOnGpu(gpu, this.page, this.corners);
-    this.structures = new Map();
-    this.renderers = new Map();
+    await super.open();
     this.queries = new Map();
-    this.begun = null;
-    this.gpu = gpu;
-    gpu.loss.then(() => this.change());
   }
 
-  async reopen() {
-    this.losses += 1;
-    if (this.losses >= MOST_LOSSES) throw new PageError(STOPPED);
-    say(LOST);
-    await this.open();
-    this.sample = 0;
+  say(text) {
+    say(text);
   }
 
-  /** Stop, and show the image that was rendered beforehand, until something is changed. */
-  stop(error) {
-    if (!(error instanceof PageError)) console.error(error);
-    this.isStopped = true;
-    this.losses = 0;
-    say(error.message);
+  /** Show the image that was rendered beforehand. */
+  hide() {
     byId("preview").hidden = false;
     byId("legend").hidden = true;
     this.canvas.hidden = true;
-  }
-
-  onGpu(name) {
-    return cached(this.structures, name,
-      () => new StructureOnGpu(this.gpu, this.page, this.corners, name));
   }
 
   queriesOf(name) {
@@ -101,9 +59,7 @@ class Page {
   }
 
   rendererOf(structure, mode, machine) {
-    const renderer = machine === "passes" ? PassRenderer : ImageRenderer;
-    return cached(this.renderers, `${structure} ${mode} ${machine}`,
-      () => renderer.make(this.gpu, this.page, this.surfaces, this.onGpu(structure), mode));
+    return super.rendererOf(structure, partsOf(mode)[0], machine);
   }
 
   heatmaps() {
@@ -111,18 +67,10 @@ class Page {
       () => HeatmapDisplay.make(this.gpu, this.page, this.display));
   }
 
-  /** Begin the image again: the view, the size or a choice has changed. */
   change() {
-    this.changes += 1;
-    this.sample = 0;
-    this.isStopped = false;
+    super.change();
     this.walk.draw(this.camera, this.size);
     if (this.isByStep) this.panel.restart();
-    else this.goOn();
-  }
-
-  goOn() {
-    if (!this.isRunning) this.running = this.run();
   }
 
   /** Whether passes run one by one. */
@@ -148,68 +96,20 @@ class Page {
     return toShapedCamera({...this.view, aspect: width / height});
   }
 
-  async run() {
-    this.isRunning = true;
-    while (this.sample < this.scene.samples && !this.isStopped && !this.isByStep) {
-      try {
-        if (this.gpu.isLost) await this.reopen();
-      } catch (error) {
-        this.stop(error);
-        break;
-      }
-      try {
-        await this.frame();
-      } catch (error) {
-        if (!(await this.gpu.wasLost())) this.stop(error);
-      }
-    }
-    this.isRunning = false;
+  counted(counts) {
+    this.panel.show(counts);
   }
 
-  /** The renderer of the image, which begins it if anything has changed; null if a choice has. */
-  async beginImage() {
-    const {structure, mode, machine} = this;
-    const renderer = await this.rendererOf(structure, partsOf(mode)[0], machine);
-    if (structure !== this.structure || mode !== this.mode || machine !== this.machine) return null;
-    const {changes, size} = this;
-    if (this.sample === 0 && this.begun !== changes) {
-      this.display.begin(size);
-      renderer.begin(this.camera, size);
-      this.begun = changes;
-    }
-    return renderer;
+  async show(structure, mode) {
+    const what = partsOf(mode)[1];
+    if (!what) return super.show();
+    return (await this.heatmaps()).show(this.scene.structures[structure].counts[what]);
   }
 
-  /** Add one sample to the image, or begin it. */
-  async frame() {
-    const began = performance.now();
-    const {gpu, display} = this;
-    const renderer = await this.beginImage();
-    if (!renderer) return;
-    const {changes, sample, structure} = this;
-    const what = partsOf(this.mode)[1];
-    const heatmaps = what && await this.heatmaps();
-    const goesOn = counts => {
-      this.panel.show(counts);
-      return !this.isStopped && !this.isByStep && !(sample && changes !== this.changes);
-    };
-    for (let first = 0; first < renderer.pixelCount;) {
-      const band = await renderer.trace(sample, first, goesOn);
-      if (!band) return;
-      display.add(band, sample, first);
-      first += band.count;
-      // A first sample is finished, so that there is an image while the camera moves.
-      if (this.isStopped || (sample && changes !== this.changes)) return;
-    }
-    if (what) await heatmaps.show(this.scene.structures[structure].counts[what]);
-    else await display.show();
-    if (this.isStopped) return;
-    if (sample === 0) say("");
+  shown(sample, milliseconds, {clock}) {
     this.reveal();
-    const milliseconds = (performance.now() - began).toFixed(0);
     byId("figures").textContent = `${sample + 1} of ${this.scene.samples} samples, `
-      + `${milliseconds} ms, ${[renderer.clock, gpu.name].filter(String).join(", ")}`;
-    if (changes === this.changes) this.sample += 1;
+      + `${milliseconds.toFixed(0)} ms, ${[clock, this.gpu.name].filter(String).join(", ")}`;
   }
 
   /** Show the canvas instead of the image that was rendered beforehand. */
@@ -299,7 +199,7 @@ class Page {
   }
 
   /** Forget the ray that was picked. */
-  close() {
+  forget() {
     this.picks += 1;
     this.picked = null;
     this.walk.hide();
@@ -370,7 +270,7 @@ function connect(page) {
   for (const name of ["hits", "counts"]) {
     byId(`${name}-close`).addEventListener("click", () => {
       byId(name).hidden = true;
-      if (name === "hits") page.close();
+      if (name === "hits") page.forget();
       byId("picture").focus();
     });
   }
@@ -388,7 +288,9 @@ async function start() {
 
 const opened = start();
 opened.catch(error => {
-  say(error instanceof PageError ? error.message : `This page does not work here: ${error.message}`);
+  const why = error instanceof PageError ? error.message
+    : `This page does not work here: ${error.message}`;
+  say(`${why} The image was rendered beforehand.`);
   byId("controls").hidden = true;
 });
 globalThis.raystream = {opened};

@@ -5,6 +5,8 @@ struct Picture {
     height: u32,
     // Of sums, for one number per pixel.
     channel: u32,
+    // Factor on the light.
+    exposure: f32,
 }
 
 @group(0) @binding(0) var<uniform> picture: Picture;

@@ -10,6 +10,6 @@ fn encoded(linear: vec3f) -> vec3f {
 
 @fragment
 fn show(@builtin(position) position: vec4f) -> @location(0) vec4f {
-    let mean = mean_of(pixel_at(position));
+    let mean = picture.exposure * mean_of(pixel_at(position));
     return vec4f(encoded(clamp(mean, vec3f(0.0), vec3f(1.0))), 1.0);
 }
