@@ -44,7 +44,7 @@ def browser() -> Iterator[Any]:
 
 
 class Exported:
-    """An exported page, opened from disk.
+    """An exported page, opened from disk; on leaving it, no problem may have been reported.
 
     Parameters
     ----------
@@ -77,8 +77,14 @@ class Exported:
     def __enter__(self) -> Exported:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.context.close()
+    def __exit__(self, kind: object, *_: object) -> None:
+        try:
+            if kind is None:
+                errors = self.page.evaluate("raystream.opened.then(one => one.errorCount, () => 0)")
+                assert not self.problems, self.problems
+                assert errors == 0, f"{errors} errors of the GPU"
+        finally:
+            self.context.close()
 
     def run(self, script: str, argument: Any = None) -> Any:
         """Evaluate a function of the page's main object and an argument."""
@@ -91,6 +97,12 @@ class Exported:
         while not self.page.evaluate(script):
             assert time.monotonic() < end, f"waited in vain for {script}: {self.problems}"
             time.sleep(0.02)
+
+    def light_after(self, count: int) -> NDArray[np.float32]:
+        """The light of an image of so many samples, made from the first on; see `light`."""
+        self.run("(page, count) => { page.scene.samples = count; page.change(); }", count)
+        self.wait(f"raystream.opened.then(p => !p.isRunning && p.sample === {count})")
+        return self.light()
 
     def wait_for_samples(self, count: int) -> None:
         """Wait until the image has a number of samples."""
