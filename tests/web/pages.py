@@ -44,19 +44,20 @@ def browser() -> Iterator[Any]:
 
 
 class Exported:
-    """An exported page, opened from disk; on leaving it, no problem may have been reported.
+    """An exported page, from disk or a server; on leaving it, no problem may have been reported.
 
     Parameters
     ----------
     browser : playwright Browser
-    path : Path
+    path : Path or str
+        A file, or an address.
     size : (int, int)
     before : str
         A script to run before the page's.
     """
 
     def __init__(
-        self, browser: Any, path: Path, size: tuple[int, int] = (96, 72), before: str = ""
+        self, browser: Any, path: Path | str, size: tuple[int, int] = (96, 72), before: str = ""
     ) -> None:
         self.context = browser.new_context(viewport={"width": size[0], "height": size[1]})
         self.page = self.context.new_page()
@@ -72,7 +73,7 @@ class Exported:
         self.page.on("request", lambda one: self.requests.append(one.url))
         if before:
             self.page.add_init_script(before)
-        self.page.goto(path.as_uri())
+        self.page.goto(path if isinstance(path, str) else path.as_uri())
 
     def __enter__(self) -> Exported:
         return self

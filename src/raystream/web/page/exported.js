@@ -1,12 +1,14 @@
 // An exported page: shows the scene, sample after sample, traced on this computer's GPU.
 
 import {Display} from "./display.js";
+import {chooseByAddress} from "./address.js";
 import {byId, fillSelect, make} from "./elements.js";
 import {Gpu, cached} from "./device.js";
 import {cornersOf} from "./geometry.js";
 import {Gestures} from "./gestures.js";
 import {ImageRenderer} from "./images.js";
 import {PageError, unpack} from "./pack.js";
+import {dataOf} from "./page_data.js";
 import {Queries, StructureOnGpu} from "./queries.js";
 import {SceneOnGpu} from "./scene_on_gpu.js";
 import {add, length, scale, subtract} from "./vector.js";
@@ -246,9 +248,10 @@ function connect(page) {
 }
 
 async function start() {
-  const page = new Page(await unpack(byId("data").textContent));
+  const page = new Page(await unpack(await dataOf(byId("data"))));
   await page.open();
   connect(page);
+  chooseByAddress(page);
   page.change();
   return page;
 }
