@@ -53,8 +53,11 @@ def test_each_structure(browser, tmp_path, request, name, structure):  # noqa: F
     scene = load(name, request)
     structures = ["bvh", structure] if structure != "bvh" else ["bvh"]
     with Exported(browser, export(scene, tmp_path, structures), SIZE) as page:
-        rays = rays_of(scene, 500)
+        is_slow = structure == "brute" and name != "spheres"  # in software: hits of few rays
+        rays = rays_of(scene, 64 if is_slow else 500)
         assert_same_hits(page, scene, structure, rays, SCENES[name])
+        if is_slow:
+            return
         page.wait_for_samples(1)
         page.page.select_option("#structure", structure)
         for mode in MODES if name == "spheres" else MODES[:1]:
