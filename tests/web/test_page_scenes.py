@@ -8,6 +8,7 @@ import pytest
 import raystream as rs
 from raystream.scene.samples import SAMPLES
 from raystream.structures import names_with
+from raystream.web.export import _with_known_textures
 from web.page_answers import assert_same_hits, first_hits, picture, rays_of
 from web.pages import Exported, browser  # noqa: F401  a fixture
 
@@ -35,10 +36,10 @@ CASES = [
 
 
 def load(name, request):
-    """A scene; skips without the public models, if it is one."""
+    """A scene as pages have it; skips without the public models, if it is one."""
     if name in SAMPLES:
         request.getfixturevalue("scenes_folder")
-    return rs.load(name)
+    return _with_known_textures(rs.load(name))
 
 
 def export(scene, tmp_path, structures):

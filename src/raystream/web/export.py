@@ -9,12 +9,16 @@ from dataclasses import replace
 from importlib.resources import files
 from os import PathLike
 
+import numpy as np
+
 from raystream.core.errors import RaystreamWarning
 from raystream.graphics.rendering.modes import TEXTURES
 from raystream.graphics.shader_source import shader_files
 from raystream.rendering.arguments import check_camera, check_size, check_switch
 from raystream.rendering.render import render
 from raystream.scene.camera import Camera
+from raystream.scene.io.colors import byte_colors_to_linear
+from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
@@ -176,11 +180,19 @@ def _with_known_textures(scene: Scene) -> Scene:
         RaystreamWarning,
         stacklevel=3,
     )
-    materials = [
-        replace(one, textures={k: v for k, v in one.textures.items() if k in TEXTURES})
-        for one in scene.materials
-    ]
-    return scene.replace(materials=materials)
+    return scene.replace(materials=[_with_known(one) for one in scene.materials])
+
+
+def _with_known(material: Material) -> Material:
+    """What glows by a texture that is left out has its mean."""
+    kept = {role: one for role, one in material.textures.items() if role in TEXTURES}
+    if len(kept) == len(material.textures):
+        return material
+    red, green, blue = material.emission
+    if (texture := material.textures.get("emission")) is not None:
+        means = byte_colors_to_linear(texture.pixels()[..., :3]).mean(axis=(0, 1), dtype=np.float64)
+        red, green, blue = (float(one) for one in means * material.emission)
+    return replace(material, textures=kept, emission=(red, green, blue))
 
 
 def _script() -> str:
