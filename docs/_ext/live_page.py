@@ -1,4 +1,4 @@
-"""A directive: a picture of a scene; a click on it loads a page that traces it in the browser.
+"""A directive: an image of a scene; a click on it loads a page that traces it in the browser.
 
 .. code-block:: rst
 
@@ -39,10 +39,10 @@ from raystream.scene.samples import SAMPLES, SCENES_VARIABLE
 #: Most bytes of a page.
 MOST_BYTES = 5_000_000
 
-#: The folder of pages and pictures in the built documentation.
+#: The folder of pages and images in the built documentation.
 FOLDER = "live"
 
-#: Of the pictures.
+#: Of the images.
 SIZE, SAMPLE_COUNT = (640, 400), 16
 
 
@@ -57,7 +57,7 @@ class LivePage(NamedTuple):
     structures : tuple of str
         The first one is first seen.
     mode : str
-        First seen, and of the picture.
+        First seen, and of the image.
     triangles : int, optional
         Of scenes that have any number of triangles.
     instead : str, optional
@@ -94,14 +94,14 @@ class Made(NamedTuple):
     name : str
         The page that was made: another one where the model is not there.
     title : str
-    page, picture : Path
+    page, image : Path
         Files in the cache.
     """
 
     name: str
     title: str
     page: Path
-    picture: Path
+    image: Path
 
 
 def is_there(scene: str) -> bool:
@@ -126,23 +126,23 @@ def make_page(name: str, cache_folder: Path) -> Made:
             raise ValueError(f"{wanted.scene}: no such model, and nothing instead")
         return make_page(wanted.instead, cache_folder)
     key = _key(wanted)
-    page, picture = (cache_folder / f"{name}-{key}{suffix}" for suffix in (".html", ".png"))
-    if not (page.is_file() and picture.is_file()):
+    page, image = (cache_folder / f"{name}-{key}{suffix}" for suffix in (".html", ".png"))
+    if not (page.is_file() and image.is_file()):
         cache_folder.mkdir(parents=True, exist_ok=True)
         for before in cache_folder.glob(f"{name}-*"):
             before.unlink(missing_ok=True)
-        _export(wanted, page, picture)
+        _export(wanted, page, image)
     if page.stat().st_size > MOST_BYTES:
         raise ValueError(f"{name}: {page.stat().st_size:,} bytes, more than {MOST_BYTES:,}")
-    return Made(name, wanted.title, page, picture)
+    return Made(name, wanted.title, page, image)
 
 
-def _export(wanted: LivePage, page: Path, picture: Path) -> None:
+def _export(wanted: LivePage, page: Path, image: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RaystreamWarning)  # textures that pages leave out
         scene = rs.load(wanted.scene, triangles=wanted.triangles)
         rs.export_page(scene, page, structures=wanted.structures, size=SIZE)
-        rs.render(scene, wanted.mode, SIZE, samples=SAMPLE_COUNT).save(picture)
+        rs.render(scene, wanted.mode, SIZE, samples=SAMPLE_COUNT).save(image)
 
 
 def _key(wanted: LivePage) -> str:
@@ -196,7 +196,7 @@ class LivePageDirective(Directive):
         target = Path(env.app.outdir) / FOLDER
         target.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(made.page, target / f"{made.name}.html")
-        shutil.copyfile(made.picture, target / f"{made.name}.png")
+        shutil.copyfile(made.image, target / f"{made.name}.png")
         if made.name != name:
             missing = f"{wanted.title} was not there when this documentation was built."
             caption.children[:] = [nodes.paragraph("", missing)]

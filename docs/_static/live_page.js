@@ -1,4 +1,4 @@
-// A click on the picture of a live page loads the page in its place. Without this script, and with
+// A click on the image of a live page loads the page in its place. Without this script, and with
 // a key that opens links in another tab, the link leads to the page.
 
 document.addEventListener("click", event => {

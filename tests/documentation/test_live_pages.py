@@ -62,7 +62,7 @@ def test_pages_are_exported_once_for_each_state(live_page, tmp_path, monkeypatch
     monkeypatch.setattr(live_page, "_sources", lambda: "other sources")
     other = live_page.make_page("cornell", tmp_path)
     assert other.page != first.page
-    assert sorted(tmp_path.iterdir()) == sorted([other.page, other.picture])
+    assert sorted(tmp_path.iterdir()) == sorted([other.page, other.image])
     monkeypatch.setattr(live_page, "MOST_BYTES", 100_000)
     with pytest.raises(ValueError, match="more than 100,000"):
         live_page.make_page("cornell", tmp_path)
@@ -193,7 +193,7 @@ def test_bad_input_is_named(live_page, tmp_path):
 
 @pytest.mark.documentation
 def test_the_site_s_pages(live_page):
-    """Of the site that .ci/run built: small, and each picture leads to one."""
+    """Of the site that .ci/run built: small, and each image leads to one."""
     if "RAYSTREAM_SITE" not in os.environ:
         pytest.skip("RAYSTREAM_SITE names no built site")
     folder = Path(os.environ["RAYSTREAM_SITE"])
