@@ -34,6 +34,15 @@ def test_structures_have_options(run, tmp_path):
     assert page.read_bytes() == before
 
 
+def test_a_folder_is_written(run, tmp_path):
+    figures = run(
+        "export", "cornell", "-o", tmp_path / "page", "--split", "--size", "32x24", "--json"
+    ).figures
+    files = {one.name: one.stat().st_size for one in (tmp_path / "page").iterdir()}
+    assert set(files) == {"index.html", "page.js", "page.css", "preview.png", "data.bin"}
+    assert figures["bytes"] == sum(files.values())
+
+
 def test_known_structures():
     assert set(STRUCTURES) == set(names_with("graphics"))
 
@@ -43,6 +52,9 @@ def test_known_structures():
     [
         (["cornell", "-o", "{}/page.png"], "html"),
         (["cornell", "-o", "{}/no/page.html"], "does not exist"),
+        (["cornell", "-o", "{}/no/page", "--split"], "does not exist"),
+        (["cornell", "-o", "{}/page.html", "--split"], "without .html"),
+        (["cornell", "-o", __file__, "--split"], "is a file"),
         (["cornell", "-o", "{}/page.html", "--structure", "octree"], "octree"),
         (["cornell", "-o", "{}/page.html", "--structure", "kdtree:traversal=ropes"], "ropes"),
         (["cornell", "-o", "{}/page.html", "--structure", "bvh:traversal=stack"], "traversal"),

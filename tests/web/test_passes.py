@@ -248,9 +248,12 @@ def test_a_view_begins_again_with_eye_rays(opened):
 
 @pytest.mark.exhaustive
 def test_a_lost_gpu_begins_the_passes_again(browser, path):  # noqa: F811
-    with Exported(browser, path, SIZE) as page:
+    address = f"{path.as_uri()}#structure=grid&mode=heatmap+tests&machine=passes"
+    with Exported(browser, address, SIZE) as page:
         page.wait_for_samples(1)
-        finish(page, 1, structure="grid", machine="passes")
+        chosen = page.run("page => [page.structure, page.mode, page.machine]")
+        assert chosen == ["grid", "raycast", "passes"]
+        finish(page, 1)
         step(page)
         step(page)
         page.run("page => { page.first = page.gpu; page.gpu.device.destroy(); }")
@@ -281,8 +284,9 @@ def test_passes_only_run_where_they_can(opened):
 def test_a_gpu_that_writes_less_is_told_why(browser, path):  # noqa: F811
     before = """Object.defineProperty(GPUSupportedLimits.prototype,
         "maxColorAttachmentBytesPerSample", {get: () => 64});"""
-    with Exported(browser, path, SIZE, before) as page:
+    with Exported(browser, f"{path.as_uri()}#machine=passes", SIZE, before) as page:
         page.wait_for_samples(1)
+        assert page.run("page => page.machine") == "compute"
         option = page.page.locator("#machine option[value=passes]")
         assert option.is_disabled()
         title = page.page.locator("#machine").get_attribute("title")

@@ -28,7 +28,13 @@ def export(
     scene: options.SceneName,
     *,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="PAGE", help="The page, a .html file.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="PAGE",
+            help="The page: a .html file, or with --split a folder.",
+        ),
     ],
     structure: Annotated[
         list[str] | None,
@@ -45,13 +51,23 @@ def export(
             metavar="WIDTHxHEIGHT", help="Of the image for visitors whose browser has no WebGPU."
         ),
     ] = "960x540",
+    split: Annotated[
+        bool,
+        typer.Option(
+            "--split",
+            help="Write a folder of files for a web server, for large scenes.",
+        ),
+    ] = False,
     viewing: CameraOptions,
     threads: options.Threads = None,
     loading: options.SceneOptions,
     json: options.Json = False,
 ) -> None:
     """Write a scene as a web page that traces it on the visitor's GPU. It needs no network."""
-    options.check_output(output, [".html", ".htm"], [scene])
+    if split:
+        _check_folder(output)
+    else:
+        options.check_output(output, [".html", ".htm"], [scene])
     width, height = options.parse_size(size)
     structures = [_parsed(one) for one in structure or ["bvh"]]
     choose_threads(threads)
@@ -70,7 +86,12 @@ def export(
             refuse(OSError, where=str(output)),
         ):
             count = export_page(
-                found, output, structures=structures, camera=camera, size=(width, height)
+                found,
+                output,
+                structures=structures,
+                camera=camera,
+                size=(width, height),
+                split=split,
             )
     if json:
         figures = {"output": str(output), "scene": scene, "bytes": count}
@@ -88,3 +109,12 @@ def _parsed(text: str) -> StructureOptions:
         return options_of(name, given)
     except (ValueError, TypeError) as error:
         raise BadInputError(f"--structure: {error}") from error
+
+
+def _check_folder(output: Path) -> None:
+    if not output.parent.is_dir():
+        raise BadInputError(f"{output}: folder {output.parent} does not exist")
+    if output.exists() and not output.is_dir():
+        raise BadInputError(f"{output}: is a file; with --split pages are folders")
+    if output.suffix in (".html", ".htm"):
+        raise BadInputError(f"{output}: with --split pages are folders; give a name without .html")

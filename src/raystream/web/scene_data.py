@@ -25,8 +25,8 @@ from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 from raystream.web.geometry import structure_arrays, triangle_arrays
-from raystream.web.pass_kernels import pass_files, pass_kernels, schedule
 from raystream.web.heatmaps import COUNTS, counts_of, ramp_words
+from raystream.web.pass_kernels import pass_files, pass_kernels, schedule
 from raystream.web.structure_names import structure_names
 
 __all__ = ["MODES", "PageScene", "check_supported", "page_scene"]

@@ -1,5 +1,6 @@
 // An exported page: shows the scene, sample after sample, traced on this computer's GPU.
 
+import {chooseByAddress} from "./address.js";
 import {boxesOf} from "./boxes.js";
 import {meanCounts, raysOf, showCounts} from "./counts.js";
 import {byId, fillSelect, make} from "./elements.js";
@@ -7,6 +8,7 @@ import {cached} from "./device.js";
 import {Gestures} from "./gestures.js";
 import {HeatmapDisplay, modeChoices, partsOf} from "./heatmaps.js";
 import {PageError, unpack} from "./pack.js";
+import {dataOf} from "./page_data.js";
 import {PassPanel} from "./pass_panel.js";
 import {whyNoPasses} from "./pass_streams.js";
 import {MOST_PIXELS_OF_PASSES, PassRenderer} from "./passes.js";
@@ -279,9 +281,10 @@ function connect(page) {
 }
 
 async function start() {
-  const page = new Page(await unpack(byId("data").textContent));
+  const page = new Page(await unpack(await dataOf(byId("data"))));
   await page.open();
   connect(page);
+  chooseByAddress(page);
   page.change();
   return page;
 }
