@@ -176,6 +176,7 @@ def test_the_server_rests_while_the_browser_traces_and_picks_for_it(viewer, scen
     assert not [one for one in viewer.messages[count:] if one["type"] == "frame"]
 
 
+@pytest.mark.exhaustive
 def test_exposure_bounces_and_samples_are_the_server_s(viewer, scene):
     choose_browser(viewer)
     plain = traced(viewer)
@@ -224,6 +225,7 @@ def test_the_server_renders_what_browsers_do_not_trace(viewer):
     assert says(viewer) == "Heat maps are not traced by browsers. The server renders."
 
 
+@pytest.mark.exhaustive
 def test_a_structure_is_loaded_when_it_is_chosen(viewer):
     asked = []
     viewer.page.on("request", lambda one: asked.append(one.url.rsplit("/", 1)[1]))
@@ -267,6 +269,7 @@ def test_without_webgpu_the_page_says_so_and_the_server_renders(browser, address
     viewer.close()
 
 
+@pytest.mark.exhaustive
 def test_a_lost_gpu_is_opened_again_and_given_up_the_second_time(browser, address):  # noqa: F811
     viewer = Viewer(browser, address, f"{FRAGMENT}&device=browser", before=KEPT, **WINDOW)
     traced(viewer)

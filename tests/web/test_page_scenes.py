@@ -26,12 +26,14 @@ MODES = ("raycast", "whitted")
 #: Too slow for images, in software; robots are small on a grid of the whole city.
 SLOW = {("bunny", "brute"), ("robots", "brute"), ("kitchen", "brute"), ("robots", "grid")}
 
-#: Kitchen has 110,561 triangles, and textures: slow to export, and to start.
+#: Those of everyday tests.
+EVERYDAY = {("bunny", "bvh"), ("robots", "bvh")}
+
 CASES = [
     pytest.param(
         scene,
         structure,
-        marks=[pytest.mark.exhaustive] * (structure != "bvh" or scene == "kitchen"),
+        marks=[pytest.mark.exhaustive] * ((scene, structure) not in EVERYDAY),
     )
     for scene in SCENES
     for structure in names_with("graphics")

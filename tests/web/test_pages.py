@@ -123,16 +123,31 @@ def test_the_image_has_the_window_s_size(browser, path):  # noqa: F811
         assert_same_light(page.light_after(2), before)
 
 
+def lose_the_gpu(page):
+    """Lose it; waits for an image by another."""
+    page.run("page => { page.first = page.gpu; page.gpu.device.destroy(); }")
+    page.wait("raystream.opened.then(p => p.gpu !== p.first && p.sample >= 2)")
+    assert page.message == ""
+    assert page.page.locator("#picture").is_visible()
+
+
 def test_a_lost_gpu_is_opened_again(browser, path):  # noqa: F811
-    """Each time, with the same image; after two losses without a sample between, on request."""
+    """With the same image."""
+    with Exported(browser, path) as page:
+        page.wait_for_samples(1)
+        before = page.light_after(2)
+        lose_the_gpu(page)
+        assert_same_light(page.light_after(2), before)
+
+
+@pytest.mark.exhaustive
+def test_a_gpu_that_is_lost_again_and_again(browser, path):  # noqa: F811
+    """It is opened each time; after two losses without a sample between, on request."""
     with Exported(browser, path) as page:
         page.wait_for_samples(1)
         before = page.light_after(2)
         for _ in range(2):
-            page.run("page => { page.first = page.gpu; page.gpu.device.destroy(); }")
-            page.wait("raystream.opened.then(p => p.gpu !== p.first && p.sample >= 2)")
-            assert page.message == ""
-            assert page.page.locator("#picture").is_visible()
+            lose_the_gpu(page)
             assert_same_light(page.light_after(2), before)
         page.run(
             """page => {
