@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -266,6 +267,20 @@ def test_without_webgpu_the_page_says_so_and_the_server_renders(browser, address
     viewer.wait_for_rest()
     with viewer.changing_picture():
         viewer.drag((0.5, 0.5), (0.6, 0.45), steps=1)
+    viewer.close()
+
+
+@pytest.mark.exhaustive
+def test_a_view_may_change_before_the_first_image(browser, address, scene):  # noqa: F811
+    viewer = Viewer(browser, address, f"{FRAGMENT}&device=browser", before=KEPT, **WINDOW)
+    viewer.page.evaluate(BARE)
+    viewer.wait(lambda: viewer.page.evaluate("devices.length"), "a device")
+    time.sleep(0.3)  # the image has begun, and shaders are compiled
+    before = viewer.camera
+    viewer.page.locator("#picture").press("+")
+    viewer.wait(lambda: viewer.camera["eye"] != before["eye"], "another view")
+    assert viewer.page.locator("#traced").is_hidden()
+    assert_same(traced(viewer), rendered(viewer, scene))
     viewer.close()
 
 
