@@ -29,6 +29,7 @@ extensions = [
     "myst_nb",
     "numpydoc",
     "bench_result",
+    "live_page",
     "paper_map",
 ]
 exclude_patterns = ["_build", "extra"]

@@ -21,6 +21,28 @@ def test_a_page_is_written(run, tmp_path):
     assert re.search(r"<title>cornell", page.read_text())
 
 
+def test_structures_have_options(run, tmp_path):
+    page = tmp_path / "page.html"
+    structures = ("kdtree", "kdtree:traversal=restart,max_leaf_size=2", "grid:resolution=[2,3,4]")
+    chosen = [part for one in structures for part in ("--structure", one)]
+    run("export", "cornell", "-o", page, *chosen, "--size", "32x24")
+    before = page.read_bytes()
+    resolution = (2, 3, 4)
+    options = [rs.KdTree(), rs.KdTree(traversal="restart", max_leaf_size=2)]
+    options.append(rs.Grid(resolution=resolution))
+    rs.export_page(rs.load("cornell"), page, structures=options, size=(32, 24))
+    assert page.read_bytes() == before
+
+
+def test_a_folder_is_written(run, tmp_path):
+    figures = run(
+        "export", "cornell", "-o", tmp_path / "page", "--split", "--size", "32x24", "--json"
+    ).figures
+    files = {one.name: one.stat().st_size for one in (tmp_path / "page").iterdir()}
+    assert set(files) == {"index.html", "page.js", "page.css", "preview.png", "data.bin"}
+    assert figures["bytes"] == sum(files.values())
+
+
 def test_known_structures():
     assert set(STRUCTURES) == set(names_with("graphics"))
 
@@ -30,7 +52,13 @@ def test_known_structures():
     [
         (["cornell", "-o", "{}/page.png"], "html"),
         (["cornell", "-o", "{}/no/page.html"], "does not exist"),
+        (["cornell", "-o", "{}/no/page", "--split"], "does not exist"),
+        (["cornell", "-o", "{}/page.html", "--split"], "without .html"),
+        (["cornell", "-o", __file__, "--split"], "is a file"),
         (["cornell", "-o", "{}/page.html", "--structure", "octree"], "octree"),
+        (["cornell", "-o", "{}/page.html", "--structure", "kdtree:traversal=ropes"], "ropes"),
+        (["cornell", "-o", "{}/page.html", "--structure", "bvh:traversal=stack"], "traversal"),
+        (["cornell", "-o", "{}/page.html", "--structure", "kdtree:"], "KEY=VALUE"),
         (["robots", "-o", "{}/page.html", "--projection", "orthographic"], "'orthographic'"),
         (["nothing", "-o", "{}/page.html"], "nothing"),
     ],

@@ -53,6 +53,7 @@ LAB_MODULES = ("caches", "cost_model", "walk_page", "walks")
 FOR_ROOMS = {
     "machines": {"Branching", "Observer", "make_machine", "own_options"},
     "rendering.compare": {"compare", "draw_difference"},  # methods of Image
+    "rendering.heatmap": {"title_of"},
     "rendering.frames": {"sample_count_of", "split_options", "timeline_of"},
 }
 

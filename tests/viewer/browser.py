@@ -89,12 +89,14 @@ class Viewer:
     fragment : str
         What the page's address says of the view and the settings.
     **options
-        Of the browser's context: viewport, color_scheme and so on.
+        Of the browser's context: viewport, color_scheme and so on; ``before`` is a script to run
+        before the page's.
     """
 
     def __init__(
         self, browser: Any, address: str, fragment: str = "#samples=1", **options: Any
     ) -> None:
+        before = options.pop("before", "")
         options.setdefault("viewport", {"width": 840, "height": 420})
         self.address = address
         self.context = browser.new_context(**options)
@@ -104,6 +106,8 @@ class Viewer:
         self.messages: list[dict[str, Any]] = []
         self.sent: list[dict[str, Any]] = []
         self._watch()
+        if before:
+            self.page.add_init_script(before)
         self.page.goto(address + fragment)
         self.page.locator("#stage[data-frame]").wait_for()
 

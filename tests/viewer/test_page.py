@@ -12,6 +12,7 @@ from PIL import Image
 import raystream as rs
 from raystream.rendering.color import encode_srgb
 from raystream.rendering.false_colors import color_ramp
+from raystream.viewer.server.page_files import read_page_files
 from viewer.browser import PHONE, Viewer, chromium, serving  # noqa: F401  a fixture
 
 PAGE = Path(rs.__file__).parent / "viewer" / "page"
@@ -187,6 +188,26 @@ def test_a_phone_turns_the_scene_with_a_finger_and_has_the_controls_in_a_sheet(
     viewer.close()
 
 
+def test_without_a_gpu_the_server_renders_for_this_browser(viewer):
+    viewer.wait_for_rest()
+    viewer.page.select_option("select[name=device]", "browser")
+    viewer.toast("The server renders.")
+    says = viewer.page.locator("#device-says").text_content()
+    assert says.removesuffix(" The server renders.") in (
+        "No GPU was found.",
+        "This browser has no WebGPU.",
+    )
+    with viewer.changing_picture():
+        viewer.page.locator("#picture").press("+")
+    viewer.problems.remove("console: No available adapters.")  # as browsers say
+
+
+def test_no_file_of_the_page_hides_another():
+    rooms = [SHARED.parent / "page", SHARED, PAGE]
+    names = [file.name for room in rooms for file in room.iterdir()]
+    assert len(names) == len(set(names)) > 30
+
+
 def test_the_legend_has_the_colors_of_heat_maps():
     colors = encode_srgb(color_ramp(11))
     wanted = ["#" + "".join(f"{channel:02x}" for channel in color) for color in colors]
@@ -197,8 +218,15 @@ def test_the_legend_has_the_colors_of_heat_maps():
 
 
 def test_the_page_asks_for_its_own_files_only():
-    paths = [*PAGE.iterdir(), *SHARED.iterdir()]
+    folders = [PAGE, SHARED, SHARED.parent / "page"]
+    paths = [
+        path
+        for folder in folders
+        for path in folder.iterdir()
+        if not path.name.startswith("exported.")
+    ]
     names = {path.name for path in paths}
+    assert names == set(read_page_files())
     for path in paths:
         text = path.read_text(encoding="utf-8")
         assert "http://" not in text.replace("http://www.w3.org/2000/svg", ""), path.name

@@ -44,19 +44,20 @@ def browser() -> Iterator[Any]:
 
 
 class Exported:
-    """An exported page, opened from disk.
+    """An exported page, from disk or a server; on leaving it, no problem may have been reported.
 
     Parameters
     ----------
     browser : playwright Browser
-    path : Path
+    path : Path or str
+        A file, or an address.
     size : (int, int)
     before : str
         A script to run before the page's.
     """
 
     def __init__(
-        self, browser: Any, path: Path, size: tuple[int, int] = (96, 72), before: str = ""
+        self, browser: Any, path: Path | str, size: tuple[int, int] = (96, 72), before: str = ""
     ) -> None:
         self.context = browser.new_context(viewport={"width": size[0], "height": size[1]})
         self.page = self.context.new_page()
@@ -72,13 +73,19 @@ class Exported:
         self.page.on("request", lambda one: self.requests.append(one.url))
         if before:
             self.page.add_init_script(before)
-        self.page.goto(path.as_uri())
+        self.page.goto(path if isinstance(path, str) else path.as_uri())
 
     def __enter__(self) -> Exported:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.context.close()
+    def __exit__(self, kind: object, *_: object) -> None:
+        try:
+            if kind is None:
+                errors = self.page.evaluate("raystream.opened.then(one => one.errorCount, () => 0)")
+                assert not self.problems, self.problems
+                assert errors == 0, f"{errors} errors of the GPU"
+        finally:
+            self.context.close()
 
     def run(self, script: str, argument: Any = None) -> Any:
         """Evaluate a function of the page's main object and an argument."""
@@ -91,6 +98,12 @@ class Exported:
         while not self.page.evaluate(script):
             assert time.monotonic() < end, f"waited in vain for {script}: {self.problems}"
             time.sleep(0.02)
+
+    def light_after(self, count: int) -> NDArray[np.float32]:
+        """The light of an image of so many samples, made from the first on; see `light`."""
+        self.run("(page, count) => { page.scene.samples = count; page.change(); }", count)
+        self.wait(f"raystream.opened.then(p => !p.isRunning && p.sample === {count})")
+        return self.light()
 
     def wait_for_samples(self, count: int) -> None:
         """Wait until the image has a number of samples."""

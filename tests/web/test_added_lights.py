@@ -7,6 +7,7 @@ import pytest
 
 import raystream as rs
 from meshes import icosphere
+from raystream.web.export import _with_known_textures
 from web.pages import Exported, browser  # noqa: F401  a fixture
 
 
@@ -36,3 +37,16 @@ def test_other_textures_are_left_out(tmp_path):
         rs.export_page(scene, tmp_path / "page.html", size=(8, 8))
     with pytest.raises(rs.RaystreamError, match="textures beside diffuse"):
         rs.export_page(rs.Tracer(scene), tmp_path / "page.html", size=(8, 8))
+
+
+def test_what_glows_by_a_texture_has_its_mean():
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[0, 0] = 255, 188, 0
+    glow = rs.Material(emission=(8.0, 4.0, 2.0), textures={"emission": rs.Texture(pixels)})
+    scene = rs.load("cornell")
+    scene = scene.replace(materials=[glow, *scene.materials[1:]])
+    with pytest.warns(rs.RaystreamWarning, match="left out those of emission"):
+        kept = _with_known_textures(scene)
+    assert not kept.materials[0].textures
+    np.testing.assert_allclose(kept.materials[0].emission, (2.0, 0.5, 0.0), rtol=0.01)
+    assert kept.materials[1:] == scene.materials[1:]

@@ -13,6 +13,7 @@ import raystream as rs
 from raystream.graphics.shader_source import shader_files
 from raystream.structures import names_with
 from raystream.web.scene_data import MODES
+from web.page_answers import assert_same_hits, assert_same_light, rays_of
 from web.pages import Exported, browser  # noqa: F401  a fixture
 
 STRUCTURES = names_with("graphics")
@@ -35,38 +36,6 @@ def opened(browser, path):  # noqa: F811
     with Exported(browser, path) as page:
         page.wait_for_samples(1)
         yield page
-        assert not page.problems, page.problems
-
-
-def rays_of(scene, count=2000, seed=0):
-    rng = np.random.default_rng(seed)
-    low, high = scene.bounds
-    origins = rng.uniform(low - 0.2 * (high - low), high + 0.2 * (high - low), (count, 3))
-    directions = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-3, 3, (count, 1))
-    return origins, directions
-
-
-def assert_same_hits(page, scene, structure, rays):
-    """prim_ids are equal but where two hits are as near as rounding, and so is t."""
-    flat = np.column_stack(rays).reshape(-1).tolist()
-    found = page.run(
-        """async (page, [structure, rays]) => {
-            const hits = await page.queriesOf(structure).firstHit(Float64Array.from(rays));
-            return {...hits, t: hits.t.map(t => Number.isFinite(t) ? t : -1)};
-        }""",
-        [structure, flat],
-    )
-    hits = rs.Tracer(scene).first_hit(*rays)
-    t, prim_id = np.array(found["t"]), np.array(found["primId"])
-    assert (hits.is_hit == (prim_id >= 0)).all()
-    np.testing.assert_allclose(t[hits.is_hit], hits.t[hits.is_hit], rtol=1e-5)
-    differ = np.flatnonzero(prim_id != hits.prim_id)
-    for ray in differ:  # the other triangle is as near
-        every = rs.Tracer(scene).multi_hit(rays[0][ray], rays[1][ray])
-        other = every.t[every.prim_id == prim_id[ray]]
-        assert other == pytest.approx([hits.t[ray]], rel=1e-5)
-    assert len(differ) <= len(prim_id) // 100
-    assert hits.is_hit.mean() > 0.3
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
@@ -92,13 +61,14 @@ def test_images_are_the_cpu_s(opened, scene, mode):
     assert light.std() > 0.05
 
 
-def test_the_structure_can_be_switched(opened):
-    for structure in STRUCTURES:
-        opened.page.select_option("#structure", structure)
-        opened.wait(f"raystream.opened.then(p => p.structure === '{structure}' && p.sample >= 1)")
-    opened.page.select_option("#structure", "bvh")
+def test_structures_have_one_image(opened):
+    """Switching the structure begins the image again, with the same samples."""
     opened.page.select_option("#mode", "raycast")
-    opened.wait("raystream.opened.then(p => p.mode === 'raycast' && p.sample >= 1)")
+    before = opened.light_after(2)
+    for structure in STRUCTURES[::-1]:
+        opened.page.select_option("#structure", structure)
+        opened.wait(f"raystream.opened.then(page => page.structure === '{structure}')")
+        assert_same_light(opened.light_after(2), before)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +76,6 @@ def large(browser, path):  # noqa: F811
     with Exported(browser, path, (480, 360)) as page:
         page.wait_for_samples(1)
         yield page
-        assert not page.problems, page.problems
 
 
 def test_a_pixel_is_picked(large, scene):
@@ -142,20 +111,58 @@ def test_the_camera_moves_and_returns(large):
 
 
 def test_the_image_has_the_window_s_size(browser, path):  # noqa: F811
+    """And is the same image when the window has its first size again."""
     with Exported(browser, path) as page:
         page.wait_for_samples(1)
+        before = page.light_after(2)
         page.page.set_viewport_size({"width": 64, "height": 96})
         page.wait("raystream.opened.then(p => p.canvas.width === 64 && p.canvas.height === 96)")
-        assert not page.problems
+        assert page.light_after(2).shape == (96, 64, 3)
+        page.page.set_viewport_size({"width": 96, "height": 72})
+        page.wait("raystream.opened.then(p => p.canvas.width === 96 && p.canvas.height === 72)")
+        assert_same_light(page.light_after(2), before)
+
+
+def lose_the_gpu(page):
+    """Lose it; waits for an image by another."""
+    page.run("page => { page.first = page.gpu; page.gpu.device.destroy(); }")
+    page.wait("raystream.opened.then(p => p.gpu !== p.first && p.sample >= 2)")
+    assert page.message == ""
+    assert page.page.locator("#picture").is_visible()
 
 
 def test_a_lost_gpu_is_opened_again(browser, path):  # noqa: F811
+    """With the same image."""
     with Exported(browser, path) as page:
         page.wait_for_samples(1)
-        page.run("page => { page.first = page.gpu; page.gpu.device.destroy(); }")
-        page.wait("raystream.opened.then(p => p.gpu !== p.first && p.sample >= 1)")
+        before = page.light_after(2)
+        lose_the_gpu(page)
+        assert_same_light(page.light_after(2), before)
+
+
+@pytest.mark.exhaustive
+def test_a_gpu_that_is_lost_again_and_again(browser, path):  # noqa: F811
+    """It is opened each time; after two losses without a sample between, on request."""
+    with Exported(browser, path) as page:
+        page.wait_for_samples(1)
+        before = page.light_after(2)
+        for _ in range(2):
+            lose_the_gpu(page)
+            assert_same_light(page.light_after(2), before)
+        page.run(
+            """page => {
+                page.frame = async () => { page.gpu.device.destroy(); throw new Error("lost"); };
+                page.change();
+            }"""
+        )
+        page.wait("raystream.opened.then(page => page.isStopped && !page.isRunning)")
+        assert "stopped again" in page.message
+        assert page.page.locator("#preview").is_visible()
+        page.run("page => { delete page.frame; }")
+        page.page.select_option("#mode", "shadow")
+        page.wait("raystream.opened.then(p => p.mode === 'shadow' && p.sample >= 1)")
         assert page.message == ""
-        assert page.page.locator("#picture").is_visible()
+        assert page.page.locator("#preview").is_hidden()
 
 
 def test_without_webgpu_the_page_shows_its_image_and_says_so(browser, path):  # noqa: F811

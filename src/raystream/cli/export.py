@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -10,9 +11,11 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.camera_options import CameraOptions
-from raystream.cli.console import one_line, refuse, write_json, write_line
+from raystream.cli.console import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.load import Stopwatch, choose_threads
 from raystream.cli.option_groups import expand_groups
+from raystream.cli.tracer_options import parse_keywords
+from raystream.structures import StructureOptions, options_of
 
 __all__ = ["export"]
 
@@ -25,14 +28,20 @@ def export(
     scene: options.SceneName,
     *,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="PAGE", help="The page, a .html file.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="PAGE",
+            help="The page: a .html file, or with --split a folder.",
+        ),
     ],
     structure: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME",
-            help=f"A structure to choose from, again for each: {', '.join(STRUCTURES)} "
-            "[default: bvh]",
+            metavar="NAME[:KEY=VALUE,...]",
+            help=f"A structure to choose from, again for each: {', '.join(STRUCTURES)}; with "
+            "options, such as kdtree:traversal=restart [default: bvh]",
             autocompletion=options.complete(STRUCTURES),
         ),
     ] = None,
@@ -42,14 +51,25 @@ def export(
             metavar="WIDTHxHEIGHT", help="Of the image for visitors whose browser has no WebGPU."
         ),
     ] = "960x540",
+    split: Annotated[
+        bool,
+        typer.Option(
+            "--split",
+            help="Write a folder of files for a web server, for large scenes.",
+        ),
+    ] = False,
     viewing: CameraOptions,
     threads: options.Threads = None,
     loading: options.SceneOptions,
     json: options.Json = False,
 ) -> None:
     """Write a scene as a web page that traces it on the visitor's GPU. It needs no network."""
-    options.check_output(output, [".html", ".htm"], [scene])
+    if split:
+        _check_folder(output)
+    else:
+        options.check_output(output, [".html", ".htm"], [scene])
     width, height = options.parse_size(size)
+    structures = [_parsed(one) for one in structure or ["bvh"]]
     choose_threads(threads)
     from raystream.scene.load import load
     from raystream.web import export_page
@@ -66,10 +86,35 @@ def export(
             refuse(OSError, where=str(output)),
         ):
             count = export_page(
-                found, output, structures=structure or ["bvh"], camera=camera, size=(width, height)
+                found,
+                output,
+                structures=structures,
+                camera=camera,
+                size=(width, height),
+                split=split,
             )
     if json:
         figures = {"output": str(output), "scene": scene, "bytes": count}
         write_json({**figures, "triangles": found.triangle_count, "seconds": watch.rounded()})
     else:
         write_line(f"{one_line(str(output))}: {count:,} bytes; {watch.text()}")
+
+
+def _parsed(text: str) -> StructureOptions:
+    """A structure with options, such as ``kdtree:traversal=restart``."""
+    name, colon, words = text.partition(":")
+    each = re.split(r",(?![^\[]*\])", words)  # at commas outside of lists
+    given = parse_keywords("--structure", each) if colon else {}
+    try:
+        return options_of(name, given)
+    except (ValueError, TypeError) as error:
+        raise BadInputError(f"--structure: {error}") from error
+
+
+def _check_folder(output: Path) -> None:
+    if not output.parent.is_dir():
+        raise BadInputError(f"{output}: folder {output.parent} does not exist")
+    if output.exists() and not output.is_dir():
+        raise BadInputError(f"{output}: is a file; with --split pages are folders")
+    if output.suffix in (".html", ".htm"):
+        raise BadInputError(f"{output}: with --split pages are folders; give a name without .html")

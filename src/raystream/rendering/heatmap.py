@@ -26,9 +26,9 @@ from raystream.tracer import Tracer
 if TYPE_CHECKING:
     from raystream.machines import Passes, RayCounters
 
-__all__ = ["HEATMAPS", "Heatmap", "PassCost", "RayCost", "heatmap"]
+__all__ = ["HEATMAPS", "Heatmap", "PassCost", "RayCost", "heatmap", "title_of"]
 
-#: The counts that a heat map can show, and their titles; see `_title_of`.
+#: The counts that a heat map can show, and their titles; see `title_of`.
 HEATMAPS: dict[str, str] = {
     "cells": "cells visited",
     "tests": "triangles tested",
@@ -115,7 +115,7 @@ class Heatmap:
         """The count shown, with its mean and maximum per ray."""
         cost = self.costs[self.what]
         mean = f"{cost.mean:,.1f}" if cost.mean >= 10.0 else f"{cost.mean:.3g}"
-        return f"{_title_of(self.what, self.structure)} per ray, mean {mean}, most {cost.most:,}"
+        return f"{title_of(self.what, self.structure)} per ray, mean {mean}, most {cost.most:,}"
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the image to a file, see `Image.save`."""
@@ -269,7 +269,7 @@ def _add_up(passes: list[Passes]) -> PassCost | None:
     return PassCost(sum(map(len, passes)), sum(one.optimal_count for one in passes))
 
 
-def _title_of(what: str, structure: str) -> str:
+def title_of(what: str, structure: str) -> str:
     """Name of the count: cells of structures other than a grid are leaves."""
     is_leaves = what == "cells" and structure != "grid"
     return "leaves visited" if is_leaves else HEATMAPS[what]

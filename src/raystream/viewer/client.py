@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from raystream.core.errors import RaystreamError
+from raystream.viewer.browser_scene import packed_scene
 from raystream.viewer.encoding import Encoder
 from raystream.viewer.frame_renderer import FrameRenderer, FrameRequest
 from raystream.viewer.frame_sender import FrameSender
@@ -26,6 +28,7 @@ from raystream.viewer.scenes import LoadedScene, read_camera
 from raystream.viewer.session import Session
 from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import device_is_free, device_lock
+from raystream.viewer.view_lights import ViewLights
 
 __all__ = ["MAX_NUMBER", "MAX_PIXELS", "MAX_SIDE", "MIN_SIDE", "Client", "WorkerPools"]
 
@@ -91,7 +94,8 @@ class Client:
         self.send = self._sender.send
         self._session = Session(home, settings, pools.long_jobs, self.send, self._on_change)
         self._picks = PickQueue(pools.short_jobs, self.send)
-        self._renderer = FrameRenderer(self._sender.put)
+        self._lights = ViewLights()
+        self._renderer = FrameRenderer(self._sender.put, self._lights)
         self._camera, self._number = home.scene.camera, 0
         self._moving, self._moved_at = False, 0.0
         self._size: tuple[int, int] | None = None
@@ -144,6 +148,21 @@ class Client:
             Name of the scene.
         """
         self._session.open(path, name)
+
+    def packed_scene(self) -> bytes:
+        """Pack the scene for the page's own GPU; may take seconds.
+
+        Raises
+        ------
+        RaystreamError
+            If that is not supported, or the scene is too large or not ready.
+        """
+        settings, prepared = self._session.current
+        if self._has_left or prepared is None:
+            raise RaystreamError("scene: is not ready yet")
+        with self._lock:
+            camera = self._camera
+        return packed_scene(prepared, settings, camera, self._lights)
 
     def leave(self) -> None:
         """Cancel all work for this client, and free its resources."""

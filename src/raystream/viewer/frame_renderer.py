@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from raystream.core.errors import RaystreamWarning
-from raystream.rendering.integrator import RenderContext
 from raystream.rendering.render import RENDERERS
-from raystream.rendering.view_light import kept_choice, lit
 from raystream.scene.camera import Camera
 from raystream.viewer.adaptive_resolution import (
     AdaptiveResolution,
@@ -31,6 +27,7 @@ from raystream.viewer.progressive_images import (
 )
 from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import PreparedTracer
+from raystream.viewer.view_lights import ViewLights
 
 __all__ = ["FrameRenderer", "FrameRequest", "RenderedFrame"]
 
@@ -42,11 +39,8 @@ _MAX_TOTAL, _MAX_REMAINING = 1.0, 0.25
 #: trusted after this many seconds.
 _PREVIEW_SECONDS, _MIN_EVIDENCE = 0.5, 0.05
 
-#: Maximum number of remembered costs, and of choices of lights.
+#: Maximum number of remembered costs.
 _MAX_COSTS = 64
-
-#: Side of the view for which lights are chosen; see `view_light.lit`.
-_TRIAL_SIZE = 64
 
 #: Purpose of the image in progress: a frame of a moving camera; a preview before the full size;
 #: the full size with one sample; or all samples.
@@ -113,14 +107,15 @@ class FrameRenderer:
     ----------
     show : callable
         Receives each finished image, and whether it may be dropped.
+    lights : ViewLights
     """
 
-    def __init__(self, show: Callable[[RenderedFrame, bool], object]) -> None:
+    def __init__(self, show: Callable[[RenderedFrame, bool], object], lights: ViewLights) -> None:
         self._show = show
         self._resolution = AdaptiveResolution()
         self._rate = FrameRate()
         self._costs: dict[Any, Cost] = {}
-        self._lights: dict[Any, str] = {}
+        self._lights = lights
         self.forget()
 
     def forget(self) -> None:
@@ -280,21 +275,6 @@ class FrameRenderer:
             self._costs.clear()
         return self._costs.setdefault(what, Cost())
 
-    def _lit(self, request: FrameRequest, context: RenderContext) -> RenderContext:
-        """The context with the lights that the mode's first view needs: changing ones flicker."""
-        settings = request.settings
-        if settings.heatmap is not None:
-            return context
-        what = request.prepared.key, settings.mode
-        if what not in self._lights:
-            if len(self._lights) >= _MAX_COSTS:
-                self._lights.clear()
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RaystreamWarning)
-                seen = context.seen_by(request.camera, (_TRIAL_SIZE, _TRIAL_SIZE))
-                self._lights[what] = kept_choice(lit(RENDERERS[settings.mode], seen))
-        return replace(context, chosen_lights=self._lights[what])
-
     def _make(self, request: FrameRequest, size: tuple[int, int], purpose: int) -> None:
         """Start an image."""
         settings, cost = (
@@ -302,7 +282,9 @@ class FrameRenderer:
             self._cost(request, is_small=purpose in (_MOVING, _PREVIEW)),
         )
         context = replace(request.prepared.context, options=settings.mode_options)
-        context = self._lit(request, context).seen_by(request.camera, size)
+        if settings.heatmap is None:
+            context = self._lights.lit(request.prepared, settings.mode, context, request.camera)
+        context = context.seen_by(request.camera, size)
         samples = settings.target_samples if purpose == _SAMPLES else 1
         self._purpose = purpose
         if settings.heatmap is not None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from raystream.viewer.browser_scene import browser_support
 from raystream.viewer.jobs import Job, Jobs
 from raystream.viewer.messages import Message, error_text
 from raystream.viewer.scenes import LoadedScene, load_model
@@ -144,7 +145,9 @@ class Session:
         self.current = settings, prepared
         self._send(settings.message())
         if is_other:
-            self.loaded.tracers.describe(prepared, self._send)
+            self.loaded.tracers.describe(
+                prepared, lambda said: self._send(said | {"browser": browser_support(prepared)})
+            )
         self._on_change(None)
 
     def _reject(self, reason: str) -> None:

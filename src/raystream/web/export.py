@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import html
 import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
 from os import PathLike
-from typing import Any
 
-from raystream.core.atomic_write import atomic_write
+import numpy as np
+
 from raystream.core.errors import RaystreamWarning
 from raystream.graphics.rendering.modes import TEXTURES
 from raystream.graphics.shader_source import shader_files
-from raystream.rendering.arguments import check_camera, check_size
+from raystream.rendering.arguments import check_camera, check_size, check_switch
 from raystream.rendering.render import render
 from raystream.scene.camera import Camera
+from raystream.scene.io.colors import byte_colors_to_linear
+from raystream.scene.material import Material
 from raystream.scene.scene import Scene
-from raystream.structures import StructureOptions
+from raystream.structures import StructureOptions, options_of
 from raystream.tracer import Tracer
-from raystream.web.pack import pack
+from raystream.web.pack import packed_bytes
+from raystream.web.page_parts import PageParts, write_file, write_folder
 from raystream.web.scene_data import check_supported, page_scene
+from raystream.web.structure_names import structure_names
 
 __all__ = ["export_page"]
 
@@ -35,14 +36,28 @@ MODULES = (
     "elements.js",
     "gestures.js",
     "pack.js",
+    "page_data.js",
     "geometry.js",
     "shaders.js",
+    "webgpu.js",
     "device.js",
     "queries.js",
+    "boxes.js",
     "view_uniform.js",
+    "walk.js",
+    "walk_panel.js",
     "scene_on_gpu.js",
+    "gpu_clock.js",
     "images.js",
+    "pass_streams.js",
+    "pass_schedule.js",
+    "passes.js",
+    "pass_panel.js",
     "display.js",
+    "address.js",
+    "traced_image.js",
+    "counts.js",
+    "heatmaps.js",
     "exported.js",
 )
 
@@ -64,25 +79,32 @@ def export_page(
     structures: Sequence[str | StructureOptions] | None = None,
     camera: Camera | None = None,
     size: tuple[int, int] = (960, 540),
+    split: bool = False,
 ) -> int:
     """Write a scene as a page that traces it on the visitor's GPU, by WebGPU.
 
-    The page is one file, which opens from disk or any server and needs no network. It has the
-    scene's triangles, materials and lights, structures as they were built here, and the shaders of
-    ``device="graphics"``. Where there is no WebGPU it shows an image that was rendered here.
+    The page is one file, which opens from disk or any server and needs no network; or a folder of
+    files for a server. It has the scene's triangles, materials and lights, structures as they were
+    built here, and the shaders of ``device="graphics"``. Where there is no WebGPU it shows an image
+    that was rendered here.
 
     Parameters
     ----------
     scene : Scene or Tracer
     path : path
-        Of the page, such as ``"page.html"``.
+        Of the page, such as ``"page.html"``; with `split` of a folder, whose files are replaced.
     structures : sequence of str or StructureOptions
-        The structures to choose from, of different names; the first one is first seen
-        [default: ``["bvh"]``]. A tracer has its own.
+        The structures to choose from; the first one is first seen [default: ``["bvh"]``]. Several
+        may be of one kind with different options, such as the traversals of a kd-tree: arrays that
+        are equal are kept once. A tracer has its own.
     camera : Camera, optional
         The first view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     size : (int, int)
         Of the image for visitors without WebGPU.
+    split : bool
+        Write a folder with ``index.html``, its script, style, image and data, for large scenes: it
+        takes three quarters of the bytes, and browsers keep what has not changed. Browsers open
+        it from a server only.
 
     Returns
     -------
@@ -96,7 +118,7 @@ def export_page(
     ValueError, TypeError
         If an argument is wrong.
     OSError
-        If the file cannot be written.
+        If a file cannot be written.
 
     Warns
     -----
@@ -114,6 +136,7 @@ def export_page(
     """
     width, height = check_size(size)
     check_camera(camera)
+    check_switch("split", split)
     if isinstance(scene, Tracer):
         if structures is not None:
             raise ValueError("structures: a tracer has its own; pass its scene to choose others")
@@ -134,26 +157,29 @@ def export_page(
     seen = camera or found.camera_for(width / height)
     image = render(tracers[0], "raycast", (width, height), samples=4, camera=seen)
     manifest = {**made.manifest, "shaders": shader_files(made.shaders)}
-    content = _page(found.name, pack(manifest, made.arrays), image.to_png()).encode()
-    with atomic_write(path) as file:
-        file.write_bytes(content)
-    return len(content)
+    parts = PageParts(
+        title=found.name or "raystream",
+        template=_text("exported.html"),
+        style="\n".join(map(_text, STYLES)),
+        script=_script(),
+        image=image.to_png(),
+        data=packed_bytes(manifest, made.arrays),
+    )
+    return write_folder(path, parts) if split else write_file(path, parts)
 
 
 def _checked(
     structures: Sequence[str | StructureOptions] | None,
-) -> Sequence[str | StructureOptions]:
+) -> Sequence[StructureOptions]:
     if structures is None:
-        return ["bvh"]
+        return [options_of("bvh")]
     if isinstance(structures, (str, StructureOptions)):
         raise TypeError(f"structures: expected a list, such as [{structures!r}]")
     if not structures:
         raise ValueError("structures: expected at least one")
-    names = [one if isinstance(one, str) else one.name for one in structures]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"structures: expected different ones, got {name!r} twice")
-    return structures
+    wanted = [options_of(one) for one in structures]
+    structure_names(wanted)
+    return wanted
 
 
 def _with_known_textures(scene: Scene) -> Scene:
@@ -166,30 +192,19 @@ def _with_known_textures(scene: Scene) -> Scene:
         RaystreamWarning,
         stacklevel=3,
     )
-    materials = [
-        replace(one, textures={k: v for k, v in one.textures.items() if k in TEXTURES})
-        for one in scene.materials
-    ]
-    return scene.replace(materials=materials)
+    return scene.replace(materials=[_with_known(one) for one in scene.materials])
 
 
-def _page(title: str, data: str, png: bytes) -> str:
-    script, style = _script(), "\n".join(map(_text, STYLES))
-    preview = "data:image/png;base64," + base64.b64encode(png).decode("ascii")
-    policy = (
-        "default-src 'none'; img-src data:; "
-        f"script-src '{_hash(script)}'; style-src '{_hash(style)}'; base-uri 'none'; "
-        "form-action 'none'"
-    )
-    parts: dict[str, Any] = {
-        "policy": policy,
-        "title": html.escape(title or "raystream"),
-        "style": style,
-        "script": script,
-        "preview": preview,
-        "data": data,
-    }
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match.group(1)], _text("exported.html"))
+def _with_known(material: Material) -> Material:
+    """What glows by a texture that is left out has its mean."""
+    kept = {role: one for role, one in material.textures.items() if role in TEXTURES}
+    if len(kept) == len(material.textures):
+        return material
+    red, green, blue = material.emission
+    if (texture := material.textures.get("emission")) is not None:
+        means = byte_colors_to_linear(texture.pixels()[..., :3]).mean(axis=(0, 1), dtype=np.float64)
+        red, green, blue = (float(one) for one in means * material.emission)
+    return replace(material, textures=kept, emission=(red, green, blue))
 
 
 def _script() -> str:
@@ -201,11 +216,6 @@ def _module(name: str) -> str:
     text = _IMPORT.sub(r'const \1 = modules["\2"];\n', _text(name))
     names = ", ".join(_EXPORT.findall(text))
     return f'modules["{name}"] = (() => {{\n{_EXPORT.sub(r"", text)}return {{{names}}};\n}})();'
-
-
-def _hash(text: str) -> str:
-    digest = hashlib.sha256(text.encode()).digest()
-    return f"sha256-{base64.b64encode(digest).decode('ascii')}"
 
 
 def _text(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Packing arrays into the text of a page, and out again in JavaScript; see ``page/pack.js``."""
+"""Packing arrays into text or bytes, and out again in JavaScript; see ``page/pack.js``."""
 
 from __future__ import annotations
 
@@ -11,14 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["pack"]
+__all__ = ["pack", "packed_bytes"]
 
 #: Format of the packed text; the page refuses others.
 VERSION = 1
 
 
 def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Pack named arrays and what describes them, in Base64.
+    """Pack named arrays and what describes them, in Base64; see `packed_bytes`."""
+    return base64.b64encode(packed_bytes(manifest, arrays)).decode("ascii")
+
+
+def packed_bytes(
+    manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, level: int = 9
+) -> bytes:
+    """Pack named arrays and what describes them.
 
     The bytes of each array's words are sorted by significance, those of integers after
     subtracting their predecessor: neighbours are alike, so they compress better. What follows is
@@ -30,6 +37,8 @@ def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str
         Of what JSON has: numbers are finite.
     arrays : mapping of str to ndarray
         Of four-byte numbers, with any shape.
+    level : int
+        Of compression: 1 is the fastest, 9 the smallest.
     """
     entries, parts = {}, []
     for name, array in arrays.items():
@@ -46,9 +55,8 @@ def pack(manifest: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str
     ).encode()
     whole = len(head).to_bytes(4, "little") + head + content
     whole = zlib.crc32(whole).to_bytes(4, "little") + whole
-    deflater = zlib.compressobj(9, zlib.DEFLATED, -15)
-    packed = deflater.compress(whole) + deflater.flush()
-    return base64.b64encode(packed).decode("ascii")
+    deflater = zlib.compressobj(level, zlib.DEFLATED, -15)
+    return deflater.compress(whole) + deflater.flush()
 
 
 def _sorted_bytes(words: NDArray[Any]) -> bytes:

@@ -25,6 +25,9 @@ from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 from raystream.web.geometry import structure_arrays, triangle_arrays
+from raystream.web.heatmaps import COUNTS, counts_of, ramp_words
+from raystream.web.pass_kernels import pass_files, pass_kernels, schedule
+from raystream.web.structure_names import structure_names
 
 __all__ = ["MODES", "PageScene", "check_supported", "page_scene"]
 
@@ -73,7 +76,13 @@ def check_supported(tracer: Tracer, camera: Camera) -> None:
         raise RaystreamError(f"export: the shaders of pages do not support {reason}")
 
 
-def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int]) -> PageScene:
+def page_scene(
+    tracers: Sequence[Tracer],
+    camera: Camera,
+    size: tuple[int, int],
+    *,
+    contexts: Mapping[str, RenderContext] | None = None,
+) -> PageScene:
     """Collect what a page needs of a supported scene; see `check_supported`.
 
     Parameters
@@ -83,6 +92,8 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
     camera : Camera
     size : (int, int)
         Of the image whose light decides whether lights are added.
+    contexts : mapping of str to RenderContext, optional
+        Of each mode, with its options and lights [default: those of `render`].
     """
     scene = tracers[0].scene
     arrays: dict[str, NDArray[Any]] = dict(triangle_arrays(scene.triangles, scene.attributes.faces))
@@ -91,34 +102,38 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
     shrink = max(*size, _TRIAL_SIZE) / _TRIAL_SIZE
     trial = max(int(size[0] / shrink), 1), max(int(size[1] / shrink), 1)
     for name in MODES:
-        context = _context(tracers[0], camera, trial, name)
-        context = lit(RENDERERS[name], context)
+        if contexts is None:
+            context = lit(RENDERERS[name], _context(tracers[0], camera, trial, name))
+        else:
+            context = contexts[name]
         mode = mode_of(RENDERERS[name].stages)
         assert mode is not None
         if not modes_made:
             arrays.update(_surfaces(context))
-        key = _add_lights(arrays, name, _lights(context, mode))
-        uniform = shading_uniform(context, mode, BandPlace(0, 0, 0, 1))
-        arrays[f"shading {name}"] = np.frombuffer(uniform, np.uint32)
-        modes_made[name] = _mode(context, mode, key)
+        modes_made[name] = _add_mode(arrays, name, context, mode)
         files.add(mode.shader)
+    context = _context(tracers[0], camera, trial, MODES[0])
+    modes_made["heatmap"] = _add_mode(arrays, "heatmap", context, COUNTS)
+    arrays["ramp"] = ramp_words()
     structures = {}
-    for tracer in tracers:
+    names = structure_names([one.structure.options for one in tracers])
+    for name, tracer in zip(names, tracers, strict=True):
         shaders = shader_structure_of(tracer.structure)
         how, own = structure_arrays(tracer.structure, shaders)
-        name = tracer.structure.name
-        arrays.update({f"{name} {key}": one for key, one in own.items()})
         structures[name] = {
             "how": how,
-            "arrays": list(own),
+            "counts": counts_of(tracer.structure.name),
+            "arrays": [_add_array(arrays, f"{name} {key}", one) for key, one in own.items()],
             "shader": shaders.shader,
             "tree": np.frombuffer(shaders.tree, np.uint32).tolist(),
             "budget": shaders.budget,
             "constants": shaders.constants,
             "sizes": shaders.sizes,
             "instead": shaders.instead,
+            "passes": pass_kernels(tracer.structure),
         }
         files |= {shaders.shader, *shaders.instead.values()}
+        files |= pass_files(structures[name]["passes"]) if structures[name]["passes"] else set()
     frame = scene.triangles
     manifest = {
         "camera": {
@@ -135,6 +150,7 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
         },
         "modes": modes_made,
         "structures": structures,
+        "schedule": schedule(),
         "samples": SAMPLES,
     }
     return PageScene(manifest, arrays, frozenset(files))
@@ -142,8 +158,11 @@ def page_scene(tracers: Sequence[Tracer], camera: Camera, size: tuple[int, int])
 
 #: Files that replace others, which no file includes.
 _SHARED = (
+    COUNTS.shader,
     "page/accumulate.wgsl",
     "page/show.wgsl",
+    "page/show_counts.wgsl",
+    "page/walk.wgsl",
     "no_hit_rows.wgsl",
     "rendering/no_corners.wgsl",
     "rendering/path_rows.wgsl",
@@ -169,6 +188,26 @@ def _lights(context: RenderContext, mode: Mode) -> NDArray[np.float32]:
     return light_samples(context) if mode.samples_lights else punctual_rows(context).reshape(-1)
 
 
+def _add_mode(
+    arrays: dict[str, NDArray[Any]], name: str, context: RenderContext, mode: Mode
+) -> dict[str, Any]:
+    """Add what a mode's shaders read; returns what describes it."""
+    lights = _add_lights(arrays, name, _lights(context, mode))
+    uniform = shading_uniform(context, mode, BandPlace(0, 0, 0, 1))
+    arrays[f"shading {name}"] = np.frombuffer(uniform, np.uint32)
+    return _mode(context, mode, lights)
+
+
+def _add_array(arrays: dict[str, NDArray[Any]], name: str, array: NDArray[Any]) -> str:
+    """Add an array, which may be one of a structure before; returns its name."""
+    for known, other in arrays.items():
+        is_like = other.dtype == array.dtype and other.size == array.size
+        if is_like and other.tobytes() == array.tobytes():
+            return known
+    arrays[name] = array
+    return name
+
+
 def _add_lights(arrays: dict[str, NDArray[Any]], mode: str, lights: NDArray[np.float32]) -> str:
     """Add a mode's lights, which may be those of a mode before; returns their name."""
     for name, known in arrays.items():
@@ -192,6 +231,7 @@ def _mode(context: RenderContext, mode: Mode, lights: str) -> dict[str, Any]:
         "lights": lights,
         "headlight": headlight,
         "branches": mode.branches(context),
+        "spawns": mode.spawns(context),
         "constants": {
             "LAST_BOUNCE": mode.last_bounce(context),
             "SAMPLER": context.sampler.kind,

@@ -8,6 +8,7 @@
 
 const ROOT: i32 = 0;
 
+//! include "visits.wgsl"
 //! include "bvh_boxes.wgsl"
 //! include "bvh_leaf.wgsl"
 //! include "bvh_stack.wgsl"
@@ -34,6 +35,7 @@ fn next_child() -> Child {
 
 // Push the children of a node that a ray enters, the nearest on top.
 fn visit(ray: Ray, node: i32) {
+    visited(BOXES, u32(node));
     tally.steps += 1u;
     var entered = entered_children(ray, node);
     for (var left = 8u; left != 0u; left--) {

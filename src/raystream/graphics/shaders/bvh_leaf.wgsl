@@ -20,9 +20,10 @@ fn is_leaf(link: i32) -> bool {
 
 // All slots of a leaf's blocks.
 fn leaf_slots(link: i32) -> Slots {
-    tally.leaves += 1u;
     let bits = u32(~link);
     let first = bits >> 3u;
+    visited(LEAF, first);
+    tally.leaves += 1u;
     return Slots(BLOCK_SIZE * first, BLOCK_SIZE * (first + (bits & 7u) + 1u));
 }
 

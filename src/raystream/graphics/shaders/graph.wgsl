@@ -23,6 +23,7 @@ struct Tree {
 
 //! include "leaf_in_interval.wgsl"
 //! include "plane_distances.wgsl"
+//! include "visits.wgsl"
 //! include "graph/steps.wgsl"
 //! include "graph/start.wgsl"
 
@@ -35,6 +36,7 @@ fn search(ray: Ray) {
     var sector = start_sector(line, ray, part.t_in);
     var t_in = part.t_in;
     while spend_budget() {
+        visited(SECTOR, sector);
         tally.steps += 1u;
         let way = way_out(line, sector);
         let t_out = min(way.t, part.t_out);

@@ -26,6 +26,7 @@ const NO_CHILD: i32 = -1;
 
 //! include "vertices.wgsl"
 //! include "dda.wgsl"
+//! include "visits.wgsl"
 
 // The references of a cell.
 struct List {
@@ -114,6 +115,7 @@ fn visit_fine(ray: Ray, cell: i32, child: i32, start: f32, t_end: f32) {
     var t_in = start;
     while spend_budget() {
         let t_out = min(cell_end(walk), t_end);
+        visited(FINE_CELL, lattices[child].x + u32(walk.cell));
         tally.steps += 1u;
         test_list(ray, fine_list(child, walk.cell), true, t_in, t_out);
         if is_over(t_out) || t_out >= t_end {
@@ -136,6 +138,7 @@ fn search(ray: Ray) {
     var t_in = part.t_in;
     while spend_budget() {
         let t_out = cell_end(walk);
+        visited(CELL, u32(walk.cell));
         tally.steps += 1u;
         let list = coarse_list(walk.cell);
         if list.begin != list.end {

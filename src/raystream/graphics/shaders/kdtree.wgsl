@@ -13,6 +13,7 @@ struct Tree {
 
 //! include "leaf_in_interval.wgsl"
 //! include "plane_distances.wgsl"
+//! include "visits.wgsl"
 //! include "kdtree/state.wgsl"
 //! include "kdtree/compact.wgsl"
 //! include "kdtree/steps.wgsl"
@@ -26,9 +27,11 @@ fn search(ray: Ray) {
     let line = plane_ray(ray);
     while spend_budget() {
         while !is_at_leaf(state) && spend_budget() {
+            visited(SPLIT, state.node);
             state = descend(line, state);
             tally.steps += 1u;
         }
+        visited(LEAF, state.node);
         tally.leaves += 1u;
         let triangles = leaf(state);
         test_blocks(ray, triangles.block, triangles.triangle_count, state.t_in, state.t_out);

@@ -1,6 +1,7 @@
 // Main: assembles the page, and communicates with the server.
 
 import * as urlState from "./url_state.js";
+import {BrowserDevice} from "./browser_device.js";
 import {Connection} from "./connection.js";
 import {byId} from "./elements.js";
 import {Figures} from "./figures.js";
@@ -8,6 +9,7 @@ import {Gestures} from "./gestures.js";
 import {HitsPanel} from "./hits.js";
 import {Keys} from "./keys.js";
 import {Models} from "./models.js";
+import {loadScene} from "./scene_request.js";
 import {Panels} from "./panels.js";
 import {Picking} from "./picking.js";
 import {FrameCanvas} from "./frame_canvas.js";
@@ -27,6 +29,7 @@ const figures = new Figures();
 const seen = new Map(); // views by camera number
 let wanted = urlState.read(location.hash); // state to restore with the next scene
 let line = null;
+let served = null; // header of the server's last frame
 let isWelcome = false; // hello has been received
 let screenshots = 0;
 let writing = null;
@@ -39,11 +42,16 @@ const controller = new CameraController({
     if (seen.size > KEPT_VIEWS) seen.delete(seen.keys().next().value);
     send(message);
   },
-  changed: () => writeAddress(),
+  changed() {
+    browser.update();
+    writeAddress();
+  },
 });
 const frameCanvas = new FrameCanvas(byId("picture"), (header, isDrawn) => {
   send({type: "shown", frame: header.number});
   if (isDrawn) byId("stage").dataset.frame = header.number;
+  served = header;
+  if (browser.isShowing) return;
   // A frame from before its camera was numbered belongs to the current view.
   const view = seen.get(header.camera) || controller.view;
   if (isDrawn && view) picking.follow(view);
@@ -51,7 +59,8 @@ const frameCanvas = new FrameCanvas(byId("picture"), (header, isDrawn) => {
 });
 const views = new Views(controller, frameCanvas, (width, height) => send({type: "size", width, height}));
 const settings = new Settings(byId("settings"), changed => {
-  send({type: "settings", ...changed});
+  if (Object.keys(changed).length) send({type: "settings", ...changed});
+  if (settings.isByBrowser !== browser.isChosen) browser.choose(settings.isByBrowser);
   writeAddress();
 });
 const panel = new HitsPanel({
@@ -67,7 +76,32 @@ const picking = new Picking({
   missed: () => toasts.show("Nothing to orbit around at this point."),
 });
 const work = new ProgressBar(() => models.cancel());
+const browser = new BrowserDevice(byId("traced"), {
+  load: () => loadScene(models.uploads.key),
+  seen() {
+    const {width, height} = frameCanvas.canvas;
+    return {view: controller.view, size: [width, height]};
+  },
+  offer: (reason, note) => settings.offerBrowser(reason, note),
+  showing(is) {
+    pauseServer();
+    if (!is && served) figures.drew(served, false);
+  },
+  drawn(header, view) {
+    byId("stage").dataset.frame = "browser";
+    picking.follow(view);
+    figures.drew(header, true);
+  },
+  loading: is => work.show("browser", "Loading the scene into this browser", is ? undefined : null),
+  tell: text => toasts.show(text),
+  failed: text => toasts.error(text),
+});
 const models = new Models({send, error: text => toasts.error(text)}, work);
+
+/** The server renders for a page that is seen, and does not trace by itself. */
+function pauseServer() {
+  send({type: "pause", paused: document.hidden || browser.isShowing});
+}
 
 /** The user moves the camera: the view is no longer one of the scene's cameras. */
 function fly(how) {
@@ -135,13 +169,18 @@ byId("aim").onclick = () => {
 byId("screenshot").onclick = takeScreenshot;
 byId("retry").onclick = () => line.retry();
 
-function takeScreenshot() {
-  screenshots += 1;
-  send({type: "screenshot", number: screenshots});
+async function takeScreenshot() {
+  const number = ++screenshots;
+  if (!browser.isShowing) {
+    send({type: "screenshot", number});
+    return;
+  }
+  const {width, height} = browser.canvas;
+  saveScreenshot({number, width, height}, await browser.image.toFile());
 }
 
-function saveScreenshot(header, bytes) {
-  const place = URL.createObjectURL(new Blob([bytes], {type: header.format}));
+function saveScreenshot(header, file) {
+  const place = URL.createObjectURL(file);
   const link = document.createElement("a");
   const name = (views.scene ? views.scene.name : "picture").replace(/[^\w.-]+/g, "_");
   link.href = place;
@@ -156,7 +195,7 @@ function writeAddress() {
   writing = setTimeout(() => {
     if (!views.scene || !controller.view) return;
     const said = {
-      scene: views.scene.name, camera: toCamera(controller.view), settings: settings.chosen,
+      scene: views.scene.name, camera: toCamera(controller.view), settings: settings.said,
       size: views.choice,
     };
     history.replaceState(null, "", urlState.write(said));
@@ -176,11 +215,12 @@ const ANSWERS = {
     views.chooseSize(wanted.size);
     const {width, height} = frameCanvas.canvas;
     send({type: "size", width, height});
-    send({type: "pause", paused: document.hidden});
+    pauseServer();
     models.again();
   },
   scene(message) {
     views.take(message);
+    browser.takeScene();
     const isWanted = wanted.camera && wanted.scene === message.name;
     views.begin(isWanted ? wanted.camera : null);
     if (isWanted || !models.files) wanted.camera = null;
@@ -189,7 +229,10 @@ const ANSWERS = {
     models.loaded(message);
   },
   devices: message => settings.offerDevices(message.devices),
-  structure: message => figures.showStructure(message),
+  structure(message) {
+    figures.showStructure(message);
+    browser.takeStructure(message);
+  },
   settings(message) {
     if (message.refused) {
       toasts.error(message.refused);
@@ -197,6 +240,7 @@ const ANSWERS = {
       writeAddress();
     }
     settings.show(message);
+    browser.takeSettings(message);
   },
   progress: message => work.show("server", message.what, message.done, models.isLoading),
   hits(message) {
@@ -219,7 +263,7 @@ const ANSWERS = {
 function lose(seconds, reason) {
   if (isWelcome && views.scene) {
     wanted = {
-      scene: views.scene.name, camera: toCamera(controller.view), settings: {...settings.chosen},
+      scene: views.scene.name, camera: toCamera(controller.view), settings: settings.said,
       size: views.choice,
     };
   }
@@ -233,7 +277,7 @@ function lose(seconds, reason) {
 }
 
 document.addEventListener("visibilitychange", () => {
-  send({type: "pause", paused: document.hidden});
+  pauseServer();
   if (!document.hidden) line.retry();
 });
 addEventListener("hashchange", () => {
@@ -251,7 +295,7 @@ line = new Connection(live, {
   open() {},
   text: message => (ANSWERS[message.type] || (() => {}))(message),
   image(header, bytes) {
-    if (header.type === "screenshot") saveScreenshot(header, bytes);
+    if (header.type === "screenshot") saveScreenshot(header, new Blob([bytes], {type: header.format}));
     else frameCanvas.take(header, bytes);
   },
   lost: lose,

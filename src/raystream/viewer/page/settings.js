@@ -10,15 +10,18 @@ const STRUCTURE_NAMES = {
   bvh: "BVH", kdtree: "k-d tree", graph: "Graph", grid: "Grid", brute: "Brute force",
 };
 const DEVICE_NAMES = {cpu: "CPU", cuda: "CUDA", graphics: "Graphics"};
+const BROWSER = "browser"; // a device of the page, which the server does not know
 
 export class Settings {
-  /** `changed(settings)` is called with the user's changes, by name. */
+  /** `changed(settings)` is called with the user's changes for the server, by name. */
   constructor(form, changed) {
     this.form = form;
     this.changed = changed;
     this.hello = null;
     this.current = {};
     this.chosen = {};
+    this.isByBrowser = false; // traced by this browser, not by the server's device
+    this.browserReason = null; // why it cannot be, for what is chosen
     this.typed = new Set(); // fields being edited
     form.addEventListener("submit", event => event.preventDefault());
     form.addEventListener("input", event => this.typed.add(event.target.name));
@@ -53,19 +56,37 @@ export class Settings {
 
   /** Fill the device menu; availability is known a moment after the rest. */
   offerDevices(devices) {
-    const field = this.field("device");
-    const {value} = field;
     this.hello.devices = devices;
-    fillSelect(field, devices.map(({name}) => [name, DEVICE_NAMES[name] || name]));
-    for (const {name, available, reason} of devices) {
-      const option = [...field.options].find(one => one.value === name);
-      option.disabled = available === false;
-      option.title = reason || "";
-      if (available === false) option.textContent += " (unavailable)";
-    }
-    const reasons = devices.filter(one => one.available === false && one.reason);
-    field.title = reasons.map(one => `${one.name}: ${one.reason}`).join("\n");
-    if (value) field.value = value;
+    const named = devices.map(one => ({...one, text: DEVICE_NAMES[one.name] || one.name}));
+    const reason = this.browserReason;
+    named.push({name: BROWSER, text: "This browser", available: !reason, reason});
+    const isMissing = one => one.available === false;
+    const field = this.field("device");
+    fillSelect(field, named.map(one =>
+      [one.name, isMissing(one) ? `${one.text} (unavailable)` : one.text]));
+    named.forEach((one, index) => {
+      const option = field.options[index];
+      // The browser may be chosen for what it will be able to trace.
+      option.disabled = isMissing(one) && one.name !== BROWSER;
+      option.title = one.reason || "";
+    });
+    const reasons = named.filter(one => isMissing(one) && one.reason);
+    field.title = reasons.map(one => `${one.text}: ${one.reason}`).join("\n");
+    this.showDevice();
+  }
+
+  /** Show why this browser cannot trace what is chosen, or null, and a note on it. */
+  offerBrowser(reason, note) {
+    const says = this.form.querySelector("#device-says");
+    if (says.textContent !== note) says.textContent = note;
+    if (reason === this.browserReason || !this.hello) return;
+    this.browserReason = reason;
+    this.offerDevices(this.hello.devices);
+  }
+
+  showDevice() {
+    const device = this.isByBrowser ? BROWSER : this.current.device;
+    if (device) this.field("device").value = device;
   }
 
   /** Show the effective settings. */
@@ -76,11 +97,13 @@ export class Settings {
       const select = this.field(name);
       const choices = possible[name] || this.known(name);
       fillSelect(select, choices.map(one => [one, words(one)]));
-      this.offerField(name, choices.length > (name === "machine" ? 0 : 1));
+      const isServer = name === "traversal" || !this.isByBrowser;
+      this.offerField(name, isServer && choices.length > (name === "machine" ? 0 : 1));
     }
-    for (const name of ["mode", "structure", "traversal", "machine", "scheduler", "device", "tone", "heatmap"]) {
+    for (const name of ["mode", "structure", "traversal", "machine", "scheduler", "tone", "heatmap"]) {
       this.field(name).value = settings[name] ?? AUTOMATIC;
     }
+    this.showDevice();
     for (const name of NUMBERS) {
       const field = this.field(name);
       if (!this.typed.has(name)) field.value = settings[name] ?? this.chosen[name] ?? "";
@@ -128,14 +151,24 @@ export class Settings {
     this.choose({[name]: value});
   }
 
+  /** What the user has chosen, to be restored. */
+  get said() {
+    return this.isByBrowser ? {...this.chosen, device: BROWSER} : {...this.chosen};
+  }
+
   /** Request settings, and remember them as the user's choice. */
   choose(settings) {
+    const {device, ...others} = settings;
+    const wasByBrowser = this.isByBrowser;
+    if (device !== undefined) this.isByBrowser = device === BROWSER;
+    if (this.isByBrowser) settings = others;
     // Dependent settings are reset.
     if ("structure" in settings) delete this.chosen.traversal;
     if ("device" in settings) delete this.chosen.machine;
     if ("device" in settings || "machine" in settings) delete this.chosen.scheduler;
     Object.assign(this.chosen, settings);
     this.changed(settings);
+    if (this.isByBrowser !== wasByBrowser && this.current.mode) this.show(this.current);
   }
 
   /** Request the settings remembered in a URL or from a lost connection, as far as they exist. */
@@ -145,7 +178,7 @@ export class Settings {
       const {modes, structures, devices, tones, heatmaps} = this.hello;
       const known = {
         mode: modes.map(one => one.name), structure: structures.map(one => one.name), tone: tones,
-        device: devices.filter(one => one.available !== false).map(one => one.name),
+        device: [BROWSER, ...devices.filter(one => one.available !== false).map(one => one.name)],
         heatmap: [null, ...Object.keys(heatmaps)],
       }[name];
       if (!known || known.includes(value)) kept[name] = value;

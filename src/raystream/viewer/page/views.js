@@ -104,8 +104,10 @@ export class Views {
     if (!room.width || !room.height) return;
     const {width, height, shown} = sizeFor(this.choice, room, devicePixelRatio, this.limits);
     const {canvas} = this.frameCanvas;
-    canvas.style.width = `${shown[0]}px`;
-    canvas.style.height = `${shown[1]}px`;
+    for (const {style} of [canvas, byId("traced")]) {
+      style.width = `${shown[0]}px`;
+      style.height = `${shown[1]}px`;
+    }
     if (canvas.width === width && canvas.height === height) return;
     this.frameCanvas.resize(width, height);
     this.resized(width, height);

@@ -12,6 +12,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from raystream.viewer.server.access import Access
+from raystream.viewer.server.browser_scene import SceneSender
 from raystream.viewer.server.connections import Connections
 from raystream.viewer.server.guard import Guard
 from raystream.viewer.server.page_files import INDEX, read_page_files
@@ -39,7 +40,8 @@ def make_app(service: RenderService, connections: Connections, access: Access) -
     Returns
     -------
     ASGI application
-        ``GET /``, ``GET /page/NAME``, ``PUT /uploads/ID/NAME`` and the websocket ``/live``;
+        ``GET /``, ``GET /page/NAME``, ``GET /scene``, ``PUT /uploads/ID/NAME`` and the websocket
+        ``/live``;
         everything else is 404.
     """
     files = read_page_files()
@@ -59,6 +61,7 @@ def make_app(service: RenderService, connections: Connections, access: Access) -
     routes = [
         Route("/", page, methods=["GET"]),
         Route("/page/{name}", page, methods=["GET"]),
+        Route("/scene", SceneSender(connections).send, methods=["GET"]),
         Route("/uploads/{upload}/{name}", upload, methods=["PUT"]),
         WebSocketRoute("/live", socket),
     ]

@@ -24,6 +24,10 @@ MEDIA_TYPES = {
 }
 
 
+#: Files of exported pages only begin with this.
+_EXPORTED = "exported."
+
+
 class PageFile(NamedTuple):
     """A static file of the page."""
 
@@ -34,12 +38,15 @@ class PageFile(NamedTuple):
 def read_page_files() -> Mapping[str, PageFile]:
     """Read the page's files, by name; the server reads nothing else from disk.
 
-    Those that exported pages have, too, are in a folder of `raystream.web`.
+    Those that exported pages have, too, are in folders of `raystream.web`.
     """
     found = {}
-    for room, folder in (("raystream.web", "shared"), ("raystream.viewer", "page")):
+    folders = (("raystream.web", "page"), ("raystream.web", "shared"), ("raystream.viewer", "page"))
+    for room, folder in folders:
         for file in sorted(files(room).joinpath(folder).iterdir(), key=lambda one: one.name):
             media_type = MEDIA_TYPES.get(file.name[file.name.rfind(".") :])
+            if file.name.startswith(_EXPORTED):
+                continue
             if media_type is not None and file.is_file():
                 found[file.name] = PageFile(file.read_bytes(), media_type)
     return found

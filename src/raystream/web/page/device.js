@@ -2,6 +2,7 @@
 
 import {PageError} from "./pack.js";
 import {TEXELS, TEXTURE_WIDTH} from "./shaders.js";
+import {missingWebGpu} from "./webgpu.js";
 
 const KINDS = {
   uniform: {buffer: {type: "uniform"}},
@@ -12,8 +13,11 @@ const KINDS = {
 /** Limits that are asked for where the adapter offers more than the least. */
 const LIMITS = [
   "maxStorageBuffersPerShaderStage", "maxStorageBufferBindingSize", "maxBufferSize",
-  "maxTextureDimension2D",
+  "maxTextureDimension2D", "maxColorAttachments", "maxColorAttachmentBytesPerSample",
 ];
+
+/** Features that are asked for where the adapter has them. */
+const FEATURES = ["timestamp-query"];
 
 /** Milliseconds that an error may precede the report that the GPU is lost. */
 const REPORTED_WITHIN = 500;
@@ -23,15 +27,13 @@ const FIRST = 1 << 10, SECONDS = 0.07, GROWTH = 8;
 
 export class Gpu {
   static async open() {
-    if (!navigator.gpu) {
-      const why = isSecureContext ? "This browser has no WebGPU"
-        : "Browsers offer WebGPU only to pages from disk, from this computer or by HTTPS";
-      throw new PageError(`${why}. The image was rendered beforehand.`);
-    }
+    const missing = missingWebGpu();
+    if (missing) throw new PageError(missing);
     const adapter = await navigator.gpu.requestAdapter({powerPreference: "high-performance"});
-    if (!adapter) throw new PageError("No GPU was found. The image was rendered beforehand.");
+    if (!adapter) throw new PageError("No GPU was found.");
     const requiredLimits = Object.fromEntries(LIMITS.map(name => [name, adapter.limits[name]]));
-    return new Gpu(adapter, await adapter.requestDevice({requiredLimits}));
+    const requiredFeatures = FEATURES.filter(name => adapter.features.has(name));
+    return new Gpu(adapter, await adapter.requestDevice({requiredFeatures, requiredLimits}));
   }
 
   constructor(adapter, device) {
@@ -39,6 +41,7 @@ export class Gpu {
     this.name = adapter.info.description || adapter.info.architecture || adapter.info.vendor;
     this.modules = new Map();
     this.layouts = new Map();
+    this.kept = new Map();
     this.isLost = false;
     this.loss = device.lost.then(() => { this.isLost = true; });
   }
@@ -119,6 +122,11 @@ export class Gpu {
       [TEXTURE_WIDTH, texture.height]);
   }
 
+  /** A resource of a kind for an array, made once: structures share arrays. */
+  shared(kind, array, makeOne) {
+    return cached(cached(this.kept, kind, () => new Map()), array, makeOne);
+  }
+
   /** The kind of a bind group's entry that is a texture. */
   kindOf(element) {
     return TEXELS[element].sampleType;
@@ -129,7 +137,7 @@ export class Gpu {
     const key = kinds.join();
     if (!this.layouts.has(key)) {
       const entries = kinds.map((kind, binding) => ({
-        binding, visibility: GPUShaderStage.COMPUTE,
+        binding, visibility: GPUShaderStage.COMPUTE | GPUShaderStage.FRAGMENT,
         ...(KINDS[kind] ?? {texture: {sampleType: kind}}),
       }));
       this.layouts.set(key, this.device.createBindGroupLayout({entries}));
@@ -139,21 +147,31 @@ export class Gpu {
 
   bind(kinds, resources) {
     const entries = resources.map((one, binding) => ({
-      binding, resource: one instanceof GPUBuffer ? {buffer: one} : one.createView(),
+      binding,
+      resource: one instanceof GPUBuffer ? {buffer: one}
+        : one instanceof GPUTexture ? one.createView() : one,
     }));
     return this.device.createBindGroup({layout: this.layout(kinds), entries});
   }
 
   /** A compute pipeline: {source, entry, layouts, constants}. */
   async pipeline({source, entry, layouts, constants}) {
+    return this.device.createComputePipelineAsync({
+      layout: this.pipelineLayout(layouts),
+      compute: {module: this.module(source), entryPoint: entry, constants},
+    });
+  }
+
+  module(source) {
     if (!this.modules.has(source)) {
       this.modules.set(source, this.device.createShaderModule({code: source}));
     }
+    return this.modules.get(source);
+  }
+
+  pipelineLayout(layouts) {
     const groups = layouts.map(kinds => this.layout(kinds));
-    return this.device.createComputePipelineAsync({
-      layout: this.device.createPipelineLayout({bindGroupLayouts: groups}),
-      compute: {module: this.modules.get(source), entryPoint: entry, constants},
-    });
+    return this.device.createPipelineLayout({bindGroupLayouts: groups});
   }
 
   /** Arrays as textures, for the declarations of `gatherArrays`: {kinds, resources}. */
@@ -161,7 +179,8 @@ export class Gpu {
     const kinds = [], resources = [];
     for (const {binding, name, element} of declared) {
       kinds[binding] = this.kindOf(element);
-      resources[binding] = this.texture(name, arrays[name], element);
+      resources[binding] = this.shared(element, arrays[name],
+        () => this.texture(name, arrays[name], element));
     }
     return {kinds, resources};
   }

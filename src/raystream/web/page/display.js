@@ -2,6 +2,7 @@
 
 import {shaderSource} from "./shaders.js";
 
+const EXPOSURE_AT = 12; // bytes, in the uniform of picture.wgsl
 const KINDS = ["uniform", "gather", "scatter"];
 
 export class Display {
@@ -20,6 +21,7 @@ export class Display {
     this.band = gpu.buffer("band", 16, GPUBufferUsage.UNIFORM);
     this.picture = gpu.buffer("picture", 16, GPUBufferUsage.UNIFORM);
     this.size = [0, 0];
+    this.expose(1);
   }
 
   async prepare(shaders) {
@@ -28,11 +30,22 @@ export class Display {
       source: shaderSource(shaders, ["page/accumulate.wgsl"]),
       entry: "accumulate", layouts: [KINDS], constants: {},
     });
-    const module = gpu.device.createShaderModule({code: shaderSource(shaders, ["page/show.wgsl"])});
-    this.showing = await gpu.device.createRenderPipelineAsync({
+    this.showing = await this.pipeline(shaderSource(shaders, ["page/show.wgsl"]), "show");
+  }
+
+  /** A pipeline that draws the whole canvas: source and entry point of a fragment shader. */
+  pipeline(code, entryPoint) {
+    const {device} = this.gpu;
+    const module = device.createShaderModule({code});
+    return device.createRenderPipelineAsync({
       layout: "auto", vertex: {module, entryPoint: "cover"},
-      fragment: {module, entryPoint: "show", targets: [{format: this.format}]},
+      fragment: {module, entryPoint, targets: [{format: this.format}]},
     });
+  }
+
+  /** Set the factor on the light of images. */
+  expose(exposure) {
+    this.gpu.write(this.picture, Float32Array.of(exposure), EXPOSURE_AT);
   }
 
   /** Begin an image: width and height in pixels. */
@@ -41,7 +54,7 @@ export class Display {
     this.sums?.destroy();
     this.sums = this.gpu.buffer("sums of samples", 16 * size[0] * size[1]);
     this.size = size;
-    this.gpu.write(this.picture, Uint32Array.of(...size, 0, 0));
+    this.gpu.write(this.picture, Uint32Array.of(...size));
   }
 
   /** Add a sample of a band's pixels, from a first one on; sample 0 replaces what was there. */
@@ -57,23 +70,35 @@ export class Display {
     gpu.device.queue.submit([encoder.finish()]);
   }
 
-  async show() {
+  show() {
+    return this.present(this.showing, [this.picture, this.sums].map(
+      (buffer, binding) => [binding, {buffer}]));
+  }
+
+  /** Draw the canvas as `draw` does, and wait until the GPU is done. */
+  async present(pipeline, resources) {
+    const {device} = this.gpu;
+    const encoder = device.createCommandEncoder();
+    this.draw(encoder, pipeline, resources);
+    device.queue.submit([encoder.finish()]);
+    await device.queue.onSubmittedWorkDone();
+  }
+
+  /** Cover the canvas by a pipeline with resources, pairs of binding and resource. */
+  draw(encoder, pipeline, resources) {
     const {gpu, canvas, size: [width, height]} = this;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
-    const encoder = gpu.device.createCommandEncoder();
     const view = this.context.getCurrentTexture().createView();
     const pass = encoder.beginRenderPass({
       colorAttachments: [{view, loadOp: "clear", storeOp: "store"}],
     });
-    pass.setPipeline(this.showing);
+    pass.setPipeline(pipeline);
     pass.setBindGroup(0, gpu.device.createBindGroup({
-      layout: this.showing.getBindGroupLayout(0),
-      entries: [this.picture, this.sums].map((buffer, binding) => ({binding, resource: {buffer}})),
+      layout: pipeline.getBindGroupLayout(0),
+      entries: resources.map(([binding, resource]) => ({binding, resource})),
     }));
     pass.draw(3);
     pass.end();
-    gpu.device.queue.submit([encoder.finish()]);
-    await gpu.device.queue.onSubmittedWorkDone();
   }
 }

@@ -2,6 +2,7 @@
 // band. As raystream/graphics/rendering/compute_bands.py.
 
 import {DispatchSize, dispatchSize} from "./device.js";
+import {GpuClock} from "./gpu_clock.js";
 import {PageError} from "./pack.js";
 import {paramsOf} from "./queries.js";
 import {gatherArrays, inTextures} from "./shaders.js";
@@ -10,7 +11,8 @@ import {localEye, viewNumbers} from "./view_uniform.js";
 const GROUP_SIZE = 64, PIXEL_BYTES = 96, ROW_BYTES = 48;
 const LAYOUT = ["uniform", "scatter", "scatter"];
 const SHADING_GROUP = 1, TREE_GROUP = 2, ROWS_BINDING = 8;
-const MOST_DISPATCHES = 8, FIRST_ROOM = 2, MOST_ROOM = 128;
+const MOST_DISPATCHES = 8, MOST_ROOM = 128;
+export const FIRST_ROOM = 2;
 const MOST_BYTES = 1 << 28; // of a buffer for the pixels of a band
 
 /** Words of the uniform Shading. */
@@ -33,6 +35,7 @@ export class ImageRenderer {
     this.words = page.arrays[`shading ${mode}`].slice();
     this.size = new DispatchSize(Math.floor(this.mostBytes / PIXEL_BYTES));
     this.room = this.hasRows ? FIRST_ROOM : 1;
+    this.clock = new GpuClock(gpu);
   }
 
   get mostBytes() {
@@ -52,6 +55,18 @@ export class ImageRenderer {
     this.params = gpu.buffer("params", paramsOf(this.manifest, structure.about,
       {rayCount: 0, rowSize: 0}), GPUBufferUsage.UNIFORM);
     this.counts = gpu.buffer("counts", 16);
+    this.copied = gpu.buffer("copy of counts", 16 * MOST_DISPATCHES);
+    this.bindScene(plain);
+    const layouts = [LAYOUT, this.kinds, structure.kinds];
+    const source = inTextures(plain, SHADING_GROUP);
+    const constants = {...structure.about.constants, ...mode.constants};
+    [this.beginning, this.advancing] = await Promise.all(["begin", "trace_and_shade"].map(
+      entry => gpu.pipeline({source, entry, layouts, constants})));
+  }
+
+  /** Find what a source binds in the group of shading. */
+  bindScene(plain) {
+    const {gpu, mode, hasRows} = this;
     const declared = gatherArrays(plain, SHADING_GROUP);
     const kinds = [], resources = [];
     for (const one of declared) {
@@ -63,11 +78,13 @@ export class ImageRenderer {
     this.kinds = Array.from({length: last}, (_, k) => kinds[k] ?? "uniform");
     this.resources = Array.from({length: last}, (_, k) => resources[k] ?? this.uniform);
     if (hasRows) this.kinds[ROWS_BINDING] = "scatter";
-    const layouts = [LAYOUT, this.kinds, structure.kinds];
-    const source = inTextures(plain, SHADING_GROUP);
-    const constants = {...structure.about.constants, ...mode.constants};
-    [this.beginning, this.advancing] = await Promise.all(["begin", "trace_and_shade"].map(
-      entry => gpu.pipeline({source, entry, layouts, constants})));
+  }
+
+  /** The resources of the group of shading. */
+  get shadingResources() {
+    const resources = [...this.resources];
+    if (this.hasRows) resources[ROWS_BINDING] = this.scene.buffer("paths behind glass", 0);
+    return resources;
   }
 
   /** Set the camera and the size of the image. */
@@ -79,20 +96,24 @@ export class ImageRenderer {
     this.scene.moveLight(this.mode, localEye(camera, frame));
   }
 
+  setBand(first, count, sample) {
+    const {words, room} = this;
+    Object.entries({first_pixel: first, sample, pixel_count: count, room}).forEach(
+      ([name, value]) => { words[AT[name]] = value; });
+    this.gpu.write(this.uniform, words);
+  }
+
   /**
    * Trace one sample of the pixels from a first one on: as many as take a short time. Their light is
    * in the last vectors of their records, until the next call.
    */
   async trace(sample, first) {
-    const {gpu, scene, words} = this;
+    const {gpu, scene} = this;
+    if (first === 0) this.clock.restart();
     for (;;) {
       const rows = this.hasRows ? Math.floor(this.mostBytes / this.rowBytes(1)) : Infinity;
       const count = Math.min(this.size.size, rows, this.pixelCount - first);
-      words[AT.first_pixel] = first;
-      words[AT.sample] = sample;
-      words[AT.pixel_count] = count;
-      words[AT.room] = this.room;
-      gpu.write(this.uniform, words);
+      this.setBand(first, count, sample);
       const dispatch = dispatchSize(count, GROUP_SIZE, gpu.limits.maxComputeWorkgroupsPerDimension);
       gpu.write(this.params, paramsOf(this.manifest, this.structure.about,
         {rayCount: count, rowSize: dispatch.rowSize}));
@@ -105,10 +126,15 @@ export class ImageRenderer {
   /** Trace all rays of some pixels; false if there is no room for their paths, with more now. */
   async advance(count, records, dispatch) {
     await this.submit([this.beginning], records, dispatch);
+    let rays = count; // of the next dispatch
     for (let dispatches = 1;; dispatches = Math.min(2 * dispatches, MOST_DISPATCHES)) {
       const began = performance.now();
-      const [active, stuck, endless, cut] = await this.submit(
+      const counts = await this.submit(
         Array(dispatches).fill(this.advancing), records, dispatch, true);
+      const actives = Array.from({length: dispatches}, (_, k) => counts[4 * k]);
+      const [active, stuck, endless, cut] = counts.subarray(4 * (dispatches - 1));
+      this.clock.rays += actives.slice(0, -1).reduce((sum, one) => sum + one, rays);
+      rays = active + stuck;
       this.size.took(count, (performance.now() - began) / 1000 / dispatches);
       if (endless || cut) {
         throw new PageError(`Searches in ${this.structure.name} did not end on this GPU.`);
@@ -137,25 +163,30 @@ export class ImageRenderer {
   }
 
   async submit(pipelines, records, {columns, rows}, isRead = false) {
-    const {gpu, structure, scene} = this;
-    const resources = [...this.resources];
-    if (this.hasRows) resources[ROWS_BINDING] = scene.buffer("paths behind glass", 0);
+    const {gpu, structure, clock} = this;
     const groups = [
       gpu.bind(LAYOUT, [this.params, records, this.counts]),
-      gpu.bind(this.kinds, resources),
+      gpu.bind(this.kinds, this.shadingResources),
       gpu.bind(structure.kinds, structure.resources),
     ];
     const encoder = gpu.device.createCommandEncoder();
     encoder.clearBuffer(this.counts);
-    for (const pipeline of pipelines) {
+    for (const [k, pipeline] of pipelines.entries()) {
       encoder.clearBuffer(this.counts, 0, 8);
-      const pass = encoder.beginComputePass();
+      const timestampWrites = clock.writes(k === 0, k === pipelines.length - 1);
+      const pass = encoder.beginComputePass({timestampWrites});
       pass.setPipeline(pipeline);
       groups.forEach((group, number) => pass.setBindGroup(number, group));
       pass.dispatchWorkgroups(columns, rows);
       pass.end();
+      encoder.copyBufferToBuffer(this.counts, 0, this.copied, 16 * k, 16);
     }
+    clock.end(encoder);
     gpu.device.queue.submit([encoder.finish()]);
-    return isRead ? new Uint32Array(await gpu.read(this.counts, 16)) : null;
+    if (!isRead) return null;
+    const [counts] = await Promise.all([
+      gpu.read(this.copied, 16 * pipelines.length), clock.addTime(),
+    ]);
+    return new Uint32Array(counts);
   }
 }

@@ -7,8 +7,9 @@ const INCOMPLETE = "This page's data is incomplete or damaged; export or downloa
 /** An error to show to the visitor. */
 export class PageError extends Error {}
 
-export async function unpack(text) {
-  const whole = await inflate(text);
+/** Unpack Base64, or the bytes that it stands for. */
+export async function unpack(packed) {
+  const whole = await inflate(packed);
   if (whole.length < 8) throw new PageError(INCOMPLETE);
   const numbers = new DataView(whole.buffer);
   const content = whole.subarray(4);
@@ -31,10 +32,10 @@ export async function unpack(text) {
   return {manifest, arrays};
 }
 
-async function inflate(text) {
-  let bytes;
+async function inflate(packed) {
   try {
-    bytes = Uint8Array.from(atob(text.trim()), letter => letter.charCodeAt(0));
+    const bytes = typeof packed === "string"
+      ? Uint8Array.from(atob(packed.trim()), letter => letter.charCodeAt(0)) : packed;
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
     return new Uint8Array(await new Response(stream).arrayBuffer());
   } catch {

@@ -12,6 +12,11 @@ const KIND = {firstHit: 0, countHits: 2, multiHit: 3};
 const [ENDLESS, CUT_SHORT] = [0xffffffff, 0xfffffffe];
 const FAR = 3.4028234663852886e38;
 
+/** The counts of a ray, in the order of tally.wgsl. */
+export const COUNTED = [
+  "steps", "leaves", "tests", "restarts", "backtracks", "backtrack_steps", "shadings", "link_nodes",
+];
+
 /** The uniform Params of a structure's shaders. */
 export function paramsOf(scene, structure, {rayCount, rowSize, capacity = 0}) {
   const words = new Uint32Array(8 + Math.ceil(structure.tree.length / 4) * 4);
@@ -26,8 +31,10 @@ export class StructureOnGpu {
   constructor(gpu, {manifest, arrays}, corners, name) {
     this.name = name;
     this.about = manifest.structures[name];
-    const own = this.about.arrays.map(key => arrays[`${name} ${key}`]);
-    const made = this.about.how === "bvh" ? bvhArrays(...own, corners) : own;
+    const own = this.about.arrays.map(key => arrays[key]);
+    /** Arrays on the host; those of a BVH are made again for each call. */
+    this.arrays = () => (this.about.how === "bvh" ? bvhArrays(...own, corners) : own);
+    const made = this.arrays();
     // Shaders may have few buffers, beside as many textures.
     this.isInTextures = made.length + OTHERS > gpu.limits.maxStorageBuffersPerShaderStage;
     if (this.isInTextures) {
@@ -37,7 +44,8 @@ export class StructureOnGpu {
       [this.kinds, this.resources] = [kinds, resources];
     } else {
       this.kinds = made.map(() => "gather");
-      this.resources = made.map((array, k) => gpu.buffer(`${name}, array ${k}`, array));
+      this.resources = made.map((array, k) => gpu.shared("buffer", array,
+        () => gpu.buffer(`${name}, array ${k}`, array)));
     }
   }
 
@@ -62,12 +70,12 @@ export class Queries {
     this.pipelines = new Map();
   }
 
-  pipeline(kind) {
+  pipeline(kind, counts) {
     const {structure} = this;
-    return cached(this.pipelines, kind, () => this.gpu.pipeline({
+    return cached(this.pipelines, `${kind} ${counts}`, () => this.gpu.pipeline({
       source: structure.source(this.scene.shaders, ["compute.wgsl"]),
       entry: "trace", layouts: [LAYOUT, structure.kinds],
-      constants: {...structure.about.constants, QUERY: KIND[kind]},
+      constants: {...structure.about.constants, QUERY: KIND[kind], COUNTS: Number(counts)},
     }));
   }
 
@@ -87,8 +95,14 @@ export class Queries {
     return hitsOf(rows, count);
   }
 
+  /** Counts of each ray's search for its nearest hit: rows of COUNTED. */
+  async counts(rays) {
+    const {tallies} = await this.run("firstHit", rays, new Uint32Array(2), rays.length / 6, 1, true);
+    return tallies;
+  }
+
   /** Trace rays: origin and direction in world space, six numbers each. */
-  async run(kind, rays, wanted, rowCount, capacity) {
+  async run(kind, rays, wanted, rowCount, capacity, counts = false) {
     const {gpu, scene, structure} = this;
     const count = rays.length / 6;
     const {columns, rows, rowSize} = dispatchSize(count, GROUP_SIZE);
@@ -98,9 +112,9 @@ export class Queries {
       gpu.buffer("params", params, GPUBufferUsage.UNIFORM),
       gpu.buffer("rays", packed), gpu.buffer("wanted", wanted),
       gpu.buffer("rows", 16 * rowCount), gpu.buffer("endings", 4 * count),
-      gpu.buffer("tallies", 0),
+      gpu.buffer("tallies", counts ? 4 * COUNTED.length * count : 0),
     ];
-    const pipeline = await this.pipeline(kind);
+    const pipeline = await this.pipeline(kind, counts);
     const encoder = gpu.device.createCommandEncoder();
     const pass = encoder.beginComputePass();
     pass.setPipeline(pipeline);
@@ -112,17 +126,19 @@ export class Queries {
     const endings = new Uint32Array(await gpu.read(buffers[4], 4 * count));
     const found = rowCount ? new Float32Array(await gpu.read(buffers[3], 16 * rowCount))
       : new Float32Array(0);
+    const tallies = counts
+      ? new Uint32Array(await gpu.read(buffers[5], 4 * COUNTED.length * count)) : null;
     buffers.forEach(buffer => buffer.destroy());
     if (endings.some(code => !code || code === ENDLESS || code === CUT_SHORT)) {
       throw new PageError(`Searches in ${structure.name} did not end on this GPU.`);
     }
     for (let row = 0; row < rowCount; row++) found[4 * row] /= lengths[rowCount === count ? row : 0];
-    return {rows: found, endings};
+    return {rows: found, endings, tallies};
   }
 }
 
 /** Rays in the local frame, the largest component of the direction in [1, 2). */
-function localRays({center, scale}, rays) {
+export function localRays({center, scale}, rays) {
   const count = rays.length / 6;
   const packed = new Float32Array(8 * count);
   const lengths = new Float64Array(count); // local units of t per world unit

@@ -42,6 +42,7 @@ fn continue_counted(line: PlaneRay, state: KdState) -> KdState {
     tally.backtracks += 1u;
     var next = continue_search(state);
     while next.is_backtracking && spend_budget() {
+        visited(UP, next.node);
         next = backtrack(line, next);
         tally.backtrack_steps += 1u;
     }

@@ -12,6 +12,7 @@ fn backtrack(line: PlaneRay, state: KdState) -> KdState {
 }
 
 fn continue_counted(line: PlaneRay, state: KdState) -> KdState {
+    visited(RESTART, params.tree.root);
     tally.restarts += 1u;
     return continue_search(state);
 }

@@ -44,6 +44,7 @@ fn continue_search(state: KdState) -> KdState {
 
 fn continue_counted(line: PlaneRay, state: KdState) -> KdState {
     if has_forgotten(state) {
+        visited(RESTART, lowest);
         tally.restarts += 1u;
     }
     return continue_search(state);
