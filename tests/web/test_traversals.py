@@ -115,7 +115,10 @@ def test_counts_are_the_cpu_s(opened, scene, name):
 
 def test_the_table_compares_structures(opened, scene):
     opened.page.locator("#compare").click()
-    opened.wait("!document.getElementById('counts').hidden")
+    opened.wait(
+        "!['compare', 'counts'].some(one => document.getElementById(one).disabled"
+        " || document.getElementById(one).hidden)"
+    )
     rows = [row.split("\t") for row in opened.page.locator("#counts-table tr").all_inner_texts()]
     assert rows[0] == [
         *("Structure", "Steps down", "Steps up", "Leaves", "Tests", "Restarts", "Link nodes")

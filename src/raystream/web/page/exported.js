@@ -159,11 +159,11 @@ class Page extends TracedImage {
     try {
       for (const name of Object.keys(this.scene.structures)) {
         means[name] = await meanCounts(this.queriesOf(name), rays);
+        showCounts(means, rays.length / 6);
       }
     } finally {
       byId("compare").disabled = false;
     }
-    showCounts(means, rays.length / 6);
   }
 
   /** List the hits of the ray through a place of the image, and its steps through the structure. */
