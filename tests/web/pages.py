@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from extras import need
 from viewer.browser import PATIENCE, PROGRAMS
 
-#: Software WebGPU; the last three make it draw to a canvas, too.
+#: Software WebGPU; the last three make it draw to a canvas, too. Shaders run on busy cores for longer
+#: than Chromium's watchdog lets a GPU.
 ARGUMENTS = (
+    "--disable-gpu-watchdog",
     "--enable-unsafe-webgpu",
     "--use-webgpu-adapter=swiftshader",
     "--use-vulkan=swiftshader",
