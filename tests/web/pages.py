@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from extras import need
 from viewer.browser import PATIENCE, PROGRAMS
 
-#: Software WebGPU; the last three make it draw to a canvas, too. Shaders run on busy cores for longer
-#: than Chromium's watchdog lets a GPU.
+#: Software WebGPU; the last three make it draw to a canvas, too. On busy cores shaders run for
+#: longer than Chromium's watchdog allows.
 ARGUMENTS = (
     "--disable-gpu-watchdog",
     "--enable-unsafe-webgpu",
