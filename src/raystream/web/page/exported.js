@@ -127,6 +127,7 @@ class Page extends TracedImage {
     const {modes, structures} = this.scene;
     const before = this.structure;
     const has = one => Boolean(structures[one].passes);
+    if (name === "machine" && value === "passes" && !Object.keys(structures).some(has)) return;
     const isHeatmap = () => partsOf(this.mode).length > 1;
     this[name] = value;
     if (this.machine === "passes" && name === "machine") {
@@ -260,11 +261,11 @@ function connect(page) {
     byId(name).addEventListener("change", () => page.choose(name, byId(name).value));
   }
   const why = whyNoPasses(page.gpu);
+  const hasPasses = Object.values(page.scene.structures).some(({passes}) => passes);
   fillSelect(byId("machine"), [["compute", "compute"], ["passes", "passes"]]);
-  byId("machine").options[1].disabled = Boolean(why);
+  byId("machine").options[1].disabled = Boolean(why) || !hasPasses;
   byId("machine").title = why ?? "";
-  byId("machine").parentElement.hidden = Object.values(page.scene.structures).every(
-    ({passes}) => !passes);
+  byId("machine").parentElement.hidden = !hasPasses;
   byId("machine").addEventListener("change", () => page.choose("machine", byId("machine").value));
   byId("home").addEventListener("click", () => move(() => page.home));
   byId("compare").addEventListener("click",
