@@ -80,9 +80,14 @@ class Page extends TracedImage {
     return this.machine === "passes" && this.panel.isPaused;
   }
 
-  /** Stop, unless the GPU was lost: then it is opened again. */
-  async failed(error) {
-    if (!(error instanceof PageError) && await this.gpu.wasLost()) this.change();
+  /**
+   * Stop, unless something has been changed since the number of `changes`, or the GPU was lost: then
+   * it is opened again.
+   */
+  async failed(error, changes) {
+    const wasLost = !(error instanceof PageError) && await this.gpu.wasLost();
+    if (changes !== this.changes) return;
+    if (wasLost) this.change();
     else this.stop(error);
   }
 

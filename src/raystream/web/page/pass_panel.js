@@ -59,8 +59,11 @@ export class PassPanel {
 
   /** Do one thing after another. */
   do(one) {
-    this.work = this.work.then(() => this.page.running).then(one)
-      .catch(error => this.page.failed(error));
+    let changes = null;
+    this.work = this.work.then(() => this.page.running).then(() => {
+      ({changes} = this.page);
+      return one();
+    }).catch(error => this.page.failed(error, changes));
   }
 
   resume() {

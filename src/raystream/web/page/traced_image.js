@@ -115,10 +115,12 @@ export class TracedImage {
         this.stop(error);
         break;
       }
+      const {changes} = this;
       try {
         await this.frame();
       } catch (error) {
-        if (!(await this.gpu.wasLost())) this.stop(error);
+        // What is chosen since may work.
+        if (!(await this.gpu.wasLost()) && changes === this.changes) this.stop(error);
       }
     }
     this.isRunning = false;
