@@ -106,3 +106,44 @@ def test_an_error_of_a_step_does_not_stop_what_is_chosen_since(opened):
     last = opened.run("async p => (await p.rendererOf('brute', 'raycast', 'passes')).last")
     assert last == {"kernel": "eye rays", "rays": SIZE[0] * SIZE[1]}
     begin(opened, "bvh")
+
+
+#: Open a GPU for the page's image while something else happens: why the new one ended, if it did,
+#: whether opening failed, and whether the canvas and the image have the first one still.
+OPENING = """async (page, [fails, closes]) => {
+    const {gpu} = page;
+    const [adapter, device] = [GPUAdapter.prototype, GPUDevice.prototype];
+    const [request, make] = [adapter.requestDevice, device.createRenderPipelineAsync];
+    let opened;
+    adapter.requestDevice = async function (...options) {
+        opened = await request.apply(this, options);
+        return opened;
+    };
+    device.createRenderPipelineAsync = async function (...options) {
+        const made = await make.apply(this, options);
+        if (closes) page.isClosed = true;
+        if (fails) throw new Error("no pipeline");
+        return made;
+    };
+    const hasFailed = await page.open().then(() => false, () => true);
+    Object.assign(adapter, {requestDevice: request});
+    Object.assign(device, {createRenderPipelineAsync: make});
+    page.isClosed = false;
+    const pause = new Promise(done => setTimeout(() => done("open"), 500));
+    const end = await Promise.race([opened.lost.then(({reason}) => reason), pause]);
+    const {device: configured} = page.canvas.getContext("webgpu").getConfiguration();
+    return [end, hasFailed, configured === gpu.device, page.gpu === gpu];
+}"""
+
+
+@pytest.mark.parametrize(("fails", "closes"), [(True, False), (False, True)])
+def test_a_gpu_that_is_not_used_is_given_back(opened, fails, closes):
+    """Where opening fails, or the image is closed meanwhile; the canvas keeps its GPU."""
+    assert opened.run(OPENING, [fails, closes]) == ["destroyed", fails, True, True]
+    begin(opened, "bvh")
+    assert opened.message == ""
+
+
+def test_a_gpu_that_is_opened_again_is_used(opened):
+    assert opened.run(OPENING, [False, False]) == ["open", False, False, False]
+    begin(opened, "bvh")
