@@ -147,3 +147,24 @@ def test_a_gpu_that_is_not_used_is_given_back(opened, fails, closes):
 def test_a_gpu_that_is_opened_again_is_used(opened):
     assert opened.run(OPENING, [False, False]) == ["open", False, False, False]
     begin(opened, "bvh")
+
+
+def test_boxes_of_steps_are_only_over_the_image(browser, path):  # noqa: F811
+    """Not over the one that was rendered beforehand, also when the view changes there."""
+    with Exported(browser, path, (240, 180)) as page:
+        page.run("page => { page.scene.samples = 1; }")
+        page.wait_for_samples(1)
+        page.page.locator("#picture").click(position={"x": 120, "y": 90})
+        page.wait("!document.getElementById('walk').hidden")
+        boxes = page.page.locator("#walk-picture")
+        assert boxes.is_visible()
+        assert page.run(FAILING, ["bvh", 0, None, 0])
+        page.problems.clear()
+        assert boxes.is_hidden()
+        assert page.page.locator("#preview").is_visible()
+        page.run("page => page.walk.draw(page.camera, page.size)")
+        assert boxes.is_hidden()
+        begin(page, "bvh")
+        assert boxes.is_visible()
+        drawn = "document.getElementById('walk-picture').width"
+        assert page.page.evaluate(drawn) == page.page.locator("#picture").evaluate("one => one.width")

@@ -53,7 +53,7 @@ class Page extends TracedImage {
   hide() {
     byId("preview").hidden = false;
     byId("legend").hidden = true;
-    this.canvas.hidden = true;
+    this.showCanvas(false);
   }
 
   queriesOf(name) {
@@ -124,7 +124,12 @@ class Page extends TracedImage {
     this.losses = 0;
     byId("preview").hidden = true;
     byId("legend").hidden = !partsOf(this.mode)[1];
-    this.canvas.hidden = false;
+    this.showCanvas(true);
+  }
+
+  /** With the boxes of the steps over it, which are those of its view. */
+  showCanvas(isShown) {
+    this.canvas.hidden = this.walk.canvas.hidden = !isShown;
   }
 
   /** Choose a mode, structure or machine; passes run in some modes, on some structures. */
