@@ -168,3 +168,77 @@ def test_boxes_of_steps_are_only_over_the_image(browser, path):  # noqa: F811
         assert boxes.is_visible()
         drawn = "document.getElementById('walk-picture').width"
         assert page.page.evaluate(drawn) == page.page.locator("#picture").evaluate("one => one.width")
+
+
+STEP = "async page => { document.getElementById('step').click(); await page.panel.work; }"
+
+
+def begin_by_steps(page, structure="grid"):
+    """Begin an image pass by pass."""
+    begin(page, structure, "passes")
+    page.run(STEP)
+    assert page.run("page => page.isByStep")
+
+
+@pytest.mark.parametrize("button", ["run", "step"])
+def test_passes_go_on_after_a_stop(opened, button):
+    begin_by_steps(opened)
+    opened.run(STEP)
+    assert opened.run(FAILING, ["grid", 0, None, 0])
+    assert opened.problems.pop().startswith("Error: a late error")
+    assert opened.page.locator("#preview").is_visible()
+    if button == "run":
+        opened.page.evaluate("document.getElementById('run').click()")
+        opened.wait("raystream.opened.then(page => page.sample === 1 && !page.isRunning)")
+    else:
+        opened.run(STEP)
+        last = opened.run("async p => (await p.rendererOf('grid', 'raycast', 'passes')).last")
+        assert last["kernel"] == "eye rays"
+    assert opened.message == ""
+    assert opened.page.locator("#preview").is_hidden()
+    begin(opened, "bvh")
+
+
+def test_steps_end_with_the_last_sample(opened):
+    begin_by_steps(opened)
+    for _ in range(200):
+        if opened.run("page => page.sample"):
+            break
+        opened.run(STEP)
+    passes = "async p => [...(await p.rendererOf('grid', 'raycast', 'passes')).passes]"
+    before = opened.run(passes)
+    opened.run(STEP)
+    assert opened.run("page => page.sample") == 1
+    assert opened.run(passes) == before
+    begin(opened, "bvh")
+
+
+@pytest.mark.parametrize("by_step", [False, True])
+def test_compute_gives_the_textures_of_passes_back(opened, by_step):
+    """Also while a step is under way; passes get others."""
+    begin(opened, "grid", "passes")
+    if by_step:
+        begin_by_steps(opened)
+    ended = opened.run(
+        """async (page, isByStep) => {
+            const {streams} = page.surfaces;
+            let ended = 0;
+            for (const one of [...Object.values(streams.streams), streams.stencil]) {
+                const own = one.destroy;
+                one.destroy = function () { ended += 1; own.call(one); };
+            }
+            if (isByStep) page.panel.press();
+            await Promise.resolve();
+            page.choose("machine", "compute");
+            await page.panel.work;
+            await page.running;
+            await page.panel.work;
+            return [ended, page.surfaces.streams, page.sample];
+        }""",
+        by_step,
+    )
+    assert ended == [11, None, 1]
+    begin(opened, "grid", "passes")
+    assert opened.run("page => page.errorCount") == 0
+    assert opened.message == ""
+    begin(opened, "bvh")

@@ -103,6 +103,15 @@ class Page extends TracedImage {
     return toShapedCamera({...this.view, aspect: width / height});
   }
 
+  /** Images by compute need no streams of passes; the last step may still use them. */
+  begins() {
+    const {surfaces, machine, panel} = this;
+    const {streams} = surfaces;
+    if (machine === "passes" || !streams) return;
+    surfaces.streams = null;
+    panel.work.then(() => streams.destroy());
+  }
+
   counted(counts) {
     this.panel.show(counts);
   }
