@@ -167,7 +167,9 @@ def test_boxes_of_steps_are_only_over_the_image(browser, path):  # noqa: F811
         begin(page, "bvh")
         assert boxes.is_visible()
         drawn = "document.getElementById('walk-picture').width"
-        assert page.page.evaluate(drawn) == page.page.locator("#picture").evaluate("one => one.width")
+        assert page.page.evaluate(drawn) == page.page.locator("#picture").evaluate(
+            "one => one.width"
+        )
 
 
 STEP = "async page => { document.getElementById('step').click(); await page.panel.work; }"
@@ -242,3 +244,88 @@ def test_compute_gives_the_textures_of_passes_back(opened, by_step):
     assert opened.run("page => page.errorCount") == 0
     assert opened.message == ""
     begin(opened, "bvh")
+
+
+PICK = "page => page.pick(0.5, 0.5)"
+
+
+def wait_until_it_says(page, text):
+    said = "document.getElementById('message').textContent"
+    page.wait(f"{said}.startsWith('{text}') && Boolean({said}) === {str(bool(text)).lower()}")
+
+
+@pytest.mark.parametrize("what", ["pick", "counts"])
+def test_errors_beside_the_image_are_said_until_the_next_success(opened, what):
+    begin(opened, "bvh")
+
+    def act():
+        if what == "pick":
+            opened.run(PICK)
+        else:
+            opened.page.evaluate("document.getElementById('compare').click()")
+
+    # One of the page's own errors, which says what is wrong.
+    most = "Object.defineProperty(page.gpu, 'mostBytes', {configurable: true, get: () => 32})"
+    opened.run(f"page => {{ {most}; }}")
+    act()
+    wait_until_it_says(opened, "params would take ")
+    assert not opened.problems
+    opened.run("page => { delete page.gpu.mostBytes; }")
+    act()
+    wait_until_it_says(opened, "")
+    # Another one is reported, too.
+    opened.run("page => { page.queriesOf = () => { throw new Error('unexpected'); }; }")
+    act()
+    wait_until_it_says(opened, "unexpected")
+    assert opened.problems.pop().startswith("Error: unexpected")
+    opened.run("page => { delete page.queriesOf; }")
+    act()
+    wait_until_it_says(opened, "")
+    # The image is not stopped by them.
+    assert opened.page.locator("#picture").is_visible()
+    for name in ("hits", "counts"):
+        opened.page.evaluate(f"document.getElementById('{name}-close').click()")
+
+
+def test_a_pick_while_the_gpu_is_lost_says_the_page_s_sentence(opened):
+    """Then the page opens another, and says no more."""
+    begin(opened, "bvh")
+    said = opened.run(
+        """async page => {
+            const said = [];
+            page.say = text => { said.push(text); delete page.say; page.say(text); };
+            page.first = page.gpu;
+            page.gpu.device.destroy();
+            await page.pick(0.5, 0.5);
+            return said;
+        }"""
+    )
+    assert said == ["The GPU stopped; this page starts it again."]
+    opened.wait("raystream.opened.then(p => p.gpu !== p.first && p.sample === 1 && !p.isRunning)")
+    assert opened.message == ""
+    assert not opened.problems
+    opened.run(PICK)
+    assert opened.page.locator("#hits-title").text_content() != ""
+    opened.page.evaluate("document.getElementById('hits-close').click()")
+
+
+def test_what_failed_with_a_lost_gpu_is_repeated_on_another(opened):
+    begin(opened, "bvh")
+    calls = opened.run(
+        """async page => {
+            let calls = 0;
+            await page.attempt(async () => {
+                calls += 1;
+                if (calls > 1) return;
+                const {gpu} = page;
+                gpu.device.destroy();
+                while (page.gpu === gpu) await new Promise(done => setTimeout(done, 20));
+                throw new Error("the GPU was lost");
+            });
+            return calls;
+        }"""
+    )
+    assert calls == 2
+    assert not opened.problems
+    opened.wait("raystream.opened.then(page => page.sample === 1 && !page.isRunning)")
+    assert opened.message == ""

@@ -13,7 +13,7 @@ import {PassPanel} from "./pass_panel.js";
 import {whyNoPasses} from "./pass_streams.js";
 import {MOST_PIXELS_OF_PASSES, PassRenderer} from "./passes.js";
 import {Queries} from "./queries.js";
-import {TracedImage} from "./traced_image.js";
+import {LOST, TracedImage} from "./traced_image.js";
 import {add, length, scale, subtract} from "./vector.js";
 import {fromCamera, likelyUp, orbit, pan, toShapedCamera, worldOf, zoom} from "./view.js";
 import {basisOf} from "./view_uniform.js";
@@ -91,6 +91,27 @@ class Page extends TracedImage {
     else this.stop(error);
   }
 
+  /** Do something beside the image; if it fails, say why, or repeat it once on another GPU. */
+  async attempt(work, isRepeated = false) {
+    const {gpu} = this;
+    try {
+      await work();
+      if (!this.isStopped) this.say("");
+    } catch (error) {
+      if (error instanceof PageError) {
+        this.say(error.message);
+        return;
+      }
+      if (await gpu.wasLost()) {
+        if (gpu !== this.gpu && !isRepeated) return this.attempt(work, true);
+        if (!this.isStopped) this.say(LOST); // until its image is there again
+        return;
+      }
+      console.error(error);
+      this.say(error.message);
+    }
+  }
+
   get size() {
     const box = this.canvas.parentElement.getBoundingClientRect();
     const most = this.machine === "passes" ? MOST_PIXELS_OF_PASSES : MOST_PIXELS;
@@ -158,7 +179,7 @@ class Page extends TracedImage {
     for (const one of ["mode", "structure", "machine"]) byId(one).value = this[one];
     byId("passes").hidden = this.machine !== "passes";
     this.change();
-    if (before !== this.structure && this.picked) this.list().catch(error => say(error.message));
+    if (before !== this.structure && this.picked) this.attempt(() => this.list());
   }
 
   /** The ray through a place of the image, fractions from its upper left corner. */
@@ -189,11 +210,12 @@ class Page extends TracedImage {
   /** List the hits of the ray through a place of the image, and its steps through the structure. */
   pick(x, y) {
     this.picked = this.rayThrough(x, y);
-    return this.list();
+    return this.attempt(() => this.list());
   }
 
   async list() {
     const {structure, picked: ray} = this;
+    if (!ray) return; // it was forgotten since
     const number = ++this.picks;
     const hits = await this.queriesOf(structure).allHits(Float64Array.from(ray));
     const walked = await this.walkOf(structure, ray);
@@ -246,7 +268,7 @@ function connect(page) {
     page.view = how(page.view);
     page.change();
   };
-  const pick = (x, y) => page.pick(x, y).catch(error => say(error.message));
+  const pick = (x, y) => page.pick(x, y);
   new Gestures(byId("picture"), {
     orbit: (dx, dy) => move(view => orbit(view, dx, dy)),
     pan: (dx, dy) => move(view => pan(view, dx, dy)),
@@ -287,8 +309,7 @@ function connect(page) {
   byId("machine").parentElement.hidden = !hasPasses;
   byId("machine").addEventListener("change", () => page.choose("machine", byId("machine").value));
   byId("home").addEventListener("click", () => move(() => page.home));
-  byId("compare").addEventListener("click",
-    () => page.compare().catch(error => say(error.message)));
+  byId("compare").addEventListener("click", () => page.attempt(() => page.compare()));
   for (const name of ["hits", "counts"]) {
     byId(`${name}-close`).addEventListener("click", () => {
       byId(name).hidden = true;

@@ -9,7 +9,7 @@ import {StructureOnGpu} from "./queries.js";
 import {SceneOnGpu} from "./scene_on_gpu.js";
 
 const MOST_LOSSES = 2; // of the GPU, without a sample between
-const LOST = "The GPU stopped; this page starts it again.";
+export const LOST = "The GPU stopped; this page starts it again.";
 const STOPPED = "The GPU stopped again. Another mode or structure may take it less time; choosing one "
   + "starts it again.";
 
