@@ -329,3 +329,31 @@ def test_what_failed_with_a_lost_gpu_is_repeated_on_another(opened):
     assert not opened.problems
     opened.wait("raystream.opened.then(page => page.sample === 1 && !page.isRunning)")
     assert opened.message == ""
+
+
+def test_failing_queries_keep_no_buffers(opened):
+    """Neither of hits nor of steps, whichever buffer there is no room for."""
+    begin(opened, "bvh")
+    counts = opened.run(
+        """async page => {
+            const {gpu} = page;
+            const own = gpu.buffer;
+            const ray = Float64Array.from(page.rayThrough(0.5, 0.5));
+            let [made, ended, failed, room] = [0, 0, 0, 0];
+            gpu.buffer = function (...options) {
+                if (made - ended >= room) throw new Error("no room");
+                const one = own.apply(this, options);
+                made += 1;
+                one.destroy = () => { ended += 1; GPUBuffer.prototype.destroy.call(one); };
+                return one;
+            };
+            for (room = 0; room < 8; room++) {
+                await page.queriesOf("bvh").firstHit(ray).catch(() => { failed += 1; });
+                await page.walkOf("bvh", [...ray]).catch(() => { failed += 1; });
+            }
+            gpu.buffer = own;
+            return [made, ended, failed];
+        }"""
+    )
+    made = sum(min(room, 6) + min(room, 4) for room in range(8))
+    assert counts == [made, made, 6 + 4]
