@@ -162,6 +162,45 @@ def test_the_server_and_the_browser_show_the_same_and_the_camera_stays(viewer, s
     assert viewer.camera["eye"] == there["eye"]
 
 
+#: From now on the first sample of an image has bands of few pixels, and pauses after one of them.
+PAUSED = """async () => {
+  const {ImageRenderer} = await import(new URL("page/images.js", document.baseURI));
+  const {trace} = ImageRenderer.prototype;
+  globalThis.isPaused = false;
+  ImageRenderer.prototype.trace = async function (sample, first) {
+    this.size.size = Math.min(this.size.size, 1024);
+    if (first && !sample) {
+      isPaused = true;
+      await new Promise(done => { globalThis.goOn = done; });
+      ImageRenderer.prototype.trace = trace;
+    }
+    return trace.call(this, sample, first);
+  };
+}"""
+
+
+def test_a_saved_image_has_one_view(viewer, scene):
+    """Also while the first sample of another view is traced; errors are messages."""
+    choose_browser(viewer)
+    before = traced(viewer)
+    viewer.page.evaluate(PAUSED)
+    viewer.page.locator("#picture").press("+")
+    viewer.wait(lambda: viewer.page.evaluate("isPaused"), "a part of another view")
+    with viewer.page.expect_download() as download:
+        viewer.page.locator("#picture").press("p")
+        time.sleep(0.3)
+        viewer.page.evaluate("goOn()")
+    image = pixels(Path(download.value.path()).read_bytes())
+    after = traced(viewer)
+    height = len(before)
+    for part in (slice(0, height // 3), slice(height // 2, height)):
+        assert abs(image[part] - after[part]).mean() < 0.5 * abs(image[part] - before[part]).mean()
+    viewer.page.evaluate("void (HTMLCanvasElement.prototype.toBlob = done => done(null))")
+    viewer.page.locator("#picture").press("p")
+    said = viewer.page.locator(".toast", has_text="could not make a file of the image")
+    said.wait_for(state="attached")  # it is hidden here
+
+
 def test_the_server_rests_while_the_browser_traces_and_picks_for_it(viewer, scene):
     viewer.wait_for_rest()
     choose_browser(viewer)

@@ -1,6 +1,6 @@
 // An image of the viewer that this browser's GPU traces.
 
-import {unpack} from "./pack.js";
+import {PageError, unpack} from "./pack.js";
 import {TracedImage} from "./traced_image.js";
 import {toShapedCamera} from "./view.js";
 
@@ -22,6 +22,7 @@ export class BrowserImage extends TracedImage {
     this.exposure = 1;
     this.movedAt = -Infinity;
     this.choice = "";
+    this.drawing = Promise.resolve(); // a sample
   }
 
   async open() {
@@ -81,11 +82,20 @@ export class BrowserImage extends TracedImage {
     }
   }
 
-  /** The image on the canvas as a PNG. */
-  toFile() {
+  /** The image on the canvas as a PNG: {file, width, height}. */
+  async toFile() {
+    // Until a sample is finished, pixels may be of two views.
+    const isDrawn = await this.drawing.then(() => true, () => false);
+    if (!isDrawn || this.gpu.isLost || !this.display.sums) {
+      throw new PageError("There is no image to save yet.");
+    }
     // A canvas has its content until the end of the task that draws it.
-    this.display.show();
-    return new Promise(done => this.canvas.toBlob(done, "image/png"));
+    const shown = this.display.show();
+    const {width, height} = this.canvas;
+    const file = await new Promise(done => this.canvas.toBlob(done, "image/png"));
+    await shown;
+    if (!file) throw new PageError("This browser could not make a file of the image.");
+    return {file, width, height};
   }
 
   begins() {
@@ -93,7 +103,8 @@ export class BrowserImage extends TracedImage {
   }
 
   async frame() {
-    await super.frame();
+    this.drawing = super.frame();
+    await this.drawing;
     this.canvas.dataset.samples = this.sample;
   }
 

@@ -175,8 +175,12 @@ async function takeScreenshot() {
     send({type: "screenshot", number});
     return;
   }
-  const {width, height} = browser.canvas;
-  saveScreenshot({number, width, height}, await browser.image.toFile());
+  try {
+    const {file, ...size} = await browser.image.toFile();
+    saveScreenshot({number, ...size}, file);
+  } catch (error) {
+    toasts.error(error.message);
+  }
 }
 
 function saveScreenshot(header, file) {

@@ -17,7 +17,6 @@ export class Display {
     this.canvas = canvas;
     this.context = canvas.getContext("webgpu");
     this.format = navigator.gpu.getPreferredCanvasFormat();
-    this.context.configure({device: gpu.device, format: this.format});
     this.band = gpu.buffer("band", 16, GPUBufferUsage.UNIFORM);
     this.picture = gpu.buffer("picture", 16, GPUBufferUsage.UNIFORM);
     this.size = [0, 0];
@@ -31,6 +30,11 @@ export class Display {
       entry: "accumulate", layouts: [KINDS], constants: {},
     });
     this.showing = await this.pipeline(shaderSource(shaders, ["page/show.wgsl"]), "show");
+  }
+
+  /** Show this on the canvas, instead of what another GPU draws. */
+  configure() {
+    this.context.configure({device: this.gpu.device, format: this.format});
   }
 
   /** A pipeline that draws the whole canvas: source and entry point of a fragment shader. */

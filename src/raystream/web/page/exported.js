@@ -13,7 +13,7 @@ import {PassPanel} from "./pass_panel.js";
 import {whyNoPasses} from "./pass_streams.js";
 import {MOST_PIXELS_OF_PASSES, PassRenderer} from "./passes.js";
 import {Queries} from "./queries.js";
-import {TracedImage} from "./traced_image.js";
+import {LOST, TracedImage} from "./traced_image.js";
 import {add, length, scale, subtract} from "./vector.js";
 import {fromCamera, likelyUp, orbit, pan, toShapedCamera, worldOf, zoom} from "./view.js";
 import {basisOf} from "./view_uniform.js";
@@ -53,7 +53,7 @@ class Page extends TracedImage {
   hide() {
     byId("preview").hidden = false;
     byId("legend").hidden = true;
-    this.canvas.hidden = true;
+    this.showCanvas(false);
   }
 
   queriesOf(name) {
@@ -80,10 +80,36 @@ class Page extends TracedImage {
     return this.machine === "passes" && this.panel.isPaused;
   }
 
-  /** Stop, unless the GPU was lost: then it is opened again. */
-  async failed(error) {
-    if (!(error instanceof PageError) && await this.gpu.wasLost()) this.change();
+  /**
+   * Stop, unless something has been changed since the number of `changes`, or the GPU was lost: then
+   * it is opened again.
+   */
+  async failed(error, changes) {
+    const wasLost = !(error instanceof PageError) && await this.gpu.wasLost();
+    if (changes !== this.changes) return;
+    if (wasLost) this.change();
     else this.stop(error);
+  }
+
+  /** Do something beside the image; if it fails, say why, or repeat it once on another GPU. */
+  async attempt(work, isRepeated = false) {
+    const {gpu} = this;
+    try {
+      await work();
+      if (!this.isStopped) this.say("");
+    } catch (error) {
+      if (error instanceof PageError) {
+        this.say(error.message);
+        return;
+      }
+      if (await gpu.wasLost()) {
+        if (gpu !== this.gpu && !isRepeated) return this.attempt(work, true);
+        if (!this.isStopped) this.say(LOST); // until its image is there again
+        return;
+      }
+      console.error(error);
+      this.say(error.message);
+    }
   }
 
   get size() {
@@ -96,6 +122,15 @@ class Page extends TracedImage {
   get camera() {
     const [width, height] = this.size;
     return toShapedCamera({...this.view, aspect: width / height});
+  }
+
+  /** Images by compute need no streams of passes; the last step may still use them. */
+  begins() {
+    const {surfaces, machine, panel} = this;
+    const {streams} = surfaces;
+    if (machine === "passes" || !streams) return;
+    surfaces.streams = null;
+    panel.work.then(() => streams.destroy());
   }
 
   counted(counts) {
@@ -119,7 +154,12 @@ class Page extends TracedImage {
     this.losses = 0;
     byId("preview").hidden = true;
     byId("legend").hidden = !partsOf(this.mode)[1];
-    this.canvas.hidden = false;
+    this.showCanvas(true);
+  }
+
+  /** With the boxes of the steps over it, which are those of its view. */
+  showCanvas(isShown) {
+    this.canvas.hidden = this.walk.canvas.hidden = !isShown;
   }
 
   /** Choose a mode, structure or machine; passes run in some modes, on some structures. */
@@ -127,6 +167,7 @@ class Page extends TracedImage {
     const {modes, structures} = this.scene;
     const before = this.structure;
     const has = one => Boolean(structures[one].passes);
+    if (name === "machine" && value === "passes" && !Object.keys(structures).some(has)) return;
     const isHeatmap = () => partsOf(this.mode).length > 1;
     this[name] = value;
     if (this.machine === "passes" && name === "machine") {
@@ -138,7 +179,7 @@ class Page extends TracedImage {
     for (const one of ["mode", "structure", "machine"]) byId(one).value = this[one];
     byId("passes").hidden = this.machine !== "passes";
     this.change();
-    if (before !== this.structure && this.picked) this.list().catch(error => say(error.message));
+    if (before !== this.structure && this.picked) this.attempt(() => this.list());
   }
 
   /** The ray through a place of the image, fractions from its upper left corner. */
@@ -169,11 +210,12 @@ class Page extends TracedImage {
   /** List the hits of the ray through a place of the image, and its steps through the structure. */
   pick(x, y) {
     this.picked = this.rayThrough(x, y);
-    return this.list();
+    return this.attempt(() => this.list());
   }
 
   async list() {
     const {structure, picked: ray} = this;
+    if (!ray) return; // it was forgotten since
     const number = ++this.picks;
     const hits = await this.queriesOf(structure).allHits(Float64Array.from(ray));
     const walked = await this.walkOf(structure, ray);
@@ -226,7 +268,7 @@ function connect(page) {
     page.view = how(page.view);
     page.change();
   };
-  const pick = (x, y) => page.pick(x, y).catch(error => say(error.message));
+  const pick = (x, y) => page.pick(x, y);
   new Gestures(byId("picture"), {
     orbit: (dx, dy) => move(view => orbit(view, dx, dy)),
     pan: (dx, dy) => move(view => pan(view, dx, dy)),
@@ -260,15 +302,14 @@ function connect(page) {
     byId(name).addEventListener("change", () => page.choose(name, byId(name).value));
   }
   const why = whyNoPasses(page.gpu);
+  const hasPasses = Object.values(page.scene.structures).some(({passes}) => passes);
   fillSelect(byId("machine"), [["compute", "compute"], ["passes", "passes"]]);
-  byId("machine").options[1].disabled = Boolean(why);
+  byId("machine").options[1].disabled = Boolean(why) || !hasPasses;
   byId("machine").title = why ?? "";
-  byId("machine").parentElement.hidden = Object.values(page.scene.structures).every(
-    ({passes}) => !passes);
+  byId("machine").parentElement.hidden = !hasPasses;
   byId("machine").addEventListener("change", () => page.choose("machine", byId("machine").value));
   byId("home").addEventListener("click", () => move(() => page.home));
-  byId("compare").addEventListener("click",
-    () => page.compare().catch(error => say(error.message)));
+  byId("compare").addEventListener("click", () => page.attempt(() => page.compare()));
   for (const name of ["hits", "counts"]) {
     byId(`${name}-close`).addEventListener("click", () => {
       byId(name).hidden = true;

@@ -4,7 +4,7 @@
 import {DispatchSize, dispatchSize} from "./device.js";
 import {GpuClock} from "./gpu_clock.js";
 import {PageError} from "./pack.js";
-import {paramsOf} from "./queries.js";
+import {checkEnded, paramsOf} from "./queries.js";
 import {gatherArrays, inTextures} from "./shaders.js";
 import {localEye, viewNumbers} from "./view_uniform.js";
 
@@ -136,9 +136,7 @@ export class ImageRenderer {
       this.clock.rays += actives.slice(0, -1).reduce((sum, one) => sum + one, rays);
       rays = active + stuck;
       this.size.took(count, (performance.now() - began) / 1000 / dispatches);
-      if (endless || cut) {
-        throw new PageError(`Searches in ${this.structure.name} did not end on this GPU.`);
-      }
+      checkEnded(this.structure, !endless && !cut);
       if (stuck) {
         if (!this.grow(count)) return false;
       } else if (!active) return true;

@@ -46,10 +46,10 @@ export class PassPanel {
     byId("run").addEventListener("click", () => this.resume());
   }
 
-  /** Run the next pass; at first, begin the image again. */
+  /** Run the next pass; at first, and after a stop, begin the image again. */
   press() {
     byId("run").disabled = false;
-    if (this.isPaused) {
+    if (this.isPaused && !this.page.isStopped) {
       this.do(() => this.step());
     } else {
       this.isPaused = true;
@@ -59,14 +59,19 @@ export class PassPanel {
 
   /** Do one thing after another. */
   do(one) {
-    this.work = this.work.then(() => this.page.running).then(one)
-      .catch(error => this.page.failed(error));
+    let changes = null;
+    this.work = this.work.then(() => this.page.running).then(() => {
+      ({changes} = this.page);
+      return one();
+    }).catch(error => this.page.failed(error, changes));
   }
 
+  /** Trace on; after a stop, from the beginning. */
   resume() {
+    const {page} = this;
     this.isPaused = false;
     byId("run").disabled = true;
-    this.work = this.work.then(() => this.page.goOn());
+    this.work = this.work.then(() => (page.isStopped ? page.change() : page.goOn()));
   }
 
   /** Begin the image again, while it is traced pass by pass: the view or a choice has changed. */
@@ -82,7 +87,9 @@ export class PassPanel {
   /** Run one pass, and show the state of each ray. */
   async step() {
     const {page} = this;
+    if (page.isStopped) return;
     if (page.gpu.isLost) await page.reopen();
+    if (page.sample >= page.scene.samples) return;
     const {changes} = page;
     const isOutdated = () => changes !== page.changes || !page.isByStep;
     const renderer = await page.beginImage();
@@ -96,6 +103,7 @@ export class PassPanel {
     } else {
       await this.imageOf(page).show(renderer.streams);
     }
+    page.say("");
     page.reveal();
     this.show(renderer);
     byId("figures").textContent = `Pass by pass, ${page.gpu.name}`;

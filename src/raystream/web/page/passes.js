@@ -7,7 +7,7 @@ import {FIRST_ROOM, ImageRenderer} from "./images.js";
 import {PageError} from "./pack.js";
 import {Schedule} from "./pass_schedule.js";
 import {SEARCH, SHADING, Streams, TEXEL_BYTES, drawOf, whyNoPasses} from "./pass_streams.js";
-import {paramsOf} from "./queries.js";
+import {checkEnded, paramsOf} from "./queries.js";
 import {inTextures, shaderSource} from "./shaders.js";
 
 /** Most pixels of an image: all are traced together. */
@@ -259,7 +259,7 @@ export class PassRenderer extends ImageRenderer {
   async checkBudgets() {
     const state = await this.streams.read("state");
     for (let k = 3; k < state.length; k += 4) {
-      if (!state[k]) throw new PageError(`Searches in ${this.structure.name} did not end on this GPU.`);
+      checkEnded(this.structure, state[k]);
     }
   }
 }

@@ -9,7 +9,8 @@ const GROUP_SIZE = 64;
 const LAYOUT = ["uniform", "gather", "gather", "scatter", "scatter", "scatter"];
 const OTHERS = LAYOUT.length - 1; // buffers besides the structure's
 const KIND = {firstHit: 0, countHits: 2, multiHit: 3};
-const [ENDLESS, CUT_SHORT] = [0xffffffff, 0xfffffffe];
+const ENDLESS = 0xffffffff;
+export const CUT_SHORT = 0xfffffffe;
 const FAR = 3.4028234663852886e38;
 
 /** The counts of a ray, in the order of tally.wgsl. */
@@ -62,6 +63,33 @@ export class StructureOnGpu {
   }
 }
 
+/** Check that all searches in a structure ended. */
+export function checkEnded({name}, haveEnded) {
+  if (!haveEnded) throw new PageError(`Searches in ${name} did not end on this GPU.`);
+}
+
+/**
+ * Run a pipeline once on a structure and buffers, whose arguments are `contents`; returns what
+ * `read` does of them. They are destroyed then.
+ */
+export async function dispatch(gpu, structure, {pipeline, layout, contents, groups}, read) {
+  const buffers = [];
+  try {
+    for (const one of contents) buffers.push(gpu.buffer(...one));
+    const encoder = gpu.device.createCommandEncoder();
+    const pass = encoder.beginComputePass();
+    pass.setPipeline(pipeline);
+    pass.setBindGroup(0, gpu.bind(layout, buffers));
+    pass.setBindGroup(1, gpu.bind(structure.kinds, structure.resources));
+    pass.dispatchWorkgroups(...groups);
+    pass.end();
+    gpu.device.queue.submit([encoder.finish()]);
+    return await read(...buffers);
+  } finally {
+    buffers.forEach(buffer => buffer.destroy());
+  }
+}
+
 export class Queries {
   constructor(gpu, scene, structure) {
     this.gpu = gpu;
@@ -108,32 +136,25 @@ export class Queries {
     const {columns, rows, rowSize} = dispatchSize(count, GROUP_SIZE);
     const {packed, lengths} = localRays(scene.frame, rays);
     const params = paramsOf(scene, structure.about, {rayCount: count, rowSize, capacity});
-    const buffers = [
-      gpu.buffer("params", params, GPUBufferUsage.UNIFORM),
-      gpu.buffer("rays", packed), gpu.buffer("wanted", wanted),
-      gpu.buffer("rows", 16 * rowCount), gpu.buffer("endings", 4 * count),
-      gpu.buffer("tallies", counts ? 4 * COUNTED.length * count : 0),
+    const contents = [
+      ["params", params, GPUBufferUsage.UNIFORM], ["rays", packed], ["wanted", wanted],
+      ["rows", 16 * rowCount], ["endings", 4 * count],
+      ["tallies", counts ? 4 * COUNTED.length * count : 0],
     ];
     const pipeline = await this.pipeline(kind, counts);
-    const encoder = gpu.device.createCommandEncoder();
-    const pass = encoder.beginComputePass();
-    pass.setPipeline(pipeline);
-    pass.setBindGroup(0, gpu.bind(LAYOUT, buffers));
-    pass.setBindGroup(1, gpu.bind(structure.kinds, structure.resources));
-    pass.dispatchWorkgroups(columns, rows);
-    pass.end();
-    gpu.device.queue.submit([encoder.finish()]);
-    const endings = new Uint32Array(await gpu.read(buffers[4], 4 * count));
-    const found = rowCount ? new Float32Array(await gpu.read(buffers[3], 16 * rowCount))
-      : new Float32Array(0);
-    const tallies = counts
-      ? new Uint32Array(await gpu.read(buffers[5], 4 * COUNTED.length * count)) : null;
-    buffers.forEach(buffer => buffer.destroy());
-    if (endings.some(code => !code || code === ENDLESS || code === CUT_SHORT)) {
-      throw new PageError(`Searches in ${structure.name} did not end on this GPU.`);
+    const run = {pipeline, layout: LAYOUT, contents, groups: [columns, rows]};
+    const answers = await dispatch(gpu, structure, run, async (...buffers) => ({
+      endings: new Uint32Array(await gpu.read(buffers[4], 4 * count)),
+      rows: new Float32Array(rowCount ? await gpu.read(buffers[3], 16 * rowCount) : 0),
+      tallies: counts
+        ? new Uint32Array(await gpu.read(buffers[5], 4 * COUNTED.length * count)) : null,
+    }));
+    checkEnded(structure, answers.endings.every(
+      code => code && code !== ENDLESS && code !== CUT_SHORT));
+    for (let row = 0; row < rowCount; row++) {
+      answers.rows[4 * row] /= lengths[rowCount === count ? row : 0];
     }
-    for (let row = 0; row < rowCount; row++) found[4 * row] /= lengths[rowCount === count ? row : 0];
-    return {rows: found, endings, tallies};
+    return answers;
   }
 }
 

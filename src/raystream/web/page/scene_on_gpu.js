@@ -15,6 +15,7 @@ export class SceneOnGpu {
     this.kept = arrays;
     this.textures = new Map();
     this.buffers = new Map();
+    this.streams = null; // of passes
   }
 
   /** A texture of one of the shaders' arrays; lights are those of a mode. */

@@ -9,7 +9,7 @@ import {StructureOnGpu} from "./queries.js";
 import {SceneOnGpu} from "./scene_on_gpu.js";
 
 const MOST_LOSSES = 2; // of the GPU, without a sample between
-const LOST = "The GPU stopped; this page starts it again.";
+export const LOST = "The GPU stopped; this page starts it again.";
 const STOPPED = "The GPU stopped again. Another mode or structure may take it less time; choosing one "
   + "starts it again.";
 
@@ -41,12 +41,27 @@ export class TracedImage {
 
   async open() {
     const gpu = await Gpu.open();
+    try {
+      await this.use(gpu);
+    } catch (error) {
+      gpu.device.destroy();
+      throw error;
+    }
+    if (gpu !== this.gpu) gpu.device.destroy(); // the image was closed meanwhile
+  }
+
+  async use(gpu) {
+    if (this.isClosed) return;
     gpu.device.onuncapturederror = ({error}) => {
       this.errorCount += 1;
       if (gpu === this.gpu) this.stop(new PageError(`The GPU reported an error: ${error.message}`));
     };
-    this.display = await Display.make(gpu, this.scene.shaders, this.canvas);
-    this.surfaces = new SceneOnGpu(gpu, this.page, this.corners);
+    const display = await Display.make(gpu, this.scene.shaders, this.canvas);
+    if (this.isClosed) return;
+    const surfaces = new SceneOnGpu(gpu, this.page, this.corners);
+    display.configure();
+    this.display = display;
+    this.surfaces = surfaces;
     this.structures = new Map();
     this.renderers = new Map();
     this.begun = null; // the change that the image began with
@@ -60,12 +75,14 @@ export class TracedImage {
     this.gpu?.device.destroy();
   }
 
+  /** Open another GPU; false if the image was closed meanwhile. */
   async reopen() {
     this.losses += 1;
     if (this.losses >= MOST_LOSSES) throw new PageError(STOPPED);
     this.say(LOST);
     await this.open();
     this.sample = 0;
+    return !this.isClosed;
   }
 
   /** Stop, and show nothing, until something is changed. */
@@ -110,15 +127,17 @@ export class TracedImage {
     this.isRunning = true;
     while (this.sample < this.scene.samples && !this.isStopped && !this.isByStep) {
       try {
-        if (this.gpu.isLost) await this.reopen();
+        if (this.gpu.isLost && !(await this.reopen())) break;
       } catch (error) {
         this.stop(error);
         break;
       }
+      const {changes} = this;
       try {
         await this.frame();
       } catch (error) {
-        if (!(await this.gpu.wasLost())) this.stop(error);
+        // What is chosen since may work.
+        if (!(await this.gpu.wasLost()) && changes === this.changes) this.stop(error);
       }
     }
     this.isRunning = false;

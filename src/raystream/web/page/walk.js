@@ -1,8 +1,7 @@
 // What a ray's search visits in a structure, as the shaders do it.
 
 import {cached} from "./device.js";
-import {PageError} from "./pack.js";
-import {localRays, paramsOf} from "./queries.js";
+import {CUT_SHORT, checkEnded, dispatch, localRays, paramsOf} from "./queries.js";
 import {length} from "./vector.js";
 
 const LAYOUT = ["uniform", "gather", "scatter", "scatter"];
@@ -20,31 +19,23 @@ const KINDS = ["cell", "fine cell", "split", "up", "restart", "leaf", "node", "s
 export async function recordWalk(queries, ray) {
   const {gpu, scene, structure, pipelines} = queries;
   const {packed, lengths} = localRays(scene.frame, ray);
-  const buffers = [
-    gpu.buffer("params", paramsOf(scene, structure.about, {rayCount: 1, rowSize: 1}),
-      GPUBufferUsage.UNIFORM),
-    gpu.buffer("rays", packed), gpu.buffer("visits", 4 * WORDS * MOST_VISITS),
-    gpu.buffer("ending", 8),
-  ];
   const pipeline = await cached(pipelines, "walk", () => gpu.pipeline({
     source: structure.source(scene.shaders, ["page/walk.wgsl"],
       {instead: {"visits.wgsl": "page/record_visits.wgsl"}}),
     entry: "walk", layouts: [LAYOUT, structure.kinds], constants: structure.about.constants,
   }));
-  const encoder = gpu.device.createCommandEncoder();
-  const pass = encoder.beginComputePass();
-  pass.setPipeline(pipeline);
-  pass.setBindGroup(0, gpu.bind(LAYOUT, buffers));
-  pass.setBindGroup(1, gpu.bind(structure.kinds, structure.resources));
-  pass.dispatchWorkgroups(1);
-  pass.end();
-  gpu.device.queue.submit([encoder.finish()]);
-  const [total, code] = new Uint32Array(await gpu.read(buffers[3], 8));
-  const words = await gpu.read(buffers[2], 4 * WORDS * Math.min(total, MOST_VISITS));
-  buffers.forEach(buffer => buffer.destroy());
-  if (!code || code >= 0xfffffffe) {
-    throw new PageError(`Searches in ${structure.name} did not end on this GPU.`);
-  }
+  const run = {
+    pipeline, layout: LAYOUT, groups: [1],
+    contents: [
+      ["params", paramsOf(scene, structure.about, {rayCount: 1, rowSize: 1}), GPUBufferUsage.UNIFORM],
+      ["rays", packed], ["visits", 4 * WORDS * MOST_VISITS], ["ending", 8],
+    ],
+  };
+  const [total, code, words] = await dispatch(gpu, structure, run, async (...buffers) => {
+    const ending = new Uint32Array(await gpu.read(buffers[3], 8));
+    return [...ending, await gpu.read(buffers[2], 4 * WORDS * Math.min(ending[0], MOST_VISITS))];
+  });
+  checkEnded(structure, code && code < CUT_SHORT);
   // From local distances to those of world space.
   const factor = length(ray.slice(3)) / lengths[0];
   return {visits: visitsOf(words, factor), count: total - 1};
