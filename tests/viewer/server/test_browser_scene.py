@@ -167,7 +167,7 @@ def test_nothing_is_packed_for_a_page_that_has_gone(visit, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "error, reason",
+    ("error", "reason"),
     [
         (ValueError("lights: too many"), "The scene could not be packed: lights: too many"),
         (MemoryError(), "The scene could not be packed: out of memory"),

@@ -73,11 +73,12 @@ class SceneSender:
 
 
 class _Chunks(Response):
-    """Bytes that are sent no faster than they are read; see `HttpProtocol` for who stops."""
+    """Bytes that are sent no faster than the page reads them."""
 
     media_type = "application/octet-stream"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        del scope, receive
         start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
         await send(start)
         body = memoryview(self.body)
