@@ -35,6 +35,9 @@ from sphinx.environment import BuildEnvironment
 import raystream as rs
 from raystream.core.errors import RaystreamWarning
 from raystream.scene.samples import SAMPLES, SCENES_VARIABLE
+from raystream.structures import StructureOptions, options_of
+from raystream.web.scene_data import MODES
+from raystream.web.structure_names import structure_names
 
 #: Most bytes of a page.
 MOST_BYTES = 5_000_000
@@ -54,7 +57,7 @@ class LivePage(NamedTuple):
     title : str
     scene : str
         The name of a scene.
-    structures : tuple of str
+    structures : tuple of str or StructureOptions
         The first one is first seen.
     mode : str
         First seen, and of the image.
@@ -66,11 +69,22 @@ class LivePage(NamedTuple):
 
     title: str
     scene: str
-    structures: tuple[str, ...]
+    structures: tuple[str | StructureOptions, ...]
     mode: str
     triangles: int | None = None
     instead: str | None = None
 
+    def names(self) -> list[str]:
+        """The names of its structures in the page."""
+        return structure_names([options_of(one) for one in self.structures])
+
+
+#: Ways through a kd-tree, of one page.
+TRAVERSALS = (
+    "kdtree",
+    rs.KdTree(traversal="restart"),
+    rs.KdTree(traversal="backtrack"),
+)
 
 PAGES = {
     "bunny": LivePage("The Stanford bunny", "bunny", ("bvh", "grid"), "raycast", instead="engine"),
@@ -80,7 +94,11 @@ PAGES = {
     "engine": LivePage("An engine", "engine", ("bvh", "grid"), "raycast"),
     "robots": LivePage("Robots in a city", "robots", ("bvh", "grid"), "shadow"),
     "robots_by_trees": LivePage(
-        "Robots in a small city", "robots", ("bvh", "kdtree", "graph"), "shadow", triangles=12_000
+        "Robots in a small city",
+        "robots",
+        ("bvh", *TRAVERSALS, "graph"),
+        "shadow",
+        triangles=12_000,
     ),
     "spheres": LivePage("Glass and mirrors", "spheres", ("bvh", "grid"), "whitted"),
 }
@@ -181,9 +199,15 @@ class LivePageDirective(Directive):
         if name not in PAGES:
             raise self.error(f"live-page: expected one of {', '.join(PAGES)}, got {name!r}")
         wanted = PAGES[name]
-        structure = self.options.get("structure", wanted.structures[0])
-        if structure not in wanted.structures:
-            raise self.error(f"live-page: {name} has no structure {structure!r}")
+        structures = wanted.names()
+        structure = self.options.get("structure", structures[0])
+        if structure not in structures:
+            known = ", ".join(structures)
+            raise self.error(f"live-page: {name} has no structure {structure!r}, but {known}")
+        chosen = self.options.get("mode", wanted.mode)
+        if chosen not in MODES:
+            known = ", ".join(MODES)
+            raise self.error(f"live-page: expected a mode of {known}, got {chosen!r}")
         _pages_of(env).setdefault(env.docname, set()).add(name)
         caption = nodes.container(classes=["live-caption"])
         self.state.nested_parse(self.content, self.content_offset, caption)
@@ -236,15 +260,10 @@ def _purge(_app: Sphinx, env: BuildEnvironment, name: str) -> None:
     _pages_of(env).pop(name, None)
 
 
-def _merge(_app: Sphinx, env: BuildEnvironment, names: set[str], other: BuildEnvironment) -> None:
-    _pages_of(env).update({k: v for k, v in _pages_of(other).items() if k in names})
-
-
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directive, and what loads pages on request."""
     app.add_directive("live-page", LivePageDirective)
     app.connect("env-get-outdated", _outdated)
     app.connect("env-purge-doc", _purge)
-    app.connect("env-merge-info", _merge)
     app.add_js_file("live_page.js")
-    return {"parallel_read_safe": True, "env_version": 1}
+    return {"parallel_read_safe": False, "env_version": 1}

@@ -182,13 +182,19 @@ def test_other_builders_have_the_caption(site):
 
 
 def test_bad_input_is_named(live_page, tmp_path):
-    wrong = ".. live-page:: teapots", ".. live-page:: cornell\n   :structure: octree"
+    cornell = ".. live-page:: cornell\n"
+    wrong = (
+        ".. live-page:: teapots",
+        f"{cornell}   :structure: octree",
+        f"{cornell}   :mode: witted",
+    )
     (tmp_path / "source").mkdir()
     (tmp_path / "source" / "index.rst").write_text("\n\n".join(("Title\n=====", *wrong)))
     result = build(tmp_path / "source", tmp_path / "html")
     assert result.returncode
     assert "expected one of bunny, cornell" in result.stderr
     assert "cornell has no structure 'octree'" in result.stderr
+    assert "expected a mode of raycast, shadow, whitted, ao, path, got 'witted'" in result.stderr
 
 
 @pytest.mark.documentation

@@ -18,7 +18,7 @@ from raystream.rendering.lighting import ADDED, MEASURED, added_light, is_dark_b
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
-__all__ = ["kept_choice", "lit", "sees_surface"]
+__all__ = ["kept_choice", "lit", "sees_surface", "well_lit"]
 
 #: The trial: strips of the image, in blocks whose means count, since one sample is noisy. Whole
 #: rows go to the kernels that the image needs; sparse pixels went to others, and compiled them.
@@ -47,19 +47,13 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
     The same for any number of threads and on all structures. No trial is rendered by multipass
     machines, whose queries may take thousands of passes, and on CUDA.
     """
-    scene = context.tracer.scene
-    asked = context.chosen_lights
-    if asked not in ("auto", MEASURED) or renderer.name not in ADDED or is_dark_by_intent(scene):
-        return context
-    is_weak = bool(added_light(scene, renderer.name, asked))
-    chosen = context
-    is_tried = asked == "auto" and context.tracer.has_cheap_queries
-    if is_tried and not _shows(renderer, context):
-        lighter = context.with_lights("added")
-        if _shows(renderer, lighter):  # paths without bounces see no light that is added
-            chosen = lighter
+    chosen = well_lit(renderer, context)
+    scene, asked = context.tracer.scene, context.chosen_lights
+    if not _may_add(renderer, context):
+        return chosen
     added = added_light(scene, renderer.name, chosen.chosen_lights)
     if added:
+        is_weak = bool(added_light(scene, renderer.name, asked))
         why = "are too weak to see by" if is_weak else "do not reach what the camera sees"
         warnings.warn(
             f"the scene's own lights {why}: added {added} (lights='file' or --lights file uses "
@@ -68,6 +62,21 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
             stacklevel=3,
         )
     return chosen
+
+
+def well_lit(renderer: Integrator, context: RenderContext) -> RenderContext:
+    """The context of `lit`, without a warning."""
+    is_tried = context.chosen_lights == "auto" and context.tracer.has_cheap_queries
+    if is_tried and _may_add(renderer, context) and not _shows(renderer, context):
+        lighter = context.with_lights("added")
+        if _shows(renderer, lighter):  # paths without bounces see no light that is added
+            return lighter
+    return context
+
+
+def _may_add(renderer: Integrator, context: RenderContext) -> bool:
+    is_choice = context.chosen_lights in ("auto", MEASURED) and renderer.name in ADDED
+    return is_choice and not is_dark_by_intent(context.tracer.scene)
 
 
 def kept_choice(context: RenderContext) -> str:

@@ -65,7 +65,6 @@ def packed_scene(
     RaystreamError
         If it is not supported, or too large.
     """
-    from raystream.graphics.shader_source import shader_files
     from raystream.web.pack import packed_bytes
     from raystream.web.scene_data import MODES, page_scene
 
@@ -93,7 +92,6 @@ def packed_scene(
         **made.manifest,
         "modes": modes,
         "traversals": {key.structure: key.traversal},
-        "shaders": shader_files(made.shaders),
     }
     return packed_bytes(manifest, made.arrays, level=_LEVEL)
 
@@ -112,11 +110,11 @@ def _plain(camera: Camera) -> Camera:
 
 def _unsupported(prepared: PreparedTracer) -> str | None:
     """What shaders of pages do not support of a scene, as a sentence."""
-    from raystream.graphics.rendering.modes import unsupported
+    from raystream.web.scene_data import unsupported_by_pages
 
     count = prepared.tracer.scene.triangle_count
     if _LEAST_BYTES * count > MAX_BYTES:
         return f"The scene has {count:,} triangles, more than are sent to a browser."
     context = prepared.context
-    reason = unsupported(replace(context, camera=_plain(context.camera)))
-    return None if reason is None else f"The shaders of pages do not support {reason}."
+    reason = unsupported_by_pages(replace(context, camera=_plain(context.camera)))
+    return None if reason is None else f"{reason[0].upper()}{reason[1:]}."

@@ -13,7 +13,6 @@ import numpy as np
 
 from raystream.core.errors import RaystreamWarning
 from raystream.graphics.rendering.modes import TEXTURES
-from raystream.graphics.shader_source import shader_files
 from raystream.rendering.arguments import check_camera, check_size, check_switch
 from raystream.rendering.render import render
 from raystream.scene.camera import Camera
@@ -156,14 +155,13 @@ def export_page(
     made = page_scene(tracers, camera or found.camera_for(PAGE_ASPECT), (width, height))
     seen = camera or found.camera_for(width / height)
     image = render(tracers[0], "raycast", (width, height), samples=4, camera=seen)
-    manifest = {**made.manifest, "shaders": shader_files(made.shaders)}
     parts = PageParts(
         title=found.name or "raystream",
         template=_text("exported.html"),
         style="\n".join(map(_text, STYLES)),
         script=_script(),
         image=image.to_png(),
-        data=packed_bytes(manifest, made.arrays),
+        data=packed_bytes(made.manifest, made.arrays),
     )
     return write_folder(path, parts) if split else write_file(path, parts)
 

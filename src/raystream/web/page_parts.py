@@ -61,7 +61,7 @@ def write_folder(path: str | PathLike[str], parts: PageParts) -> int:
     """Write a page as files in a folder, which is made if there is none; returns their bytes.
 
     Its content security policy allows files of the same server only. Addresses have a part of the
-    files' hashes, so that browsers and proxies do not combine files of two versions.
+    files' hashes: a browser that has kept files of another version does not use them.
     """
     folder = Path(path)
     if folder.exists() and not folder.is_dir():

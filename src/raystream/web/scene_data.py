@@ -16,6 +16,7 @@ from raystream.graphics.rendering.scene_buffers import (
     surface_arrays,
 )
 from raystream.graphics.rendering.uniforms import BandPlace, shading_uniform
+from raystream.graphics.shader_source import shader_files
 from raystream.graphics.structures import shader_structure_of
 from raystream.rendering.integrator import RenderContext, make_context
 from raystream.rendering.lighting import needs_light
@@ -29,7 +30,7 @@ from raystream.web.heatmaps import COUNTS, counts_of, ramp_words
 from raystream.web.pass_kernels import pass_files, pass_kernels, schedule
 from raystream.web.structure_names import structure_names
 
-__all__ = ["MODES", "PageScene", "check_supported", "page_scene"]
+__all__ = ["MODES", "PageScene", "check_supported", "page_scene", "unsupported_by_pages"]
 
 #: Modes of a page, the first one first seen.
 MODES = ("raycast", "shadow", "whitted", "ao", "path")
@@ -50,16 +51,19 @@ class PageScene(NamedTuple):
     Attributes
     ----------
     manifest : dict
-        For JSON.
+        For JSON, with the shader files of its modes and structures.
     arrays : dict of str to ndarray
         Of four-byte numbers.
-    shaders : set of str
-        Shader files of its modes and structures.
     """
 
     manifest: dict[str, Any]
     arrays: dict[str, NDArray[Any]]
-    shaders: frozenset[str]
+
+
+def unsupported_by_pages(context: RenderContext) -> str | None:
+    """Say what the shaders of pages do not support of a scene and its view; None if all."""
+    reason = unsupported(context)
+    return None if reason is None else f"the shaders of pages do not support {reason}"
 
 
 def check_supported(tracer: Tracer, camera: Camera) -> None:
@@ -71,9 +75,9 @@ def check_supported(tracer: Tracer, camera: Camera) -> None:
         Of the scene, with any structure.
     camera : Camera
     """
-    reason = unsupported(_context(tracer, camera, (1, 1), MODES[0]))
+    reason = unsupported_by_pages(_context(tracer, camera, (1, 1), MODES[0]))
     if reason is not None:
-        raise RaystreamError(f"export: the shaders of pages do not support {reason}")
+        raise RaystreamError(f"export: {reason}")
 
 
 def page_scene(
@@ -152,8 +156,9 @@ def page_scene(
         "structures": structures,
         "schedule": schedule(),
         "samples": SAMPLES,
+        "shaders": shader_files(files),
     }
-    return PageScene(manifest, arrays, frozenset(files))
+    return PageScene(manifest, arrays)
 
 
 #: Files that replace others, which no file includes.
@@ -192,29 +197,27 @@ def _add_mode(
     arrays: dict[str, NDArray[Any]], name: str, context: RenderContext, mode: Mode
 ) -> dict[str, Any]:
     """Add what a mode's shaders read; returns what describes it."""
-    lights = _add_lights(arrays, name, _lights(context, mode))
+    lights = _add_array(arrays, f"lights {name}", _lights(context, mode), among="lights ")
     uniform = shading_uniform(context, mode, BandPlace(0, 0, 0, 1))
     arrays[f"shading {name}"] = np.frombuffer(uniform, np.uint32)
     return _mode(context, mode, lights)
 
 
-def _add_array(arrays: dict[str, NDArray[Any]], name: str, array: NDArray[Any]) -> str:
-    """Add an array, which may be one of a structure before; returns its name."""
+def _add_array(
+    arrays: dict[str, NDArray[Any]], name: str, array: NDArray[Any], among: str = ""
+) -> str:
+    """Add an array, unless one whose name begins with `among` has its bits; returns the name."""
+    bits = _bits(array)
     for known, other in arrays.items():
         is_like = other.dtype == array.dtype and other.size == array.size
-        if is_like and other.tobytes() == array.tobytes():
+        if is_like and known.startswith(among) and np.array_equal(_bits(other), bits):
             return known
     arrays[name] = array
     return name
 
 
-def _add_lights(arrays: dict[str, NDArray[Any]], mode: str, lights: NDArray[np.float32]) -> str:
-    """Add a mode's lights, which may be those of a mode before; returns their name."""
-    for name, known in arrays.items():
-        if name.startswith("lights ") and np.array_equal(known, lights):
-            return name
-    arrays[f"lights {mode}"] = lights
-    return f"lights {mode}"
+def _bits(array: NDArray[Any]) -> NDArray[np.uint32]:
+    return np.ravel(array).view(np.uint32)
 
 
 def _mode(context: RenderContext, mode: Mode, lights: str) -> dict[str, Any]:

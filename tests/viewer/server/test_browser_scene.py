@@ -20,7 +20,7 @@ from raystream.viewer.client import Client
 from raystream.viewer.render_service import RenderService
 from raystream.viewer.serve import ViewServer, bind
 from viewer.server.test_with_engine import ID, MODEL, read_until
-from viewer_home import Guest, no_view_threads_left, wait_until
+from viewer_home import Guest, no_view_threads_left, read_answer, wait_until
 from web.test_pack import unpacked
 
 
@@ -110,6 +110,77 @@ def test_of_requests_that_wait_the_last_one_is_answered(visit, monkeypatch):
         may_end.set()
         assert [one.result().status for one in answers] == [200, 409, 200]
     assert len(begun) == 2
+
+
+def test_a_page_that_does_not_read_holds_one_scene_and_stops_nobody_else(visit, monkeypatch):
+    guest, client = visit(rs.load("cornell"))
+    other = guest.connect()
+    read_until(other, "structure")
+    begun, content = [], bytes(32 << 20)  # more than buffers of sockets hold
+
+    def pack(self):
+        begun.append(self)
+        return content
+
+    monkeypatch.setattr(Client, "packed_scene", pack)
+    key = client.hello["upload_key"]
+    head = f"GET /scene HTTP/1.1\r\nHost: {guest.name}\r\nX-Upload-Key: {key}\r\n"
+    asked = f"{head}Connection: close\r\n\r\n".encode()
+    slow, gone, last = (guest.open_socket() for _ in range(3))
+    slow.sendall(asked)
+    wait_until(lambda: len(begun) == 1)
+    gone.sendall(asked)
+    time.sleep(0.1)  # until the server has it
+    last.sendall(asked)
+    assert len(load(guest, other).body) == len(content)
+    assert len(begun) == 2  # the scenes of two pages
+    assert len(read_answer(slow).body) == len(content)
+    assert read_answer(gone).status == 409
+    assert len(read_answer(last).body) == len(content)
+    assert len(begun) == 3
+
+
+def test_nothing_is_packed_for_a_page_that_has_gone(visit, monkeypatch):
+    guest, client = visit(rs.load("cornell"))
+    begun, may_end = [], threading.Event()
+
+    def pack(self):
+        begun.append(self)
+        may_end.wait(10)
+        return b"packed"
+
+    monkeypatch.setattr(Client, "packed_scene", pack)
+    key = client.hello["upload_key"]
+    asked = f"GET /scene HTTP/1.1\r\nHost: {guest.name}\r\nX-Upload-Key: {key}\r\n\r\n".encode()
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(load, guest, client)
+        wait_until(lambda: begun)
+        gone = guest.open_socket()
+        gone.sendall(asked)
+        time.sleep(0.2)  # until the server has it
+        gone.close()
+        time.sleep(0.2)
+        may_end.set()
+        assert answer.result().status == 200
+    assert load(guest, client).status == 200
+    assert len(begun) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (ValueError("lights: too many"), "The scene could not be packed: lights: too many"),
+        (MemoryError(), "The scene could not be packed: out of memory"),
+    ],
+)
+def test_an_error_of_any_kind_is_one_line(visit, monkeypatch, error, reason):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr("raystream.web.scene_data.page_scene", fail)
+    guest, client = visit(rs.load("cornell"))
+    answer = load(guest, client)
+    assert (answer.status, answer.body.decode()) == (500, f"{reason}\n")
 
 
 def test_what_shaders_do_not_support_is_named(visit):

@@ -40,9 +40,8 @@ def make_app(service: RenderService, connections: Connections, access: Access) -
     Returns
     -------
     ASGI application
-        ``GET /``, ``GET /page/NAME``, ``GET /scene``, ``PUT /uploads/ID/NAME`` and the websocket
-        ``/live``;
-        everything else is 404.
+        ``GET /``, ``GET /page/NAME``, ``GET /scene``, ``PUT /uploads/ID/NAME`` and the
+        websocket ``/live``; everything else is 404.
     """
     files = read_page_files()
 
@@ -61,7 +60,7 @@ def make_app(service: RenderService, connections: Connections, access: Access) -
     routes = [
         Route("/", page, methods=["GET"]),
         Route("/page/{name}", page, methods=["GET"]),
-        Route("/scene", SceneSender(connections).send, methods=["GET"]),
+        Route("/scene", SceneSender(connections), methods=["GET"]),
         Route("/uploads/{upload}/{name}", upload, methods=["PUT"]),
         WebSocketRoute("/live", socket),
     ]
