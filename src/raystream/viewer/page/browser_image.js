@@ -77,7 +77,7 @@ export class BrowserImage extends TracedImage {
     this.scene.samples = samples;
     const spreads = samples > 1 ? 1 : 0;
     for (const {constants} of Object.values(this.scene.modes)) {
-      if (constants.SPREADS !== spreads) this.renderers.clear();
+      if (constants.SPREADS !== spreads) this.renderers = new Map();
       constants.SPREADS = spreads;
     }
   }

@@ -146,10 +146,10 @@ export class TracedImage {
   /** The renderer of the image, which begins it if anything has changed; null if a choice has. */
   async beginImage() {
     const {structure, mode, machine} = this;
-    const made = this.rendererOf(structure, mode, machine);
-    const renderer = await made;
+    const {renderers} = this;
+    const renderer = await this.rendererOf(structure, mode, machine);
     if (structure !== this.structure || mode !== this.mode || machine !== this.machine) return null;
-    if (made !== this.rendererOf(structure, mode, machine)) return null; // of other constants
+    if (renderers !== this.renderers) return null; // made with other constants
     if (this.sample === 0 && this.begun !== this.changes) {
       this.begins();
       this.display.begin(this.size);
