@@ -39,10 +39,13 @@ class Guest:
     Parameters
     ----------
     port : int
+    patience : float
+        Seconds to wait for an answer.
     """
 
-    def __init__(self, port):
+    def __init__(self, port, patience=10.0):
         self.port = port
+        self.patience = patience
         self.name = f"127.0.0.1:{port}"
         self.origin = f"http://{self.name}"
         self._clients = ExitStack()
@@ -65,13 +68,16 @@ class Guest:
 
     def open_socket(self):
         """Open a connection and send nothing."""
-        raw = self._clients.enter_context(socket.create_connection(("127.0.0.1", self.port), 10))
-        raw.settimeout(10)
+        raw = self._clients.enter_context(socket.socket())
+        # A receive buffer of this size; otherwise the system may make one for a whole scene.
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        raw.settimeout(self.patience)
+        raw.connect(("127.0.0.1", self.port))
         return raw
 
     def ask(self, head, body=b""):
         """Send a request as it is, and read the answer: status, headers, body."""
-        with socket.create_connection(("127.0.0.1", self.port), 10) as raw:
+        with socket.create_connection(("127.0.0.1", self.port), self.patience) as raw:
             raw.sendall(head.replace("\n", "\r\n").encode("latin-1") + b"\r\n\r\n" + body)
             return read_answer(raw)
 

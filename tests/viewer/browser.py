@@ -108,7 +108,8 @@ class Viewer:
         self._watch()
         if before:
             self.page.add_init_script(before)
-        self.page.goto(address + fragment)
+        answer = self.page.goto(address + fragment)
+        assert answer is not None and answer.ok, f"no page at {address}"
         self.page.locator("#stage[data-frame]").wait_for()
 
     def _watch(self) -> None:

@@ -11,9 +11,12 @@ import threading
 import pytest
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def temporary(tmp_path_factory):
-    """The folder of temporary folders."""
+    """The folder of temporary folders; and servers have small pages.
+
+    Until the module ends: what follows in this process may show the page.
+    """
     from raystream.viewer.server import app
     from viewer_home import PAGE
 
@@ -24,9 +27,9 @@ def temporary(tmp_path_factory):
         yield folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def shared_home(temporary):
-    """One server for all tests that do not change it."""
+    """One server for all of a module's tests that do not change it."""
     from viewer_home import Home
 
     home = Home()

@@ -19,6 +19,7 @@ from raystream.viewer import browser_scene
 from raystream.viewer.client import Client
 from raystream.viewer.render_service import RenderService
 from raystream.viewer.serve import ViewServer, bind
+from viewer.browser import PATIENCE
 from viewer.server.test_with_engine import ID, MODEL, read_until
 from viewer_home import Guest, no_view_threads_left, read_answer, wait_until
 from web.test_pack import unpacked
@@ -34,7 +35,7 @@ def visit(temporary):
             settings.setdefault("mode", "vis")
             service = RenderService(scene, "scene", settings=settings)
             server = ViewServer(service, bind("127.0.0.1", 0))
-            guest = Guest(server.port)
+            guest = Guest(server.port, PATIENCE)  # kernels may have to be compiled
             opened.append((guest, server))
             client = guest.connect()
             client.send(json.dumps({"type": "size", "width": 32, "height": 24}))

@@ -14,6 +14,7 @@ need("starlette", "uvicorn", "websockets")
 import raystream as rs
 from raystream.viewer.render_service import RenderService
 from raystream.viewer.serve import ViewServer, bind
+from viewer.browser import PATIENCE
 from viewer_home import Guest, no_view_threads_left, wait_until
 
 ID = "0123456789abcdef"
@@ -41,7 +42,7 @@ def guest(temporary, no_threads_left):
 def read_until(client, kind):
     """The next message of a type; a frame is its header, and shown at once."""
     while True:
-        message = client.recv(60)
+        message = client.recv(PATIENCE)
         if isinstance(message, bytes):
             (length,) = struct.unpack_from("<I", message)
             content = message[4 + length :]
