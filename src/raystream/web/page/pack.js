@@ -34,13 +34,20 @@ export async function unpack(packed) {
 
 async function inflate(packed) {
   try {
-    const bytes = typeof packed === "string"
-      ? Uint8Array.from(atob(packed.trim()), letter => letter.charCodeAt(0)) : packed;
+    const bytes = typeof packed === "string" ? bytesOf(packed.trim()) : packed;
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
     return new Uint8Array(await new Response(stream).arrayBuffer());
   } catch {
     throw new PageError(INCOMPLETE);
   }
+}
+
+/** Bytes from Base64; a loop, since a function for each letter took 0.57 s for 1.4 MB, not 0.04. */
+function bytesOf(text) {
+  const letters = atob(text);
+  const bytes = new Uint8Array(letters.length);
+  for (let i = 0; i < bytes.length; i++) bytes[i] = letters.charCodeAt(i);
+  return bytes;
 }
 
 /** Words whose bytes are sorted by significance; integers are sums of what is stored. */
