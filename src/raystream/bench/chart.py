@@ -30,8 +30,8 @@ _TICKS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 #: Least width of labels on an axis, as a factor.
 _MARGIN = 1.15
 
-#: The chart of speeds, in pixels: a bar's row, a panel, its names, its longest bar, and its head.
-_BAR, _WIDE, _LABELS, _LONGEST, _TITLE = 19, 370, 124, 188, 34
+#: The chart of speeds, in pixels: a bar's row, and a panel's width, names, longest bar and head.
+_BAR, _WIDE, _LABELS, _LONGEST, _TITLE = 21, 318, 126, 124, 38
 
 #: Its contenders, if they took part, and what is said where one has no such query.
 _SHOWN = {
@@ -120,22 +120,24 @@ def draw_speeds(result: BenchResult) -> str:
     speeds = {name: _mean_speeds(result, name) for name in _SPEEDS}
     shown = [label for label in _SHOWN if any(label in means for means in speeds.values())]
     panel = _TITLE + _BAR * len(shown) + 12
-    width, height = 2 * _WIDE, 3 * panel + 34
+    width, height = 2 * _WIDE, 3 * panel + 54
     shapes, spoken = [], []
     for number, (name, means) in enumerate(speeds.items()):
         left, top = number % 2 * _WIDE, number // 2 * panel + _TITLE
-        shapes.append(_text(left + 14, top - 10, _SPEEDS[name], weight="bold", size=14))
+        shapes.append(_text(left + 14, top - 10, _SPEEDS[name], weight="bold", size=15))
         for row, label in enumerate(shown):
             shapes += _bar(left, top + _BAR * row, label, means)
         listed = ", ".join(f"{_SHOWN[label]} {mean:.1f}" for label, mean in means.items())
         spoken.append(f"{_SPEEDS[name]}: {listed}")
     machine = result.machine
-    note = (
-        f"Millions of rays per second, {len(result.scenes)} scenes (geometric means); longer is "
-        f"faster. {machine['cpu']}, {machine['threads']} cores, {result.date}."
+    unit = "Millions of rays per second; longer is faster."
+    source = (
+        f"Geometric means of {len(result.scenes)} scenes. {machine['cpu']}, {machine['threads']} "
+        f"cores, {result.date}."
     )
-    shapes.append(_text(14, height - 14, note, color=_FAINT))
-    return _svg(width, height, f"{note} {'; '.join(spoken)}", shapes)
+    for lines, note in enumerate((source, unit)):
+        shapes.append(_text(14, height - 14 - 18 * lines, note, color=_FAINT, size=13))
+    return _svg(width, height, f"{unit} {source} {'; '.join(spoken)}", shapes)
 
 
 def _mean_speeds(result: BenchResult, name: str) -> dict[str, float]:
@@ -156,18 +158,19 @@ def _mean_speeds(result: BenchResult, name: str) -> dict[str, float]:
 def _bar(left: float, top: float, label: str, means: dict[str, float]) -> list[str]:
     """A contender's name, bar and number."""
     is_own = label == "raystream"
-    weight, y = ("bold" if is_own else "normal"), top + _BAR / 2 + 4.5
+    weight, y = ("bold" if is_own else "normal"), top + _BAR / 2 + 5
     x = left + 14 + _LABELS
-    name = _text(x - 8, y, _SHOWN[label], anchor="end", weight=weight)
+    name = _text(x - 8, y, _SHOWN[label], anchor="end", weight=weight, size=14)
     if label not in means:
-        return [name, _text(x, y, _NO_BAR, color=_FAINT)]
+        return [name, _text(x, y, _NO_BAR, color=_FAINT, size=14)]
     length = _LONGEST * means[label] / max(means.values())
     color = _FAIR if is_own else _OTHER
     bar = (
         f'<rect x="{x}" y="{top + 2}" width="{length:.1f}" height="{_BAR - 4}" rx="2" '
         f'fill="{color}"/>'
     )
-    return [name, bar, _text(x + length + 6, y, f"{means[label]:.1f}", weight=weight)]
+    number = f"{means[label]:.1f}"
+    return [name, bar, _text(x + length + 6, y, number, weight=weight, size=14)]
 
 
 def _svg(width: float, height: float, label: str, shapes: list[str]) -> str:
