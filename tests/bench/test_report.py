@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.made_results import made
-from raystream.bench.chart import chart_text, draw_chart
+from raystream.bench.chart import chart_text, draw_chart, draw_speeds
 from raystream.bench.report import REPORT_SUFFIXES, goal_table, make_tables, write_report
 from raystream.bench.results import read_result
 
@@ -44,6 +44,29 @@ def test_dots_are_where_their_ratios_are():
 
 def test_a_chart_of_nothing():
     assert texts(ET.fromstring(draw_chart(made())))
+
+
+def test_bars_are_as_long_as_speeds():
+    result = made(a={"primary": 2.0}, b={"primary": 8.0}, c={"multi": 1.0})
+    for rays in (one for scene in result.scenes for one in scene.sets):
+        rays.seconds = {"raystream": rays.seconds["raystream"], "open3d": rays.seconds["best"]}
+    root = ET.fromstring(draw_speeds(result))
+    assert {"Camera rays, first hit", "Open3D", "0.2", "1.0"} <= set(texts(root))
+    assert "Mitsuba" not in texts(root)  # took no part
+    assert "Camera rays, first hit: raystream 1.0, Open3D 0.2" in root.get("aria-label")
+    background, own, other, *_ = root.iter(f"{SVG}rect")
+    assert background.get("fill") == "#ffffff"
+    assert float(own.get("width")) == pytest.approx(4 * float(other.get("width")), abs=0.3)
+
+
+def test_bars_of_nothing():
+    assert texts(ET.fromstring(draw_speeds(made())))
+
+
+def test_the_chart_of_speeds_is_current():
+    drawn = draw_speeds(read_result(STORED / "result.json"))
+    stored = (STORED.parent / "images" / "speed.svg").read_text(encoding="utf-8")
+    assert stored == f"{drawn}\n", "run python docs/images/speed.py"
 
 
 def test_goals_that_are_met_are_named():

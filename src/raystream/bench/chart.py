@@ -1,15 +1,16 @@
-"""Chart: raystream's speed relative to the best peer's, as an SVG."""
+"""Charts as SVG: speeds, and raystream's speed relative to the best peer's."""
 
 from __future__ import annotations
 
 import math
+import statistics
 from xml.sax.saxutils import escape, quoteattr
 
 from raystream.bench.goals import Verdict, judge
 from raystream.bench.ray_sets import RAY_SETS
 from raystream.bench.results import BenchResult
 
-__all__ = ["chart_text", "draw_chart"]
+__all__ = ["chart_text", "draw_chart", "draw_speeds"]
 
 #: Pixels: a scene's row, a ray set's panel and the gap to the next one, the names' column, a
 #: panel's head and axis, and the legend.
@@ -21,13 +22,36 @@ _COLUMNS = 4
 #: Colours that all kinds of colour vision tell apart (Okabe and Ito 2008): from the median's goal
 #: up, from 1 up, below.
 _GOOD, _FAIR, _POOR = "#009e73", "#0072b2", "#d55e00"
-_INK, _FAINT, _RULE = "#222222", "#767676", "#dddddd"
+_INK, _FAINT, _RULE, _OTHER = "#222222", "#767676", "#dddddd", "#a8b0b8"
 
 #: Marks of the axes, where they are within a panel's range.
 _TICKS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 
 #: Least width of labels on an axis, as a factor.
 _MARGIN = 1.15
+
+#: The chart of speeds, in pixels: a bar's row, and a panel's width, names, longest bar and head.
+_BAR, _WIDE, _LABELS, _LONGEST, _TITLE = 21, 318, 126, 124, 38
+
+#: Its contenders, if they took part, and what is said where one has no such query.
+_SHOWN = {
+    "raystream": "raystream",
+    "open3d": "Open3D",
+    "embreex": "embreex (trimesh)",
+    "mitsuba": "Mitsuba",
+    "mitsuba-robust": "Mitsuba, robust",
+}
+_NO_BAR = "no such query"
+
+#: Its panels.
+_SPEEDS = {
+    "primary": "Camera rays, first hit",
+    "multi": "Camera rays, all hits, sorted",
+    "shadow": "Shadow rays, any hit",
+    "ao": "Ambient occlusion rays, any hit",
+    "bounce": "Diffuse rays, first hit",
+    "random": "Random rays, first hit",
+}
 
 
 class _Panel:
@@ -77,12 +101,85 @@ def draw_chart(result: BenchResult) -> str:
         panel = _Panel(verdict, _NAMES + column * (_PANEL + _GAP), top)
         shapes += _draw_panel(panel, verdict, scenes)
     shapes += _legend(height - _LEGEND + 14)
-    label = quoteattr(chart_text(result))
+    return _svg(width, height, chart_text(result), shapes)
+
+
+def draw_speeds(result: BenchResult) -> str:
+    """Draw the speeds of raystream and its peers as bars, a panel for each set of rays.
+
+    Parameters
+    ----------
+    result : BenchResult
+
+    Returns
+    -------
+    str
+        An SVG. Bars are geometric means over the scenes in which all contenders of a panel took
+        part, in millions of rays per second.
+    """
+    speeds = {name: _mean_speeds(result, name) for name in _SPEEDS}
+    shown = [label for label in _SHOWN if any(label in means for means in speeds.values())]
+    panel = _TITLE + _BAR * len(shown) + 12
+    width, height = 2 * _WIDE, 3 * panel + 54
+    shapes, spoken = [], []
+    for number, (name, means) in enumerate(speeds.items()):
+        left, top = number % 2 * _WIDE, number // 2 * panel + _TITLE
+        shapes.append(_text(left + 14, top - 10, _SPEEDS[name], weight="bold", size=15))
+        for row, label in enumerate(shown):
+            shapes += _bar(left, top + _BAR * row, label, means)
+        listed = ", ".join(f"{_SHOWN[label]} {mean:.1f}" for label, mean in means.items())
+        spoken.append(f"{_SPEEDS[name]}: {listed}")
+    machine = result.machine
+    unit = "Millions of rays per second; longer is faster."
+    source = (
+        f"Geometric means of {len(result.scenes)} scenes. {machine['cpu']}, {machine['threads']} "
+        f"cores, {result.date}."
+    )
+    for lines, note in enumerate((source, unit)):
+        shapes.append(_text(14, height - 14 - 18 * lines, note, color=_FAINT, size=13))
+    return _svg(width, height, f"{unit} {source} {'; '.join(spoken)}", shapes)
+
+
+def _mean_speeds(result: BenchResult, name: str) -> dict[str, float]:
+    """Geometric means of the contenders' speeds, over the scenes that all of them traced."""
+    found = [
+        {label: speed for label in _SHOWN if (speed := rays.speed(label)) is not None}
+        for scene in result.scenes
+        for rays in scene.sets
+        if rays.name == name
+    ]
+    labels = [label for label in _SHOWN if any(label in row for row in found)]
+    rows = [row for row in found if len(row) == len(labels)]
+    if not rows:
+        return {}
+    return {label: statistics.geometric_mean(row[label] for row in rows) for label in labels}
+
+
+def _bar(left: float, top: float, label: str, means: dict[str, float]) -> list[str]:
+    """A contender's name, bar and number."""
+    is_own = label == "raystream"
+    weight, y = ("bold" if is_own else "normal"), top + _BAR / 2 + 5
+    x = left + 14 + _LABELS
+    name = _text(x - 8, y, _SHOWN[label], anchor="end", weight=weight, size=14)
+    if label not in means:
+        return [name, _text(x, y, _NO_BAR, color=_FAINT, size=14)]
+    length = _LONGEST * means[label] / max(means.values())
+    color = _FAIR if is_own else _OTHER
+    bar = (
+        f'<rect x="{x}" y="{top + 2}" width="{length:.1f}" height="{_BAR - 4}" rx="2" '
+        f'fill="{color}"/>'
+    )
+    number = f"{means[label]:.1f}"
+    return [name, bar, _text(x + length + 6, y, number, weight=weight, size=14)]
+
+
+def _svg(width: float, height: float, label: str, shapes: list[str]) -> str:
+    """An image of its own background, which is readable on a dark page too."""
     return "\n".join(
         [
             '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif"',
             f' viewBox="0 0 {width} {height}" width="{width}" height="{height}"',
-            f' role="img" aria-label={label}>',
+            f' role="img" aria-label={quoteattr(label)}>',
             f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
             *shapes,
             "</svg>",
