@@ -39,6 +39,10 @@ PHRASES = {
     r"look(?:s|ing)? about": "look around",
     r"pictures?": "image",
     r"films": "animations; a film accumulates light",
+    r"hence|thus|thereby|whereby|thereof": "so, therefore",
+    r"in order to": "to",
+    r"of course|obviously|simply|basically": "leave it out",
+    r"(?:leverage|utili[sz]e)[sd]?": "use",
 }
 
 #: Names, not prose: code in quotes or backquotes, files, paths, and references to pages.
@@ -64,6 +68,32 @@ def found_in(text: str) -> list[tuple[int, str]]:
         for match in forbidden().finditer(prose)
         if not match[0].endswith("None")
     ]
+
+
+#: Most words of a sentence on a page.
+SENTENCE_WORDS = 45
+
+#: Where a sentence ends: also at a colon or semicolon, and where an item of a list begins.
+SENTENCE_END = re.compile(r"(?<=[.!?])\s+(?=[^a-z])|[;:]\s|\n\s*(?=(?:[-*]|\d\.)\s)")
+
+#: What begins a block that is no paragraph: markup, a table, code.
+NO_PARAGRAPH = re.compile(r"\s*(?:\.\.|[=+|]{2}|:\w|>>>|\$|#|\|)|(?:.*\n)?[-=~^]{4}| {3,}")
+
+
+def faults_of_sentences(text: str) -> list[tuple[int, str]]:
+    """Lines of paragraphs, and the sentences that are too long and words that stand twice."""
+    found = []
+    for match in re.finditer(r"(?m)(?:^[^\n]*\S[^\n]*\n?)+", text):
+        if NO_PARAGRAPH.match(match[0]):
+            continue
+        prose = re.sub(r"\([^()]*\)", "", NAMES.sub("Name", match[0]))
+        line = text.count("\n", 0, match.start()) + 1
+        found += [(line, word[0]) for word in re.finditer(r"\b([a-z]{2,})\s+\1\b", prose)]
+        for sentence in SENTENCE_END.split(prose):
+            words = sentence.split()
+            if len(words) > SENTENCE_WORDS:
+                found.append((line, f"{len(words)} words: {' '.join(words[:12])} ..."))
+    return found
 
 
 def prose_of(path: Path) -> str:
@@ -103,6 +133,25 @@ def complaints(path: Path) -> list[str]:
 def test_the_text_uses_the_words_of_the_field():
     found = [line for path in files() for line in complaints(path)]
     assert not found, "\n".join(["see PHRASES for what to write instead:", *found])
+
+
+def test_sentences_of_pages_are_short_and_without_repeated_words():
+    pages = [path for path in files() if path.suffix in {".rst", ".md"}]
+    found = [
+        f"{path.relative_to(ROOT).as_posix()}:{line}: {what}"
+        for path in pages
+        if path.parent.name != "decisions"  # records
+        for line, what in faults_of_sentences(prose_of(path))
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_long_sentences_are_found():
+    words = "b c " * (SENTENCE_WORDS // 2)
+    assert not faults_of_sentences(f"A {words.strip()}. A {words.strip()}: a {words.strip()}.\n")
+    assert [line for line, _ in faults_of_sentences(f"Short.\n\nOne {words}more.\n")] == [3]
+    assert faults_of_sentences("One of the\nthe trees.\n") == [(1, "the\nthe")]
+    assert not faults_of_sentences(f".. note:: a {words} {words}\n")
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -69,6 +70,14 @@ def test_pages_load_nothing_from_other_hosts(site):
         reader.feed(page.read_text(encoding="utf-8"))
         remote = [one for one in reader.loaded if is_remote(one)]
         assert not remote, f"{page.relative_to(site)} loads {remote}"
+
+
+@pytest.mark.documentation
+def test_links_of_llms_txt_lead_to_pages(site):
+    links = re.findall(r"\]\(([^)]+)\)", (site / "llms.txt").read_text(encoding="utf-8"))
+    missing = [link for link in links if not (site / link).is_file()]
+    assert links
+    assert not missing
 
 
 @pytest.mark.documentation
