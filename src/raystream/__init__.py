@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from raystream.structures.registry import StructureOptions, register_structure
     from raystream.tracer import Tracer
     from raystream.viewer.notebook import view
+    from raystream.web.export import export_page
 
 #: Modules as a whole.
 _MODULES = {
