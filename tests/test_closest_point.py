@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -17,7 +17,7 @@ from strategies import COORDINATES, meshes
 #: Stated in `Tracer.closest_point`.
 STATED = 2.0**-48
 
-quiet = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quiet = settings(max_examples=60)
 
 
 def tracers(vertices, faces):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -111,7 +111,6 @@ NUMBERS = st.one_of(
 VECTORS = st.tuples(NUMBERS, NUMBERS, NUMBERS)
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
     st.lists(VECTORS, min_size=3, max_size=9),
     st.lists(st.tuples(*[st.integers(0, 8)] * 3), min_size=1, max_size=6),

@@ -56,7 +56,7 @@ def assert_same_hits(found, expected):
 
 
 @given(scenes_and_rays(), st.sampled_from(["f2", "f4", "f8", "i4"]), st.booleans(), st.booleans())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_answers_have_the_tracer_s_bits(case, dtype, compiles, batches):
     vertices, faces, origins, directions = case
     plain = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute")
@@ -219,7 +219,7 @@ def test_derivatives_agree_with_finite_differences(mesh, tracer):
 
 
 @given(scenes_and_rays(), st.booleans())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_derivatives_are_finite_and_right_for_any_scene(case, is_single):
     vertices, faces, *rays = case
     plain = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -12,7 +12,7 @@ from oracles import check_counts, check_first, judge
 from strategies import scenes_and_rays
 from test_agreement import assert_same_answers
 
-quiet = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quiet = settings(max_examples=100)
 
 
 @quiet

@@ -57,7 +57,7 @@ def assert_same_hits(found, expected):
 
 
 @given(scenes_and_rays(), st.sampled_from(["f2", "f4", "f8", "i4"]), st.booleans())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_answers_have_the_tracer_s_bits(case, dtype, batches):
     vertices, faces, origins, directions = case
     plain = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute")
@@ -279,7 +279,7 @@ def test_gradients_of_many_rays_agree_with_finite_differences(mesh, tracer):
 
 
 @given(scenes_and_rays())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_gradients_are_finite_and_right_for_any_scene(case):
     vertices, faces, *rays = case
     plain = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute")

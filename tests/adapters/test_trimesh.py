@@ -71,7 +71,7 @@ def test_all_methods_agree_with_the_oracle(shape):
     assert not missed.any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(case=scenes_and_rays())
 def test_rows_are_consistent(case):
     vertices, faces, origins, directions = case

@@ -95,7 +95,7 @@ def check_layout(structure):
     np.testing.assert_array_equal(corners, structure.triangles.corners[ids])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     meshes(max_triangles=40),
     st.sampled_from(["balanced", "fast"]),
@@ -177,7 +177,7 @@ def test_the_traversal_has_brute_force_bits(name):
             assert getattr(hits, column).tobytes() == expected[f"{query}: {column}"].tobytes()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(scenes_and_rays())
 def test_rays_on_lattices_have_brute_force_bits(drawn):
     case = Case(*drawn)

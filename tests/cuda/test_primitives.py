@@ -19,7 +19,7 @@ from raystream.jit.cuda.scan import Scan, TileSize
 #: Tiles so small that a short array takes several, and their sums several again.
 SMALL = TileSize(16, 1)
 
-few = settings(max_examples=4, deadline=None, derandomize=True)
+few = settings(max_examples=4, derandomize=True)
 
 
 @pytest.fixture(autouse=True)

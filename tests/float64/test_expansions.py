@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from raystream.float64.double_numbers import add_double, divide_double, multiply_double
@@ -59,7 +59,6 @@ def arithmetic(x, y):
     return add_double(x, y), multiply_double(x, y), divide_double(x, y)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(vectors(), vectors(), vectors())
 def test_determinants_have_exact_signs(x, y, z):
     value, wanted = value_of(x, y, z), determinant(x, y, z)
@@ -67,14 +66,12 @@ def test_determinants_have_exact_signs(x, y, z):
     assert abs(Fraction(value) - wanted) <= abs(wanted) * Fraction(2) ** -51
 
 
-@settings(deadline=None)
 @given(vectors(), vectors(), st.sampled_from([-2.0, -0.25, 0.0, 1.0, 4.0]))
 def test_a_determinant_of_dependent_vectors_is_zero(x, y, factor):
     z = tuple((factor * high, factor * low) for high, low in x)
     assert value_of(x, y, z) == value_of(x, z, y) == value_of(y, z, x) == 0.0
 
 
-@settings(deadline=None)
 @given(vectors(), vectors(), vectors(), vectors())
 def test_ratios_are_rounded_once(a, p, q, d):
     base = determinant(d, p, q)
@@ -85,7 +82,6 @@ def test_ratios_are_rounded_once(a, p, q, d):
         assert ratio_of(a, p, q, d) == wanted.numerator / wanted.denominator
 
 
-@settings(deadline=None)
 @given(st.integers(1, 2**53 - 1), st.integers(-60, 60), st.booleans())
 def test_ties_are_rounded_to_even(mantissa, exponent, is_negative):
     """Ratios halfway between two numbers: (2 mantissa + 1) / 2 with 53 bits in the mantissa."""
@@ -99,7 +95,6 @@ def test_ties_are_rounded_to_even(mantissa, exponent, is_negative):
     assert ratio_of(a, unit_y, unit_z, unit_x) == wanted.numerator / wanted.denominator
 
 
-@settings(deadline=None)
 @given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
 def test_double_numbers_are_as_exact_as_stated(a, b, c, d):
     x = (a + b * 2.0**-60, 0.0) if a == 0.0 else (a, a * 2.0**-54)

@@ -124,7 +124,6 @@ def test_hard_cases_wherever_they_are_placed(name) -> None:
 @given(instances_and_rays())
 @settings(
     max_examples=25,
-    deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 def test_any_instances(case) -> None:

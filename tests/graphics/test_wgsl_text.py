@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from raystream.graphics.streams.wgsl_text import Function, Member, WgslText
@@ -61,7 +61,6 @@ def test_incomplete_sources_are_no_error(text):
     WgslText(text).structure("A")
 
 
-@settings(deadline=None)
 @given(st.text(alphabet="fn ab/*\n(){}<>,:->;@é", max_size=200))
 def test_any_text_keeps_its_length_and_lines(text):
     read = WgslText(text)

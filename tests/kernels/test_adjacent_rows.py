@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -30,7 +30,6 @@ def layouts(draw):
     return cut[tuple(slice(0, n) for n in (*shape, 3))]
 
 
-@settings(deadline=None)
 @given(layouts())
 def test_any_layout_is_copied(vectors):
     copied = adjacent_rows(vectors)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from extras import need
@@ -161,7 +161,6 @@ def _round_trip(nodes, result):
         result[i] = _node(_packed_node(nodes[i]))
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2**30 - 1), st.booleans()), min_size=1))
 def test_packed_nodes_are_unpacked(drawn):
     nodes = np.array([row | (is_leaf << 31) for row, is_leaf in drawn], np.uint64)

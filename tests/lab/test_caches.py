@@ -78,7 +78,7 @@ def assert_same_accesses(counts, references, line_size) -> None:
         assert one.accesses == sum(its == kind for _, its in accesses)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(traces(), LINE_SIZES, st.integers(1, 70), st.integers(0, 99), st.data())
 def test_misses_are_those_of_plain_python(references, line_size, line_count, more, data):
     size = line_count * line_size + more % line_size
@@ -94,7 +94,7 @@ def test_misses_are_those_of_plain_python(references, line_size, line_count, mor
         assert_same_accesses(cache.counts, references, line_size)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(traces(), LINE_SIZES, st.integers(1, 300), st.sampled_from([ReuseDistances, Cramped]))
 def test_distances_are_those_of_plain_python(references, line_size, chunk, measure):
     expected, first = stack_distances(references, line_size)
@@ -112,7 +112,7 @@ def test_distances_are_those_of_plain_python(references, line_size, chunk, measu
     assert_same_accesses(distances.counts(0), references, line_size)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(traces(), LINE_SIZES)
 def test_curve_is_that_of_fully_associative_caches(references, line_size):
     distances = Cramped(line_size, kinds=KINDS)

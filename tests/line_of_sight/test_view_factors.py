@@ -191,7 +191,7 @@ def test_reciprocity_keeps_the_sums(rng):
     assert np.abs(off / scale).max() < 5
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(1, 8), st.integers(0, 2**32 - 1))
 def test_balanced_shares_are_reciprocal(count, seed):
     """For any noisy estimate of a reciprocal exchange with a way out."""

@@ -94,7 +94,7 @@ def test_a_million_pairs_on_convex_solids(rng):
         assert rs.visibility(tracer, *(random_points(tracer, 1000, rng) for _ in range(2))).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.data())
 def test_lattices_agree_with_float64(data):
     (vertices, faces), scale, offset = data.draw(meshes())

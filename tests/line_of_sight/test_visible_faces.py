@@ -135,7 +135,7 @@ def test_a_point_looks_everywhere():
     assert set(far.prim_ids) == set(outside.prim_ids)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.data())
 def test_lattices(data):
     """All first hits are found, and faces without pixels are not hidden from float64."""

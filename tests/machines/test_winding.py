@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -76,7 +76,7 @@ def test_errors_are_within_their_bounds(name):
             assert np.mean(np.abs(found - exact) > 1e-12) > 0.01  # the tree is used
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60)
 @given(scenes_and_points(), st.floats(0.001, 0.999))
 def test_bounds_hold_for_any_triangles(drawn, opening):
     vertices, faces, points = drawn

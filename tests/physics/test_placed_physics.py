@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -120,7 +120,7 @@ def test_equal_instances_count_twice() -> None:
 
 
 @given(st.integers(0, 2**20), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from([1.0, 1e-4]))
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25)
 def test_closed_meshes_are_left_as_often_as_entered(seed, size, thinness) -> None:
     """Mirrored, sheared, thin, through their edges and vertices: no crossing is left over."""
     rng = np.random.default_rng(seed)

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from raystream import sweep_patterns
@@ -79,7 +79,6 @@ def test_the_angles_of_a_puck_are_every_other_degree():
     np.testing.assert_allclose(np.diff(middle[np.abs(middle) <= 1.4]), 1 / 3, atol=1.1e-3)
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.floats(-89, 89), min_size=1, max_size=8),
     st.floats(0.5, 50),

@@ -322,7 +322,7 @@ def test_pulses_of_a_flash_are_fired_at_once():
 COORDINATES = st.integers(-8, 8).map(lambda number: number / 4)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     shift=st.integers(-1000, 1000).map(float),
     velocity=st.tuples(COORDINATES, COORDINATES, COORDINATES),
@@ -344,7 +344,7 @@ def test_shifts_of_time_change_nothing(room, shift, velocity, rate):
     np.testing.assert_allclose(moved.deskewed(), plain.deskewed(), rtol=1e-5, atol=1e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     axis=st.tuples(st.integers(-4, 4), st.integers(-4, 4), st.integers(1, 4)),
     angle=st.floats(-3.1, 3.1),

@@ -176,7 +176,7 @@ def test_a_million_lines_of_sight_agree_with_profiles():
     assert doubtful < 1e-3 * certain
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     rows=st.integers(2, 7),
     columns=st.integers(2, 7),

@@ -62,7 +62,7 @@ def test_an_island_beyond_the_horizon_shows_its_top():
 
 
 @given(st.integers(0, 2**16), st.floats(0.0, 0.9))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_it_is_the_viewshed_of_the_lowered_raster(seed, refraction):
     rng = np.random.default_rng(seed)
     heights = np.cumsum(rng.normal(size=(24, 30)), axis=1) * 4.0

@@ -304,7 +304,7 @@ boxes = st.lists(
 
 
 @given(boxes, st.tuples(*[st.integers(-9, 9)] * 3), st.tuples(*[st.integers(-3, 3)] * 3))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_a_union_of_boxes_is_measured_as_intervals_are(sizes, origin, target):
     """Boxes on a lattice in one mesh; rays through the middle of cells."""
     origin = np.array(origin) + [0.25, 0.375, 0.3125]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -54,7 +54,7 @@ def test_trees_have_the_bits_of_brute_force(offset) -> None:
 
 
 @given(st.integers(0, 2**16), st.sampled_from([0.0, 1e3]))
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=20)
 def test_any_parts_agree(seed, offset) -> None:
     rng = np.random.default_rng(seed)
     some = [one for one in parts(seed, offset) if rng.random() < 0.6]

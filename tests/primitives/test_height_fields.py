@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -69,7 +69,7 @@ def fields(draw):
 
 
 @given(fields())
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=40)
 def test_any_field_agrees(case) -> None:
     heights, spacing, origin, seed = case
     assert_like_the_mesh(heights, seed=seed, count=60, spacing=spacing, origin=origin)

@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -107,7 +107,7 @@ def spheres_and_rays(draw):
 
 
 @given(spheres_and_rays())
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=80)
 def test_any_spheres_agree(case) -> None:
     centers, radii, origins, directions = case
     rays = {"origins": origins, "directions": directions}

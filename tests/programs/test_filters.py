@@ -255,7 +255,7 @@ def test_constants_of_a_filter_need_no_new_code():
         tracer.count_hits(*rays, on_hit=Bound(of_one_mesh, (1,)))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(scenes_and_rays(), st.integers(0, 2**32 - 1))
 def test_any_scene(case, seed):
     vertices, faces, origins, directions = case

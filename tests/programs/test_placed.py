@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import instanced
@@ -139,7 +139,7 @@ def filtered_rays(draw):
 
 
 @given(filtered_rays())
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25)
 def test_any_instances_are_filtered(case) -> None:
     rng, count, is_grid = case
     scene, rays = random_scene(rng, count, 2.0), random_rays(rng, 60, 2.0)

@@ -119,7 +119,7 @@ def test_pieces_give_each_hit_once_and_in_order(small_pieces, crossings, structu
     np.testing.assert_array_equal(payload[..., 1].ravel(), hashed)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(scenes_and_rays(), st.integers(1, 4), st.sampled_from(["triangles", "surfaces"]))
 def test_any_scene(case, most, crossings):
     vertices, faces, origins, directions = case

@@ -366,7 +366,7 @@ def test_the_choice_does_not_depend_on_the_scale(scale, make):
         assert ((low < other.eye) & (other.eye < high)).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["soup", "sphere", "room"]))
 def test_the_choice_does_not_depend_on_the_order_of_triangles(seed, kind):
     if kind == "room":

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -51,7 +51,6 @@ def test_it_turns_by_the_shorter_arc():
     np.testing.assert_allclose(half, turn((0, 1, 0), math.pi), atol=1e-14)
 
 
-@settings(deadline=None)
 @given(axes(), st.one_of(ANGLES, st.sampled_from([0.0, math.pi, -math.pi, 1e-9, math.pi - 1e-9])))
 def test_matrices_come_back(axis, angle):
     matrix = turn(axis, angle)
@@ -110,7 +109,6 @@ def test_many_times_at_once_are_as_one_by_one(method, is_rotation, rng):
         np.testing.assert_allclose(found, one_by_one, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(axes(), axes(), ANGLES, ANGLES, st.floats(0, 1))
 def test_rows_of_rotations_are_as_single_ones(first, second, a, b, s):
     p = np.array([math.cos(a), *(math.sin(a) * first / np.linalg.norm(first))])

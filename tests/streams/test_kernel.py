@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -107,7 +107,6 @@ def test_christens_demo(rng):
     assert kernel.loop() == 1
 
 
-@settings(deadline=None)
 @given(hnp.arrays(np.float32, st.integers(0, 40), elements=FLOATS))
 def test_the_count_is_that_of_records_not_rejected(values):
     source, target = Stream(values), Stream.zeros(len(values), np.float32)
@@ -117,7 +116,6 @@ def test_the_count_is_that_of_records_not_rejected(values):
     np.testing.assert_array_equal(source.array, values)
 
 
-@settings(deadline=None)
 @given(
     hnp.arrays(np.int8, st.integers(0, 40), elements=st.integers(-2, 3)),
     st.sampled_from([operator.eq, operator.ne, operator.lt, operator.le, operator.gt, operator.ge]),
@@ -191,7 +189,6 @@ def test_defaults_of_parameters_are_constants():
 # Double buffering
 
 
-@settings(deadline=None)
 @given(hnp.arrays(np.int64, st.integers(1, 50)))
 def test_a_kernel_that_gathers_from_what_it_writes_sees_the_old_values(values):
     stream = Stream(values)
@@ -564,7 +561,6 @@ def test_results_do_not_depend_on_the_number_of_threads(rng):
 # Counters
 
 
-@settings(deadline=None)
 @given(
     hnp.arrays(np.int8, st.integers(1, 30), elements=st.integers(0, 5)),
     st.integers(0, 5),

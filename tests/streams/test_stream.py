@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -142,7 +142,6 @@ def test_gather_arrays():
 # Reductions
 
 
-@settings(deadline=None)
 @given(
     hnp.arrays(
         st.sampled_from(["bool", "i1", "u2", "i4", "i8", "u8"]),
@@ -198,7 +197,6 @@ def larger_norm(a, b):
     return a if a[0] * a[0] + a[1] * a[1] >= b[0] * b[0] + b[1] * b[1] else b
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(-100, 100), max_size=30), st.integers(-5, 5))
 def test_a_fold_of_ones_own(values, initial):
     stream = Stream(np.array(values, np.int64))

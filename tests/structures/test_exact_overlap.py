@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -19,7 +19,7 @@ from raystream.structures.clip import BOUND
 from raystream.structures.exact_overlap import clip_to_triangle, edges_overlap
 from raystream.structures.kdtree.layout import check_arrays
 
-quiet = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quiet = settings(max_examples=150)
 
 #: Coordinates that often lie on the faces of the boxes below, or in a plane of an axis.
 numbers = st.one_of(

@@ -168,7 +168,7 @@ def test_a_way_goes_on_and_ends(name, rng):
     assert longest > 3
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 60), depth=st.integers(0, 20))
 def test_graph_equals_brute_force(seed, size, depth):
     rng = np.random.default_rng(seed)

@@ -96,7 +96,7 @@ def test_hard_scenes(case, rng):
     assert_same(check(arrays._asdict(), triangles), arrays)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(meshes(), st.sampled_from([0.01, 1.0, 8.0]))
 def test_any_small_scene(mesh, crossing_cost):
     (vertices, faces), _, _ = mesh
@@ -355,7 +355,7 @@ class TestCheckGraph:
             arrays[name] = change(arrays[name])
         return arrays
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=300)
     @given(st.data())
     def test_changed_words(self, data):
         arrays = {name: np.array(array) for name, array in self.graph().items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -15,7 +15,7 @@ from raystream.structures.grid.options import MAX_CELLS
 from strategies import scenes_and_rays
 from test_agreement import assert_same_answers
 
-quiet = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quiet = settings(max_examples=100)
 
 
 def build(vertices, faces, **options):

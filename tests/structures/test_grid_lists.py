@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
 from meshes import soup
 from strategies import meshes
 
-quiet = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quiet = settings(max_examples=150)
 
 
 def grid(vertices, faces, **options):

@@ -84,7 +84,7 @@ def test_tiles_and_unordered_rays_stay_as_they_are(tracer, rng):
 
 
 @given(st.lists(st.integers(1, 70), min_size=1, max_size=60), st.integers(0, 3000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_each_ray_is_in_one_group_whatever_the_rows(lengths, ray):
     starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.uint64)
     order = order_of(starts)
@@ -99,7 +99,7 @@ def test_each_ray_is_in_one_group_whatever_the_rows(lengths, ray):
 
 
 @given(st.integers(0, 300), st.integers(1, 20_000), st.integers(0, 20_000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_each_ray_is_in_one_group_whatever_the_width(width, count, ray):
     order = BatchOrder(PacketOrder.of_rows(width, count))
     assert is_each_ray_once(order)

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import instanced
@@ -224,7 +224,7 @@ def instances_and_rays(draw):
 
 
 @given(instances_and_rays())
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60)
 def test_any_instances_agree(case) -> None:
     one, transforms, origins, directions = case
     rays = {

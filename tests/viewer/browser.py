@@ -109,7 +109,8 @@ class Viewer:
         if before:
             self.page.add_init_script(before)
         answer = self.page.goto(address + fragment)
-        assert answer is not None and answer.ok, f"no page at {address}"
+        assert answer is not None
+        assert answer.ok, f"{answer.status} instead of a page at {address}"
         self.page.locator("#stage[data-frame]").wait_for()
 
     def _watch(self) -> None:

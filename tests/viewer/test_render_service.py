@@ -413,9 +413,7 @@ KINDS = ("camera", "size", "settings", "pick", "shown", "screenshot", "pause", "
 FIELDS = ("number", "eye", "look_at", "up", "fov", "moving", "width", "height", "mode", "x", "y")
 
 
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(KINDS), st.dictionaries(st.sampled_from(FIELDS), JSON, max_size=8))
 def test_no_message_does_harm(page: Page, kind: str, fields: dict[str, Any]) -> None:
     page.client.handle({"type": kind, **fields})

@@ -100,7 +100,6 @@ def test_changed_bytes_of_packed_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [s for s in formats.SUFFIXES if s != ".nff"])
 @settings(
     max_examples=60,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
@@ -131,7 +130,6 @@ JSON = st.recursive(
 @pytest.mark.parametrize("make", [tiny.gltf_document, tiny.moving_gltf])
 @settings(
     max_examples=300,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
