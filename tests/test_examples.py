@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import subprocess
 import sys
@@ -38,6 +39,12 @@ def test_example(example, tmp_path, monkeypatch, capfd):
         if word.endswith((".png", ".npy", ".npz")):
             assert (tmp_path / word).stat().st_size > 0
     need(*PACKAGES.get(example.stem, ()))
+
+
+def test_the_page_lists_them_all():
+    page = (EXAMPLES.parent / "docs" / "examples.rst").read_text(encoding="utf-8")
+    named = re.findall(r"``(\w+\.py)``", page)
+    assert sorted(named) == sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
 def run_here(example, monkeypatch, capfd):
