@@ -68,7 +68,9 @@ def main():
     parser.add_argument("--size", default="256x192", metavar="WxH")
     options = parser.parse_args()
     size = tuple(map(int, options.size.split("x")))
-    program = next(filter(None, map(shutil.which, PROGRAMS)))
+    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if program is None:
+        parser.error(f"needs a browser: one of {', '.join(PROGRAMS)}")
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         paths = {}
         for name in options.scenes:
@@ -79,9 +81,9 @@ def main():
             for name, path in paths.items():
                 taken[name].append(seconds_to_first(playwright, program, path, size))
         for name, seconds in taken.items():
-            size = f"{paths[name].stat().st_size:,} bytes"
+            stored = f"{paths[name].stat().st_size:,} bytes"
             middle, least, most = statistics.median(seconds), min(seconds), max(seconds)
-            print(f"{name}: {size}; first image after {middle:.2f} s ({least:.2f} to {most:.2f})")
+            print(f"{name}: {stored}; first image after {middle:.2f} s ({least:.2f} to {most:.2f})")
 
 
 if __name__ == "__main__":
