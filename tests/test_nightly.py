@@ -104,12 +104,15 @@ def test_none_begins_after_the_time_is_up():
     parts = [Part(str(minutes), []) for minutes in (5, 14, 30, 1)]
     now = [0.0]
 
-    def run(part):
+    def run(part, seconds):
+        left.append(seconds)
         now[0] += 60.0 * int(part.name)
         return Outcome(nightly.PASSED, 1.0)
 
+    left = []
     ran = nightly.run_parts(parts, run, 20.0, lambda: now[0])
     assert list(ran) == ["5", "14", "30"]  # the third begins in time
+    assert left == [1200.0, 900.0, 60.0]
 
 
 @pytest.fixture
@@ -118,7 +121,7 @@ def fake(monkeypatch, tmp_path):
     parts = dict.fromkeys(("a", "b", "c"), nightly.PASSED)
     ran = []
 
-    def run_part(part):
+    def run_part(part, seconds=float("inf")):
         ran.append(part.name)
         return Outcome(parts.get(part.name, nightly.PASSED), 7.4)
 
@@ -185,6 +188,14 @@ def test_parts_without_time_are_listed_and_no_failure(fake, capsys):
     assert "not run, for want of time: a, b, c" in capsys.readouterr().out
 
 
+def test_a_part_that_is_ended_early_is_not_noted_and_no_failure(fake, capsys):
+    parts, _, record = fake
+    parts["b"] = nightly.ENDED
+    assert nightly.main(["--changed", "--record"]) == 0
+    assert sorted(record()) == ["a", "c"]
+    assert re.search(r"^b +ended early", capsys.readouterr().out, re.MULTILINE)
+
+
 def test_seeded_faults_are_last_and_never_in_ci(fake, monkeypatch, tmp_path):
     _, ran, record = fake
     monkeypatch.setattr(nightly, "FAULTS", tmp_path / "run.py")
@@ -207,18 +218,40 @@ def test_unknown_parts_are_refused(fake, capsys):
 
 
 @pytest.mark.parametrize(
-    ("code", "tests", "skipped", "expected"),
+    ("code", "tests", "failures", "skipped", "expected"),
     [
-        (0, 5, 2, ("passed", "3 tests, 2 skipped")),
-        (1, 5, 0, ("FAILED", "5 tests")),
-        (0, 4, 4, ("nothing ran", "0 tests, 4 skipped")),
-        (5, 0, 0, ("passed", "0 tests")),
+        (0, 5, 0, 2, ("passed", "3 tests, 2 skipped")),
+        (1, 5, 1, 0, ("FAILED", "5 tests")),
+        (0, 4, 0, 4, ("nothing ran", "0 tests, 4 skipped")),
+        (5, 0, 0, 0, ("passed", "0 tests")),
+        (None, 3, 0, 0, ("ended early", "3 tests")),
+        (None, 3, 1, 0, ("FAILED", "3 tests")),
     ],
 )
-def test_a_part_is_judged_by_its_report(tmp_path, code, tests, skipped, expected):
+def test_a_part_is_judged_by_its_report(tmp_path, code, tests, failures, skipped, expected):
     report = tmp_path / "report.xml"
-    report.write_text(f'<testsuites><testsuite tests="{tests}" skipped="{skipped}"/></testsuites>')
+    suite = f'<testsuite tests="{tests}" failures="{failures}" errors="0" skipped="{skipped}"/>'
+    report.write_text(f"<testsuites>{suite}</testsuites>")
     assert nightly.judge(code, report) == expected
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"), [(0, "passed"), (3, "FAILED"), (None, "ended early")]
+)
+def test_a_command_is_judged_by_its_status(tmp_path, code, expected):
+    assert nightly.judge(code, tmp_path / "report.xml") == (expected, "")
+
+
+def test_pytest_is_ended_in_time_and_what_failed_until_then_counts(tmp_path, monkeypatch):
+    (tmp_path / "test_slow.py").write_text(
+        "import time\nimport pytest\n@pytest.mark.exhaustive\n"
+        "@pytest.mark.parametrize('seconds', [0, 600])\n"
+        "def test_it(seconds):\n    time.sleep(seconds)\n    assert seconds\n"
+    )
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = exhaustive\n")
+    monkeypatch.setattr(nightly, "ROOT", tmp_path)
+    outcome = nightly.run_part(Part("slow", [], tests=["test_slow.py"]), 20.0)
+    assert (outcome.status, outcome.counts) == (nightly.FAILED, "1 tests")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at Linux's list of processes")
