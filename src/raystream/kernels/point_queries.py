@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import load, scratch, store
+from raystream.jit.simd import load, prefetch, scratch, store
 from raystream.kernels.nearest import (
     ROW,
     NearestRow,
@@ -36,6 +36,7 @@ __all__ = [
 ]
 
 _NONE = np.uint64(0)
+_ONE = np.uint64(1)
 _WORD = np.uint64(2)  # four bytes, as a shift
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
@@ -57,6 +58,10 @@ _NEAREST_FAR = 2.0**26
 
 #: Fewer points are not sorted.
 _LEAST_SORTED = np.uint64(64)
+
+#: Sorted points are prefetched so many points ahead, as they lie anywhere in memory: 1.05 to 1.1
+#: times as fast. 4 or 8 gained no more.
+_AHEAD = np.uint64(2)
 
 #: The squared limit is larger than the square of the limit by more than the rounding; whether a
 #: triangle lies within is decided by its distance.
@@ -328,6 +333,12 @@ def write_nearest(out, i, query, rows, found_count, capacity, frame):
             _write_missing(out, i * capacity + k)
 
 
+@device
+def _sorted_point(order, number, first):
+    """The point that comes as this number in the order, see `kernels.point_order`."""
+    return first + np.uint64(load(np.uint32, order + (number << _WORD)))
+
+
 def point_queries(search: PointSearch) -> Callable[..., None]:
     """Make the loop over points with a structure's search.
 
@@ -347,17 +358,20 @@ def point_queries(search: PointSearch) -> Callable[..., None]:
     @kernel
     def find_nearest(begin, end, source, frame, arrays, capacity, work, out):
         first, last = np.uint64(begin), np.uint64(end)
+        count = last - first
         stack = scratch(stack_bytes)
         rows, others = work, work + capacity * _ROW_BYTES
         known = _NONE  # rows of the previous point
-        is_sorted = last - first >= _LEAST_SORTED
+        is_sorted = count >= _LEAST_SORTED
         order = _NONE
         if is_sorted:
             order = order_points(source.points, first, last, others + capacity * _ROW_BYTES)
-        for number in range(last - first):
+        for number in range(count):
             i = first + number
             if is_sorted:
-                i = first + np.uint64(load(np.uint32, order + (number << _WORD)))
+                i = _sorted_point(order, number, first)
+                ahead = _sorted_point(order, min(number + _AHEAD, count - _ONE), first)
+                prefetch(source.points + ahead * _VECTOR)
             query = read_point(source, i, frame)
             found = _NONE
             if query.status == _VALID:

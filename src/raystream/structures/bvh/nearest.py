@@ -39,7 +39,7 @@ from raystream.kernels.point_triangle import squared_distance
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import BOX_FLIP, CHILDREN, LANE, NODE, NODE_AXIS, Node
 from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
-from raystream.structures.bvh.traversal import STACK_BYTES
+from raystream.structures.bvh.traversal import STACK_BYTES, prefetch_next
 
 __all__ = ["POINT_SEARCH", "find_nearest"]
 
@@ -62,9 +62,11 @@ _FAR = np.float64(64.0)
 
 #: Squared distances of boxes are reduced by these, a factor and, for numbers that vanish, a
 #: difference: more than their own rounding, which is below 6 * 2**-24 of them, and that of the
-#: triangles' distances, as far as it is in proportion to the distance: 2**-48.
+#: triangles' distances, as far as it is in proportion to the distance: 2**-48. The difference is
+#: a normal number: multiplying and adding a subnormal one takes Intel's processors some 150
+#: cycles, which made the search 0.7 times as fast.
 _SHRINK = np.float32(1.0 - 2.0**-20)
-_LOSS = np.float32(-(2.0**-140))
+_LOSS = np.float32(-(2.0**-120))
 _SHRINK64 = np.float64(1.0 - 2.0**-44)
 
 #: The rounding of triangles' distances is also in proportion to the triangle's size: boxes are
@@ -220,6 +222,7 @@ def _tree_search(enter_far, offer_block):
         while found:
             if is_leaf(child):
                 block, end = leaf_blocks(tree, child)
+                prefetch_next(tree, stack, top)
                 while block != end:
                     search = offer_block(block, point, search, lanes)
                     block += BLOCK

@@ -25,7 +25,7 @@ from raystream.structures.bvh.steps import (
     push,
 )
 
-__all__ = ["STACK_BYTES", "traverse", "tree_traversal"]
+__all__ = ["STACK_BYTES", "prefetch_next", "traverse", "tree_traversal"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -40,8 +40,8 @@ STACK_BYTES = 2 * int(_HALF)
 
 
 @device
-def _prefetch_next(tree, stack, top):
-    """Prefetch the child on top of the stack, if there is one."""
+def prefetch_next(tree, stack, top):
+    """Prefetch the child on top of the stack of halves of `_HALF` bytes, if there is one."""
     if top != _NONE:
         prefetch_child(load(np.int32, stack + _HALF + top - LANE), tree.nodes, tree.leaves)
 
@@ -68,7 +68,7 @@ def tree_traversal(search_leaf):
         while found:
             if is_leaf(child):
                 add_to(search.counters, LEAVES, _ONE)
-                _prefetch_next(tree, stack, top)
+                prefetch_next(tree, stack, top)
                 search = search_leaf(tree, child, line, search, stack)
                 if is_full(search):
                     return search
@@ -85,7 +85,7 @@ def tree_traversal(search_leaf):
                     top = push(node, keys, entered, wants_any(search), stack, _HALF, top)
                     top -= LANE  # the last one is within the interval
                     child = load(np.int32, stack + _HALF + top)
-                    _prefetch_next(tree, stack, top)
+                    prefetch_next(tree, stack, top)
                     continue
             found, child, top = next_entry(stack, _HALF, top, search.t_far)
         return search
