@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
+from functools import cache
 from pathlib import Path
 
-__all__ = ["cache_folder"]
+__all__ = ["cache_folder", "is_private"]
+
+_OTHERS_MAY_WRITE = 0o022
 
 
 def cache_folder() -> Path:
@@ -21,3 +25,32 @@ def cache_folder() -> Path:
     else:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "raystream"
+
+
+def is_private(folder: Path) -> bool:
+    """Whether no user but this one and the administrator can write in a folder; else warn.
+
+    Files that are run as code are only read from such a folder. One that is missing is private,
+    as it is made so; on Windows all are, as the user's own folders are.
+    """
+    if sys.platform == "win32":
+        return True
+    try:
+        status = folder.stat()
+    except OSError:
+        return True
+    if status.st_uid in (0, os.geteuid()) and not status.st_mode & _OTHERS_MAY_WRITE:
+        return True
+    _warn(folder)
+    return False
+
+
+@cache  # once for each: Numba resets the filter that would see to this
+def _warn(folder: Path) -> None:
+    warnings.warn(
+        f"{folder}: other users can write there, so compiled kernels are neither read from it nor "
+        "kept; run 'chmod go-w' on it as its owner, or set RAYSTREAM_CACHE_DIR to a folder of "
+        "your own",
+        RuntimeWarning,
+        stacklevel=3,
+    )

@@ -6,7 +6,10 @@ depends on: the kernel with all that it calls or closes over (see `fingerprint`)
 arguments, versions and the processor. So an edit recompiles what depends on it and nothing else,
 nothing is ever stale, and versions of raystream share the folder. It is in the user's cache folder
 (or ``RAYSTREAM_CACHE_DIR``), never beside the sources. When several processes need a missing
-kernel, one compiles it and the others wait.
+kernel, one compiles it and the others wait. A wheel may bring kernels, too (`ready_kernels`); they
+are found by the same hash.
+
+A file is code that this process runs, so the folder is used only if no other user can write there.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import os
 import pickle
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,11 +31,12 @@ from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 
 from raystream.core.atomic_write import atomic_write
-from raystream.core.cache_folder import cache_folder
+from raystream.core.cache_folder import cache_folder, is_private
 from raystream.jit.compile_events import LISTENERS
 from raystream.jit.compile_lock import CompileLock
 from raystream.jit.compilers import gc_paused
 from raystream.jit.fingerprint import fingerprint, type_name
+from raystream.jit.ready_kernels import machines_of
 
 __all__ = [
     "KERNELS",
@@ -107,30 +111,39 @@ class KernelCache(_Cache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Read a compiled kernel, or return None after locking it for the caller to compile."""
         target_context.refresh()
-        path = self._path(sig, target_context.codegen())
+        codegen = target_context.codegen()
+        path = self._path(sig, codegen)
+        found = _read(path, target_context)
+        if found is not None:
+            return found
+        for ready in self._ready_files(sig, codegen):
+            found = _read(ready, target_context)
+            if found is not None:
+                return found
         if path is None:
             return None
-        found = _read(path, target_context)
-        if found is None:
-            self._begin(sig)
-            if _lock_in(path.parent).acquire(path.name):
-                self._locked[sig] = path
-                found = _read(path, target_context)  # another process may have written it
-            if found is not None:
-                self.release_lock(sig)
+        self._begin(sig)
+        if _lock_in(path.parent).acquire(path.name):
+            self._locked[sig] = path
+            found = _read(path, target_context)  # another process may have written it
+        if found is not None:
+            self.release_lock(sig)
         return found
 
     def is_on_disk(self, sig: Any, target_context: Any) -> bool:
         """Whether there is a file for a signature."""
-        path = self._path(sig, target_context.codegen())
-        return path is not None and path.exists()
+        codegen = target_context.codegen()
+        path = self._path(sig, codegen)
+        return (path is not None and path.exists()) or any(
+            ready.exists() for ready in self._ready_files(sig, codegen)
+        )
 
     def is_free(self, sig: Any, target_context: Any) -> bool:
         """Whether a signature is not on disk, and no other process is compiling it."""
         path = self._path(sig, target_context.codegen())
         if (
             path is None
-            or path.exists()
+            or self.is_on_disk(sig, target_context)
             or not _lock_in(path.parent).acquire(path.name, timeout=0.0)
         ):
             return False
@@ -168,7 +181,19 @@ class KernelCache(_Cache):
             _lock_in(path.parent).release(path.name)
 
     def _path(self, sig: Any, codegen: Any) -> Path | None:
-        """The file of a signature; None if changes of the code cannot be detected."""
+        """The file of a signature; None if there is to be none."""
+        name, folder = self._file_name(sig, codegen.magic_tuple()), kernel_folder()
+        return folder / name if name is not None and is_private(folder) else None
+
+    def _ready_files(self, sig: Any, codegen: Any) -> Iterator[Path]:
+        """Files of the package that may hold a signature, the best first."""
+        for folder, machine in machines_of(codegen.magic_tuple()):
+            name = self._file_name(sig, machine)
+            if name is not None:
+                yield folder / name
+
+    def _file_name(self, sig: Any, machine: tuple[str, str, str]) -> str | None:
+        """The name of a signature's file; None if changes of the code cannot be detected."""
         known = fingerprint(self._function) if self._is_enabled else None
         types = [type_name(one) for one in sigutils.normalize_signature(sig)[0]]
         if known is None or None in types:
@@ -180,9 +205,9 @@ class KernelCache(_Cache):
             config.SLP_VECTORIZE,
             config.DEBUGINFO_DEFAULT,
         )
-        text = f"{place} {known} {types} {codegen.magic_tuple()} {options}"
+        text = f"{place} {known} {types} {machine} {options}"
         digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
-        return kernel_folder() / f"{self._function.__name__}-{digest}.nbc"
+        return f"{self._function.__name__}-{digest}.nbc"
 
 
 def name_of(function: Callable[..., Any]) -> str:
@@ -196,8 +221,10 @@ def name_of(function: Callable[..., Any]) -> str:
     return f"{name}[{', '.join(parts)}]" if parts else name
 
 
-def _read(path: Path, target_context: Any) -> Any:
+def _read(path: Path | None, target_context: Any) -> Any:
     """The compiled kernel of a file; None if the file is missing or damaged."""
+    if path is None:
+        return None
     try:
         content = path.read_bytes()
     except OSError:

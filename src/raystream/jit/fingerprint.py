@@ -46,7 +46,7 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 _HOST_FILES = frozenset(
     ["__init__.py", "cache.py", "constants.py", "copies.py", "fingerprint.py"]
     + ["from_source.py", "signatures.py", "compile_events.py", "compile_lock.py"]
-    + ["threads.py", "user_loops.py", "warm.py"]
+    + ["ready_kernels.py", "threads.py", "user_loops.py", "warm.py"]
 )
 
 _CUDA_ROOM = "raystream.jit.cuda."
@@ -118,7 +118,9 @@ def type_name(type_: Any) -> str | None:
 @cache
 def generator_hash() -> str:
     """Hash of what every compiled function depends on: versions, and code-generating files."""
-    versions = f"{sys.version_info[:2]} {numba.__version__} {llvmlite.__version__} {np.__version__}"
+    # Numba, too, looks at these two parts of NumPy's version only.
+    numpy_version = np.__version__.split(".")[:2]
+    versions = f"{sys.version_info[:2]} {numba.__version__} {llvmlite.__version__} {numpy_version}"
     return _digest(f"{versions} {_folder_hash('jit')} {_folder_hash('jit/simd')}")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.atomic_write import atomic_write
+from raystream.core.cache_folder import is_private
 from raystream.jit.cache import kernel_folder, mark_used
 from raystream.jit.fingerprint import cuda_generator_hash, fingerprint, type_name
 
@@ -17,7 +18,7 @@ __all__ = ["cached_text", "path_of"]
 def path_of(
     function: Callable[..., Any], arguments: Sequence[Any], capability: Any, version: str
 ) -> Path | None:
-    """Path of a compiled function; None if changes of its code cannot be detected.
+    """Path of a compiled function; None if changes of its code cannot be detected, or kept.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def path_of(
         Of the compiler.
     """
     known, types = fingerprint(function), [type_name(one) for one in arguments]
-    if known is None or None in types:
+    if known is None or None in types or not is_private(kernel_folder()):
         return None
     text = f"{known} {cuda_generator_hash()} {types} {capability} {version}"
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
