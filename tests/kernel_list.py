@@ -21,7 +21,7 @@ MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 #: Modes whose shading has a copy for plain scenes.
 COPIED_MODES = ("raycast", "shadow", "whitted", "kajiya", "path")
 QUALITIES = ("balanced", "fast")
-QUERIES = ("first", "any", "multi", "count", "filter")
+QUERIES = ("first", "any", "multi", "count", "filter", "closest")
 TASKS = (
     *(f"build-{how}" for how in (*QUALITIES, "update")),
     *(f"render-{mode}" for mode in MODES),
@@ -77,6 +77,9 @@ def query(kind: str) -> None:
     import raystream as rs
 
     tracer = rs.Tracer(rs.load("spheres"))
+    if kind == "closest":
+        tracer.closest_point([0.0, 0.0, 0.0])
+        return
     rng = np.random.default_rng(0)
     ask = getattr(tracer, {"any": "any_hit", "count": "count_hits"}.get(kind, f"{kind}_hit"), None)
     if kind == "filter":  # the traversals that call one

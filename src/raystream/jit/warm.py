@@ -42,7 +42,7 @@ PLAIN = "_of_plain_scenes"
 #: Seconds between two checks of what other processes have compiled.
 _PAUSE = 0.25
 
-#: The room whose classes make kernels of their own functions.
+#: The room whose classes and searches make kernels of their own functions.
 _MAKERS = "raystream.structures"
 
 
@@ -193,6 +193,7 @@ def _prepare(entry: Entry) -> tuple[Any, Any] | None:
             makers = importlib.import_module(_MAKERS)
             for name in makers.STRUCTURES:
                 makers.structure_class(name)
+                makers.form_of(name, "nearest")
         dispatcher = KERNELS.get(entry.kernel)
         if dispatcher is None:
             return None
