@@ -30,7 +30,11 @@ def test_figures_as_json(run, square):
     }
     assert figures["background"] == [0, 0, 0]
     assert [mesh["triangles"] for mesh in figures["meshes"]] == [2]
-    assert set(figures["meshes"][0]) == {"name", "triangles", "vertices", "attributes"}
+    assert set(figures["meshes"][0]) == {
+        *("name", "triangles", "vertices", "attributes", "is_closed")
+    }
+    assert not figures["meshes"][0]["is_closed"]
+    assert not figures["is_closed"]
     red = next(m for m in figures["materials"] if m["name"] == "red")
     assert red["triangles"] == 2
     assert red["diffuse"] == [0.8, 0.1, 0.1]
@@ -41,6 +45,26 @@ def test_figures_as_json(run, square):
     assert figures["structure"]["name"] == "bvh"
     assert figures["structure"]["quality"]["nodes"] >= 1
     assert set(figures["seconds"]) == {"load", "build"}
+
+
+def test_it_says_whether_meshes_are_closed(run, tmp_path):
+    def shown(scene):
+        rows = [line.split(maxsplit=1) for line in run("info", scene).out.splitlines()]
+        return next((row[1] for row in rows if row[:1] == ["closed"]), None)
+
+    assert shown("spheres") == "all"
+    assert shown("cornell") == "2 of 8"
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    (tmp_path / "solid.obj").write_text(corners + "\n".join(faces))
+    assert shown("solid.obj") == "yes"
+    (tmp_path / "open.obj").write_text(corners + "\n".join(faces[1:]))
+    assert shown("open.obj") == "no"
+    halves = ["o a", *faces[:2], "o b", *faces[2:]]
+    (tmp_path / "halves.obj").write_text(corners + "\n".join(halves))
+    assert shown("halves.obj") == "0 of 2; together they are"
+    (tmp_path / "empty.obj").write_text("")
+    assert shown("empty.obj") is None
 
 
 def test_projections_are_shown_as_the_option_takes_them(run, tmp_path):
@@ -94,13 +118,14 @@ def test_instances_are_counted(run, tmp_path):
     assert count in run("info", "building:600000000").out
     said = run("render", "building:600000000", "-o", tmp_path / "a.png", "--size", "8x8").out
     assert f"{figures['instanced_triangles']:,} triangles in {count} instances" in said
+    assert "is_closed" not in figures
     assert "instances" not in run("info", "cornell", "--json").figures
 
 
 def test_table_for_people(run, square):
     result = run("info", square)
     assert result.code == 0
-    assert result.err == ""
+    assert [line for line in result.err.splitlines() if "compiling" not in line] == []
     lines = [line.split() for line in result.out.splitlines()]
     assert ["triangles", "2"] in lines
     assert ["high", "corner", "1", "1", "0"] in lines

@@ -67,6 +67,20 @@ def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     assert LISTENERS == []
 
 
+def test_a_folder_that_cannot_be_written_is_named(started, capsys, monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("RAYSTREAM_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    monkeypatch.setattr(warm, "missing", lambda entries: entries[:1])
+    with compiling.compiling("render-ao", DEFAULT, Stopwatch()):
+        (listener,) = LISTENERS
+        listener.begin("one")
+    folder = tmp_path / "file" / "cache" / "kernels"
+    assert started == [("render-ao", 0), 1]
+    assert capsys.readouterr().err == (
+        f"compiling 1 kernel on first use; cannot be cached in {folder}\n"
+    )
+
+
 @pytest.mark.parametrize(
     "chosen", [TracerArguments("grid", "cpu", {}), TracerArguments(None, "cuda", {})]
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import raystream
 from forks import run_fresh
-from raystream.jit.cache import kernel_folder
+from raystream.core.cache_folder import kernel_folder
 
 SOURCE = Path(raystream.__file__).parents[1]
 

@@ -159,9 +159,9 @@ def test_without_resume_complete_hits_are_replaced_and_others_are_not(ask, tmp_p
     [
         ("query", False),
         ("options", True),
-        ("scene_digest", False),
-        ("ray_digest", True),
-        ("block", False),
+        ("the scene", False),
+        ("the rays", True),
+        ("block_rays", False),
         ("structure", True),
     ],
 )
@@ -174,17 +174,19 @@ def test_another_query_is_rejected(ask, tmp_path, rays, difference, is_complete)
     changes = {
         "query": {"query": "any_hit"},
         "options": {"crossings": "triangles"},
-        "scene_digest": {"tracer": rs.Tracer(rs.load("spheres", triangles=100))},
+        "the scene": {"tracer": rs.Tracer(rs.load("spheres", triangles=100))},
         "structure": {"tracer": rs.Tracer(rs.load("cornell"), "brute")},
-        "block": {"block_rays": 400},
-        "ray_digest": {},
+        "block_rays": {"block_rays": 400},
+        "the rays": {},
     }[difference]
-    if difference == "ray_digest":
+    if difference == "the rays":
         rays["directions"][-1, -1] += 1.0
         shutil.rmtree(tmp_path / "rays.zarr")
         write_store(tmp_path / "rays.zarr", rays, CHUNK)
+    also = {"the scene": "the scene, triangles", "query": "options, query"}
+    different = also.get(difference, difference)
     with pytest.raises(
-        rs.FileFormatError, match=f"belongs to another query .*{difference}.*differ"
+        rs.FileFormatError, match=rf"belongs to another query \(different: {different}\);"
     ):
         ask(**{"query": "count_hits", **changes}, resume=True)
     assert content_of(tmp_path / "hits.zarr") == before

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from raystream.cli.console import write_note
 from raystream.cli.load import Stopwatch
 from raystream.cli.tracer_options import TracerArguments
-from raystream.core.cache_folder import cache_folder
+from raystream.core.cache_folder import is_writable, kernel_folder
 from raystream.jit.compile_events import listening
 from raystream.jit.threads import thread_count
 
@@ -109,7 +109,7 @@ class KernelCompilation:
 
         left = warm.missing(warm.entries_of(task))
         if sum(entry.seconds for entry in left) > DELAY:
-            self._tell(f"{len(left)} kernels")
+            self._tell(f"{len(left)} kernel{'s' if len(left) > 1 else ''}")
         count = min(thread_count() - 1, MAX_HELPERS, len(left) - 1)
         with contextlib.suppress(OSError):  # no more processes: compile in this one alone
             self._helpers = warm.start_helpers(task, count)
@@ -120,4 +120,6 @@ class KernelCompilation:
         with self._lock:
             is_news, self._has_told = not self._has_told, True
         if is_news:
-            write_note(f"compiling {what} on first use; cached in {cache_folder()}")
+            place = kernel_folder()
+            kept = "cached" if is_writable(place) else "cannot be cached"
+            write_note(f"compiling {what} on first use; {kept} in {place}")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from raystream.cli.load import triangle_figures
+from raystream.core.triangles import Triangles
+from raystream.kernels.solids import solids_of
 
 if TYPE_CHECKING:
     from raystream.cli.load import Stopwatch
@@ -32,7 +34,8 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
         all instances. ``degenerate_triangles``, ``nonfinite_triangles``, ``vertices``.
         ``bounds``: ``low`` and ``high`` of the triangles that can be hit; null if there are none.
         ``camera``: the fields of `Camera`. ``background``.
-        ``meshes``: ``name``, ``triangles``, ``vertices``, ``attributes`` of each.
+        ``meshes``: ``name``, ``triangles``, ``vertices``, ``attributes`` of each, and without
+        instances ``is_closed``. ``is_closed``: whether all of them together are.
         ``materials``: ``name``, ``triangles``, colours, ``textures`` of each.
         ``lights``: ``type`` and parameters of each; area lights come last.
         ``memory``: bytes of the ``scene`` (its meshes), the ``triangles`` shared by
@@ -62,7 +65,7 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
             "focus": camera.focus,
         },
         "background": list(scene.background),
-        "meshes": _describe_meshes(scene),
+        **_describe_meshes(tracer),
         "materials": _describe_materials(scene),
         "lights": _describe_lights(scene),
         "memory": {
@@ -89,16 +92,23 @@ def _attributes(mesh: Mesh) -> dict[str, np.ndarray]:
     return {name: array for name, array in found.items() if array is not None}
 
 
-def _describe_meshes(scene: Scene) -> list[dict[str, Any]]:
-    return [
+def _describe_meshes(tracer: Tracer) -> dict[str, Any]:
+    described: list[dict[str, Any]] = [
         {
             "name": mesh.name,
             "triangles": len(mesh.faces),
             "vertices": len(mesh.vertices),
             "attributes": list(_attributes(mesh)),
         }
-        for mesh in scene.meshes
+        for mesh in tracer.scene.meshes
     ]
+    triangles = tracer.structure.triangles
+    if not isinstance(triangles, Triangles):
+        return {"meshes": described}
+    solids = solids_of(triangles)
+    for mesh, is_closed in zip(described, solids.is_closed.tolist(), strict=True):
+        mesh["is_closed"] = is_closed
+    return {"meshes": described, "is_closed": solids.is_closed_together}
 
 
 def _describe_materials(scene: Scene) -> list[dict[str, Any]]:

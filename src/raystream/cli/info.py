@@ -109,6 +109,7 @@ def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
         ("vertices", f"{figures['vertices']:,}"),
         *_instance_facts(figures),
         ("meshes", f"{len(figures['meshes']):,}"),
+        *_solid_facts(figures),
         ("materials", f"{len(figures['materials']):,}"),
         ("lights", ", ".join(kinds) or "none"),
         ("low corner", _vector(bounds["low"]) if bounds else "nothing can be hit"),
@@ -126,6 +127,17 @@ def _instance_facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
         return []
     count = f"{figures['instances']:,}, of {figures['instanced_triangles']:,} triangles"
     return [("instances", count)]
+
+
+def _solid_facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
+    """Say whether the surface is closed; `contains` and `signed_distance` need that."""
+    if "is_closed" not in figures or not figures["meshes"]:
+        return []
+    count, closed = len(figures["meshes"]), sum(mesh["is_closed"] for mesh in figures["meshes"])
+    if closed == count:
+        return [("  closed", "all" if count > 1 else "yes")]
+    alone = f"{closed:,} of {count:,}" if count > 1 else "no"
+    return [("  closed", f"{alone}; together they are" if figures["is_closed"] else alone)]
 
 
 def _vector(numbers: Sequence[float], separator: str = " ") -> str:

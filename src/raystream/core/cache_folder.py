@@ -8,7 +8,7 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-__all__ = ["cache_folder", "is_private"]
+__all__ = ["cache_folder", "is_private", "is_writable", "kernel_folder"]
 
 _OTHERS_MAY_WRITE = 0o022
 
@@ -25,6 +25,17 @@ def cache_folder() -> Path:
     else:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "raystream"
+
+
+def kernel_folder() -> Path:
+    """Folder of compiled kernels; it may be missing or read-only."""
+    return cache_folder() / "kernels"
+
+
+def is_writable(folder: Path) -> bool:
+    """Whether this process can keep files in a folder, which may have to be made first."""
+    there = next((one for one in (folder, *folder.parents) if one.exists()), None)
+    return there is not None and there.is_dir() and os.access(there, os.W_OK) and is_private(folder)
 
 
 def is_private(folder: Path) -> bool:

@@ -31,7 +31,7 @@ from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 
 from raystream.core.atomic_write import atomic_write
-from raystream.core.cache_folder import cache_folder, is_private
+from raystream.core.cache_folder import is_private, kernel_folder
 from raystream.jit.compile_events import LISTENERS
 from raystream.jit.compile_lock import CompileLock
 from raystream.jit.compilers import gc_paused
@@ -41,10 +41,8 @@ from raystream.jit.ready_kernels import machines_of
 __all__ = [
     "KERNELS",
     "KernelCache",
-    "cache_folder",
     "evict",
     "keep_on_disk",
-    "kernel_folder",
     "mark_used",
 ]
 
@@ -63,11 +61,6 @@ USE_INTERVAL = 86_400.0
 
 #: Kernels by name: module, qualified name, and the closure of a kernel made by a function.
 KERNELS: WeakValueDictionary[str, Any] = WeakValueDictionary()
-
-
-def kernel_folder() -> Path:
-    """Folder of compiled kernels; it may be missing or read-only."""
-    return cache_folder() / "kernels"
 
 
 @cache

@@ -31,7 +31,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
 from raystream.core.atomic_write import atomic_write
-from raystream.core.cache_folder import cache_folder
+from raystream.core.cache_folder import kernel_folder
 
 __all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", "type_name"]
 
@@ -136,7 +136,7 @@ def _folder_hash(folder: str) -> str:
     raw = hashlib.sha256(f"{sys.version_info[:2]} {len(files)}".encode())
     for file in files:
         raw.update(hashlib.sha256(file.read_bytes()).digest() + file.name.encode())
-    kept = cache_folder() / "kernels" / f"sources-{raw.hexdigest()[:32]}.txt"
+    kept = kernel_folder() / f"sources-{raw.hexdigest()[:32]}.txt"
     try:
         found = kept.read_text(encoding="ascii")
         if _HASH.fullmatch(found):

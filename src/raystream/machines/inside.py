@@ -27,6 +27,9 @@ _DIRECTIONS = (
 #: Steps of an equal part of a query.
 _STEPS = 1 << 20
 
+#: Meshes that an error names.
+_MOST_NAMED = 3
+
 
 class InsideTest:
     """The test of points by one of the methods of `PointQueries.contains`.
@@ -51,9 +54,23 @@ class InsideTest:
         self._uses_rays = method == "rays"
         if self._uses_rays and not solids_of(self._triangles).is_closed_together:
             raise ValueError(
-                "method: 'rays' needs a closed surface, and the scene's is open, or its faces are "
-                "oriented inconsistently; give method='winding'"
+                f"the surface has no inside by the crossings of rays: {self._open_meshes()} open, "
+                "or with faces oriented inconsistently; give method='winding'"
             )
+
+    def _open_meshes(self) -> str:
+        """Name the meshes that are not closed, some of them if they are many."""
+        open_ids = np.flatnonzero(~solids_of(self._triangles).is_closed)
+        names = [self._tracer.scene.meshes[i].name for i in open_ids[:_MOST_NAMED]]
+        shown = [
+            f"{i} ({name!r:.40})" if name else str(i)
+            for i, name in zip(open_ids, names, strict=False)
+        ]
+        if len(open_ids) > len(shown):
+            shown.append(f"{len(open_ids) - len(shown):,} more")
+        many = "meshes" if len(open_ids) > 1 else "mesh"
+        listed = " and ".join(filter(None, (", ".join(shown[:-1]), shown[-1])))
+        return f"{many} {listed} {'are' if len(open_ids) > 1 else 'is'}"
 
     def inside(self, points: NDArray[Any], progress: Progress | None) -> NDArray[np.bool_]:
         """Test points of shape S + (3,); the result has shape (N,)."""

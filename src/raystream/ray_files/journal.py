@@ -24,6 +24,14 @@ __all__ = [
 _FORMAT = "raystream query progress"
 _MAX_BYTES = 2**20
 
+#: What people call the parts of an identity.
+_ARGUMENTS = {
+    "block": "block_rays",
+    "ray_digest": "the rays",
+    "scene_digest": "the scene",
+    "shape": "the rays' shape",
+}
+
 
 @dataclass
 class QueryProgress:
@@ -101,6 +109,8 @@ def parse_counts(counts: Any) -> QueryProgress:
 
 
 def differing_names(theirs: dict[str, Any], ours: dict[str, Any]) -> str:
-    """List the names that differ between two identities; empty if they are the same."""
-    names = sorted({*theirs, *ours})
-    return ", ".join(name for name in names if theirs.get(name) != ours.get(name))
+    """List what differs between two identities, as arguments; empty if they are the same."""
+    names = {name for name in {*theirs, *ours} if theirs.get(name) != ours.get(name)}
+    if "block" in names:
+        names.discard("ray_digest")  # of rays at the starts of blocks
+    return ", ".join(sorted(_ARGUMENTS.get(name, name) for name in names))

@@ -91,7 +91,7 @@ def _check_same(path: Path, theirs: Any, ours: dict[str, Any]) -> None:
     if names:
         raise FileFormatError(
             path,
-            f"belongs to another query ({names} differ); delete it to start over, or choose "
+            f"belongs to another query (different: {names}); delete it to start over, or choose "
             "another output",
         )
 

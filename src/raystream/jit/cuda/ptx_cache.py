@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.atomic_write import atomic_write
-from raystream.core.cache_folder import is_private
-from raystream.jit.cache import kernel_folder, mark_used
+from raystream.core.cache_folder import is_private, kernel_folder
+from raystream.jit.cache import mark_used
 from raystream.jit.fingerprint import cuda_generator_hash, fingerprint, type_name
 
 __all__ = ["cached_text", "path_of"]
