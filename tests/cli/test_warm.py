@@ -96,6 +96,19 @@ def test_other_structures_say_it_when_a_second_has_passed(chosen, started, capsy
     assert started == []
 
 
+def test_compilation_within_a_step_is_not_part_of_it(started):
+    stopwatch = Stopwatch()
+    with compiling.compiling("render-ao", DEFAULT, stopwatch), stopwatch.measure("trace"):
+        (listener,) = LISTENERS
+        for name in ("one", "two"):
+            listener.begin(name)
+            time.sleep(0.2)
+            listener.end(name, 99.0)
+    assert list(stopwatch.seconds) == ["compile", "trace"]
+    assert stopwatch.seconds["compile"] >= 0.4
+    assert 0.0 < stopwatch.seconds["trace"] < stopwatch.seconds["compile"]
+
+
 def test_nothing_is_said_where_nothing_is_compiled(started, capsys):
     with compiling.compiling("query-first", TracerArguments("bvh", "cpu", {}), Stopwatch()):
         pass

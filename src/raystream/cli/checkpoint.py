@@ -104,6 +104,9 @@ class PathProgress:
     pixel_count : int
     shown : Step or None
         The progress bar.
+    tells_error : bool
+        Whether people are told the error: in images without noise it is that of edges, which is
+        large while nothing looks wrong.
 
     Attributes
     ----------
@@ -111,11 +114,14 @@ class PathProgress:
         Samples per pixel loaded from the checkpoint, on average.
     """
 
-    def __init__(self, output: Path, pixel_count: int, shown: Step | None) -> None:
+    def __init__(
+        self, output: Path, pixel_count: int, shown: Step | None, tells_error: bool
+    ) -> None:
         self.samples_before: int | float = 0
         self._output = output
         self._pixel_count = pixel_count
         self._shown = shown
+        self._tells_error = tells_error
         self._is_first = True
 
     def __call__(self, done: int, total: int) -> None:
@@ -132,9 +138,9 @@ class PathProgress:
 
     def show_error(self, image: Image) -> None:
         """Show the error so far in the progress bar."""
-        error = image.figures["error"]
-        if self._shown is not None and math.isfinite(error):
-            self._shown.describe(_error_text(error))
+        text = self._error_text(image)
+        if self._shown is not None and text:
+            self._shown.describe(text)
 
     def count(self, image: Image) -> int:
         """Return the number of paths traced in this run."""
@@ -157,13 +163,14 @@ class PathProgress:
 
     def text(self, image: Image) -> str:
         """Format samples and error for the console."""
-        taken, error = image.figures["samples"], image.figures["error"]
+        taken = image.figures["samples"]
         counts = f"{_count_text(taken)} sample{'s' if taken > 1 else ''}"
-        return f"{counts}, {_error_text(error)}" if math.isfinite(error) else counts
+        return ", ".join(filter(None, (counts, self._error_text(image))))
 
-
-def _error_text(error: float) -> str:
-    return f"error {error:.2%}"
+    def _error_text(self, image: Image) -> str:
+        """The error, or nothing if it is unknown or not to be told."""
+        error = image.figures["error"]
+        return f"error {error:.2%}" if self._tells_error and math.isfinite(error) else ""
 
 
 def _count_text(samples: int | float) -> str:

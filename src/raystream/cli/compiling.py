@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time as clock
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +79,7 @@ class KernelCompilation:
         self._helpers: list[Any] = []
         self._lock = threading.Lock()
         self._has_begun = False
+        self._started: dict[str, float] = {}  # by the thread that the stopwatch measures
         self._seconds = 0.0
         self._has_told = False
 
@@ -87,9 +89,14 @@ class KernelCompilation:
             is_first, self._has_begun = not self._has_begun, True
         if is_first and self._is_listed:
             self._compile_all(self.task, kernel)
+        if threading.current_thread() is threading.main_thread():
+            self._started[kernel] = clock.perf_counter()
 
-    def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a listener's
-        """Print a note once compilation has taken a second."""
+    def end(self, kernel: str, seconds: float) -> None:
+        """Print a note once compilation has taken a second, and take it off the step's time."""
+        started = self._started.pop(kernel, None)
+        if started is not None:
+            self._stopwatch.add("compile", clock.perf_counter() - started)
         with self._lock:
             self._seconds += seconds
             is_time = self._seconds > DELAY

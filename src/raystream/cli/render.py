@@ -102,7 +102,7 @@ def _render_image(job: RenderJob, json: bool) -> None:
         unit = "paths" if what is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if what is None:
-                paths = PathProgress(output, width * height, progress)
+                paths = PathProgress(output, width * height, progress, job.tells_error)
                 arguments |= {"checkpoint": samples_file, "progress": paths}
 
                 def show_pass(image: Image, paths: PathProgress = paths) -> None:

@@ -19,7 +19,13 @@ from raystream.cli.layers import LayerOptions, LayerSelection
 from raystream.cli.lighting import LightingOptions
 from raystream.cli.load import choose_threads
 from raystream.cli.option_groups import options_given
-from raystream.cli.sampling import SamplingOptions, is_denoised, is_preview, mode_arguments
+from raystream.cli.sampling import (
+    SamplingOptions,
+    is_denoised,
+    is_preview,
+    mode_arguments,
+    tells_error,
+)
 from raystream.cli.tracer_options import TracerArguments, TracerOptions
 
 if TYPE_CHECKING:
@@ -129,6 +135,11 @@ class RenderJob:
     size: tuple[int, int]
     layers: LayerSelection
     arguments: dict[str, Any]
+
+    @property
+    def tells_error(self) -> bool:
+        """Whether the image's error is told; see `sampling.tells_error`."""
+        return tells_error(self.mode, self.image.sampling)
 
     @classmethod
     def of(

@@ -14,7 +14,7 @@ from raystream.cli.console import BadInputError
 if TYPE_CHECKING:
     from raystream.rendering.integrator import Integrator
 
-__all__ = ["SamplingOptions", "is_denoised", "is_preview", "mode_arguments"]
+__all__ = ["SamplingOptions", "is_denoised", "is_preview", "mode_arguments", "tells_error"]
 
 #: Maximum samples when noise or time decide, and no number is given.
 MAX_SAMPLES = 1 << 16
@@ -153,6 +153,14 @@ def is_denoised(mode: str, sampling: SamplingOptions) -> bool:
     """Whether the quality asks for a denoised image."""
     quality = _quality(sampling)
     return quality is not None and quality.is_denoised and mode in NOISY
+
+
+def tells_error(mode: str, sampling: SamplingOptions) -> bool:
+    """Whether the error is told: in a mode with noise, or if it was asked for.
+
+    Otherwise it is that of smooth edges, large where nothing looks wrong.
+    """
+    return mode in (*NOISY, "ao") or sampling.noise is not None
 
 
 def is_preview(sampling: SamplingOptions) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import contextlib
 import dis
 import enum
 import hashlib
@@ -32,6 +33,7 @@ from numba.core.extending import _Intrinsic
 
 from raystream.core.atomic_write import atomic_write
 from raystream.core.cache_folder import kernel_folder
+from raystream.jit import ready_kernels
 
 __all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", "type_name"]
 
@@ -131,18 +133,18 @@ def cuda_generator_hash() -> str:
 
 
 def _folder_hash(folder: str) -> str:
-    """Hash of the code in a folder's files, cached on disk, since parsing takes 100 ms."""
+    """Hash of the code in a folder's files, kept on disk, since parsing takes up to 0.3 s."""
     files = [f for f in sorted((_PACKAGE / folder).glob("*.py")) if f.name not in _HOST_FILES]
     raw = hashlib.sha256(f"{sys.version_info[:2]} {len(files)}".encode())
     for file in files:
         raw.update(hashlib.sha256(file.read_bytes()).digest() + file.name.encode())
-    kept = kernel_folder() / f"sources-{raw.hexdigest()[:32]}.txt"
-    try:
-        found = kept.read_text(encoding="ascii")
-        if _HASH.fullmatch(found):
-            return found
-    except (OSError, UnicodeDecodeError):
-        pass
+    name = f"sources-{raw.hexdigest()[:32]}.txt"
+    kept = kernel_folder() / name
+    for file in (kept, ready_kernels.FOLDER / name):
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            found = file.read_text(encoding="ascii")
+            if _HASH.fullmatch(found):
+                return found
     found = _digest(" ".join(code_hash(file) for file in files))
     try:
         kept.parent.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -15,7 +15,8 @@ from types import MappingProxyType
 
 __all__ = ["FOLDER", "LEVELS", "machines_of"]
 
-#: A folder for each level, in a wheel that has ready kernels.
+#: In a wheel that has ready kernels: a folder for each level, and hashes of sources, as
+#: `fingerprint` keeps them.
 FOLDER = Path(__file__).with_name("ready")
 
 _V3 = (
