@@ -64,7 +64,8 @@ def test_resumed_exr_has_the_same_bytes(run, exr, monkeypatch):
 
 def test_denoised_png_is_the_librarys(run):
     result = run(*ASKED, "--denoise", "--json")
-    assert list(result.figures["seconds"]) == ["load", "build", "trace", "denoise", "save"]
+    steps = [step for step in result.figures["seconds"] if step != "compile"]
+    assert steps == ["load", "build", "trace", "denoise", "save"]
     smooth = library(layers=GUIDES).denoise()
     with Picture.open("out.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture), smooth.to_bytes())

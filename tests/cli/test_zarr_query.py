@@ -46,7 +46,7 @@ def test_all_hits_are_the_librarys(run, rays):
     assert figures["hits"] == len(found["t"])
     assert figures["rays_hit"] == np.count_nonzero(np.diff(found["ray_splits"]))
     assert figures["invalid_rays"] == np.count_nonzero(found["status"])
-    assert set(figures["seconds"]) == {"load", "build", "trace", "read", "write"}
+    assert set(figures["seconds"]) - {"compile"} == {"load", "build", "trace", "read", "write"}
 
 
 def test_figures_for_people(run, rays):

@@ -95,6 +95,11 @@ class Exposure:
             self._asked = repr(factor)
         return factor
 
+    def text(self, image: Image) -> str:
+        """The factor for the console, if it is not 1."""
+        factor = self.of(image)
+        return "" if factor == 1.0 else f", exposure {factor:.3g}"
+
     def report_dark(self, image: Image) -> None:
         """Report on stderr that an image of a scene with lights is shown brighter than it is."""
         factor = self.of(image)

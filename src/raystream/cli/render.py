@@ -131,6 +131,9 @@ def _render_image(job: RenderJob, json: bool) -> None:
             report_blank(image.to_bytes(*look), tracer, arguments["camera"], arguments, job.mode)
     if heat is None:
         ray_count, counts, figures = paths.count(image), paths.text(image), paths.figures(image)
+        if output.suffix.lower() not in UNEXPOSED:
+            counts += exposure.text(image)
+            figures["exposure"] = exposure.of(image)
     else:
         ray_count = width * height * arguments["samples"]
         counts, figures = heat.title, heatmap_figures(heat)
