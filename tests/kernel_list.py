@@ -23,11 +23,14 @@ COPIED_MODES = ("raycast", "shadow", "whitted", "kajiya", "path")
 QUALITIES = ("balanced", "fast")
 QUERIES = ("first", "any", "multi", "count", "filter", "closest")
 TASKS = (
-    *(f"build-{how}" for how in (*QUALITIES, "update")),
+    *(f"build-{how}" for how in (*QUALITIES, "update", "large")),
     *(f"render-{mode}" for mode in MODES),
     *(f"render-{mode}:full" for mode in COPIED_MODES),
     *(f"query-{kind}" for kind in QUERIES),
 )
+
+#: Triangles of a scene whose first splits are made by several threads.
+LARGE = 400_000
 
 #: Width and height of an image: rows are longer than the smallest batch for packets.
 SIZE = "1100x40"
@@ -100,8 +103,15 @@ def query(kind: str) -> None:
 
 
 def build(how: str) -> None:
+    import numpy as np
+
     import raystream as rs
 
+    if how == "large":  # as read from a file
+        corners = np.random.default_rng(0).random((LARGE, 3), np.float32)
+        faces = np.arange(3 * LARGE, dtype=np.int32).reshape(-1, 3) % LARGE
+        rs.Tracer(rs.Scene.from_arrays(corners, faces))
+        return
     scene = rs.load("robots")
     tracer = rs.Tracer(scene, quality=how if how in QUALITIES else "balanced")
     if how == "update":
