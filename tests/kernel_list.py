@@ -82,6 +82,7 @@ def query(kind: str) -> None:
     tracer = rs.Tracer(rs.load("spheres"))
     if kind == "closest":
         tracer.closest_point([0.0, 0.0, 0.0])
+        tracer.contains([0.0, 0.0, 0.0])
         return
     rng = np.random.default_rng(0)
     ask = getattr(tracer, {"any": "any_hit", "count": "count_hits"}.get(kind, f"{kind}_hit"), None)

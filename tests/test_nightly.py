@@ -185,7 +185,7 @@ def test_parts_without_time_are_listed_and_no_failure(fake, capsys):
     _, ran, _ = fake
     assert nightly.main(["--changed", "--minutes", "0"]) == 0
     assert ran == []
-    assert "not run, for want of time: a, b, c" in capsys.readouterr().out
+    assert "not run, or not to the end, for want of time: a, b, c" in capsys.readouterr().out
 
 
 def test_a_part_that_is_ended_early_is_not_noted_and_no_failure(fake, capsys):
@@ -193,7 +193,9 @@ def test_a_part_that_is_ended_early_is_not_noted_and_no_failure(fake, capsys):
     parts["b"] = nightly.ENDED
     assert nightly.main(["--changed", "--record"]) == 0
     assert sorted(record()) == ["a", "c"]
-    assert re.search(r"^b +ended early", capsys.readouterr().out, re.MULTILINE)
+    shown = capsys.readouterr().out
+    assert re.search(r"^b +ended early", shown, re.MULTILINE)
+    assert "for want of time: b; run" in shown
 
 
 def test_seeded_faults_are_last_and_never_in_ci(fake, monkeypatch, tmp_path):
@@ -248,7 +250,9 @@ def test_pytest_is_ended_in_time_and_what_failed_until_then_counts(tmp_path, mon
         "@pytest.mark.parametrize('seconds', [0, 600])\n"
         "def test_it(seconds):\n    time.sleep(seconds)\n    assert seconds\n"
     )
-    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = exhaustive\n")
+    options = "addopts = --numprocesses=1\nmarkers = exhaustive\n"
+    (tmp_path / "pytest.ini").write_text(f"[pytest]\n{options}")
+    monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     monkeypatch.setattr(nightly, "ROOT", tmp_path)
     outcome = nightly.run_part(Part("slow", [], tests=["test_slow.py"]), 20.0)
     assert (outcome.status, outcome.counts) == (nightly.FAILED, "1 tests")

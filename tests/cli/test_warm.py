@@ -67,6 +67,13 @@ def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     assert LISTENERS == []
 
 
+def test_nothing_is_compiled_where_it_cannot_be_kept(run, monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("RAYSTREAM_CACHE_DIR", str(tmp_path / "file"))
+    folder = tmp_path / "file" / "kernels"
+    assert run("warm", "query").complaint.startswith(f"warm: {folder} cannot be written; set")
+
+
 def test_a_folder_that_cannot_be_written_is_named(started, capsys, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     monkeypatch.setenv("RAYSTREAM_CACHE_DIR", str(tmp_path / "file" / "cache"))

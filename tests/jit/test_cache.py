@@ -9,6 +9,7 @@ import pytest
 
 import raystream
 from forks import Fork
+from raystream.core.cache_folder import cache_folder
 from raystream.jit import cache as cache_module
 from raystream.jit.cpu import kernel
 
@@ -145,9 +146,9 @@ def test_the_folder_follows_the_platform(monkeypatch, tmp_path):
     monkeypatch.delenv("RAYSTREAM_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "platform", "linux")
-    assert cache_module.cache_folder() == tmp_path / "raystream"
+    assert cache_folder() == tmp_path / "raystream"
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert cache_module.cache_folder() == tmp_path / "local" / "raystream"
+    assert cache_folder() == tmp_path / "local" / "raystream"
     monkeypatch.setenv("RAYSTREAM_CACHE_DIR", str(tmp_path / "chosen"))
-    assert cache_module.cache_folder() == tmp_path / "chosen"
+    assert cache_folder() == tmp_path / "chosen"

@@ -15,7 +15,7 @@ from raystream.core import rays
 from raystream.jit import cpu
 from raystream.jit.cache import KernelCache
 from raystream.jit.cpu import device
-from raystream.jit.fingerprint import fingerprint, type_name
+from raystream.jit.fingerprint import _Reader, fingerprint, type_name
 
 
 def define(text, name="f", **names):
@@ -201,3 +201,15 @@ def test_every_kernel_of_ours_has_a_fingerprint():
             }
     assert len(kernels) > 80
     assert [kernel for kernel in kernels if fingerprint(kernel) is None] == []
+
+
+def test_of_numpy_only_the_minor_version_counts():
+    def described(name, version):
+        module = ModuleType(name)
+        module.__version__ = version
+        return _Reader().describe(module)
+
+    for name in ("numpy", "numpy.linalg"):
+        assert described(name, "2.4.6") == described(name, "2.4.7")
+        assert described(name, "2.4.6") != described(name, "2.5.0")
+    assert described("numba", "0.68.1") != described("numba", "0.68.2")

@@ -136,3 +136,13 @@ def test_kernels_are_not_read_where_another_user_can_write(package, tmp_path, ho
     assert f"{folder}: other users can write there" in warning
     assert warning.count("RuntimeWarning") == 1
     assert files_in(folder) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="looks at POSIX permissions")
+def test_files_that_another_user_can_write_are_compiled_over(package, tmp_path):
+    assert run(package, tmp_path)[0] == [2, 0, 1]
+    (file,) = (tmp_path / "kernels").glob("*.nbc")
+    assert file.stat().st_mode & 0o022 == 0
+    file.chmod(0o666)
+    assert run(package, tmp_path)[0] == [2, 0, 1]
+    assert run(package, tmp_path)[0] == [2, 1, 0]  # kept as its own again

@@ -296,7 +296,7 @@ def test_open_surfaces_need_winding_numbers():
             query([0, 0, 0], method="parity")
     points = [[0, 0, 0], [0.9, 0, 0], [1.2, 0, 0]]
     assert bowl.contains(points, method="winding").tolist() == [True, True, False]
-    with pytest.raises(ValueError, match="rays: mesh 0 is open"):
+    with pytest.raises(ValueError, match="outside: mesh 0 is open"):
         rs.Tracer(rs.Scene.from_arrays(*grid_floor(2))).contains([0, 0, 0])
 
 
@@ -307,9 +307,10 @@ def test_meshes_that_are_open_are_named():
         (2, "meshes 1 ('bowl 0') and 2 ('bowl 1') are"),
         (5, "meshes 1 ('bowl 0'), 2 ('bowl 1'), 3 ('bowl 2') and 2 more are"),
     ):
+        empty = rs.Mesh(vertices, faces[:0], name="nothing")
         bowls = [rs.Mesh(vertices, faces[k + 1 :], name=f"bowl {k}") for k in range(count)]
         with pytest.raises(ValueError, match=re.escape(f"{named} open")):
-            rs.Tracer(rs.Scene([solid, *bowls])).contains([0, 0, 0])
+            rs.Tracer(rs.Scene([solid, *bowls, empty])).contains([0, 0, 0])
 
 
 # Winding numbers.

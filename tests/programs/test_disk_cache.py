@@ -44,7 +44,7 @@ def run(folder):
 
 def take_kernels(folder):
     """Our own kernels need not be compiled again: files of those that there are."""
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, mode=0o700)
     for path in kernel_folder().glob("*.nbc"):
         with contextlib.suppress(FileNotFoundError):
             os.link(path, folder / path.name)

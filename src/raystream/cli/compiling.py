@@ -118,6 +118,8 @@ class KernelCompilation:
         if sum(entry.seconds for entry in left) > DELAY:
             self._tell(f"{len(left)} kernel{'s' if len(left) > 1 else ''}")
         count = min(thread_count() - 1, MAX_HELPERS, len(left) - 1)
+        if not is_writable(kernel_folder()):
+            count = 0  # this process would not get their kernels
         with contextlib.suppress(OSError):  # no more processes: compile in this one alone
             self._helpers = warm.start_helpers(task, count)
         with self._stopwatch.measure("compile"):

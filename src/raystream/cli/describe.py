@@ -102,12 +102,12 @@ def _describe_meshes(tracer: Tracer) -> dict[str, Any]:
         }
         for mesh in tracer.scene.meshes
     ]
-    triangles = tracer.structure.triangles
+    triangles: Any = tracer.structure.triangles  # or what stands for them
     if not isinstance(triangles, Triangles):
         return {"meshes": described}
     solids = solids_of(triangles)
-    for mesh, is_closed in zip(described, solids.is_closed.tolist(), strict=True):
-        mesh["is_closed"] = is_closed
+    for mesh, is_closed in zip(described, solids.is_closed | solids.is_empty, strict=True):
+        mesh["is_closed"] = bool(is_closed)
     return {"meshes": described, "is_closed": solids.is_closed_together}
 
 

@@ -10,7 +10,7 @@ from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.console import BadInputError, write_json, write_line
 from raystream.cli.load import Stopwatch, choose_threads
-from raystream.core.cache_folder import cache_folder
+from raystream.core.cache_folder import cache_folder, is_writable, kernel_folder
 
 TASKS = ("render", "query", "build", "all")
 
@@ -41,6 +41,10 @@ def warm(
 
     watch = Stopwatch()
     entries = kernels.entries_of(task)
+    if not is_writable(kernel_folder()):
+        raise BadInputError(
+            f"warm: {kernel_folder()} cannot be written; set RAYSTREAM_CACHE_DIR to another folder"
+        )
     with Bars() as bars, bars.step("compiling kernels") as progress, watch.measure("compile"):
 
         def show(share: float) -> None:

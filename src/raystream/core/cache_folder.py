@@ -8,7 +8,7 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-__all__ = ["cache_folder", "is_private", "is_writable", "kernel_folder"]
+__all__ = ["cache_folder", "is_own", "is_private", "is_writable", "kernel_folder"]
 
 _OTHERS_MAY_WRITE = 0o022
 
@@ -42,26 +42,33 @@ def is_private(folder: Path) -> bool:
     """Whether no user but this one and the administrator can write in a folder; else warn.
 
     Files that are run as code are only read from such a folder. One that is missing is private,
-    as it is made so; on Windows all are, as the user's own folders are.
+    as it is made so. Windows is not asked who can write.
     """
-    if sys.platform == "win32":
-        return True
     try:
         status = folder.stat()
     except OSError:
         return True
-    if status.st_uid in (0, os.geteuid()) and not status.st_mode & _OTHERS_MAY_WRITE:
+    if is_own(status):
         return True
     _warn(folder)
     return False
+
+
+def is_own(status: os.stat_result) -> bool:
+    """Whether a file or folder belongs to this user or the administrator, who alone can write it.
+
+    Always on Windows, where this is not checked.
+    """
+    if sys.platform == "win32":
+        return True
+    return status.st_uid in (0, os.geteuid()) and not status.st_mode & _OTHERS_MAY_WRITE
 
 
 @cache  # once for each: Numba resets the filter that would see to this
 def _warn(folder: Path) -> None:
     warnings.warn(
         f"{folder}: other users can write there, so compiled kernels are neither read from it nor "
-        "kept; run 'chmod go-w' on it as its owner, or set RAYSTREAM_CACHE_DIR to a folder of "
-        "your own",
+        "kept; delete it, or set RAYSTREAM_CACHE_DIR to a folder of your own",
         RuntimeWarning,
         stacklevel=3,
     )

@@ -31,7 +31,7 @@ from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 
 from raystream.core.atomic_write import atomic_write
-from raystream.core.cache_folder import is_private, kernel_folder
+from raystream.core.cache_folder import is_own, is_private, kernel_folder
 from raystream.jit.compile_events import LISTENERS
 from raystream.jit.compile_lock import CompileLock
 from raystream.jit.compilers import gc_paused
@@ -81,6 +81,7 @@ class KernelCache(_Cache):
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self._is_enabled = True
+        self._can_write = True
         self.name = name_of(function)
         self._start_times: dict[Any, float] = {}  # of compilation
         self._locked: dict[Any, Path] = {}  # files whose locks this process holds
@@ -105,20 +106,20 @@ class KernelCache(_Cache):
         """Read a compiled kernel, or return None after locking it for the caller to compile."""
         target_context.refresh()
         codegen = target_context.codegen()
+        if self._file_name(sig, codegen.magic_tuple()) is None:
+            return None
         path = self._path(sig, codegen)
-        found = _read(path, target_context)
+        found = _read_own(path, target_context)
         if found is not None:
             return found
         for ready in self._ready_files(sig, codegen):
-            found = _read(ready, target_context)
+            found = _rebuilt(ready, target_context)
             if found is not None:
                 return found
-        if path is None:
-            return None
         self._begin(sig)
-        if _lock_in(path.parent).acquire(path.name):
+        if path is not None and _lock_in(path.parent).acquire(path.name):
             self._locked[sig] = path
-            found = _read(path, target_context)  # another process may have written it
+            found = _read_own(path, target_context)  # another process may have written it
         if found is not None:
             self.release_lock(sig)
         return found
@@ -147,14 +148,20 @@ class KernelCache(_Cache):
         """Write a compiled kernel, if the folder can be written."""
         try:
             path = self._path(sig, data.codegen)
-            if path is None or data.lifted or data.library.has_dynamic_globals:
+            if (
+                not self._can_write
+                or path is None
+                or data.lifted
+                or data.library.has_dynamic_globals
+            ):
                 return  # its code contains addresses of this process
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             with atomic_write(path) as file:
                 file.write_bytes(pickle.dumps(data._reduce(), protocol=pickle.HIGHEST_PROTOCOL))
+            path.chmod(path.stat().st_mode & ~0o022)  # whatever the umask: see `is_own`
             _evict_once(path.parent)
         except OSError:
-            self.disable()  # read-only: each process compiles
+            self._can_write = False  # each process compiles
         finally:
             self.release_lock(sig)
 
@@ -214,20 +221,29 @@ def name_of(function: Callable[..., Any]) -> str:
     return f"{name}[{', '.join(parts)}]" if parts else name
 
 
-def _read(path: Path | None, target_context: Any) -> Any:
-    """The compiled kernel of a file; None if the file is missing or damaged."""
+def _read_own(path: Path | None, target_context: Any) -> Any:
+    """The compiled kernel of a file of this user's; None if there is none."""
+    found = _rebuilt(path, target_context, is_trusted=False)
+    if found is not None and path is not None:
+        mark_used(path)
+    return found
+
+
+def _rebuilt(path: Path | None, target_context: Any, *, is_trusted: bool = True) -> Any:
+    """The compiled kernel of a file; None if it is missing, damaged or not to be trusted."""
     if path is None:
         return None
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            if not (is_trusted or is_own(os.fstat(file.fileno()))):
+                return None
+            content = file.read()
     except OSError:
         return None
     try:
-        found = CompileResult._rebuild(target_context, *pickle.loads(content))
+        return CompileResult._rebuild(target_context, *pickle.loads(content))
     except Exception:  # a truncated or unreadable file is a miss, not an error
         return None
-    mark_used(path)
-    return found
 
 
 def mark_used(path: Path) -> None:

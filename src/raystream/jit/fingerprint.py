@@ -32,7 +32,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
 from raystream.core.atomic_write import atomic_write
-from raystream.core.cache_folder import kernel_folder
+from raystream.core.cache_folder import is_private, kernel_folder
 from raystream.jit import ready_kernels
 
 __all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", "type_name"]
@@ -120,10 +120,15 @@ def type_name(type_: Any) -> str | None:
 @cache
 def generator_hash() -> str:
     """Hash of what every compiled function depends on: versions, and code-generating files."""
-    # Numba, too, looks at these two parts of NumPy's version only.
-    numpy_version = np.__version__.split(".")[:2]
-    versions = f"{sys.version_info[:2]} {numba.__version__} {llvmlite.__version__} {numpy_version}"
+    versions = f"{sys.version_info[:2]} {numba.__version__} {llvmlite.__version__} {_version(np)}"
     return _digest(f"{versions} {_folder_hash('jit')} {_folder_hash('jit/simd')}")
+
+
+def _version(module: ModuleType) -> str:
+    """A module's version: of NumPy the first two numbers, since Numba looks at no more."""
+    version = str(getattr(module, "__version__", ""))
+    is_numpy = module.__name__.partition(".")[0] == "numpy"
+    return ".".join(version.split(".")[:2]) if is_numpy else version
 
 
 @cache
@@ -139,13 +144,15 @@ def _folder_hash(folder: str) -> str:
     for file in files:
         raw.update(hashlib.sha256(file.read_bytes()).digest() + file.name.encode())
     name = f"sources-{raw.hexdigest()[:32]}.txt"
-    kept = kernel_folder() / name
-    for file in (kept, ready_kernels.FOLDER / name):
+    kept = kernel_folder() / name if is_private(kernel_folder()) else None
+    for file in filter(None, (kept, ready_kernels.FOLDER / name)):
         with contextlib.suppress(OSError, UnicodeDecodeError):
             found = file.read_text(encoding="ascii")
             if _HASH.fullmatch(found):
                 return found
     found = _digest(" ".join(code_hash(file) for file in files))
+    if kept is None:
+        return found
     try:
         kept.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         with atomic_write(kept) as path:
@@ -276,7 +283,7 @@ class _Reader:
     def _module(self, module: ModuleType) -> str:
         root = module.__name__.partition(".")[0]
         if root in (*_KNOWN_MODULES, "raystream"):  # what is used of ours is read by `_globals`
-            return f"module {module.__name__} {getattr(module, '__version__', '')}"
+            return f"module {module.__name__} {_version(module)}"
         raise _UnknownError
 
     def _function(self, function: FunctionType) -> str:

@@ -59,7 +59,7 @@ _NEAREST_FAR = 2.0**26
 #: Fewer points are not sorted.
 _LEAST_SORTED = np.uint64(64)
 
-#: Sorted points are prefetched so many points ahead, as they lie anywhere in memory: 1.05 to 1.1
+#: How far ahead sorted points are prefetched, as they lie anywhere in memory: 1.05 to 1.1
 #: times as fast. 4 or 8 gained no more.
 _AHEAD = np.uint64(2)
 

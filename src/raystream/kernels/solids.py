@@ -35,6 +35,8 @@ class Solids(NamedTuple):
         the other. Vertices with equal positions count as one.
     is_flipped : ndarray of shape (M,), bool
         Whether it is closed and its normals point inward: its signed volume is negative.
+    is_empty : ndarray of shape (M,), bool
+        Whether no triangle of it can be hit; then it is not closed.
     is_closed_together : bool
         Whether all meshes as one are closed: those of a file may be parts of one surface. True
         without any triangle.
@@ -42,6 +44,7 @@ class Solids(NamedTuple):
 
     is_closed: NDArray[np.bool_]
     is_flipped: NDArray[np.bool_]
+    is_empty: NDArray[np.bool_]
     is_closed_together: bool
 
 
@@ -78,7 +81,7 @@ def _analyse(triangles: Triangles) -> Solids:
         firsts = splits[:-1][filled]
         is_closed[filled] = np.add.reduceat(edges, firsts) == 0
         is_flipped[filled] = np.add.reduceat(volumes, firsts) < 0.0
-    return Solids(is_closed, is_flipped & is_closed, bool(edges.sum() == 0))
+    return Solids(is_closed, is_flipped & is_closed, ~filled, bool(edges.sum() == 0))
 
 
 @kernel

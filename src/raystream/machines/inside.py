@@ -54,13 +54,14 @@ class InsideTest:
         self._uses_rays = method == "rays"
         if self._uses_rays and not solids_of(self._triangles).is_closed_together:
             raise ValueError(
-                f"the surface has no inside by the crossings of rays: {self._open_meshes()} open, "
-                "or with faces oriented inconsistently; give method='winding'"
+                f"method='rays' cannot tell inside from outside: {self._open_meshes()} open, or "
+                "faces are oriented inconsistently; give method='winding'"
             )
 
     def _open_meshes(self) -> str:
         """Name the meshes that are not closed, some of them if they are many."""
-        open_ids = np.flatnonzero(~solids_of(self._triangles).is_closed)
+        solids = solids_of(self._triangles)
+        open_ids = np.flatnonzero(~solids.is_closed & ~solids.is_empty)
         names = [self._tracer.scene.meshes[i].name for i in open_ids[:_MOST_NAMED]]
         shown = [
             f"{i} ({name!r:.40})" if name else str(i)

@@ -62,6 +62,7 @@ class PlacedSolids:
         self.solids = Solids(
             np.concatenate([none, *(one.is_closed for one in found)]),
             np.concatenate([none, *(one.is_flipped for one in found)]),
+            np.concatenate([none, *(one.is_empty for one in found)]),
             all(one.is_closed_together for one in found),
         )
         counts = np.array([len(one.is_closed) for one in found], np.int64)

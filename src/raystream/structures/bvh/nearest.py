@@ -36,10 +36,9 @@ from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
 from raystream.kernels.point_queries import PointSearch, point_queries
 from raystream.kernels.point_triangle import squared_distance
-from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import BOX_FLIP, CHILDREN, LANE, NODE, NODE_AXIS, Node
 from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
-from raystream.structures.bvh.traversal import STACK_BYTES, prefetch_next
+from raystream.structures.bvh.traversal import HALF, STACK_BYTES, prefetch_next
 
 __all__ = ["POINT_SEARCH", "find_nearest"]
 
@@ -63,8 +62,8 @@ _FAR = np.float64(64.0)
 #: Squared distances of boxes are reduced by these, a factor and, for numbers that vanish, a
 #: difference: more than their own rounding, which is below 6 * 2**-24 of them, and that of the
 #: triangles' distances, as far as it is in proportion to the distance: 2**-48. The difference is
-#: a normal number: multiplying and adding a subnormal one takes Intel's processors some 150
-#: cycles, which made the search 0.7 times as fast.
+#: a normal number: with a subnormal one a multiplication with addition takes a Skylake processor
+#: some 150 cycles, which slowed the search by a factor of 1.4.
 _SHRINK = np.float32(1.0 - 2.0**-20)
 _LOSS = np.float32(-(2.0**-120))
 _SHRINK64 = np.float64(1.0 - 2.0**-44)
@@ -72,9 +71,6 @@ _SHRINK64 = np.float64(1.0 - 2.0**-44)
 #: The rounding of triangles' distances is also in proportion to the triangle's size: boxes are
 #: grown by more than that, in units of the scene's largest coordinate.
 _GROW = 2.0**-45
-
-#: Bytes of half the stack, for the deepest tree.
-_HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
 
 #: The rows of a node's planes.
 _LOW_X, _HIGH_X, _LOW_Y, _HIGH_Y, _LOW_Z, _HIGH_Z = map(np.uint64, range(6))
@@ -217,8 +213,8 @@ def _tree_search(enter_far, offer_block):
         lanes = scratch(64)
         near = _near(point, frame)
         limit = _limit(search)
-        top = begin(tree, _ZERO, limit, stack, _HALF)
-        found, child, top = next_entry(stack, _HALF, top, limit)
+        top = begin(tree, _ZERO, limit, stack, HALF)
+        found, child, top = next_entry(stack, HALF, top, limit)
         while found:
             if is_leaf(child):
                 block, end = leaf_blocks(tree, child)
@@ -239,11 +235,11 @@ def _tree_search(enter_far, offer_block):
                         at = node + CHILDREN + (count_trailing_zeros(bits) << _WORD)
                         child = load(np.int32, at)
                         continue
-                    top = push(node, keys, entered, False, stack, _HALF, top)
+                    top = push(node, keys, entered, False, stack, HALF, top)
                     top -= LANE  # the last one is within the limit
-                    child = load(np.int32, stack + _HALF + top)
+                    child = load(np.int32, stack + HALF + top)
                     continue
-            found, child, top = next_entry(stack, _HALF, top, limit)
+            found, child, top = next_entry(stack, HALF, top, limit)
         return search
 
     return find

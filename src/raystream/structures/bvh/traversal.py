@@ -25,7 +25,7 @@ from raystream.structures.bvh.steps import (
     push,
 )
 
-__all__ = ["STACK_BYTES", "prefetch_next", "traverse", "tree_traversal"]
+__all__ = ["HALF", "STACK_BYTES", "prefetch_next", "traverse", "tree_traversal"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -33,17 +33,17 @@ _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
 
 #: Bytes of half the stack, for the deepest tree.
-_HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
+HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
 
 #: Bytes of the stack of `traverse`.
-STACK_BYTES = 2 * int(_HALF)
+STACK_BYTES = 2 * int(HALF)
 
 
 @device
 def prefetch_next(tree, stack, top):
-    """Prefetch the child on top of the stack of halves of `_HALF` bytes, if there is one."""
+    """Prefetch the child on top of the stack of halves of `HALF` bytes, if there is one."""
     if top != _NONE:
-        prefetch_child(load(np.int32, stack + _HALF + top - LANE), tree.nodes, tree.leaves)
+        prefetch_child(load(np.int32, stack + HALF + top - LANE), tree.nodes, tree.leaves)
 
 
 def tree_traversal(search_leaf):
@@ -63,8 +63,8 @@ def tree_traversal(search_leaf):
 
     def traverse(tree, ray, search, stack):
         line = block_ray(ray)
-        top = begin(tree, search.t_min, search.t_far, stack, _HALF)
-        found, child, top = next_entry(stack, _HALF, top, search.t_far)
+        top = begin(tree, search.t_min, search.t_far, stack, HALF)
+        found, child, top = next_entry(stack, HALF, top, search.t_far)
         while found:
             if is_leaf(child):
                 add_to(search.counters, LEAVES, _ONE)
@@ -82,12 +82,12 @@ def tree_traversal(search_leaf):
                         at = node + CHILDREN + (count_trailing_zeros(lanes) << _WORD)
                         child = load(np.int32, at)
                         continue
-                    top = push(node, keys, entered, wants_any(search), stack, _HALF, top)
+                    top = push(node, keys, entered, wants_any(search), stack, HALF, top)
                     top -= LANE  # the last one is within the interval
-                    child = load(np.int32, stack + _HALF + top)
+                    child = load(np.int32, stack + HALF + top)
                     prefetch_next(tree, stack, top)
                     continue
-            found, child, top = next_entry(stack, _HALF, top, search.t_far)
+            found, child, top = next_entry(stack, HALF, top, search.t_far)
         return search
 
     return traverse
