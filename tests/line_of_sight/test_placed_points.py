@@ -116,7 +116,7 @@ def test_files_know_where_instances_are(rng, tmp_path):
     found = rs.visibility(rs.Tracer(scene), points, out=path)
     np.testing.assert_array_equal(found, rs.visibility(rs.Tracer(scene), points))
     moved = scene.with_transforms(transforms + [0.0, 0.0, 0.0, 1e-3])
-    with pytest.raises(RaystreamError, match="scene_digest"):
+    with pytest.raises(RaystreamError, match="different: the scene"):
         rs.visibility(rs.Tracer(moved), points, out=path)
 
 

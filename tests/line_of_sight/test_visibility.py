@@ -428,12 +428,12 @@ def test_files_are_not_mixed(soup_tracer, points, tmp_path):
     before = path.read_bytes()
     other = tracer_of(soup(60, seed=1))
     for tracer, pair, options, named in (
-        (soup_tracer, (b, a), {}, "block, points_digest, shape"),
-        (soup_tracer, (a + 1e-9, b), {}, "points_digest"),
-        (other, (a, b), {}, "scene_digest"),
+        (soup_tracer, (b, a), {}, "block, shape, the points"),
+        (soup_tracer, (a + 1e-9, b), {}, "the points"),
+        (other, (a, b), {}, "the scene"),
         (soup_tracer, (a, b), {"form": "bits"}, "form"),
     ):
-        with pytest.raises(FileFormatError, match=f"another query \\({named} differ"):
+        with pytest.raises(FileFormatError, match=rf"another query \(different: {named}\)"):
             rs.visibility(tracer, *pair, out=path, **options)
     assert path.read_bytes() == before
     foreign = tmp_path / "mine.npy"

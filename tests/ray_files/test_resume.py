@@ -183,8 +183,7 @@ def test_another_query_is_rejected(ask, tmp_path, rays, difference, is_complete)
         rays["directions"][-1, -1] += 1.0
         shutil.rmtree(tmp_path / "rays.zarr")
         write_store(tmp_path / "rays.zarr", rays, CHUNK)
-    also = {"the scene": "the scene, triangles", "query": "options, query"}
-    different = also.get(difference, difference)
+    different = "options, query" if difference == "query" else difference
     with pytest.raises(
         rs.FileFormatError, match=rf"belongs to another query \(different: {different}\);"
     ):

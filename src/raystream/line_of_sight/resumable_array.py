@@ -114,12 +114,13 @@ def continued(path: Path, identity: dict[str, Any]) -> Iterator[Journal]:
         if not is_locked:
             raise FileFormatError(path, "is being written by another process")
         found = read_journal(journal_path(path))
-        names = differing_names(found.identity, identity)
+        words = {"scene_digest": "the scene", "points_digest": "the points"}
+        names = differing_names(found.identity, identity, words)
         if names:
             raise FileFormatError(
                 path,
-                f"belongs to another query ({names} differ); delete it to start over, or choose "
-                "another output",
+                f"belongs to another query (different: {names}); delete it to start over, or "
+                "choose another output",
             )
         yield found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
 from pathlib import Path
@@ -23,14 +24,6 @@ __all__ = [
 
 _FORMAT = "raystream query progress"
 _MAX_BYTES = 2**20
-
-#: What people call the parts of an identity.
-_ARGUMENTS = {
-    "block": "block_rays",
-    "ray_digest": "the rays",
-    "scene_digest": "the scene",
-    "shape": "the rays' shape",
-}
 
 
 @dataclass
@@ -108,9 +101,9 @@ def parse_counts(counts: Any) -> QueryProgress:
     return QueryProgress(**counts)
 
 
-def differing_names(theirs: dict[str, Any], ours: dict[str, Any]) -> str:
-    """List what differs between two identities, as arguments; empty if they are the same."""
-    names = {name for name in {*theirs, *ours} if theirs.get(name) != ours.get(name)}
-    if "block" in names:
-        names.discard("ray_digest")  # of rays at the starts of blocks
-    return ", ".join(sorted(_ARGUMENTS.get(name, name) for name in names))
+def differing_names(
+    theirs: dict[str, Any], ours: dict[str, Any], words: Mapping[str, str] | None = None
+) -> str:
+    """List what differs between two identities, in these words; empty if they are the same."""
+    names = (name for name in {*theirs, *ours} if theirs.get(name) != ours.get(name))
+    return ", ".join(sorted({(words or {}).get(name, name) for name in names}))

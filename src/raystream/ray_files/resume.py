@@ -25,6 +25,15 @@ from raystream.ray_files.journal import (
 
 __all__ = ["prepare_output"]
 
+#: What people call the parts of an identity.
+_WORDS = {
+    "block": "block_rays",
+    "ray_digest": "the rays",
+    "scene_digest": "the scene",
+    "triangles": "the scene",
+    "shape": "the rays' shape",
+}
+
 
 def prepare_output(
     target: Path, columns: Columns, blocks: Blocks, identity: dict[str, Any], resume: bool
@@ -87,7 +96,9 @@ def prepare_output(
 
 
 def _check_same(path: Path, theirs: Any, ours: dict[str, Any]) -> None:
-    names = differing_names(theirs, ours) if isinstance(theirs, dict) else "all"
+    if isinstance(theirs, dict) and theirs.get("block") != ours["block"]:
+        theirs = {**theirs, "ray_digest": ours["ray_digest"]}  # of other rays, with other blocks
+    names = differing_names(theirs, ours, _WORDS) if isinstance(theirs, dict) else "all"
     if names:
         raise FileFormatError(
             path,
