@@ -59,7 +59,7 @@ def test_runs_resume_where_the_instances_are_the_same(scene, rays, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         rs.query_zarr(rs.Tracer(scene), store, output, block_rays=200, progress=stop)
     moved = scene.with_transforms(scene.placements.transforms + [0.0, 0.0, 0.0, 1e-9])
-    with pytest.raises(FileFormatError, match="scene_digest"):
+    with pytest.raises(FileFormatError, match="different: the scene"):
         rs.query_zarr(rs.Tracer(moved), store, output, block_rays=200, resume=True)
     report = rs.query_zarr(rs.Tracer(scene), store, output, block_rays=200, resume=True)
     assert report.rays_before >= 200
