@@ -1,5 +1,4 @@
 import os
-import shutil
 import sys
 import time
 from pathlib import Path
@@ -7,37 +6,11 @@ from types import SimpleNamespace
 
 import pytest
 
-import raystream
 from forks import Fork
+from jit.kernel_package import CALLEE, PROGRAM, copy_package
 from raystream.core.cache_folder import cache_folder
 from raystream.jit import cache as cache_module
 from raystream.jit.cpu import kernel
-
-PACKAGE = Path(raystream.__file__).parent
-
-#: A kernel in one file that calls a function in another.
-CALLEE = """
-from raystream.jit.cpu import device
-
-@device
-def answer(x):
-    return x + 1
-"""
-CALLER = """
-from raystream.jit.cpu import kernel
-from raystream.kernels.callee import answer
-
-@kernel
-def ask(x):
-    return answer(x)
-"""
-
-#: Runs it; says how often it came from the cache, and how often it was compiled.
-PROGRAM = """
-from raystream.kernels.caller import ask
-print(ask(1))
-print(sum(ask.stats.cache_hits.values()), sum(ask.stats.cache_misses.values()))
-"""
 
 
 def begin(source: Path, folder: Path) -> Fork:
@@ -52,12 +25,8 @@ def run(source: Path, folder: Path) -> list[str]:
 def source(tmp_path_factory):
     """A copy of the package, to be edited; tests that edit it restore it."""
     folder = tmp_path_factory.mktemp("copy")
-    package = folder / "src" / "raystream"
-    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
-    (package / "kernels" / "callee.py").write_text(CALLEE)
-    (package / "kernels" / "caller.py").write_text(CALLER)
     (folder / "program.py").write_text(PROGRAM)
-    return folder / "src"
+    return copy_package(folder / "src").parent
 
 
 def test_kernels_are_compiled_once_and_again_after_an_edit(source, tmp_path):

@@ -4,40 +4,16 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from llvmlite.binding import get_host_cpu_features
 
-import raystream
+from jit.kernel_package import CALLEE, PROGRAM, copy_package
 from raystream.jit import ready_kernels
 from raystream.jit.ready_kernels import LEVELS
 
-PACKAGE = Path(raystream.__file__).parent
 PLATFORM = "x86_64-unknown-linux-gnu"
 V3, V4 = LEVELS["x86-64-v3"], LEVELS["x86-64-v4"]
-
-CALLEE = """
-from raystream.jit.cpu import device
-
-@device
-def answer(x):
-    return x + 1
-"""
-CALLER = """
-from raystream.jit.cpu import kernel
-from raystream.kernels.callee import answer
-
-@kernel
-def ask(x):
-    return answer(x)
-"""
-
-#: Prints the answer, how often the kernel was read, and how often it was compiled.
-PROGRAM = """
-from raystream.kernels.caller import ask
-print(ask(1), sum(ask.stats.cache_hits.values()), sum(ask.stats.cache_misses.values()))
-"""
 
 
 @pytest.mark.parametrize(
@@ -66,16 +42,12 @@ def test_a_machine_takes_the_levels_that_it_has(tmp_path, monkeypatch, features,
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
-    """A copy of the package with two more modules."""
-    copy = tmp_path_factory.mktemp("copy") / "raystream"
-    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    (copy / "kernels" / "callee.py").write_text(CALLEE)
-    (copy / "kernels" / "caller.py").write_text(CALLER)
-    return copy
+    """A copy of the package; tests that edit it restore it."""
+    return copy_package(tmp_path_factory.mktemp("copy"))
 
 
 def run(package, cache, **variables):
-    """Run the program; what it printed, as numbers, and its warnings."""
+    """Run the program: the answer, how often its kernel was read and compiled; and warnings."""
     paths = {"PYTHONPATH": str(package.parent), "RAYSTREAM_CACHE_DIR": str(cache)}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],

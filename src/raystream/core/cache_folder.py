@@ -64,7 +64,7 @@ def is_own(status: os.stat_result) -> bool:
     return status.st_uid in (0, os.geteuid()) and not status.st_mode & _OTHERS_MAY_WRITE
 
 
-@cache  # once for each: Numba resets the filter that would see to this
+@cache  # warn once for each folder: Numba resets the filter that would do so
 def _warn(folder: Path) -> None:
     warnings.warn(
         f"{folder}: other users can write there, so compiled kernels are neither read from it nor "

@@ -222,7 +222,7 @@ def name_of(function: Callable[..., Any]) -> str:
 
 
 def _read_own(path: Path | None, target_context: Any) -> Any:
-    """The compiled kernel of a file of this user's; None if there is none."""
+    """Read the compiled kernel of a file in the cache folder, or return None."""
     found = _rebuilt(path, target_context, is_trusted=False)
     if found is not None and path is not None:
         mark_used(path)
@@ -230,7 +230,7 @@ def _read_own(path: Path | None, target_context: Any) -> Any:
 
 
 def _rebuilt(path: Path | None, target_context: Any, *, is_trusted: bool = True) -> Any:
-    """The compiled kernel of a file; None if it is missing, damaged or not to be trusted."""
+    """Read a compiled kernel; None if its file is missing, damaged or not to be trusted."""
     if path is None:
         return None
     try:
