@@ -1,12 +1,12 @@
-"""The gallery: nine images of 1920 x 1080, each made by one command, and the page that shows them.
+"""The gallery: nine images of 1920 x 1080, each made with one command, and the page with them.
 
     python benchmarks/gallery.py
     python benchmarks/gallery.py kitchen engine --size 640x360 -o /tmp/gallery
 
-renders all or some of them by their commands, one after the other, and writes JPEG files and
+Renders all or some of them with their commands, one after another, and writes JPEG files and
 gallery.rst, with the commands, samples and times. The first image is a sheet of the eight modes.
-Models are found through `RAYSTREAM_SCENES`, an absolute path. The page has the figures of the last
-run of each image, from figures.json beside the images.
+Models are found through `RAYSTREAM_SCENES`, an absolute path. The page shows the figures of the
+last run of each image, from figures.json in the folder of the images.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ HEAD = """\
 Gallery
 =======
 
-*Each image is made by the command below it. Times are of that command as a whole, with kernels
-compiled before, on a machine that ran other work at times. Written by*
+*Each image is made by the command below it. Times are those of the whole command, with kernels
+compiled in advance, on a machine that ran other work at times. Written by*
 ``python benchmarks/gallery.py``.
 """
 
@@ -73,26 +73,26 @@ ENTRIES = {
     "sponza": Entry(
         "The atrium at noon",
         "raystream render sponza --sun 285 65 --exposure 3 --samples 64 --denoise --tone aces",
-        "A model without lights, in the sun: most of it is lit by the light that the floor and "
-        "the walls reflect. Model: Marko Dabrovic; "
+        "A model without lights, in the sun: most of it is lit by light reflected from the floor "
+        "and the walls. Model: Marko Dabrovic; "
         "texture coordinates and cracks repaired by Kenzie Lamar, bump maps by Morgan McGuire.",
     ),
     "robots": Entry(
         "Robots in the city",
         "raystream render robots --sun 150 30 --exposure 0.9 --samples 64 --denoise --tone aces",
-        "A built-in scene, generated.",
+        "A built-in procedural scene.",
     ),
     "glass": Entry(
         "The bunny in glass",
-        "python examples/glass_model.py bunny {size} 256",
-        "80 lines of Python: the mesh gets a material, a floor, two lamps and the sky. Model: "
+        "python examples/images/glass_model.py bunny {size} 256",
+        "80 lines of Python give the mesh a material, a floor, two lamps and the sky. Model: "
         "Stanford University Computer Graphics "
         "Laboratory (Turk and Levoy, 1994).",
     ),
     "helmet": Entry(
         "Textures of a glTF file",
         "raystream render helmet --sun 230 40 --exposure 1 --samples 64 --denoise --tone aces",
-        'Maps of colour, metal, roughness, normals and emitted light. Model: "Battle Damaged '
+        'Maps of colour, metalness, roughness, normals and emission. Model: "Battle Damaged '
         'Sci-fi Helmet" by theblueturtle\\_ '
         "(Sketchfab), Creative Commons Attribution-NonCommercial.",
     ),
@@ -100,23 +100,24 @@ ENTRIES = {
         "A forest of a million triangles",
         "raystream render forest:1000000 --sun 120 30 --exposure 2 --samples 64 --denoise "
         "--tone aces",
-        "A built-in scene, generated for any number of triangles; each leaf is one.",
+        "A built-in procedural scene for any number of triangles; each leaf is one triangle.",
     ),
     "instances": Entry(
         "A forest of a billion triangles",
-        "python examples/instances.py {size} 32",
-        "A patch of forest that stands 4,096 times, as instances: the structure takes 19 MB.",
+        "python examples/images/instances.py {size} 32",
+        "A patch of forest, placed 4,096 times as instances: the structure takes 19 MB.",
     ),
     "engine": Entry(
         "X-ray of an engine",
         "raystream render engine --mode xray --option absorption=20 --samples 64 --eye -0.2 0.42 "
         "1.5 --look-at 0 0.27 0 --fov 25",
-        "A built-in scene, generated; closed meshes absorb light along each ray (:doc:`physics`).",
+        "A built-in procedural scene; closed meshes absorb light along each ray (:doc:`physics`).",
     ),
     "conference": Entry(
         "Ambient occlusion of a conference room",
         "raystream render conference --mode ao --samples 16",
-        "512 rays per pixel, a tenth of the room long. Model: Anat Grynberg and Greg Ward.",
+        "512 rays per pixel, each as long as a tenth of the room. Model: Anat Grynberg and "
+        "Greg Ward.",
     ),
 }
 
@@ -156,7 +157,7 @@ def sheet(size: str, folder: Path) -> Image.Image:
 
 
 def measured(name: str, out: str, size: str, seconds: float, machine: str) -> dict[str, object]:
-    """What the page says of an image."""
+    """The figures that the page shows for an image."""
     entry = ENTRIES[name]
     command = entry.command.format(size=size)
     if entry.is_example:
@@ -169,7 +170,7 @@ def measured(name: str, out: str, size: str, seconds: float, machine: str) -> di
 
 
 def page(figures: dict[str, dict[str, object]]) -> str:
-    """The page of all images."""
+    """The page with all images."""
     lines = [HEAD]
     for name, entry in ENTRIES.items():
         made = figures[name]
@@ -205,7 +206,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"modes, {', '.join(ENTRIES)}")
     parser.add_argument("--size", default="1920x1080")
-    parser.add_argument("--machine", default=machine_name(), help="as the page names it")
+    parser.add_argument("--machine", default=machine_name(), help="name of the machine on the page")
     parser.add_argument("-o", "--output", type=Path, default=docs, help="a folder")
     asked = parser.parse_args()
     names = asked.names or ["modes", *ENTRIES]

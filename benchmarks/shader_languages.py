@@ -5,11 +5,11 @@
     python benchmarks/shader_languages.py
     python benchmarks/shader_languages.py --write FOLDER
 
-Every program that the graphics device compiles for tracers, images and two users' kernels is given
-to Dawn, the WebGPU implementation of Chromium, whose compiler Tint translates WGSL to SPIR-V for
-its Vulkan backend; asked for ``dump_shaders``, it logs the result. spirv-cross translates SPIR-V
-to the others. SPIR-V is validated by spirv-val, GLSL and HLSL by glslangValidator, whose front end
-for HLSL knows a part of it. No validator of MSL runs here.
+Passes every program that the graphics device compiles for tracers, images and two users' kernels to
+Dawn, the WebGPU implementation of Chromium. Dawn's compiler, Tint, translates WGSL to SPIR-V for
+its Vulkan backend; with ``dump_shaders``, Dawn logs the result. spirv-cross translates SPIR-V to
+the other languages. SPIR-V is validated by spirv-val; GLSL and HLSL by glslangValidator, whose HLSL
+front end supports a part of the language. No validator of MSL runs here.
 """
 
 import argparse
@@ -39,23 +39,23 @@ from raystream.structures import names_with
 
 TOOLS = ("glslangValidator", "spirv-as", "spirv-cross", "spirv-val")
 
-#: Dawn takes no value for a constant that an entry point does not use.
+#: Dawn accepts no value for a constant that an entry point does not use.
 _UNUSED = re.compile(r'constant "*(\w+)"* not found.*?entryPoint: "(\w+)"', re.DOTALL)
 
 #: A store to an atomic counter: all of ours are u32.
 _STORE = re.compile(r"OpAtomicStore %(\w+)")
 
-#: What the first line of Dawn's log entries says.
+#: Text in the first line of Dawn's log entries.
 _DUMPED = "SPIRV disassembly"
 
-#: Suffixes by which glslangValidator knows stages, by the names in SPIR-V.
+#: Suffixes by which glslangValidator recognises stages, by their names in SPIR-V.
 _STAGES = {"Vertex": "vert", "Fragment": "frag", "GLCompute": "comp"}
 
-#: Machines, and the options of structures beyond the default ones.
+#: Machines, and the options of structures besides the defaults.
 _MACHINES = ("compute", "branching", "multipass")
 _TRAVERSALS = ("restart", "backtrack", "short-stack")
 
-#: Modes that are one loop of fragment programs.
+#: Modes that run as one loop of fragment programs.
 _MODES = ("raycast", "vis", "shadow", "whitted", "path", "kajiya")
 
 #: Arguments of spirv-cross and of the validator, by language; {stage} is one of `_STAGES`.
@@ -92,11 +92,11 @@ class Translation(NamedTuple):
     ----------
     name : str
     stage : str
-        "vert", "frag" or "comp"; empty if Dawn refuses the WGSL.
+        "vert", "frag" or "comp"; empty if Dawn rejects the WGSL.
     texts : dict of str to str
-        By language; SPIR-V is in its assembly.
+        By language; SPIR-V as assembly.
     errors : dict of str to str
-        What a tool said, for languages that failed.
+        The message of a tool, for languages that failed.
     """
 
     name: str
@@ -106,7 +106,7 @@ class Translation(NamedTuple):
 
 
 def missing() -> str:
-    """Why nothing can be translated here; nothing if it can."""
+    """Why nothing can be translated here; empty if it can."""
     absent = [tool for tool in TOOLS if shutil.which(tool) is None]
     if absent:
         return f"needs {', '.join(absent)}: apt install glslang-tools spirv-cross spirv-tools"
@@ -145,7 +145,7 @@ def tracers() -> Iterator[dict[str, Any]]:
 
 
 def engine_programs() -> list[Compiled]:
-    """Programs of tracers and images."""
+    """Collect the programs of tracers and images."""
     scene = rs.load("cornell")
     placed = rs.Scene.instances(scene, np.eye(3, 4)[None])
     origins, directions = np.zeros((4, 3)), np.eye(4, 3) + 0.1
@@ -170,8 +170,8 @@ def engine_programs() -> list[Compiled]:
 
 
 def kernel_programs() -> list[Compiled]:
-    """Programs of the kernels in the examples, and of one that rejects under a condition."""
-    examples = Path(__file__).resolve().parents[1] / "examples"
+    """Collect the programs of the examples' kernels, including one with a condition."""
+    examples = Path(__file__).resolve().parents[1] / "examples" / "streams"
     react = runpy.run_path(str(examples / "reaction_diffusion.py"))["REACT"]
     exchange = runpy.run_path(str(examples / "sort_on_graphics.py"))["EXCHANGE"]
     pairs = streams.Stream.zeros(16, (np.float32, 2))
@@ -195,7 +195,7 @@ def kernel_programs() -> list[Compiled]:
 
 
 class Dawn:
-    """A device of Dawn that logs the SPIR-V which it makes of WGSL."""
+    """A device of Dawn that logs the SPIR-V it generates from WGSL."""
 
     def __init__(self) -> None:
         os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
@@ -214,7 +214,7 @@ class Dawn:
         webgpu.wgpuDeviceSetLoggingCallback(self._device, self._log, None)
 
     def spirv(self, compiled: Compiled) -> list[str]:
-        """The assembly of each stage; it raises RuntimeError if Dawn refuses the program."""
+        """The assembly of each stage; raises RuntimeError if Dawn rejects the program."""
         # wgpu's own attribute for a forced early test, which WGSL does not have.
         source = compiled.program.source.replace("@early_depth_test(force)", "")
         module = self._utils.create_shader_module(self._device, source)
@@ -231,7 +231,7 @@ class Dawn:
         return [one.partition("\n")[2] for one in self._texts if _DUMPED in one.partition("\n")[0]]
 
     def _pipeline(self, compiled: Compiled, module: Any, unused: set[tuple[str, str]]) -> str:
-        """Make a pipeline; returns what Dawn refuses, if anything."""
+        """Make a pipeline; returns Dawn's error, if there is one."""
         gpu, program = self._gpu, compiled.program
 
         def fill(stage: Any, entry: str) -> None:
@@ -256,7 +256,7 @@ class Dawn:
             render.multisample.count, render.multisample.mask = 1, 0xFFFFFFFF
             targets = (gpu.WGPUColorTargetState * len(compiled.targets))()
             for target, (texel, is_written) in zip(targets, compiled.targets, strict=True):
-                # Narrower, which SPIR-V does not show: Dawn allows 32 bytes per pixel.
+                # A narrower format, which SPIR-V does not show: Dawn allows 32 bytes per pixel.
                 name = f"WGPUTextureFormat_R16{texel.partition('32')[2].capitalize()}"
                 target.format, target.writeMask = getattr(gpu, name), 0xF * is_written
             fragment = gpu.WGPUFragmentState()
@@ -268,7 +268,7 @@ class Dawn:
 
 
 def _with_dumps(to_c_string: Any) -> Any:
-    """pydawn enables one toggle of a device and disables one: put ours in their place."""
+    """Replace the toggles that pydawn enables and disables on a device, one each, with ours."""
     ours = {
         "allow_unsafe_apis": "dump_shaders",
         # OpenGL's GLSL has no demotion: without it, Tint ends a discarded invocation later.
@@ -283,7 +283,7 @@ def translate(name: str, assembly: str, folder: Path) -> Translation:
     found = Translation(name, stage, {"SPIR-V": assembly}, {})
     binary, exchanging = folder / "stage.spv", folder / "exchanging.spv"
     said = _assemble(assembly, binary)
-    # In HLSL spirv-cross declares the old value of an exchange, and not that of a store.
+    # In HLSL, spirv-cross declares the old value of an exchange, but not that of a store.
     said = said or _assemble(
         _STORE.sub(r"%old_\1 = OpAtomicExchange %uint %\1", assembly), exchanging
     )
@@ -304,7 +304,7 @@ def translate(name: str, assembly: str, folder: Path) -> Translation:
 
 
 def _assemble(assembly: str, binary: Path) -> str:
-    """Assemble and validate; returns what is wrong, if anything."""
+    """Assemble and validate; returns the error, if there is one."""
     text = binary.with_suffix(".spvasm")
     text.write_text(assembly, encoding="utf-8")
     said = _run("spirv-as", "--target-env", "spv1.3", text, "-o", binary)
@@ -312,7 +312,7 @@ def _assemble(assembly: str, binary: Path) -> str:
 
 
 def _run(*command: Any) -> str:
-    """What a tool said, if it failed."""
+    """Run a tool; returns its message if it failed."""
     ran = subprocess.run(
         [str(one) for one in command],
         capture_output=True,
@@ -325,7 +325,7 @@ def _run(*command: Any) -> str:
 
 
 def translations(programs: list[Compiled]) -> list[Translation]:
-    """Translate programs; stages of the same assembly once."""
+    """Translate programs; stages with the same assembly only once."""
     dawn = Dawn()
     stages: dict[str, str] = {}
     refused = []
@@ -352,7 +352,7 @@ def write(found: list[Translation], folder: Path) -> None:
 
 
 def is_too_large(one: Translation) -> bool:
-    """Whether Dawn refuses a program for its storage buffers: it allows ten on any adapter."""
+    """Whether Dawn rejects a program for its storage buffers: it allows ten on any adapter."""
     return "number of storage buffers" in one.errors.get("WGSL", "")
 
 

@@ -17,6 +17,7 @@ from sphinx.application import Sphinx
 from raystream import __version__
 
 sys.path.insert(0, str(Path(__file__).with_name("_ext")))
+from example_gallery import settings as gallery_settings
 
 project = "raystream"
 copyright = "the raystream authors"
@@ -31,8 +32,10 @@ extensions = [
     "bench_result",
     "live_page",
     "paper_map",
+    "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "extra"]
+sphinx_gallery_conf = gallery_settings(Path(__file__).parent)
+exclude_patterns = ["_build", "extra", "examples/**.ipynb"]  # to download
 
 # Notebooks are shown as they were stored, and load nothing from other hosts.
 nb_execution_mode = "off"

@@ -16,7 +16,7 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.streams import INDEX, Count, Counters, GatherArray, Kernel, Stream, While
 
 EXAMPLE = runpy.run_path(
-    str(Path(__file__).resolve().parents[2] / "examples" / "reaction_diffusion.py")
+    str(Path(__file__).resolve().parents[2] / "examples" / "streams" / "reaction_diffusion.py")
 )
 
 COUNT_UP = """

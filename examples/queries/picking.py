@@ -1,0 +1,75 @@
+"""
+Picking in a notebook
+=====================
+
+Click on an image to list everything behind that pixel: all hits of its ray, sorted by distance.
+
+In a notebook, ``pip install ipympl`` and ``%matplotlib widget`` make the figure interactive. Here
+one click is sent to it by the program.
+"""
+
+import raystream as rs
+
+scene = rs.load("engine")
+tracer = rs.Tracer(scene)
+width, height = 480, 320
+origins, directions = scene.camera.rays(width, height)
+
+
+# %%
+# A pixel's ray is at its row and column. Parts that lie inside of others are hits like any other.
+
+
+def pick(column, row):
+    """List the hits of a pixel's ray: distance, part and material."""
+    hits = tracer.multi_hit(origins[row, column], directions[row, column])
+    names = [scene.meshes[k].name for k in hits.mesh_id]
+    materials = [scene.materials[k].name for k in hits.material_id]
+    return list(zip(hits.t.tolist(), names, materials, strict=True))
+
+
+for t, part, material in pick(190, 150):
+    print(f"{t:6.3f} m  {part:15} {material}")
+assert pick(0, 0) == []
+
+# %%
+# The figure: an image, and a text that each click replaces.
+
+try:
+    import matplotlib as mpl
+except ModuleNotFoundError:
+    print("no plot: pip install raystream[plot]")
+else:
+    mpl.use("Agg")  # in a notebook, leave this line out
+    from matplotlib import pyplot as plt
+    from matplotlib.backend_bases import MouseEvent
+
+    image = rs.render(tracer, mode="whitted", size=(width, height), samples=2)
+    figure, (view, table) = plt.subplots(
+        1, 2, figsize=(9.6, 4.2), width_ratios=[2, 1], layout="constrained"
+    )
+    view.imshow(image.to_bytes())
+    view.set_axis_off()
+    table.set_axis_off()
+    (cross,) = view.plot([], [], "+", color="red", ms=16)
+    text = table.text(0, 1, "Click on the image", va="top", family="monospace", fontsize=8)
+
+    def clicked(event):
+        """Show the hits of the pixel below the mouse."""
+        if event.inaxes is view:
+            column, row = int(event.xdata + 0.5), int(event.ydata + 0.5)
+            cross.set_data([column], [row])
+            lines = [f"{t:5.2f}  {part}" for t, part, _ in pick(column, row)]
+            text.set_text("\n".join(lines[:24]) or "nothing")
+            figure.canvas.draw_idle()
+
+    figure.canvas.mpl_connect("button_press_event", clicked)
+
+    figure.canvas.draw()
+    x, y = view.transData.transform((190, 150))
+    figure.canvas.callbacks.process(
+        "button_press_event", MouseEvent("button_press_event", figure.canvas, x, y, 1)
+    )
+    assert "block" in text.get_text()
+    figure.savefig("picking.png", dpi=80)
+    print("wrote picking.png")
