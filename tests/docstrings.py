@@ -31,7 +31,7 @@ class Docstrings:
     def pytest_collect_file(
         file_path: Path, parent: pytest.Collector
     ) -> Iterator[list[pytest.Collector]]:
-        """Take no examples from modules of tests, nor from rooms that cannot be imported."""
+        """Take no examples from modules of tests, nor from packages that cannot be imported."""
         found = yield
         if file_path.name.startswith("test_"):
             return [one for one in found if type(one) is pytest.Module]

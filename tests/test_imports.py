@@ -12,8 +12,8 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "raystream"
 LAB = SOURCE.parents[1] / "lab" / "src" / "raystream_lab"
 
-#: A room may import itself and the rooms before it.
-ROOMS = (
+#: A layer may import itself and the layers before it.
+LAYERS = (
     "notebook",
     "core",
     "jit",
@@ -44,7 +44,7 @@ ROOMS = (
     "cli",
 )
 
-#: Modules outside the rooms: they put the package together.
+#: Modules outside the layers: they put the package together.
 EXEMPT = ("__init__", "__main__", "_version")
 
 #: Who may import these packages of others; anyone may import the rest.
@@ -57,7 +57,7 @@ RESERVED = {
     "jax": {"jax"},
 }
 
-#: The stream programming model knows nothing of rays: of the rooms before it, only these.
+#: The stream programming model knows nothing of rays: of the layers before it, only these.
 STREAMS_MAY_IMPORT = ("raystream.core.errors", "raystream.jit")
 
 MAX_LINES = 500
@@ -82,24 +82,24 @@ def imported_names(tree: ast.AST, package: str) -> Iterator[tuple[int, str]]:
                 yield node.lineno, f"{base}.{alias.name}"
 
 
-def import_fault(room: str, name: str) -> str | None:
-    """The reason why this room may not import this dotted name, if any."""
+def import_fault(layer: str, name: str) -> str | None:
+    """The reason why this layer may not import this dotted name, if any."""
     top, _, rest = name.partition(".")
     if top == "raystream_lab":
-        return f"{room} imports {name}: the lab is a distribution of its own"
+        return f"{layer} imports {name}: the lab is a distribution of its own"
     if top != "raystream":
         allowed = RESERVED.get(top)
-        if allowed is not None and room not in allowed:
-            return f"{room} imports {top}: only {', '.join(sorted(allowed))} may"
+        if allowed is not None and layer not in allowed:
+            return f"{layer} imports {top}: only {', '.join(sorted(allowed))} may"
         return None
     target = rest.partition(".")[0]
-    if target == "_version" or target == room:
+    if target == "_version" or target == layer:
         return None
-    if target not in ROOMS:
-        return f"{room} imports {name}: not a room"
-    if ROOMS.index(target) > ROOMS.index(room):
-        return f"{room} imports {name}: {target} comes later in the house"
-    if room == "streams" and not f"{name}.".startswith(tuple(f"{n}." for n in STREAMS_MAY_IMPORT)):
+    if target not in LAYERS:
+        return f"{layer} imports {name}: not a layer"
+    if LAYERS.index(target) > LAYERS.index(layer):
+        return f"{layer} imports {name}: {target} comes later in the list"
+    if layer == "streams" and not f"{name}.".startswith(tuple(f"{n}." for n in STREAMS_MAY_IMPORT)):
         return f"streams imports {name}: it knows nothing of rays"
     return None
 
@@ -109,34 +109,34 @@ def find_violations(source: Path) -> list[str]:
     violations = []
     for path in sorted(source.rglob("*.py")):
         parts = path.relative_to(source).with_suffix("").parts
-        room = parts[0]
-        if room in EXEMPT:
+        layer = parts[0]
+        if layer in EXEMPT:
             continue
         place = path.relative_to(source).as_posix()
-        if room not in ROOMS:
-            violations.append(f"{place}: {room} is not a room")
+        if layer not in LAYERS:
+            violations.append(f"{place}: {layer} is not a layer")
             continue
         tree = ast.parse(path.read_text(encoding="utf-8"), place)
-        says = parts in ((room,), (room, "__init__"))
+        says = parts in ((layer,), (layer, "__init__"))
         if says and not ast.get_docstring(tree):
-            violations.append(f"{place}:1: does not say what {room} holds")
+            violations.append(f"{place}:1: does not say what {layer} holds")
         package = ".".join(("raystream", *parts[:-1]))
         for line, name in imported_names(tree, package):
-            fault = import_fault(room, name)
+            fault = import_fault(layer, name)
             if fault:
                 violations.append(f"{place}:{line}: {fault}")
     return violations
 
 
-def test_rooms_import_only_rooms_before_them() -> None:
+def test_layers_import_only_layers_before_them() -> None:
     violations = find_violations(SOURCE)
     assert not violations, "\n".join(violations)
 
 
-def test_the_map_has_all_rooms_in_order() -> None:
+def test_the_map_has_all_packages_in_order() -> None:
     page = (SOURCE.parents[1] / "docs" / "architecture.rst").read_text(encoding="utf-8")
-    table = page.partition("The rooms")[2].partition("The life of a ray")[0]
-    assert re.findall(r"^   \* - ``(\w+)``$", table, re.MULTILINE) == list(ROOMS)
+    table = page.partition("The packages")[2].partition("The life of a ray")[0]
+    assert re.findall(r"^   \* - ``(\w+)``$", table, re.MULTILINE) == list(LAYERS)
 
 
 def test_no_file_is_longer_than_one_idea() -> None:
@@ -176,14 +176,14 @@ def plant(root: Path, place: str, text: str) -> Path:
         ("structures/bvh/layout.py", "from ...tracer import Tracer", "tracer comes later"),
         ("core/rays.py", "from raystream.jit import cpu", "jit comes later"),
         ("tracer.py", "from raystream.graphics import device", "graphics comes later"),
-        ("kernels/slab.py", "import raystream", "not a room"),
-        ("kernels/slab.py", "from raystream import load", "not a room"),
+        ("kernels/slab.py", "import raystream", "not a layer"),
+        ("kernels/slab.py", "from raystream import load", "not a layer"),
         ("kernels/slab.py", "import numba", "imports numba"),
         ("kernels/slab.py", "def f():\n    from numba.core import types", "imports numba"),
         ("cli/info.py", "def f():\n    import wgpu.enums", "imports wgpu"),
         ("streams/kernel.py", "from raystream.core.rays import Rays", "nothing of rays"),
         ("streams/kernel.py", "from raystream.scene import Scene", "nothing of rays"),
-        ("shaders/slab.py", "", "shaders is not a room"),
+        ("shaders/slab.py", "", "shaders is not a layer"),
     ],
 )
 def test_planted_violation_is_found(tmp_path: Path, place: str, statement: str, fault: str) -> None:

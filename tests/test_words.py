@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = (ROOT / "src" / "raystream", ROOT / "lab" / "src" / "raystream_lab")
+SOURCES = (ROOT / "src" / "raystream", ROOT / "lab" / "src" / "raystream_lab", ROOT / "examples")
 
 #: What not to write, and what to write instead.
 PHRASES = {
@@ -120,9 +120,10 @@ def prose_of(path: Path) -> str:
 def files() -> list[Path]:
     """All files with prose of ours."""
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.rst")]
-    for kind in ("*.py", "*.js", "*.html"):
+    for kind in ("*.py", "*.js", "*.html", "*.rst"):
         found += [path for source in SOURCES for path in source.rglob(kind)]
-    return sorted(path for path in found if "_build" not in path.parts)
+    built = (ROOT / "docs" / "_build", ROOT / "docs" / "examples")
+    return sorted(path for path in found if not any(path.is_relative_to(one) for one in built))
 
 
 def complaints(path: Path) -> list[str]:

@@ -1,1 +1,1 @@
-"""Rays, hits, bounds and triangles: dtypes, shapes and validation. Imports no other room."""
+"""Rays, hits, bounds and triangles: dtypes, shapes and validation. Imports no other package."""
