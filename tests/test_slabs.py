@@ -72,7 +72,7 @@ def test_fewer_triangles_are_tested_than_by_brute_force(scene):
 
 
 def test_what_it_lacks_is_said(scene):
-    with pytest.raises(ValueError, match=r"'multipass' runs the structures .*, not 'slabs'"):
+    with pytest.raises(ValueError, match=r"'multipass' supports the structures .*, not 'slabs'"):
         rs.Tracer(scene, "slabs", machine="multipass")
 
 

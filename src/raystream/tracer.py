@@ -40,23 +40,23 @@ class Tracer(MemoryEstimator, PointQueries):
     scene : Scene
         Its triangles are copied: later changes of the scene's arrays have no effect.
     structure : {"bvh", "kdtree", "graph", "grid", "brute"} or StructureOptions
-        Acceleration structure, by its name or as `Bvh`, `KdTree`, `Graph`, `Grid` or `Brute`
-        with its options. All return the same bits; ``"brute"`` tests every triangle.
+        Acceleration structure, by name or as `Bvh`, `KdTree`, `Graph`, `Grid` or `Brute` with its
+        options. All return the same bits; ``"brute"`` tests every triangle.
     device : {"cpu", "cuda", "graphics"} or DeviceOptions
-        Where rays are traced, by its name or as `Cpu`, `Cuda` or `Graphics` with its options: on
-        the CPU's cores; on an NVIDIA GPU (``pip install raystream[cuda]``), chosen with ``gpu=``
-        if there are several; or on a GPU through Vulkan, Metal or Direct3D 12 (``pip install
+        Where rays are traced, by name or as `Cpu`, `Cuda` or `Graphics` with its options: on the
+        CPU's cores; on an NVIDIA GPU (``pip install raystream[cuda]``), chosen with ``gpu=`` if
+        there are several; or on a GPU through Vulkan, Metal or Direct3D 12 (``pip install
         raystream[graphics]``).
     machine : {"branching", "multipass", "compute"} or MachineOptions, optional
-        How the structure is traversed, by its name or as `Branching`, `Multipass` or `Compute`
-        with its options: each thread traces one ray from start to end; or all rays advance step
-        by step, in passes (Purcell 2002, section 2.2). All return the same bits on one device;
-        ``"multipass"`` is slower, and reports its passes. On ``"graphics"`` these two are
-        fragment programs, and ``"compute"`` is faster [default: ``"compute"`` on
-        ``"graphics"``, else ``"branching"``].
+        How the structure is traversed, by name or as `Branching`, `Multipass` or `Compute` with
+        its options: each thread traces one ray from start to end; or all rays advance step by
+        step, in passes (Purcell 2002, section 2.2). All return the same bits on one device;
+        ``"multipass"`` is slower, and reports its passes. On ``"graphics"`` these two are fragment
+        programs, and ``"compute"`` is faster [default: ``"compute"`` on ``"graphics"``, else
+        ``"branching"``].
     precision : {"float32", "float64"}
-        Of triangles, rays and results: ``"float64"`` for scenes where float32 distances are too
-        coarse; on ``"bvh"`` and ``"brute"``, on the CPU and CUDA.
+        Precision of triangles, rays and results: ``"float64"`` is for scenes where float32
+        distances are too coarse; supported by ``"bvh"`` and ``"brute"`` on the CPU and CUDA.
     counters : bool
         Count traversal steps, leaves and tests per ray: see `counters`. Rays are then traced one
         by one, without the many-ray kernels of ``"bvh"``. Disabled counters cost nothing.
@@ -80,19 +80,18 @@ class Tracer(MemoryEstimator, PointQueries):
     Every query takes rays of any leading shape S: `origins` and `directions` of shape
     S + (3,), which broadcast against each other, of any real dtype, as NumPy arrays or
     anything that converts to one without leaving the CPU (DLPack, ``__array_interface__``).
-    Arrays of PyTorch, JAX, CuPy and xarray are answered in arrays of the same library, see
-    `raystream.core.library_hits.LibraryHits`.
-    World space, scene units; directions need not be unit length, and t counts in their
-    lengths. `t_min` and `t_max` are numbers or arrays that broadcast to S; the interval is
-    closed, and rounded to `precision`. A ray with a NaN, infinite or zero direction is no error:
-    it misses, and its status is ``RayStatus.INVALID``.
+    For arrays of PyTorch, JAX, CuPy and xarray, results are arrays of the same library; see
+    `raystream.core.library_hits.LibraryHits`. World space, scene units; directions need not be
+    unit length, and t is measured in their lengths. `t_min` and `t_max` are numbers or arrays that
+    broadcast to S; the interval is closed, and rounded to `precision`. A ray with a NaN, infinite
+    or zero direction is no error: it misses, and its status is ``RayStatus.INVALID``.
 
-    With ``device="cuda"`` rays may be arrays on the tracer's GPU, by DLPack or
+    With ``device="cuda"`` rays may be arrays on the tracer's GPU, passed by DLPack or
     ``__cuda_array_interface__`` (CuPy, PyTorch, JAX, Numba), of float32 or float64; numbers and
-    single vectors may still come from the host. They are read in place, in the order of the CUDA
-    stream that they name, else of the default stream, and must not change before that. Results
-    stay on the GPU, in arrays of that library, or that it views without a copy; ``host()`` copies
-    them to NumPy. A query may return before they are filled.
+    single vectors may still come from the host. They are read in place, on the CUDA stream that
+    they name, or else on the default stream, and must not change until then. Results stay on the
+    GPU, in arrays of that library or that it can view without a copy; ``host()`` copies them to
+    NumPy. A query may return before they are filled.
 
     A ray through a shared edge hits both triangles, never neither [1]_. Degenerate
     triangles, and triangles with a NaN or infinite vertex, are never hit: a mesh that
@@ -154,21 +153,22 @@ class Tracer(MemoryEstimator, PointQueries):
         t_min, t_max : float or array_like that broadcasts to S
             Closed search interval, in direction lengths.
         on_hit : callable, optional
-            A filter: ``on_hit(hit)`` gets a `Hit` and returns whether to accept it, as a boolean
-            or as `Decision.CONTINUE` or `Decision.IGNORE`; `Decision.STOP` accepts it and ends
-            the search. It may be called in any order, more than once, and at hits behind the
+            A filter: ``on_hit(hit)`` receives a `Hit` and returns whether to accept it, as a
+            boolean or as `Decision.CONTINUE` or `Decision.IGNORE`; `Decision.STOP` accepts it and
+            ends the search. It may be called in any order, more than once, and at hits behind the
             nearest. See `trace` for what it may do. A `Bound` passes it constants.
         skip_prim_ids : array_like of shape S or S + (k,), int, or Hits of shape S, optional
             Triangles that each ray ignores, such as the one that it starts on; -1 ignores
-            nothing. The filter is not called for them. Numbers ignore a triangle in all of its
-            instances, hits in the one that they are in. With rays in arrays on a GPU, it may be
-            an array there, of int32 or int64.
+            nothing. The filter is not called for them. Given as numbers, triangles are ignored in
+            all of their instances; given as hits, only in the instance that was hit. With rays in
+            arrays on a GPU, it may be an array there, of int32 or int64.
         near : array_like that broadcasts to S, int, optional
-            Where rays start, for a graph: `Hits.sectors` of the hits that they leave; -1 where it
-            is unknown. It changes no answer: the search begins there instead of at a bin.
+            The sectors in which rays start, for a graph: `Hits.sectors` of the hits that they
+            leave; -1 where unknown. It does not change results: the search begins there instead of
+            at a bin.
         worlds : array_like that broadcasts to S, int, optional
             In a scene whose instances are in worlds: the world of each ray; see `Scene.instances`.
-            Of rays in arrays on a GPU: on the host, or there, without gaps.
+            For rays in arrays on a GPU: an array on the host, or a contiguous one on the GPU.
         progress : callable, optional
             Called with (rays done, rays).
 
@@ -176,7 +176,7 @@ class Tracer(MemoryEstimator, PointQueries):
         -------
         Hits
             ``t``, ``u``, ``v`` of shape S, of `precision`, and ``prim_id`` of shape S, int32. A
-            miss has ``t = inf`` and ``prim_id = -1``. Of rays in arrays on a GPU:
+            miss has ``t = inf`` and ``prim_id = -1``. For rays in arrays on a GPU:
             `raystream.cuda.device_hits.DeviceHits`, there.
 
         Raises
@@ -189,7 +189,7 @@ class Tracer(MemoryEstimator, PointQueries):
 
         Notes
         -----
-        Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
+        At equal t, before it is rounded to float32, the lowest prim_id wins, in every structure.
         """
         rays = self._rays(origins, directions, t_min, t_max, near, worlds)
         query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
@@ -223,7 +223,7 @@ class Tracer(MemoryEstimator, PointQueries):
         Returns
         -------
         ndarray of shape S, bool
-            True exactly where `first_hit` would report a hit. Of rays in arrays on a GPU: a
+            True exactly where `first_hit` would report a hit. For rays in arrays on a GPU: a
             `raystream.jit.cuda.DeviceArray` there.
 
         Raises
@@ -259,14 +259,14 @@ class Tracer(MemoryEstimator, PointQueries):
         origins, directions, t_min, t_max, on_hit, skip_prim_ids, worlds, progress
             See `first_hit`.
         crossings : {"triangles", "surfaces"}
-            What a ray exactly through an edge or a vertex hits: every triangle there; or one
-            triangle each time it passes through the surface (none or two where it only grazes
-            it), so that a ray from outside crosses a closed mesh an even number of times.
+            What a ray that passes exactly through an edge or a vertex hits: every triangle there;
+            or one triangle each time it passes through the surface (none or two where it only
+            grazes it), so that a ray from outside crosses a closed mesh an even number of times.
 
         Returns
         -------
         ndarray of shape S, int64
-            Of rays in arrays on a GPU: a `raystream.jit.cuda.DeviceArray` there.
+            For rays in arrays on a GPU: a `raystream.jit.cuda.DeviceArray` there.
 
         Raises
         ------
@@ -314,7 +314,7 @@ class Tracer(MemoryEstimator, PointQueries):
         -------
         MultiHits
             ``ray_splits`` of shape (N + 1,), int64, delimits each ray's rows of ``t``,
-            ``u``, ``v`` (of `precision`) and ``prim_id`` (int32). Of rays in arrays on a GPU:
+            ``u``, ``v`` (of `precision`) and ``prim_id`` (int32). For rays in arrays on a GPU:
             `raystream.cuda.device_hits.DeviceMultiHits`, there.
 
         Raises
@@ -327,9 +327,9 @@ class Tracer(MemoryEstimator, PointQueries):
 
         Notes
         -----
-        Exact: hits are stored in buffers that grow, or counted before they are written. Equal
-        t, before it is rounded to float32: the lower prim_id comes first. No hit is reported
-        twice, and none is lost between two others, however close.
+        The result is exact: hits are stored in buffers that grow, or counted before they are
+        written. At equal t, before it is rounded to float32, the lower prim_id comes first. No hit
+        is reported twice, and none is lost between two others, however close.
         """
         surfaces = counts_surfaces(crossings)
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
@@ -365,20 +365,20 @@ class Tracer(MemoryEstimator, PointQueries):
         origins, directions, t_min, t_max, worlds
             See `first_hit`.
         on_hit : callable
-            ``on_hit(hit, payload)``, a Python function that Numba compiles. It gets a `Hit`
+            ``on_hit(hit, payload)``, a Python function that Numba compiles. It receives a `Hit`
             and its ray's payload, which it changes in place, and returns `Decision.CONTINUE`,
             `Decision.STOP` (no more hits of this ray) or `Decision.IGNORE` (here the same as
             CONTINUE); returning nothing continues.
         payload : array or dtype, optional
             A writable array of the rays' shape S, of NumPy or of another library on the host,
-            changed in place; a dtype allocates one of zeros. Of a structured dtype the function
-            gets its ray's record, as in ``payload.depth += hit.t``; of plain numbers, of shape S
-            or S + (k,), an array of one or k numbers, as in ``payload[0] += 1``; without a
-            payload, None. Of rays in arrays on a GPU: an array there is changed there, a dtype
+            changed in place; a dtype allocates one of zeros. With a structured dtype, the function
+            receives its ray's record, as in ``payload.depth += hit.t``; with plain numbers, of
+            shape S or S + (k,), an array of one or k numbers, as in ``payload[0] += 1``; without a
+            payload, None. For rays in arrays on a GPU: an array there is changed there, a dtype
             allocates one there with aligned fields, and a NumPy array is copied there and back.
         order : {"front-to-back", "any"}
-            Hits of a ray come by increasing t, then prim_id; or as they are found, which saves
-            sorting them when the order does not matter.
+            Whether the hits of a ray come by increasing t, then prim_id, or as they are found,
+            which saves sorting them when the order does not matter.
         crossings : {"triangles", "surfaces"}
             See `count_hits`.
         progress : callable, optional
@@ -388,7 +388,7 @@ class Tracer(MemoryEstimator, PointQueries):
         -------
         array or None
             The payload: the given array, or the new one, in the library of the rays unless it has
-            records. Of rays in arrays on a GPU: a `raystream.jit.cuda.DeviceArray`.
+            records. For rays in arrays on a GPU: a `raystream.jit.cuda.DeviceArray`.
 
         Raises
         ------
@@ -439,7 +439,7 @@ class Tracer(MemoryEstimator, PointQueries):
         return returned_payload(payload, result, origins, directions)
 
     def bands_on_device(self, context: Any) -> Any:
-        """The renderer on the tracer's device; None if it does not shade, or queries are needed.
+        """The renderer on the tracer's device; None if it cannot shade, or queries are needed.
 
         Parameters
         ----------
@@ -455,7 +455,7 @@ class Tracer(MemoryEstimator, PointQueries):
 
     @property
     def loop_machine(self) -> Any:
-        """The machine that runs a renderer as one loop, see `machines.ray_loop`; or None."""
+        """The machine that runs a renderer as one loop, or None; see `machines.ray_loop`."""
         loops = self._backend.capabilities.loops and not self._needs_queries()
         return self._backend if loops else None
 

@@ -183,7 +183,7 @@ def test_an_interrupt_keeps_what_there_is_and_the_run_goes_on(box, tmp_path):
     assert [(one.scene, one.is_complete) for one in again.scenes] == [("a", True), ("b", True)]
     assert again.scenes[0].sets[0].seconds == first
     other = Plan([OWN], ["primary"], (8, 6), repeats=2)
-    with pytest.raises(ValueError, match="other settings"):
+    with pytest.raises(ValueError, match="different settings"):
         Bench(other, keep, again)
 
 

@@ -112,11 +112,11 @@ def test_an_interrupt_shows_what_there_is_and_the_run_can_go_on(run, monkeypatch
     assert names == ["cornell", "spheres", "spheres"]
     kept = read_result(tmp_path / "result.json")
     assert [one.scene for one in kept.scenes] == ["cornell", "spheres"]
-    assert "other settings" in run(*asked, "--repeats", 2).complaint
+    assert "different settings" in run(*asked, "--repeats", 2).complaint
     kept.versions["raystream"] = "0.0.1"
     write_result(tmp_path / "result.json", kept)
     fault = run(*asked).complaint
-    assert "--resume: the earlier result has other contenders: raystream 0.0.1 (now " in fault
+    assert "--resume: the earlier result has different contenders: raystream 0.0.1 (now " in fault
     assert "--option" not in fault
 
 
@@ -141,8 +141,8 @@ def test_default_scenes_that_are_not_there_are_left_out(run, monkeypatch, tmp_pa
         (["--variant", "leaf=2"], "--variant: expected NAME:KEY=VALUE"),
         (["--variant", "raystream:structure=brute"], "'raystream' is given twice"),
         (["--output", "table.md"], ".json"),
-        (["--resume"], "--resume: needs the --output"),
-        (["--report", "result.json"], "--report: takes no scenes"),
+        (["--resume"], "--resume: needs --output"),
+        (["--report", "result.json"], "--report: cannot be combined with scenes"),
     ],
 )
 def test_bad_arguments(run, arguments, fault):
@@ -152,7 +152,7 @@ def test_bad_arguments(run, arguments, fault):
 def test_bad_reports(run, tmp_path):
     assert "nothing.json" in run("bench", "--report", "nothing.json").complaint
     (tmp_path / "other.json").write_text("{}")
-    assert "other.json: no benchmark's result" in run("bench", "--report", "other.json").complaint
+    assert "other.json: not a benchmark result" in run("bench", "--report", "other.json").complaint
     (tmp_path / "broken.json").write_text("{")
     assert "broken.json" in run("bench", "--report", "broken.json").complaint
     bad = run("bench", "--report", "other.json", "-o", "chart.png").complaint

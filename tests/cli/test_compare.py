@@ -65,7 +65,7 @@ def test_layers_of_an_exr_do_no_harm(run, pictures):
     [
         (["a.png", "wide.png"], "80x6 and 81x6"),
         (["a.png", "missing.png"], "missing.png: no such file"),
-        (["text.png", "a.png"], "text.png: is not a whole .png file"),
+        (["text.png", "a.png"], "text.png: is not a complete .png file"),
         (["a.jpg", "a.png"], "a.jpg: file extension must be"),
         (["a.png", "b.png", "-o", "a.png"], "overwritten"),
         (["a.png", "b.png", "-o", "d.gif"], "d.gif"),
@@ -95,7 +95,7 @@ def test_damaged_exr_is_one_line_whatever_openexr_prints(environment, tmp_path):
     )
     assert result.returncode == 2
     assert result.stdout == ""
-    assert result.stderr == "raystream: cut.exr: is not a whole .exr file\n"
+    assert result.stderr == "raystream: cut.exr: is not a complete .exr file\n"
 
 
 def test_exr_without_openexr_is_refused(run, monkeypatch):

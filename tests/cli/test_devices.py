@@ -88,7 +88,7 @@ def test_saved_structure(run, square, rays, adapter):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--adapter", "abacus"], "adapter: none is called 'abacus'; there are "),
+        (["--adapter", "abacus"], "adapter: none is called 'abacus'; available: "),
         (["--machine", "abacus"], "expected branching or multipass or compute, got 'abacus'"),
         (["--option", "machine=abacus"], "--machine: expected one of 'compute'"),
         (["--option", "rays_at_once=0"], "--option: rays_at_once: expected at least 1, got 0"),
@@ -102,7 +102,7 @@ def test_bad_choices_are_refused_in_one_line(run, command, adapter, arguments, c
 def test_a_structure_without_shaders(run, square, adapter, monkeypatch):
     monkeypatch.delitem(rs.Grid.forms, "graphics")
     refused = run("info", square, "--device", "graphics", "--structure", "grid").complaint
-    assert refused.startswith("device 'graphics': has the structures 'bvh'")
+    assert refused.startswith("device 'graphics': supports the structures 'bvh'")
     assert refused.endswith("not 'grid'")
 
 

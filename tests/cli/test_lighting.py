@@ -30,7 +30,7 @@ f 4 5 6
 MATERIALS = "newmtl wall\nKd 0.8 0.1 0.1\nnewmtl lamp\nKe 0.02 0.02 0.02\n"
 NOTE = (
     "warning: the scene's own lights are too weak to see by: added {} (lights='file' or --lights "
-    "file uses the scene's own only)\n"
+    "file uses only the scene's own)\n"
 )
 
 

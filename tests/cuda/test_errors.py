@@ -122,7 +122,7 @@ FAILURES = {
     "a kernel that reads what is not there": (
         "copy",
         "Call to cuMemcpyAsync results in CUDA_ERROR_ILLEGAL_ADDRESS",
-        "copying: it accessed an invalid address, and was stopped. CUDA cannot be used",
+        "copying: it accessed an invalid address, and was stopped. CUDA can no longer be used",
     ),
     "anything else": ("sync", "Something\n  new:", "device 'cuda': Fake 0: running a kernel: "),
 }

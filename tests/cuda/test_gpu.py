@@ -35,5 +35,5 @@ def test_a_scene_too_large_is_refused_before_it_is_copied(gpu, case, monkeypatch
 
     monkeypatch.setattr(Gpu, "free_byte_count", lambda self: 1000)
     monkeypatch.setattr(Gpu, "upload", upload)
-    with pytest.raises(CudaError, match=r"takes [\d,]+ bytes as 'brute', and .* has 1,000 free"):
+    with pytest.raises(CudaError, match=r"takes [\d,]+ bytes as 'brute', but .* has 1,000 free"):
         rs.Tracer(case.scene, "brute", "cuda")

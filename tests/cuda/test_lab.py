@@ -64,7 +64,7 @@ def test_purcells_statistics_and_passes(runner: Runner, monkeypatch: pytest.Monk
     rows = {row["machine"]: row for row in result.tables[0].records()}
     assert rows["cuda, multipass"]["passes"] == rows["cpu, multipass"]["passes"] > 0
     assert all(row["rays with other triangles"] == 0 for row in rows.values())
-    assert all(row["farthest t, of t"] == 0.0 for row in rows.values())
+    assert all(row["largest difference in t, of t"] == 0.0 for row in rows.values())
     assert "cuda, branching" in rows
 
 

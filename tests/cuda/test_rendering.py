@@ -279,7 +279,7 @@ def test_what_is_not_kept_is_an_error(gpu):
 def test_a_scene_too_large_for_the_memory(gpu, monkeypatch):
     tracer = rs.Tracer(room(), "brute", "cuda")
     monkeypatch.setattr(Gpu, "free_byte_count", lambda _: 100)
-    with pytest.raises(CudaError, match=r"the scene's \w+ take [\d,]+ bytes, and .* has 100 free"):
+    with pytest.raises(CudaError, match=r"the scene's \w+ take [\d,]+ bytes, but .* has 100 free"):
         rs.render(tracer, "path", (2, 2), 1)
     assert issubclass(CudaError, RaystreamError)
 

@@ -38,4 +38,4 @@ def test_speed(gpu, monkeypatch, tmp_path, capsys):
 
 def test_a_small_scene_has_the_processor_s_bits(gpu, capsys):
     assert script("cuda_check").small(tiny=True) == 0
-    assert "0 queries with other bits than the CPU's" in capsys.readouterr().out
+    assert "0 queries with different bits than the CPU's" in capsys.readouterr().out

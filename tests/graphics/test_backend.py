@@ -59,7 +59,7 @@ def test_rays_at_once_is_checked(opened, scene, count):
 
 def test_a_structure_without_shaders_is_refused(opened, scene, monkeypatch):
     monkeypatch.delitem(rs.Graph.forms, "graphics")
-    with pytest.raises(rs.RaystreamError, match=r"has the structures 'bvh'.*, not 'graph'"):
+    with pytest.raises(rs.RaystreamError, match=r"supports the structures 'bvh'.*, not 'graph'"):
         rs.Tracer(scene, "graph", "graphics")
 
 

@@ -243,5 +243,5 @@ def test_what_a_driver_cuts_short_is_never_an_answer():
 def test_bad_options(layers):
     with pytest.raises(ValueError, match="rays_at_once: expected at least 1, got 0"):
         rs.Tracer(layers, "bvh", "graphics", rays_at_once=0)
-    with pytest.raises(GraphicsError, match="has the structures"):
+    with pytest.raises(GraphicsError, match="supports the structures"):
         shader_structure_of(SimpleNamespace(name="lattice"))

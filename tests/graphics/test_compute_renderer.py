@@ -81,7 +81,7 @@ def test_glass_takes_more_room(monkeypatch):
     assert_alike(*pictures(rs.load("spheres"), "whitted", (48, 36), min_weight=0.0))
     assert grown
     monkeypatch.setattr(path_rows, "_MOST_ROOM", 2)
-    with pytest.raises(GraphicsError, match="more than 2 paths at once behind glass; take"):
+    with pytest.raises(GraphicsError, match="more than 2 paths at once behind glass; use"):
         pictures(rs.load("spheres"), "whitted", (48, 36), min_weight=0.0)
 
 

@@ -126,7 +126,7 @@ def test_too_large_a_scene_is_refused(opened, scene, rays, monkeypatch, limit):
     monkeypatch.setattr(
         machines, "open_device", lambda _: smaller(opened, **{limit: triangle_bytes - 1})
     )
-    refused = r"brute, array 1 would take 2,160 bytes, and .* allows 2,159 .* use device='cpu'"
+    refused = r"brute, array 1 would take 2,160 bytes, but .* allows 2,159 .* use device='cpu'"
     with pytest.raises(GraphicsError, match=refused):
         rs.Tracer(scene, "brute", "graphics")
     monkeypatch.setattr(

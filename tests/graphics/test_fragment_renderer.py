@@ -293,7 +293,7 @@ def test_glass_takes_more_room(monkeypatch):
 
 def test_too_many_paths_behind_glass_are_an_error(monkeypatch):
     monkeypatch.setattr(path_rows, "_MOST_ROOM", 2)
-    with pytest.raises(GraphicsError, match="more than 2 paths at once behind glass; take"):
+    with pytest.raises(GraphicsError, match="more than 2 paths at once behind glass; use"):
         rs.render(tracer_of(rs.load("spheres")), "whitted", (48, 36), max_bounces=4, min_weight=0.0)
 
 

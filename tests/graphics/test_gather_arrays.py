@@ -87,7 +87,7 @@ def test_reads_within_reads_are_rewritten():
 def test_an_array_larger_than_a_texture_is_an_error(opened, monkeypatch):
     monkeypatch.setattr(gather_arrays, "_WIDTH", 16)
     scene = rs.Scene.from_arrays(*soup(40_000, 1))
-    with pytest.raises(GraphicsError, match=r"texels, more than .*take memory='buffers'"):
+    with pytest.raises(GraphicsError, match=r"texels, more than .*use memory='buffers'"):
         tracer_of(scene, structure="brute", memory="textures")
 
 

@@ -109,7 +109,7 @@ def test_cameras_that_do_not_project_so_are_refused():
     from raystream.graphics import visibility
 
     camera = rs.Camera((0, 0, 0), (0, 0, -1), projection="orthographic")
-    with pytest.raises(ValueError, match="camera: expected one in perspective"):
+    with pytest.raises(ValueError, match="camera: the graphics pipeline supports only"):
         visibility(rs.Scene([wall(z=-2.0)]), SIZE, camera=camera)
 
 

@@ -69,7 +69,11 @@ def test_a_source_that_does_not_compile(x, capfd, source, message):
         ("fn cover(x: f32) -> f32 { return x; }", ValueError, "fn cover is the name of the vertex"),
         ("fn f(x: f32) {}", TypeError, "f: the function returns nothing"),
         (f"\n{'(' * 9999}", ValueError, "kernel, line 2: brackets are nested over 100 deep"),
-        ("fn f(x: f32, y: f32) -> f32 {}", TypeError, "the parameter 'y' is no input or constant"),
+        (
+            "fn f(x: f32, y: f32) -> f32 {}",
+            TypeError,
+            "the parameter 'y' is not an input or constant",
+        ),
         ("fn f() -> f32 { return 1.0; }", TypeError, "f: the function has no parameter 'x'"),
         ("fn f(x: vec2<f32>) -> f32 {}", TypeError, "input 'x': is declared as vec2f, .* has f32"),
         ("fn f(x: f32) -> u32 {}", TypeError, "f, its result: is declared as u32, and .* has f32"),
@@ -122,7 +126,7 @@ def test_streams_of_different_lengths(x):
         Kernel(COPY, inputs={"x": x}, outputs=Stream.zeros(3))
     with pytest.raises(ValueError, match="writes a stream twice"):
         Kernel(COPY, inputs={"x": x}, outputs=[x, x])
-    with pytest.raises(TypeError, match="has 2 outputs, and the function returns f32"):
+    with pytest.raises(TypeError, match="has 2 outputs, but the function returns f32"):
         Kernel(COPY, inputs={"x": x}, outputs=[x, Stream.zeros(4)])
 
 

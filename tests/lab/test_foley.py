@@ -126,19 +126,19 @@ def test_settings_follow_a_camera_s_path(view):
 
 def test_reasons_name_measured_settings():
     theirs = published_figures("robots")
-    as_is = Trial("as we have it", "", 0.0, {}, {key: 0.5 * value for key, value in theirs.items()})
+    as_is = Trial("as in the lab", "", 0.0, {}, {key: 0.5 * value for key, value in theirs.items()})
     deep = Trial("depth", "9", 0.0, {}, {key: 0.9 * value for key, value in theirs.items()})
     tried = [as_is, deep, deep._replace(group="costs", figures=as_is.figures)]
     assert nearest(tried, "robots") is deep
     up = theirs["up"]
     assert explain_difference("up", 0.5 * up, theirs, tried) == f"depth: 9 gives {0.9 * up:.3g}"
     alone = explain_difference("up", 0.5 * up, theirs, [as_is])
-    assert alone.startswith("not explained: as we have it")
-    assert alone.endswith("but 0 of 5 figures near")
+    assert alone.startswith("not explained: as in the lab")
+    assert alone.endswith("but 0 of 5 figures are near")
     # A setting that brings one figure near is no reason.
     one = Trial("depth", "3", 0.0, {}, {**as_is.figures, "up": up})
     assert explain_difference("up", 0.5 * up, theirs, [as_is, one]) == (
-        f"not explained: depth: 3 gives {up:.3g}, but 1 of 5 figures near"
+        f"not explained: depth: 3 gives {up:.3g}, but 1 of 5 figures are near"
     )
     assert explain_difference("up", 0.8 * up, theirs, tried) == ""
     assert not is_near(1.26, 1.0)
@@ -352,4 +352,4 @@ def test_up_to_eight_times_is_not_eight_or_more(grid, ahead, most):
     claims = lead_claims(grid)
     assert [claim.verdict for claim in claims] == [ahead, most]
     assert "published 8.82" in claims[1].evidence
-    assert ("a different ratio" in claims[1].evidence) == (most != "holds")
+    assert ("not within a quarter" in claims[1].evidence) == (most != "holds")

@@ -224,7 +224,7 @@ def test_iterations_take_passes(runner: Runner, monkeypatch: pytest.MonkeyPatch)
     rows = run(runner, "christen-graphics").tables[0].records()
     assert [row["iterations"] for row in rows] == [1, 3]
     assert rows[1]["passes"] > rows[0]["passes"]
-    assert all(row["farthest colour"] < 1e-4 for row in rows)
+    assert all(row["largest colour difference"] < 1e-4 for row in rows)
 
 
 def test_software_traces_smaller_images(tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ def test_fewer_instructions_are_a_changed_reading(runner: Runner) -> None:
     assert min(added) < 0.0 < max(added) < 0.1
     claim = result.claims[1]
     assert claim.verdict == "holds"
-    assert "a changed reading" in claim.text
+    assert "our reading" in claim.text
     assert "fewer in 1 of 2" in claim.evidence
 
 

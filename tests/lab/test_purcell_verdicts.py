@@ -73,10 +73,10 @@ def test_other_cameras_are_scheduled_anew(runner: Runner) -> None:
         assert isinstance(ratio, float)
         assert bool(row["why they differ"]) == (abs(ratio - 1.0) > 0.25), row
     near = {row["quantity"]: row["why they differ"] for row in rows}
-    assert all("figures near" in str(why) for why in near.values() if "not expl" in str(why))
+    assert all("figures are near" in str(why) for why in near.values() if "not expl" in str(why))
     others = [row for row in rows if "other passes" in str(row["quantity"])]
     assert {row["why they differ"] for row in others} == {
-        "the ray caster's loop has 3: a pass of eye rays is added"
+        "the ray caster's loop has 3, with a pass for eye rays"
     }
     name = VIEWS[0]
     theirs = published("purcell", "table 2").values[name]
@@ -100,7 +100,7 @@ def test_a_camera_that_gives_some_figures_is_no_reason(
     monkeypatch.setattr(pass_reasons, "_nearest_schedule", lambda *_: ("a", tried))
     far = {**ours, "passes": 9000}
     assert pass_reasons.pass_reasons(runner, "x", far, theirs) == {
-        "passes": "not explained: camera a gives 1,085, but 5 of 6 figures near"
+        "passes": "not explained: camera a gives 1,085, but 5 of 6 figures are near"
     }
     tried["efficiency"] = ours["efficiency"]
     found = pass_reasons.pass_reasons(runner, "x", far, theirs)

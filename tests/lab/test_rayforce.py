@@ -175,9 +175,9 @@ def test_the_graph_is_described(runner, monkeypatch):
     assert claim.verdict == (f"holds in {held} of 3" if held else "does not hold (0 of 3)")
     eye, *_ = rows_of(result, "rayforce-walks")
     assert eye["rays"] == "from the eye"
-    assert eye["sectors left, mean"] <= eye["most"]
+    assert eye["sectors passed, mean"] <= eye["most"]
     # All rays from one place begin in one sector, and walk as far.
-    assert eye["sectors left, mean"] == eye["most"]
+    assert eye["sectors passed, mean"] == eye["most"]
     leaving = rows_of(result, "rayforce-displacement")
     assert [row["rays"] for row in leaving] == ["ao", "first bounce", "second bounce"]
     assert all(0.0 <= row["saved, of all"] < 1.0 for row in leaving)

@@ -165,7 +165,7 @@ def test_groups_are_not_mixed(tracer, points, tmp_path):
     foreign = tmp_path / "mine.zarr"
     foreign.mkdir()
     (foreign / "notes.txt").write_text("mine")
-    with pytest.raises(FileFormatError, match="does not say of what"):
+    with pytest.raises(FileFormatError, match="exists, but not its journal"):
         rs.visibility(tracer, a, b, out=foreign)
     assert (foreign / "notes.txt").read_text() == "mine"
     file = tmp_path / "file.zarr"

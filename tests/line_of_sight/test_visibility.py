@@ -438,7 +438,7 @@ def test_files_are_not_mixed(soup_tracer, points, tmp_path):
     assert path.read_bytes() == before
     foreign = tmp_path / "mine.npy"
     np.save(foreign, a)
-    with pytest.raises(FileFormatError, match="does not say of what"):
+    with pytest.raises(FileFormatError, match="exists, but not its journal"):
         rs.visibility(soup_tracer, a, b, out=foreign)
     np.testing.assert_array_equal(np.load(foreign), a)
     path.write_bytes(before[:200])

@@ -242,7 +242,7 @@ def test_a_scheduler_of_ones_own():
     ("options", "error", "message"),
     [
         ({"machine": "quantum"}, ValueError, "machine: expected one of 'branching', 'multipass'"),
-        ({"scheduler": "naive"}, TypeError, "'scheduler'; it is one of machine='multipass'"),
+        ({"scheduler": "naive"}, TypeError, "'scheduler'; it is an option of machine='multipass'"),
         ({"machine": "multipass", "scheduler": "lazy"}, ValueError, "expected one of 'threshold'"),
         ({"machine": "multipass", "scheduler": "optimal"}, ValueError, "optimal_count"),
         ({"machine": "multipass", "scheduler": 3}, TypeError, "a name or a Scheduler"),

@@ -57,10 +57,10 @@ def test_incomplete_rays_are_nan_unless_one_insists(tracer):
         ({"steel": -1.0}, "coefficients.'steel'.: expected numbers >= 0"),
         ({"steel": [1.0, 2.0]}, "coefficients.'steel'.: expected shape"),
         ({"iron": 1.0}, "coefficients: no material 'iron'; there are 'steel', 'foam', 'foam'"),
-        ({"foam": 1.0}, "coefficients: 'foam' is the name of 2; use their numbers"),
+        ({"foam": 1.0}, "coefficients: 'foam' has 2 matches; use their numbers"),
         ({3: 1.0}, "coefficients: no material 3; they are 0 to 2"),
         ({0: 1.0, "steel": 1.0}, "coefficients: material 0 .'steel'. is given twice"),
-        ({"steel": 1.0}, "coefficients: rays cross material 1 .'foam'., which has none"),
+        ({"steel": 1.0}, "coefficients: none for material 1 .'foam'., which rays cross"),
     ],
 )
 def test_bad_coefficients(tracer, coefficients, message):

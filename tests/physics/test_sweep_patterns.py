@@ -190,7 +190,10 @@ AHEAD = [[0, 0, -1]]
         (call("rosette", 5, speeds=(math.inf, 5)), "speeds: expected a finite number"),
         (call("rosette", 5, start=math.nan), "start: expected a finite number"),
         (call("SweepPattern", [0, 0, -1], [0], 1.0), r"directions: expected shape \(N, 3\)"),
-        (call("SweepPattern", [[0, 0, 0]], [0], 1.0), "directions: expected finite numbers, not"),
+        (
+            call("SweepPattern", [[0, 0, 0]], [0], 1.0),
+            "directions: expected finite numbers, and no",
+        ),
         (call("SweepPattern", [[0, 0, math.nan]], [0], 1.0), "directions: expected finite"),
         (call("SweepPattern", AHEAD, [0, 1], 1.0), r"times: expected shape \(1,\), got \(2,\)"),
         (call("SweepPattern", AHEAD, [2], 1.0), "times: expected numbers from 0 to the period, 1"),

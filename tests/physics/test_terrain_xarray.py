@@ -86,7 +86,7 @@ def test_without_coordinates_the_spacing_is_used():
         (raster(HEIGHTS).transpose("x", "y"), {}, r"dem.transpose\('y', 'x'\)"),
         (raster(HEIGHTS).rename(x="lon", y="lat"), {}, "dem: dimensions 'lat', 'lon' are angles"),
         (raster(HEIGHTS).expand_dims("band"), {}, "dem: expected two dimensions"),
-        (raster(HEIGHTS), {"spacing": 1.0}, "spacing: dem has coordinates"),
+        (raster(HEIGHTS), {"spacing": 1.0}, "spacing: dem has its own coordinates"),
         (raster(HEIGHTS).assign_coords(x=np.zeros(15)), {}, "x: expected finite coordinates"),
     ],
 )

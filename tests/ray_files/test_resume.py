@@ -225,7 +225,7 @@ def test_folder_of_something_else_is_left_alone(ask, tmp_path):
     ask()
     mine = tmp_path / "hits.zarr" / "notes.txt"
     mine.write_text("mine")
-    with pytest.raises(rs.FileFormatError, match="holds files beside hits"):
+    with pytest.raises(rs.FileFormatError, match="holds other files besides hits"):
         ask()
     other = tmp_path / "other.zarr"
     other.mkdir()

@@ -359,7 +359,7 @@ def test_bad_maps_are_named(make, words):
         (["none.hdr"], r"none\.hdr: cannot be read"),
         (["none.png"], r"none\.png: cannot read"),
         (["sky.tiff"], r"sky\.tiff: the name must end in \.hdr or"),
-        ([np.ones((1, 2, 3))] * 2, "lights: one environment light may have an image, 2 have"),
+        ([np.ones((1, 2, 3))] * 2, "lights: only one environment light may have an image, not 2"),
     ],
 )
 def test_maps_that_cannot_be_used_are_named(mode, images, words):

@@ -171,7 +171,7 @@ def test_file_that_is_cut_off_is_refused(layered, tmp_path, suffix, cut):
     path = tmp_path / f"x{suffix}"
     layered.save(path)
     path.write_bytes(path.read_bytes()[:cut])
-    with pytest.raises(FileFormatError, match=rf"x\{suffix}: is not a whole"):
+    with pytest.raises(FileFormatError, match=rf"x\{suffix}: is not a complete"):
         rs.Image.load(path)
 
 

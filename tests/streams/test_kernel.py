@@ -136,7 +136,7 @@ def test_where_may_be_booleans_or_the_kernels_own():
     alive = Stream([False, False, True, False])
     assert kernel.execute(where=alive) == 1
     assert target.array.tolist() == [1, 0, 2, 1]
-    with pytest.raises(ValueError, match="3 records, and the kernel's streams have 4"):
+    with pytest.raises(ValueError, match="3 records, but the kernel's streams have 4"):
         kernel.execute(where=Stream.zeros(3) == 0)
     with pytest.raises(TypeError, match=r"where: expected a comparison"):
         kernel.execute(where=np.zeros(4))
@@ -426,7 +426,7 @@ def test_a_number_cannot_take_the_place_of_none():
         constants={"line": line},
     )
     kernel.set_constants(line=Line(3.0, None))
-    with pytest.raises(TypeError, match="place of None"):
+    with pytest.raises(TypeError, match="cannot replace None"):
         kernel.set_constants(line=Line(3.0, 1.0))
 
 
@@ -647,7 +647,7 @@ STREAM = Stream.zeros(3)
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        ({"inputs": {}}, TypeError, "parameter 'x' is no input, gather array or constant"),
+        ({"inputs": {}}, TypeError, "parameter 'x' is not an input, gather array or constant"),
         ({"inputs": {"x": STREAM, "y": STREAM}}, TypeError, "has no parameter 'y'"),
         ({"inputs": {"x": [1, 2, 3]}}, TypeError, "input 'x': expected a Stream, got list"),
         ({"constants": {"x": 1}}, TypeError, "'x' is declared twice"),

@@ -246,7 +246,7 @@ def test_the_server_renders_what_browsers_do_not_trace(viewer):
     canvas = viewer.page.locator("#traced")
     viewer.page.select_option("select[name=mode]", "kajiya")
     canvas.wait_for(state="hidden")
-    assert says(viewer) == "Mode kajiya is not traced by browsers. The server renders."
+    assert says(viewer) == "Browsers cannot trace mode kajiya. The server renders."
     viewer.wait(lambda: viewer.last("settings")["mode"] == "kajiya", "the mode")
     viewer.wait_for_rest()
     option = viewer.page.locator("select[name=device] option[value=browser]")
@@ -256,13 +256,13 @@ def test_the_server_renders_what_browsers_do_not_trace(viewer):
     assert option.text_content() == "This browser"
     viewer.page.locator("#picture").press("o")
     canvas.wait_for(state="hidden")
-    assert says(viewer) == "Orthographic views are not traced by browsers. The server renders."
+    assert says(viewer) == "Orthographic views cannot be traced by browsers. The server renders."
     viewer.wait_for_rest()
     viewer.page.locator("#picture").press("o")
     canvas.wait_for()
     viewer.page.select_option("select[name=heatmap]", "steps")
     canvas.wait_for(state="hidden")
-    assert says(viewer) == "Heat maps are not traced by browsers. The server renders."
+    assert says(viewer) == "Browsers cannot trace heat maps. The server renders."
 
 
 @pytest.mark.exhaustive

@@ -35,7 +35,7 @@ def test_other_textures_are_left_out(tmp_path):
     scene = scene.replace(materials=[material, *scene.materials[1:]])
     with pytest.warns(rs.RaystreamWarning, match="left out those of specular"):
         rs.export_page(scene, tmp_path / "page.html", size=(8, 8))
-    with pytest.raises(rs.RaystreamError, match="textures beside diffuse"):
+    with pytest.raises(rs.RaystreamError, match="textures other than diffuse"):
         rs.export_page(rs.Tracer(scene), tmp_path / "page.html", size=(8, 8))
 
 

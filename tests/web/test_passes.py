@@ -291,7 +291,7 @@ def test_a_gpu_that_writes_less_is_told_why(browser, path):  # noqa: F811
         assert option.is_disabled()
         title = page.page.locator("#machine").get_attribute("title")
         assert title.startswith("Passes write 7 textures at once")
-        assert title.endswith("this GPU writes 4.")
+        assert title.endswith("this GPU can write 4.")
 
 
 @pytest.mark.parametrize("has_times", [True, pytest.param(False, marks=pytest.mark.exhaustive)])

@@ -15,8 +15,8 @@ NEAR = 0.01
 #: Why counts can differ at all, by device.
 _CAUSES: Mapping[str, str] = MappingProxyType(
     {
-        "graphics": "rays are set up in pairs of float32, not in float64: at the border of a cell "
-        "another one can come first",
+        "graphics": "rays are set up in pairs of float32, not in float64: at the border of a cell, "
+        "a different one can come first",
         "cuda": "not expected: CUDA has the CPU's bits, so this is an error",
     }
 )
@@ -73,7 +73,7 @@ def agreement_claim(device: str, rows: Iterable[Row]) -> Claim:
         what for what, cpu, ours in listed if ours != cpu and not abs(ours - cpu) <= NEAR * cpu
     ]
     return Claim.judged(
-        f"{device} counts the steps, tests and runs that the CPU does, within {NEAR:.0%}",
+        f"{device} counts the same steps, tests and runs as the CPU, within {NEAR:.0%}",
         "raystream's own guarantee",
         {what: what not in apart for what, _, _ in listed},
         f"{equal} of {len(listed)} counts are equal" + "".join(f"; not {one}" for one in apart),

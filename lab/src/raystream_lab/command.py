@@ -64,7 +64,7 @@ class RunOptions:
         str,
         typer.Option(
             metavar="DEVICE",
-            help="cpu; or graphics or cuda, for the experiments that run on such a GPU.",
+            help="cpu, graphics or cuda; the last two run only the experiments for a GPU.",
             autocompletion=options.complete(DEVICES),
         ),
     ] = "cpu"
@@ -99,7 +99,7 @@ def lab(
     threads: options.Threads = None,
     json: options.Json = False,
 ) -> None:
-    """Re-run the experiments of four papers. Shows our results beside the published ones."""
+    """Re-run the experiments of four papers. Shows our results next to the published ones."""
     from raystream_lab.experiments import choose
 
     with refuse(ValueError):

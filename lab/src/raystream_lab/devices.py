@@ -34,7 +34,7 @@ class DeviceFacts(NamedTuple):
     @property
     def note(self) -> str:
         """A sentence for tables."""
-        kind = " It is software: its times are not those of GPUs." if self.is_software else ""
+        kind = " It is software, so its times are not those of a GPU." if self.is_software else ""
         return f"Device: {self.text}.{kind}"
 
 

@@ -92,7 +92,7 @@ EXPERIMENTS = (
     Experiment("purcell-unrolling", "Several steps per pass", "purcell.loop_unrolling"),
     Experiment(
         "purcell-cache",
-        "The texture cache over the machines' own references",
+        "The texture cache with the machines' own memory references",
         "purcell.texture_cache",
     ),
     Experiment("purcell-mailbox", "Savings of a mailbox", "purcell.mailbox"),
@@ -102,7 +102,7 @@ EXPERIMENTS = (
     Experiment("purcell-extensions", "Shadows, mirrors and paths", "purcell.extensions"),
     Experiment(
         "purcell-machines",
-        "Ray casting by passes and by programs with loops",
+        "Ray casting in passes and by programs with loops",
         "purcell.on_device",
         _GPUS,
     ),
@@ -140,7 +140,7 @@ EXPERIMENTS = (
     ),
     Experiment("foley-bounds", "Worst cases of the stackless traversals", "foley.bounds"),
     Experiment("foley-memory", "Memory of nodes and of rays", "foley.memory_use"),
-    Experiment("foley-paper", "The paper's figures against each other", "foley.paper_figures"),
+    Experiment("foley-paper", "Consistency of the paper's figures", "foley.paper_figures"),
     Experiment(
         "rayforce-modes", "Four render modes in three scenes", "rayforce.render_modes", DEVICES
     ),
@@ -173,7 +173,7 @@ EXPERIMENTS = (
         "christen.loops_on_device",
         _GPUS,
     ),
-    Experiment("christen-memory", "Memory of a pixel against iterations", "christen.pixel_memory"),
+    Experiment("christen-memory", "Memory per pixel against iterations", "christen.pixel_memory"),
     Experiment(
         "christen-graphics",
         "Bounces on a current graphics pipeline",

@@ -28,7 +28,7 @@ _PINHOLE = (
 class RaycastingScene(PointMethods):
     """Open3D's queries of rays and points, answered by a `Tracer`.
 
-    It takes the place of ``open3d.t.geometry.RaycastingScene``: the same methods, arguments and
+    It replaces ``open3d.t.geometry.RaycastingScene``, with the same methods, arguments and
     dictionaries. Open3D need not be installed.
 
     Parameters
@@ -39,29 +39,29 @@ class RaycastingScene(PointMethods):
         A device of `Tracer`, ``"cpu"``, ``"cuda"`` or ``"graphics"``; Open3D's ``"CPU:0"`` is
         ``"cpu"``.
     **options
-        Of the `Tracer`, such as ``structure``.
+        Options of the `Tracer`, such as ``structure``.
 
     Attributes
     ----------
     INVALID_ID : int
-        Number of the mesh and of the triangle of a ray that misses: 4294967295.
+        Mesh number and triangle number of a ray that misses: 4294967295.
 
     Notes
     -----
     Rays are arrays of shape S + (6,): origins, then directions, which need not be of unit length.
-    Of ``open3d.core.Tensor`` come back tensors. Of anything else, NumPy arrays, which also have the
-    tensors' method ``numpy()``.
+    For arguments of type ``open3d.core.Tensor``, results are tensors; for any others, NumPy
+    arrays, which also have the tensors' method ``numpy()``.
 
-    Different from Open3D, on purpose:
+    Deliberate differences from Open3D:
 
     - Vertices and rays may be float64, and indices of any integer type. Scenes far from the origin
       are traced relative to their centre.
     - `list_intersections` is ordered by distance within each ray.
-    - A ray through an edge or a vertex hits all triangles there, never none; of equally near ones
-      `cast_rays` gives the first that was added.
+    - A ray through an edge or a vertex hits all triangles there, never none; among equally near
+      ones, `cast_rays` reports the first that was added.
     - All distances in [tnear, tfar] count, both ends included.
-    - Distances of points are computed in float64, and inside tests count crossings that are right
-      at edges and vertices, so that ``nsamples=1`` is enough for closed meshes.
+    - Distances of points are computed in float64, and inside tests count crossings correctly at
+      edges and vertices, so that ``nsamples=1`` is enough for closed meshes.
 
     Examples
     --------
@@ -100,7 +100,7 @@ class RaycastingScene(PointMethods):
         triangle_indices : array_like or tensor of shape (F, 3), integer
             Not with a mesh.
         mesh : mesh, optional
-            Another name of the first argument.
+            Another name for the first argument.
 
         Returns
         -------
@@ -163,7 +163,8 @@ class RaycastingScene(PointMethods):
         ----------
         rays : array_like or tensor of shape S + (6,), real
         tnear, tfar : float
-            Closed interval of distances, in direction lengths; arrays of shape S are accepted, too.
+            Closed interval of distances, in direction lengths; arrays of shape S are also
+            accepted.
         nthreads : int
             No effect.
 
@@ -242,21 +243,21 @@ class RaycastingScene(PointMethods):
 
     @staticmethod
     def create_rays_pinhole(*args: Any, **kwargs: Any) -> Any:
-        """Make the rays of a pinhole camera.
+        """Generate the rays of a pinhole camera.
 
         Parameters
         ----------
         intrinsic_matrix : array_like or tensor of shape (3, 3)
-            Of pixels; upper triangular.
+            In pixels; upper triangular.
         extrinsic_matrix : array_like or tensor of shape (4, 4)
             From world to camera: x to the right, y down, z forward.
         fov_deg : float
-            Horizontal field of view in degrees, in place of the matrices, with `center`, `eye`
-            and `up`.
+            Horizontal field of view in degrees, used with `center`, `eye` and `up` instead of the
+            matrices.
         center, eye, up : array_like or tensor of shape (3,)
-            Where the camera looks, where it is, and the direction in which rows of pixels follow
-            each other: as in Open3D, the first row is the lowest, and the first column at the
-            right.
+            The point that the camera looks at, its position, and the direction in which rows of
+            pixels follow each other: as in Open3D, the first row is the lowest, and the first
+            column is at the right.
         width_px, height_px : int
             Size of the image.
 

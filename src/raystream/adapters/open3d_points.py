@@ -31,7 +31,7 @@ class PointMethods:
     def _normals_of(self, tracer: Tracer) -> NDArray[np.float32]: ...
 
     def compute_closest_points(self, query_points: Any, nthreads: int = 0) -> dict[str, Any]:
-        """Find the nearest point of the surface to each point.
+        """Find the nearest point on the surface for each point.
 
         Parameters
         ----------
@@ -122,8 +122,8 @@ class PointMethods:
         nthreads : int
             No effect.
         nsamples : int
-            Rays per point, an odd number, of which the majority decides. One is enough for closed
-            meshes: crossings are also counted right at edges and vertices.
+            Rays per point, an odd number; the majority decides. One is enough for closed meshes:
+            crossings are also counted correctly at edges and vertices.
 
         Returns
         -------

@@ -32,19 +32,19 @@ class _Built(NamedTuple):
 class RayMeshIntersector:
     """trimesh's ray queries on a mesh, answered by a `Tracer`.
 
-    It takes the place of ``trimesh.ray.ray_pyembree.RayMeshIntersector`` and of
-    ``trimesh.ray.ray_triangle.RayMeshIntersector``: the same methods, arguments and results.
+    It replaces ``trimesh.ray.ray_pyembree.RayMeshIntersector`` and
+    ``trimesh.ray.ray_triangle.RayMeshIntersector``, with the same methods, arguments and results.
 
     Parameters
     ----------
     geometry : trimesh.Trimesh
-        The mesh. Changes of it are followed: see Notes.
+        The mesh. Changes to it are detected: see Notes.
     scale_to_box : bool
         No effect; trimesh's own intersector needs it for large and small meshes.
     mesh : trimesh.Trimesh
-        Another name of `geometry`, as ``ray_triangle`` has it.
+        Another name for `geometry`, as in ``ray_triangle``.
     **options
-        Of the `Tracer`, such as ``structure`` and ``device``.
+        Options of the `Tracer`, such as ``structure`` and ``device``.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class RayMeshIntersector:
 
     Notes
     -----
-    Different from trimesh, on purpose:
+    Deliberate differences from trimesh:
 
     - `intersects_id` and `intersects_location` find all hits, however close; `max_hits` limits
       them only if it is given. Rows are ordered by ray, then by distance.
@@ -67,7 +67,7 @@ class RayMeshIntersector:
       ``multiple_hits=False``, and in `intersects_first` and `intersects_any`, a ray hits all
       triangles that it touches; of the nearest, the first in ``mesh.faces``.
     - Unknown arguments are errors; ``ray_triangle`` ignores them.
-    - Hits begin at distance 0, that included; ``ray_triangle`` also has those up to 1e-6 behind
+    - Hits begin at distance 0, inclusive; ``ray_triangle`` also reports those up to 1e-6 behind
       the origin.
 
     Before each query the mesh's hash is compared with that of the previous one, as trimesh's
@@ -97,14 +97,14 @@ class RayMeshIntersector:
         self, geometry: Any = None, scale_to_box: bool = True, *, mesh: Any = None, **options: Any
     ) -> None:
         if geometry is not None and mesh is not None:
-            raise TypeError("geometry, mesh: two names of one argument; give one of them")
+            raise TypeError("geometry, mesh: two names for one argument; give only one")
         self.mesh = mesh if geometry is None else geometry
         # Of the class: primitives have no vertices yet when trimesh makes their intersector.
         kind = type(self.mesh)
         if not (hasattr(kind, "vertices") and hasattr(kind, "faces")):
             raise TypeError(
-                f"geometry: expected a trimesh.Trimesh, got {kind.__name__}; a "
-                "trimesh.Scene has to_mesh()"
+                f"geometry: expected a trimesh.Trimesh, got {kind.__name__}; "
+                "convert a trimesh.Scene with to_mesh()"
             )
         self._scale_to_box = scale_to_box
         self._options = options
@@ -124,9 +124,9 @@ class RayMeshIntersector:
         ray_origins, ray_directions : array_like of shape (n, 3), real
             World space; directions need not be of unit length.
         multiple_hits : bool
-            All hits of each ray, rather than the nearest one.
+            Find all hits of each ray, rather than the nearest one.
         max_hits : int, optional
-            Keep at most this many of each ray, the nearest [default: all].
+            Maximum number of hits to keep per ray, the nearest ones [default: all].
 
         Returns
         -------
@@ -162,7 +162,7 @@ class RayMeshIntersector:
         ray_origins, ray_directions, multiple_hits, max_hits
             See `intersects_location`. The order of arguments is that of ``ray_pyembree``.
         return_locations : bool
-            Return the locations, too.
+            Also return the locations.
 
         Returns
         -------
@@ -257,9 +257,10 @@ class RayMeshIntersector:
 
         Notes
         -----
-        Exact for a closed mesh: the number of crossings is also right where the ray passes an edge
-        or a vertex. In an open mesh a point is inside if the numbers in two opposite directions
-        are odd; if they disagree and neither is 0, another direction decides in the same way.
+        Exact for a closed mesh: the number of crossings is also right where the ray passes through
+        an edge or a vertex. In an open mesh a point is inside if the numbers in two opposite
+        directions are odd; if they disagree and neither is 0, another direction decides in the
+        same way.
         """
         array = _vectors("points", points)
         inside = np.zeros(len(array), np.bool_)

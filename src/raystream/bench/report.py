@@ -217,8 +217,8 @@ def make_notes(result: BenchResult) -> list[str]:
     if result.peaks is not None:
         nodes, blocks, hit_blocks = (f"{one / 1e6:.0f}" for one in result.peaks)
         notes.append(
-            f"share: of the roofline, with {nodes} million tests of a node, {blocks} of a leaf "
-            f"block and {hit_blocks} of one with a hit per second."
+            f"share: fraction of the roofline, at {nodes} million tests of a node, {blocks} of a "
+            f"leaf block and {hit_blocks} of one with a hit per second."
         )
     notes += [f"{label}: {note}." for label, note in result.notes.items()]
     notes += [f"{label} is absent: {reason}" for label, reason in result.absent.items()]

@@ -242,14 +242,14 @@ class BenchResult:
             If it is no result of this `SCHEMA`.
         """
         if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
-            raise ValueError(f"no benchmark's result of schema {SCHEMA}")
+            raise ValueError(f"not a benchmark result of schema {SCHEMA}")
         try:
             raw = {key: value for key, value in content.items() if key != "schema"}
             peaks = None if raw["peaks"] is None else Peaks(**raw["peaks"])
             scenes = [_scene(one) for one in raw["scenes"]]
             return cls(**{**raw, "peaks": peaks, "scenes": scenes})
         except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"a damaged benchmark's result: {error}") from error
+            raise ValueError(f"a damaged benchmark result: {error}") from error
 
 
 def write_result(path: Path, result: BenchResult) -> None:

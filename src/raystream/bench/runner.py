@@ -168,7 +168,9 @@ class Bench:
             today = dt.date.today().isoformat()
             self.result = BenchResult(machine, today, plan.settings())
         elif earlier.settings != plan.settings() or earlier.machine != machine:
-            raise ValueError("the earlier result has other settings, or is of another machine")
+            raise ValueError(
+                "the earlier result has different settings, or is from another machine"
+            )
         else:
             self.result = earlier
             earlier.scenes = [scene for scene in earlier.scenes if scene.is_complete]
@@ -217,7 +219,8 @@ class Bench:
                 notes[entry.label] = about["notes"]
         if result.scenes and versions != result.versions:
             raise OtherContendersError(
-                "the earlier result has other contenders: " + _changes(result.versions, versions)
+                "the earlier result has different contenders: "
+                + _changes(result.versions, versions)
             )
         result.own, result.peers, result.absent = own, peers, absent
         result.versions, result.notes = versions, notes

@@ -51,8 +51,8 @@ class ContenderOptions:
         typer.Option(
             metavar="NAMES",
             help=f"Comma-separated peers to compare against, from {', '.join(options.PEERS)}, or "
-            "'none'. Peers that are not installed are listed as absent. [default: all that have a "
-            "query of the sets]",
+            "'none'. Peers that are not installed are listed as absent. [default: all that "
+            "support a query of the sets]",
         ),
     ] = None
     option: Annotated[
@@ -90,7 +90,7 @@ class MeasureOptions:
         typer.Option(
             min=1,
             metavar="N",
-            help="Threads of every contender, on as many cores [default: RAYSTREAM_THREADS, else "
+            help="Threads per contender, on as many cores [default: RAYSTREAM_THREADS, else "
             "one per core]",
         ),
     ] = None
@@ -123,19 +123,19 @@ def bench(
             "--output",
             "-o",
             metavar="FILE.json",
-            help="Write all measurements, as they come; with --report: tables (.md, .rst) or the "
-            "chart (.svg).",
+            help="Write all measurements as they are made; with --report: tables (.md, .rst) or "
+            "the chart (.svg).",
         ),
     ] = None,
     resume: Annotated[
         bool,
-        typer.Option("--resume", help="Keep the scenes that are complete in the --output."),
+        typer.Option("--resume", help="Keep the scenes that are complete in --output."),
     ] = False,
     report: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.json",
-            help="Measure nothing: show a stored result, or write it to the --output.",
+            help="Measure nothing: show a stored result, or write it to --output.",
         ),
     ] = None,
     json: options.Json = False,
@@ -145,14 +145,14 @@ def bench(
 
     if report is not None:
         if scenes or resume:
-            raise BadInputError("--report: takes no scenes and no --resume")
+            raise BadInputError("--report: cannot be combined with scenes or --resume")
         _report(report, output, json)
         return
     chosen_sets = _names("--sets", sets, options.RAY_SETS)
     if output is not None:
         options.check_output(output, (".json",), inputs=scenes or ())
     elif resume:
-        raise BadInputError("--resume: needs the --output to resume")
+        raise BadInputError("--resume: needs --output, the result to resume")
     entries = _entries(contenders, chosen_sets)
     choose_threads(measuring.threads)
     from raystream.bench.cores import limit_cores

@@ -106,7 +106,7 @@ class Exposure:
         if self._is_for_dark_images and factor != 1.0:
             write_note(
                 f"the scene's lights leave the image dark: it is shown {factor:.3g} times as "
-                "bright (--exposure 1 leaves it)"
+                "bright (--exposure 1 leaves it dark)"
             )
 
 

@@ -42,8 +42,8 @@ class CameraOptions:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="One of the scene's cameras, by name or number from 0; the next options "
-            "change it.",
+            help="One of the scene's cameras, by name or by number from 0; the options "
+            "below change it.",
         ),
     ] = None
     eye: Annotated[
@@ -74,13 +74,13 @@ class CameraOptions:
         typer.Option(
             metavar="LENGTH",
             callback=options.finite,
-            help="Of an orthographic view, in the scene's units.",
+            help="Height of an orthographic view, in the scene's units.",
         ),
     ] = None
     aperture: Annotated[
         float | None,
         typer.Option(
-            metavar="LENGTH", callback=options.finite, help="Diameter of a thin lens, for blur."
+            metavar="LENGTH", callback=options.finite, help="Lens diameter, for depth of field."
         ),
     ] = None
     focus: Annotated[
@@ -88,7 +88,7 @@ class CameraOptions:
         typer.Option(
             metavar="LENGTH",
             callback=options.finite,
-            help="Distance of the plane in focus [default: to --look-at]",
+            help="Distance to the plane in focus [default: to --look-at]",
         ),
     ] = None
 

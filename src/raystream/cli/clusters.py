@@ -34,7 +34,7 @@ class ClusterOptions:
             metavar="ADDRESS",
             help="Render on the workers of a Dask cluster: the address of its scheduler, such as "
             "tcp://127.0.0.1:8786; or local:2 for two workers on this machine. The image is "
-            "identical to the bit.",
+            "the same, bit for bit.",
         ),
     ] = None
     threads: Threads = None

@@ -49,7 +49,7 @@ def compare(
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Compare two images. Shows errors of linear colours, and where they are."""
+    """Compare two images. Shows the errors of linear colours, and where the largest is."""
     if output is not None:
         options.check_output(output, IMAGES, inputs=[str(image), str(reference)])
     elif maximum is not None:

@@ -33,23 +33,21 @@ def export(
             "-o",
             "--output",
             metavar="PAGE",
-            help="The page: a .html file, or with --split a folder.",
+            help="The page: a .html file or, with --split, a folder.",
         ),
     ],
     structure: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME[:KEY=VALUE,...]",
-            help=f"A structure to choose from, again for each: {', '.join(STRUCTURES)}; with "
-            "options, such as kdtree:traversal=restart [default: bvh]",
+            help=f"A structure that visitors can choose: {', '.join(STRUCTURES)}; with options, as "
+            "in kdtree:traversal=restart. Repeatable. [default: bvh]",
             autocompletion=options.complete(STRUCTURES),
         ),
     ] = None,
     size: Annotated[
         str,
-        typer.Option(
-            metavar="WIDTHxHEIGHT", help="Of the image for visitors whose browser has no WebGPU."
-        ),
+        typer.Option(metavar="WIDTHxHEIGHT", help="Size of the image for visitors without WebGPU."),
     ] = "960x540",
     split: Annotated[
         bool,
@@ -115,6 +113,6 @@ def _check_folder(output: Path) -> None:
     if not output.parent.is_dir():
         raise BadInputError(f"{output}: folder {output.parent} does not exist")
     if output.exists() and not output.is_dir():
-        raise BadInputError(f"{output}: is a file; with --split pages are folders")
+        raise BadInputError(f"{output}: is a file; with --split, pages are folders")
     if output.suffix in (".html", ".htm"):
-        raise BadInputError(f"{output}: with --split pages are folders; give a name without .html")
+        raise BadInputError(f"{output}: with --split, pages are folders; give a name without .html")

@@ -34,11 +34,11 @@ def info(
     loading: options.SceneOptions,
     devices: Annotated[
         bool,
-        typer.Option("--devices", help="List the available devices; without SCENE."),
+        typer.Option("--devices", help="List the available devices; takes no SCENE."),
     ] = False,
     json: options.Json = False,
 ) -> None:
-    """Show the contents of a scene. Also the time, memory and quality of its structure."""
+    """Show the contents of a scene. Also shows its structure's build time, memory and quality."""
     if devices == (scene is not None):
         raise BadInputError("info: expected either SCENE or --devices")
     chosen = tracing.arguments()

@@ -45,8 +45,8 @@ class LightingOptions:
         typer.Option(
             metavar="AZIMUTH ELEVATION",
             callback=_sun,
-            help="A sun and a clear sky instead of the scene's; in degrees from north (-z, +y if z "
-            "is up) to east (+x), and above the horizon.",
+            help="A sun and a clear sky instead of the scene's: degrees from north (-z, or +y if z "
+            "is up) towards east (+x), and degrees above the horizon.",
         ),
     ] = None
     environment: Annotated[
@@ -69,8 +69,8 @@ class LightingOptions:
         str | None,
         options.choice(
             options.LIGHTS,
-            "file: the scene's own lights only; added: a sun and a sky, or a light at the "
-            "eye, beside them; auto: those where its own show nothing [default: auto]",
+            "file: the scene's own lights only; added: also a sun and a sky, or a light at the "
+            "eye; auto: these only if the scene's own lights show nothing [default: auto]",
         ),
     ] = None
 

@@ -19,7 +19,7 @@ GROUP = "raystream.commands"
 _KNOWN = MappingProxyType(
     {
         "lab": (
-            "Re-run the experiments of four papers (a distribution of its own: raystream-lab).",
+            "Re-run the experiments of four papers (a separate distribution, raystream-lab).",
             "pip install ./lab, in a copy of raystream's repository",
         ),
     }

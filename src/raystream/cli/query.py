@@ -63,8 +63,8 @@ class QueryOptions:
         str | None,
         options.choice(
             CROSSINGS,
-            "With --multi or --count: triangles, a ray through an edge hits every triangle that "
-            "shares it; or surfaces, it crosses each surface once [default: triangles]",
+            "With --multi or --count, what a ray through an edge hits: triangles, every triangle "
+            "that shares it; or surfaces, each surface once [default: triangles]",
         ),
     ] = None
 

@@ -58,7 +58,7 @@ class ImageOptions:
         options.choice(
             options.MODES,
             f"Renderer: {' or '.join(options.MODES)} [default: {options.DEFAULT_MODE}]. Rays of ao "
-            "are a tenth of the scene's diagonal long, or --option distance=LENGTH or inf.",
+            "are a tenth of the scene's diagonal long; --option distance=LENGTH (or inf) sets it.",
         ),
     ] = None
     heat: HeatmapOptions
@@ -68,7 +68,7 @@ class ImageOptions:
     resume: Annotated[
         bool,
         typer.Option(
-            "--resume", help="Resume from the checkpoint beside the image, if there is one."
+            "--resume", help="Resume from the checkpoint next to the image, if there is one."
         ),
     ] = False
     view: CameraOptions

@@ -60,7 +60,7 @@ class SamplingOptions:
         options.choice(
             tuple(QUALITIES),
             "preview takes a second and is denoised; good is denoised at a noise of 1 %; final "
-            "has a noise of 0.3 % [default: preview, without the next three]",
+            "has a noise of 0.3 % [default: preview, unless one of the next three is given]",
         ),
     ] = None
     samples: Annotated[
@@ -100,8 +100,8 @@ class SamplingOptions:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Mode path: options by name; arnold is Purcell's path tracer, of two diffuse "
-            "bounces, without samples of the lights.",
+            help="Mode path: a named set of options; arnold is Purcell's path tracer, with two "
+            "diffuse bounces and without samples of the lights.",
         ),
     ] = None
     sampler: Annotated[

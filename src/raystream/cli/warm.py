@@ -20,7 +20,7 @@ def warm(
         str,
         typer.Argument(
             metavar="TASK",
-            help="Commands whose kernels to compile: render, query, build or all.",
+            help="Commands whose kernels are compiled: render, query, build or all.",
             autocompletion=options.complete(TASKS),
         ),
     ] = "all",
@@ -30,8 +30,8 @@ def warm(
     """Compile kernels before they are needed. Uses all cores; --threads limits the processes.
 
     Compiled kernels are cached in RAYSTREAM_CACHE_DIR, or the user's cache folder, so that
-    the first image or query starts at once. Only kernels of the default structure are listed;
-    others are compiled on first use.
+    the first image or query starts at once. Only kernels of the default structure are compiled
+    in advance; others are compiled on first use.
     """
     if task not in TASKS:
         raise BadInputError(f"TASK: expected one of {', '.join(TASKS)}; got {task!r}")

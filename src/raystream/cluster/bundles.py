@@ -99,7 +99,7 @@ class Manifest:
             version = fields["version"], fields["raystream"]
             if version != (FORMAT_VERSION, __version__):
                 raise ClusterError(
-                    f"raystream {__version__} received work of raystream {version[1]!s:.20}: "
+                    f"raystream {__version__} received work from raystream {version[1]!s:.20}: "
                     "install the same version on all machines of a cluster, or bits may differ"
                 )
             refs = {

@@ -8,4 +8,4 @@ __all__ = ["ClusterError"]
 
 
 class ClusterError(RaystreamError, RuntimeError):
-    """A cluster is unreachable, has no workers, loses them repeatedly, or does not match."""
+    """A cluster is unreachable, has no workers, loses them repeatedly, or mixes versions."""

@@ -67,15 +67,16 @@ def render(
     scene : Scene or Tracer
         Passing a CPU tracer avoids rebuilding the structure.
     client : distributed.Client or str, optional
-        See `raystream.cluster.Tracer`. Workers started for an address stop with the image.
+        See `raystream.cluster.Tracer`. Workers started for an address stop when the image is
+        complete.
     mode, size, samples, structure, device, camera, lights, seed, sampler, layers, **options
         See `raystream.render`.
     noise, time_limit : float, optional
         As `raystream.render`: a noise limit stops at the same sample. When the time limit is
         reached, samples still in flight are discarded.
     checkpoint : path, optional
-        A file on this machine, see `raystream.render`: the render can be resumed with a cluster
-        or without. It is also written when the cluster is lost.
+        A file on this machine, see `raystream.render`: the render can be resumed with or without a
+        cluster. It is also written when the cluster is lost.
     on_pass, progress : callable, optional
         As `raystream.render`; called in this process.
 

@@ -61,7 +61,7 @@ class Tracer:
     number of workers and their failures. Nothing is traced before ``compute()``. Each task
     traces one chunk of rays with a share of its worker's threads.
 
-    Results can be computed until `close` is called or the client leaves.
+    Results can be computed until `close` is called or the client disconnects.
 
     Examples
     --------

@@ -50,12 +50,12 @@ class Cuda(DeviceOptions):
     Parameters
     ----------
     gpu : int
-        Its number in CUDA's order.
+        Its CUDA device number.
     build : {"host", "device"}
         Where structures are built.
     loop : {"graph", "batches"}
-        With the multipass machine, who ends the loop of passes: the device in a CUDA graph, or,
-        for drivers older than CUDA 12.4, the host after each batch of passes.
+        With the multipass machine, what ends the loop of passes: the device, in a CUDA graph; or,
+        for drivers older than CUDA 12.4, the host, after a batch of passes.
     max_passes : int, optional
         With the multipass machine, the maximum number of passes of a query.
     rays_at_once : int, optional
@@ -86,7 +86,7 @@ class Graphics(DeviceOptions):
     adapter : str, optional
         Part of the adapter's name [default: ``RAYSTREAM_ADAPTER``, else the best one].
     loop : {"device", "queries"}
-        With the multipass machine, who chooses the next kernel: the device, or the host by
+        With the multipass machine, what chooses the next kernel: the device, or the host with
         occlusion queries.
     max_passes : int, optional
         With the multipass machine, the maximum number of passes of a query.
@@ -136,13 +136,13 @@ class Multipass(MachineOptions):
         How the kernel of the next pass is chosen; see `raystream.machines.Scheduler`.
     threshold : float
         For ``"threshold"``: fraction of the active rays, 0 to 1, that must wait for an
-        intersection before it runs.
+        intersection before one runs.
     traversal_steps, intersections : int
         Steps from cell to cell or node to node, and triangles (in trees: blocks of up to four)
         that a ray tests, per pass.
     compaction : bool
-        Shade rays whose search has ended, and remove them from the streams, whenever they make
-        up half of them. Not on `Graphics`.
+        Shade rays whose search has ended, and remove them from the streams, whenever they make up
+        half of the rays there. Not supported by `Graphics`.
 
     Raises
     ------

@@ -27,8 +27,8 @@ class ClosestPoints(HitColumns):
         Weights of vertices 1 and 2 at the nearest point; vertex 0 has 1 - u - v. Exactly 0 or 1
         at a vertex. 0 where nothing was found.
     status : ndarray of shape S, uint8
-        A `RayStatus` for each point: INVALID for one with a coordinate that is NaN, infinite or
-        beyond 2**200, or 2**240 times the scene's size. It has no nearest point.
+        A `RayStatus` for each point: INVALID if a coordinate is NaN, infinite, or beyond 2**200 or
+        2**240 times the scene's size. Such a point has no nearest point.
     """
 
     distance: NDArray[np.float64]

@@ -91,7 +91,7 @@ class HitColumns:
     def texcoords(self) -> NDArray[np.float32]:
         """Texture coordinates, shape (..., 2), float32; (0, 0) is an image's lower left corner.
 
-        Interpolated from the vertices. NaN for a miss, and for a mesh without any.
+        Interpolated from the vertices. NaN for a miss, and for a mesh without texture coordinates.
         """
         attributes = self._triangles.attributes
         table = None if attributes is None else attributes.texcoords
@@ -102,8 +102,8 @@ class HitColumns:
         """Unit normals for shading, shape (..., 3), float32; a miss has NaN.
 
         Interpolated from the vertices' normals, on the side of `normals`: vertex normals that
-        contradict the winding of the faces are flipped. `normals` where a mesh has none, or
-        they cancel. Normal and bump maps are not applied.
+        contradict the winding of the faces are flipped. Where a mesh has no vertex normals, or
+        they cancel, these are `normals`. Normal and bump maps are not applied.
         """
         attributes = self._triangles.attributes
         plane = self._world_normals()
@@ -224,7 +224,8 @@ class Hits(HitColumns):
         A `RayStatus` for each ray.
     sectors : ndarray of shape S, int32, or None
         With ``structure="graph"`` on the CPU's branching machine, and without a filter: the number
-        of the sector in which the hit is; a miss has -1. For `near` of rays that leave the hits.
+        of the sector that contains the hit; a miss has -1. To be passed as `near` with rays that
+        leave the hits.
     """
 
     def __init__(
@@ -328,7 +329,7 @@ class MultiHits(RayRows, HitColumns):
         self._triangles, self._instance_id = triangles, instance_id
 
     def part(self, rows: slice) -> MultiHits:
-        """Some consecutive rows, as those of one ray without a status."""
+        """Some consecutive rows, as the hits of one ray without a status."""
         ids = None if self._instance_id is None else self._instance_id[rows]
         columns = self.t[rows], self.u[rows], self.v[rows], self.prim_id[rows]
         splits = np.array([0, len(columns[0])])

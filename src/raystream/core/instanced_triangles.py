@@ -68,7 +68,7 @@ class InstancedTriangles:
         if len(ids) and not (ids.min() >= 0 and ids.max() < len(counts)):
             bad = int(np.argmax((ids < 0) | (ids >= len(counts))))
             raise ValueError(
-                f"object_ids: instance {bad} is of object {ids[bad]}, but there are {len(counts):,}"
+                f"object_ids: instance {bad} has object {ids[bad]}, but there are {len(counts):,}"
             )
         self.first_ids = np.concatenate([[0], np.cumsum(counts[ids])]).astype(np.int64)
         if self.first_ids[-1] > MAX_TRIANGLES:

@@ -72,14 +72,16 @@ class Instances:
         if matrices.size == 0:
             matrices = matrices.reshape(-1, 3, 4)
         if matrices.shape[1:] == (4, 4):
-            raise ValueError("transforms: expected shape (K, 3, 4); give matrices[:, :3] of 4 x 4")
+            raise ValueError(
+                "transforms: expected shape (K, 3, 4); for 4 x 4 matrices, give matrices[:, :3]"
+            )
         if matrices.ndim != 3 or matrices.shape[1:] != (3, 4):
             raise ValueError(f"transforms: expected shape (K, 3, 4), got {matrices.shape}")
         with np.errstate(invalid="ignore"):
             is_sound = np.abs(matrices) <= MAX_NUMBER
         if not is_sound.all():
             bad = int(np.argmin(is_sound.all(axis=(1, 2))))
-            raise ValueError(f"transforms: that of instance {bad} is not finite, or beyond 2**200")
+            raise ValueError(f"transforms: transform {bad} is not finite, or beyond 2**200")
         self.object_ids = _per_instance("object_ids", object_ids, len(matrices))
         self.worlds, self.world_count = None, 0
         if worlds is not None:
@@ -175,8 +177,8 @@ def inverse_transforms(
     if not is_sound.all():
         bad = int(np.argmin(is_sound))
         raise ValueError(
-            f"transforms: that of instance {bad} is singular or nearly so: it flattens its object; "
-            "leave the instance out, or give it more than 1e-9 of its width"
+            f"transforms: transform {bad} is singular or nearly so: it flattens its object; leave "
+            "the instance out, or make it thicker than 1e-9 of its width"
         )
     return np.ascontiguousarray(inverses.reshape(12, -1).T).reshape(-1, 3, 4), condition
 

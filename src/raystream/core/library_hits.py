@@ -49,15 +49,15 @@ class LibraryColumns:
 class LibraryHits(LibraryColumns):
     """The nearest hit of each ray, in arrays of the library that the rays came from.
 
-    What a query returns for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when they are
+    The result of a query for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when they are
     first read, and share memory with those of `host`, except where JAX copies them.
 
     Attributes
     ----------
     t, u, v, prim_id, status, sectors
-        See `Hits`: of shape S, where the rays are.
+        See `Hits`; of shape S, on the device of the rays.
     instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
-        See `Hits`. Not of rays on a GPU, where `host` has them; but `instance_id` in scenes with
+        See `Hits`. For rays on a GPU, only `host` has them, except `instance_id` in scenes with
         instances.
 
     Notes
@@ -109,8 +109,8 @@ class LibraryMultiHits(LibraryColumns):
     ray_splits, t, u, v, prim_id, status
         See `MultiHits`.
     counts, ray_id, instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
-        See `MultiHits`. Not of rays on a GPU, where `host` has them; but `instance_id` in scenes with
-        instances.
+        See `MultiHits`. For rays on a GPU, only `host` has them, except `instance_id` in scenes
+        with instances.
     """  # noqa: E501 - numpydoc wants the names in one line
 
     _of_rays = frozenset(("status", "counts"))

@@ -36,6 +36,6 @@ def check_memory(byte_count: int, what: str, remedy: str = "") -> None:
     available = available_memory()
     if available is not None and byte_count > available:
         raise MemoryError(
-            f"{what} take {byte_count / 1e9:.1f} GB, and {available / 1e9:.1f} GB are free"
+            f"{what} take {byte_count / 1e9:.1f} GB, but only {available / 1e9:.1f} GB are free"
             + (f"; {remedy}" if remedy else "")
         )

@@ -63,7 +63,9 @@ def read_npz(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     except IsADirectoryError:
         raise FileFormatError(path, "is a folder, not a file") from None
     except zipfile.BadZipFile as error:
-        reason = "is empty" if os.path.getsize(path) == 0 else f"is not a whole .npz file ({error})"
+        reason = (
+            "is empty" if os.path.getsize(path) == 0 else f"is not a complete .npz file ({error})"
+        )
         raise FileFormatError(path, reason) from None
     except (OSError, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
         raise FileFormatError(path, f"cannot be read ({error})") from error
@@ -89,7 +91,7 @@ def _read_member(path: str, name: str, stream: IO[bytes], size: int) -> NDArray[
     else:
         raise FileFormatError(path, f"array {name!r} has an unknown header")
     if dtype.kind not in _KINDS:
-        raise FileFormatError(path, f"array {name!r} is of dtype {dtype}, not of numbers")
+        raise FileFormatError(path, f"array {name!r} has dtype {dtype}; expected numbers")
     byte_count = dtype.itemsize
     for length in shape:
         byte_count *= int(length)
@@ -98,7 +100,7 @@ def _read_member(path: str, name: str, stream: IO[bytes], size: int) -> NDArray[
     content = stream.read(byte_count)
     stream.read(1)  # at the end, zipfile compares the checksum
     if len(content) != byte_count:
-        raise FileFormatError(path, f"array {name!r} is cut off")
+        raise FileFormatError(path, f"array {name!r} is truncated")
     array = np.frombuffer(bytearray(content), dtype).reshape(shape, order="F" if fortran else "C")
     return array.astype(dtype.newbyteorder("="), copy=False)
 

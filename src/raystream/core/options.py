@@ -108,7 +108,7 @@ class Options:
 
     @classmethod
     def choices(cls, name: str) -> tuple[str, ...]:
-        """The names that an option takes as values, the default first; empty if it takes others."""
+        """The names that an option takes as values, the default first; empty if it takes none."""
         rule = _rules(cast("Any", cls)).get(name)
         if rule is None or not rule.choices:
             return ()

@@ -82,7 +82,7 @@ class Primitives:
         kernel_count = int(self.first_fields[-1]) + 2 * len(spheres)
         if kernel_count > MAX_TRIANGLES:
             raise ValueError(
-                f"scene: {int(self.first_fields[-1]):,} triangles (of height fields, too) and "
+                f"scene: {int(self.first_fields[-1]):,} triangles (including height fields) and "
                 f"twice {len(spheres):,} spheres are more than {MAX_TRIANGLES:,}"
             )
         ends = [*self.first_fields[1:], *([len(self)] if len(spheres) else [])]

@@ -84,7 +84,7 @@ class RayHit(_Columns):
 
     @cached_property
     def hits(self) -> Hits:
-        """The same as `Hits` of shape (), for all else that they know: materials, `spawn`."""
+        """The same as `Hits` of shape (), which also provides materials, `spawn` and the rest."""
         held = self._triangles
         t, u, v = (np.array(one, distance_type(held)) for one in self[:3])
         prim_id, status = np.array(self.prim_id, np.int32), np.array(self.status, np.uint8)

@@ -37,8 +37,8 @@ class RayStatus(enum.IntEnum):
     VALID
         It was traced.
     INVALID
-        It was not, and misses: its direction is zero, or one of its numbers is NaN, infinite or
-        (an origin's coordinate) beyond 2**200.
+        It was not traced, and misses: its direction is zero, or one of its numbers is NaN,
+        infinite or, for a coordinate of the origin, beyond 2**200.
     """
 
     VALID = 0
@@ -200,8 +200,8 @@ def as_host_array(name: str, values: Any) -> NDArray[Any]:
         return values
     if is_on_gpu(values):
         raise TypeError(
-            f"{name}: the array is on a GPU, where only the queries of device='cuda' read it, "
-            "without counters; copy it to the host first (.get(), .cpu(), "
+            f"{name}: the array is on a GPU, where only queries of device='cuda' without counters "
+            "can read it; copy it to the host first (.get(), .cpu(), "
             ".host() or copy_to_host())"
         )
     if hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__"):

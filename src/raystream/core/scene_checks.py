@@ -60,8 +60,8 @@ def check_no_worlds(what: str, triangles: Any) -> None:
     """
     if isinstance(triangles, InstancedTriangles) and triangles.instances.world_count:
         raise RaystreamError(
-            f"{what}: not supported in a scene whose instances are in worlds; a scene of the "
-            "instances of one world is"
+            f"{what}: not supported in a scene whose instances are in worlds; make a "
+            "scene of the instances of one world"
         )
 
 

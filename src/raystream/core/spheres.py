@@ -45,8 +45,7 @@ class Spheres:
             bad = int(np.argmin(is_sound))
             raise ValueError(
                 f"centers: expected finite coordinates, at most 2**200; row {bad} is "
-                f"{places[bad].tolist()}, and {count - int(is_sound.sum()):,} rows are not; leave "
-                "them out"
+                f"{places[bad].tolist()}; leave out all {count - int(is_sound.sum()):,} such rows"
             )
         with np.errstate(invalid="ignore"):
             is_sound = (sizes > 0.0) & (sizes <= MAX_COORDINATE)

@@ -78,7 +78,7 @@ def pack(
         If there is no memory.
     """
     if len(runs) > DIRECTIONS:
-        raise ValueError(f"{name}: the array's strides are too many; make it contiguous")
+        raise ValueError(f"{name}: the array has too many different strides; make it contiguous")
     width = view.shape[-1]
     row_count = count if runs else 1
     made = scope.empty(name, (row_count, width), dtype)

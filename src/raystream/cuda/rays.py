@@ -207,7 +207,7 @@ def _placed_worlds(
         worlds = np.empty(view.shape, view.dtype)
         long = [k for k, size in enumerate(view.shape) if size > 1] if worlds.size else []
         if any(view.strides[k] != worlds.strides[k] for k in long):
-            raise TypeError("worlds: expected an array without gaps on a GPU; copy it")
+            raise TypeError("worlds: expected a contiguous array on a GPU; copy it")
         scope.gpu.copy(worlds.ctypes.data, view.address, worlds.nbytes, scope.stream)
         scope.stream.sync()
     return scope.placed("worlds", flat_ids("worlds", worlds, count, shape)).address
@@ -253,13 +253,13 @@ def _view(
             raise TypeError(f"{name}: expected float32 or float64 on a GPU, got {view.dtype}")
         steps = (view.address, *view.strides)
         if any(step % view.dtype.itemsize for step in steps):
-            raise TypeError(f"{name}: its numbers are not aligned; copy the array")
+            raise TypeError(f"{name}: its elements are not aligned; copy the array")
         return view
     array = as_real_array(name, values)
     if array.size > _FEW:
         raise TypeError(
-            f"{name}: the array is on the host, and other arrays of the rays are on a GPU; "
-            "copy it there, or those to the host"
+            f"{name}: the array is on the host, but other arrays of the rays are on a GPU; "
+            "copy it to the GPU, or the others to the host"
         )
     with np.errstate(over="ignore"):
         array = np.ascontiguousarray(convert(array)).reshape(array.shape)

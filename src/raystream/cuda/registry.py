@@ -30,7 +30,7 @@ class _CudaMachines:
             homes = [one for one, names in OPTIONS.items() if name in names]
             if homes and machine not in homes:
                 raise TypeError(
-                    f"{machine}: has no option {name!r}; it is one of machine={homes[0]!r}"
+                    f"{machine}: has no option {name!r}; it is an option of machine={homes[0]!r}"
                 )
         open_device(own.get("gpu", 0))
         return own

@@ -72,7 +72,7 @@ class SoaLayout:
         before = 0
         for dtype in _dtypes(layout):
             if dtype.kind == "c":
-                raise TypeError("device 'cuda': streams hold no complex numbers; use two real ones")
+                raise TypeError("device 'cuda': streams cannot be complex; use two real numbers")
             self._columns.append(_Column(dtype, before))
             before += dtype.itemsize
         self.byte_count = before

@@ -151,8 +151,8 @@ class CudaKernel:
 
     Notes
     -----
-    As on the CPU, records run in any order, and gather arrays show the records from before the
-    pass. Indices of gather arrays are not checked.
+    As on the CPU, the function runs on records in any order, and gather arrays show the records
+    from before the pass. Indices of gather arrays are not checked.
     """
 
     def __init__(self, kernel: Kernel, memory: StreamMemory) -> None:

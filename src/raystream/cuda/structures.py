@@ -37,7 +37,7 @@ def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
     """
     if isinstance(made, str) and made not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
-        raise CudaError(f"device 'cuda': has the structures {known}, not {made!r}")
+        raise CudaError(f"device 'cuda': supports the structures {known}, not {made!r}")
     return _made(made, has_binary_layout(made) and not is_own)
 
 
@@ -120,8 +120,8 @@ def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
     free = gpu.free_byte_count()
     if wanted > free:
         raise CudaError(
-            f"device 'cuda': the scene takes {wanted:,} bytes as {structure.name!r}, and "
-            f"{gpu.name} has {free:,} free; trace a smaller one, or use device='cpu'"
+            f"device 'cuda': the scene takes {wanted:,} bytes as {structure.name!r}, but "
+            f"{gpu.name} has {free:,} free; trace a smaller scene, or use device='cpu'"
         )
     arrays = {name: gpu.upload(f"{structure.name}, {name}", one) for name, one in memory.items()}
     addresses = {name: one.address for name, one in arrays.items()}

@@ -197,7 +197,7 @@ def choose_adapter(name: str | None = None) -> Adapter:
     chosen = [one for one in found if name.lower() in str(one).lower()]
     if not chosen:
         known = ", ".join(map(str, found))
-        raise GraphicsError(f"adapter: none is called {name!r}; there are {known}")
+        raise GraphicsError(f"adapter: none is called {name!r}; available: {known}")
     return chosen[0]
 
 
@@ -214,5 +214,5 @@ def _open(adapter: Adapter) -> OpenDevice:
             required_features=features, required_limits=wanted
         )
     except Exception as error:  # wgpu wraps all errors of a driver
-        raise GraphicsError(f"adapter {adapter}: gives no device: {error}") from error
+        raise GraphicsError(f"adapter {adapter}: cannot be opened: {error}") from error
     return OpenDevice(adapter, device)

@@ -131,7 +131,7 @@ def check_size(opened: OpenDevice, name: str, byte_count: int) -> None:
     most = min(opened.limits["max-storage-buffer-binding-size"], opened.limits["max-buffer-size"])
     if byte_count > most:
         raise GraphicsError(
-            f"device 'graphics': {name} would take {byte_count:,} bytes, and {opened.adapter} "
+            f"device 'graphics': {name} would take {byte_count:,} bytes, but {opened.adapter} "
             f"allows {most:,} in a buffer; trace a smaller scene, or use device='cpu'"
         )
 

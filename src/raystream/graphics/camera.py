@@ -22,8 +22,7 @@ def check_pinhole(camera: Camera) -> None:
     """Raise ValueError for a camera that is not a perspective one."""
     if camera.projection != "perspective":
         raise ValueError(
-            f"camera: expected one in perspective, as the graphics pipeline has it, got "
-            f"{camera.projection!r}"
+            f"camera: the graphics pipeline supports only 'perspective', got {camera.projection!r}"
         )
 
 

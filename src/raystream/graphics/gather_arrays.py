@@ -156,7 +156,7 @@ def _upload_texture(opened: OpenDevice, name: str, array: NDArray[Any], texel: _
     if height > opened.limits["max-texture-dimension-2d"]:
         raise GraphicsError(
             f"device 'graphics': {name} would take a texture of {_WIDTH:,} x {height:,} texels, "
-            f"more than {opened.adapter} allows; take memory='buffers'"
+            f"more than {opened.adapter} allows; use memory='buffers'"
         )
     usage = wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_DST
     texture = new_texture(opened, name, (_WIDTH, height), texel.format, usage)

@@ -78,7 +78,7 @@ class _GraphicsMachines:
             owner = next((one for one, names in OPTIONS.items() if name in names), None)
             if owner is not None and name not in own:
                 raise TypeError(
-                    f"{machine}: has no option {name!r}; it is one of machine={owner!r}"
+                    f"{machine}: has no option {name!r}; it is an option of machine={owner!r}"
                 )
         open_device(own.get("adapter"))
         return own

@@ -183,7 +183,7 @@ def _made(
             layout = opened.device.create_pipeline_layout(bind_group_layouts=groups)
             made[key] = make(module, layout)
         except Exception as error:  # wgpu wraps all errors of the driver
-            raise GraphicsError(f"shader {name}: gives no pipeline: {error}") from error
+            raise GraphicsError(f"shader {name}: cannot make a pipeline: {error}") from error
     return made[key]
 
 

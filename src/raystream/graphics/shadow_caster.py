@@ -53,12 +53,12 @@ def hybrid(
     size : (int, int)
         Width and height in pixels.
     structure, device, **options
-        Of the tracer of shadow rays, see `Tracer` [default: a BVH on the graphics device]. Not
-        with a tracer as `scene`.
+        Arguments of the tracer of shadow rays, see `Tracer` [default: a BVH on the graphics
+        device]. Not allowed with a tracer as `scene`.
     camera : Camera, optional
         Perspective; a lens is taken as a pinhole [default: the scene's].
     adapter : str, optional
-        Of the rasteriser, see `adapters.open_device`.
+        Adapter of the rasteriser, see `adapters.open_device`.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def hybrid(
     chosen = shadow.check(shadow.options)
     context = make_context(tracer, view, (width, height), Sampler.of("sobol", 0, 1), chosen)
     if context.opacity is not None:
-        raise ValueError("scene: has surfaces that are not opaque, of which rasterising knows none")
+        raise ValueError("scene: some surfaces are not opaque, which rasterising does not support")
     seen = visibility(tracer.scene, (width, height), camera=view, adapter=adapter)
     pixels = np.zeros((height, width, 3), np.float32)
     rows = max(1, _MOST_RAYS // (width * max(shadow.rays_per_pixel(context), 1)))

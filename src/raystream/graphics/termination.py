@@ -60,7 +60,7 @@ def check_endings(
         (
             "were not traced: the device may be lost",
             f"took more than {shaders.budget:,} steps and tests",
-            "were cut short by a driver that ends long loops; take another structure",
+            "were cut short by a driver that ends long loops; use another structure",
         ),
         strict=True,
     ):

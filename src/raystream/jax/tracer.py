@@ -36,8 +36,7 @@ class JaxTracer:
     Parameters
     ----------
     tracer : Tracer
-        After its `Tracer.update` the queries, compiled ones included, answer for the moved
-        triangles.
+        After its `Tracer.update`, all queries use the moved triangles, including compiled ones.
 
     Raises
     ------
@@ -52,16 +51,16 @@ class JaxTracer:
     Every query takes `origins` and `directions` of any leading shape S: arrays of shape S + (3,)
     that broadcast, of any real dtype. `t_min` and `t_max` are numbers or arrays that broadcast to
     S. The query is a callback (`jax.pure_callback`): rays go to the host, without a copy if they
-    are on the CPU, and answers have the bits of the tracer's. Under ``vmap`` all rays are traced in
-    one batch. No memory is needed for pairs of rays and triangles. Without ``jax_enable_x64``
-    JAX makes float32 of numbers and lists before they get here.
+    are on the CPU, and results have the same bits as the tracer's. Under ``vmap`` all rays are
+    traced in one batch. No memory is needed for pairs of rays and triangles. Without
+    ``jax_enable_x64`` JAX converts numbers and lists to float32 before they reach the tracer.
 
     ``t``, ``u`` and ``v`` have derivatives with respect to `origins`, `directions` and `vertices`,
-    forward and reverse, of any order: those of the crossing of the ray with the triangle that it
-    hit, held fixed, in the arrays' precision. They are
-    exact as long as the ray hits that triangle. **They say nothing of visibility**: where a ray
-    passes from one triangle to another, over an edge or a silhouette, the answer jumps, and the
-    derivative does not know of it. Misses have none: they contribute zeros, never NaN.
+    forward and reverse, of any order: those of the intersection of the ray with the triangle that
+    it hit, held fixed, in the arrays' precision. They are exact as long as the ray hits that
+    triangle. **They say nothing about visibility**: where a ray passes from one triangle to
+    another, over an edge or a silhouette, the result jumps, which the derivative does not reflect.
+    Misses have no derivatives: they contribute zeros, never NaN.
 
     Examples
     --------
@@ -103,7 +102,7 @@ class JaxTracer:
             Closed search interval, in direction lengths; without derivatives.
         vertices : array of shape (V, 3), float, or one for each mesh, optional
             The scene's vertices, for derivatives: one mesh after another. Rays are traced against
-            the tracer's own: give the same numbers, see `Tracer.update`.
+            the tracer's own vertices: pass the same numbers, see `Tracer.update`.
 
         Returns
         -------
@@ -183,7 +182,7 @@ class JaxTracer:
         origins, directions, t_min, t_max, vertices
             See `first_hit`.
         max_hits : int
-            Hits that are kept of each ray; a constant.
+            Number of hits to keep per ray; a constant.
         crossings : {"triangles", "surfaces"}
             See `Tracer.count_hits`.
 
@@ -205,7 +204,7 @@ class JaxTracer:
         Parameters
         ----------
         hits : JaxHits
-            Of `first_hit` or `multi_hit` of this tracer, with the same `vertices`.
+            From `first_hit` or `multi_hit` of this tracer, with the same `vertices`.
         vertices : array of shape (V, 3), float, or one for each mesh, optional
             See `first_hit`.
 

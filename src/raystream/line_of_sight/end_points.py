@@ -79,7 +79,8 @@ def check_tracer(tracer: Any) -> None:
     """Raise TypeError if it is not a tracer."""
     if not isinstance(tracer, Tracer):
         raise TypeError(
-            f"tracer: expected a Tracer, got {type(tracer).__name__}; make one by rs.Tracer(scene)"
+            f"tracer: expected a Tracer, got {type(tracer).__name__}; make one with "
+            "rs.Tracer(scene)"
         )
 
 

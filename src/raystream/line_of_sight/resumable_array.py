@@ -92,7 +92,7 @@ def resumable_array(
         path.touch()
     elif not journal.exists():
         raise FileFormatError(
-            path, f"exists, and {journal.name} does not say of what; choose another output"
+            path, f"exists, but not its journal {journal.name}; choose another output"
         )
     with continued(path, identity) as found:
         if found.done.rays == 0:

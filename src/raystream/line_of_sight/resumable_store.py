@@ -151,7 +151,7 @@ def _opened(
     if not journal.exists():
         if path.exists() and any(path.iterdir()):
             raise FileFormatError(
-                path, f"exists, and {journal.name} does not say of what; choose another output"
+                path, f"exists, but not its journal {journal.name}; choose another output"
             )
         # The journal first: it marks the folder as replaceable.
         write_journal(journal, identity, QueryProgress())

@@ -19,7 +19,7 @@ _CHUNK_ROWS = 1 << 18
 
 
 class SparseVisibility(NamedTuple):
-    """The pairs of points that see each other, by compressed rows.
+    """The pairs of points that see each other, in compressed rows.
 
     ``scipy.sparse.csr_array((np.ones(len(s.indices), bool), s.indices, s.indptr), s.shape)`` is
     the same.

@@ -43,10 +43,10 @@ def surface_points(
     Raises
     ------
     ValueError
-        If a triangle does not exist, or not in its instance, a weight is not finite or outside of
-        the triangle, or shapes disagree.
+        If a triangle does not exist or is not in its instance, a weight is not finite or lies
+        outside the triangle, or shapes disagree.
     TypeError
-        If `prim_ids` or `instance_ids` are not integers, or weights not real numbers.
+        If `prim_ids` or `instance_ids` are not integers, or weights are not real numbers.
 
     Examples
     --------

@@ -41,13 +41,13 @@ class ViewFactors(NamedTuple):
     standard_errors : ndarray of shape (N, N), float64
         Standard errors of the factors, at least 1 over the number of rays.
     outside : ndarray of shape (N,), float64
-        Share that meets nothing, such as the sky.
+        Share that hits nothing and reaches the sky, for example.
     outside_errors : ndarray of shape (N,), float64
     other : ndarray of shape (N,), float64
-        Share that meets a triangle of no patch, or the back of a patch.
+        Share that hits a triangle of no patch, or the back of a patch.
     other_errors : ndarray of shape (N,), float64
     areas : ndarray of shape (N,), float64
-        Of one side, in squared scene units.
+        Area of one side, in squared scene units.
     ray_counts : ndarray of shape (N,), int64
         Rays cast from each patch.
     """
@@ -89,7 +89,8 @@ def view_factors(
         Double the rays of a patch until the standard errors of its row, `outside` and `other`
         included, are at most this [default: cast `rays` rays].
     max_rays : int
-        Stop there, at most 2**28: the standard errors then exceed `target_error`.
+        Maximum number of rays per patch, at most 2**28; if it is reached first, the standard
+        errors exceed `target_error`.
     two_sided : bool
         Whether patches radiate and receive on both sides [default: on the front, from which
         their triangles' vertices run counter-clockwise].
@@ -97,20 +98,20 @@ def view_factors(
         Change the estimates as little as possible, compared with their standard errors, so that
         ``areas[i] * factors[i, j]`` is symmetric, and rows still sum to 1: see Notes.
     seed : int
-        Of the samples, 0 to 2**32 - 1.
+        Seed of the samples, 0 to 2**32 - 1.
     progress : callable, optional
         Called with (patches done, patches).
 
     Returns
     -------
     ViewFactors
-        ``factors.sum(axis=1) + outside + other`` is 1. In a closed enclosure of patches that
-        face inward `outside` and `other` are 0.
+        ``factors.sum(axis=1) + outside + other`` is 1. In a closed enclosure of patches that face
+        inward, `outside` and `other` are 0.
 
     Raises
     ------
     ValueError
-        If a patch has no area, a shape or number is wrong.
+        If a patch has no area, or a shape or number is wrong.
     TypeError
         If `patches` are not integers, or `scene` is neither a scene nor a tracer.
     MemoryError
@@ -119,22 +120,22 @@ def view_factors(
 
     Notes
     -----
-    Rays start at points distributed uniformly over a patch, in directions distributed by the
-    cosine to its normal; the share of them that reaches a patch first is the view factor. Their
-    numbers are Sobol's, with Owen scrambling, in four dimensions, in 16 independent replicates:
-    the standard error is that of the replicates' mean (15 degrees of freedom: the factor is within
-    2.13 standard errors with a probability of about 95 %). It falls faster than one over the root
-    of the number of rays. Results depend on the scene, `patches`, `rays` and `seed`, not on
+    Rays start at points distributed uniformly over a patch, in cosine-distributed directions about
+    its normal; the share of them that reaches a patch first is the view factor. Samples are Sobol
+    points with Owen scrambling, in four dimensions, in 16 independent replicates: the standard
+    error is that of the replicates' mean (15 degrees of freedom: the factor is within 2.13
+    standard errors with a probability of about 95 %). It falls faster than one over the square
+    root of the number of rays. Results depend on the scene, `patches`, `rays` and `seed`, not on
     threads or the structure.
 
-    Rays start off the surface by an error bound, as those of `Hits.spawn`, and 8 times that away
-    from the edges of their triangle: they do not leave a closed enclosure through a corner of 10
-    degrees or more.
+    Rays start off the surface by an error bound, as those of `Hits.spawn`, and 8 times that bound
+    away from the edges of their triangle: they do not leave a closed enclosure through a corner of
+    10 degrees or more.
 
-    With `reciprocity` the two estimates of each exchange are averaged by their inverse variances,
-    and then changed, as far as their variances allow, until rows sum to 1; factors that would be
-    negative become 0, and those for which no ray was found from either side stay 0. The standard
-    errors are then those of the averages.
+    With `reciprocity`, the two estimates of each exchange are averaged, weighted by their inverse
+    variances, and then changed, as far as their variances allow, until rows sum to 1; factors that
+    would be negative become 0, and those for which no ray was found from either side stay 0. The
+    standard errors are then those of the averages.
 
     Examples
     --------

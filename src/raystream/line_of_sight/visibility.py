@@ -77,7 +77,7 @@ def visibility(
         [default: the points of `a`; half of the segments are traced then, and the result is
         symmetric]
     form : {"dense", "bits", "sparse"}
-        Of the result, see below.
+        Form of the result; see below.
     front_only : bool
         Whether points on surfaces see only what is in front of their triangle, on the side from
         which its vertices run counter-clockwise [default: both sides].
@@ -85,11 +85,11 @@ def visibility(
         Triangles that hide nothing from a point, such as those around a vertex; -1 for none.
     out : str or path, optional
         A ``.npy`` file for the result, "dense" or "bits"; or a ``.zarr`` folder for a Zarr group
-        of any form, compressed. The call can be interrupted at any time; the same call resumes. A
-        file beside it, ``out`` with ``.progress.json`` at the end, says what is done and of which
-        query; a finished one is returned at once.
+        of any form, compressed. The call can be interrupted at any time; repeating it resumes. A
+        file next to `out`, with ``.progress.json`` appended to its name, records the query and its
+        progress; a finished result is returned at once.
     max_memory : int, optional
-        Most bytes to use, without those of the tracer and the points given [default: the
+        Maximum number of bytes to use, excluding the tracer and the given points [default: the
         memory that is free].
     progress : callable, optional
         Called with (rays done, rays).
@@ -99,24 +99,25 @@ def visibility(
     ndarray of shape (N, M), bool
         ``form="dense"``: whether point i of `a` sees point j of `b`.
     ndarray of shape (N, ceil(M / 8)), uint8
-        ``form="bits"``: the same, packed; ``numpy.unpackbits(bits, axis=1, count=M)`` has it.
+        ``form="bits"``: the same, packed; ``numpy.unpackbits(bits, axis=1, count=M)`` unpacks it.
     SparseVisibility
         ``form="sparse"``: the pairs that see each other.
 
-    With `out`, the arrays are maps of the file, read-only, or arrays of the group, ``zarr.Array``:
-    "visible", or "indptr" and "indices". Otherwise, if `a` is a tensor of PyTorch, or an array of
-    JAX, CuPy or xarray, or else `b`, "dense" and "bits" are in arrays of that library.
+    With `out`, the arrays are read-only memory maps of the file, or arrays of the group,
+    ``zarr.Array``: "visible", or "indptr" and "indices". Otherwise, if `a`, or else `b`, is a
+    tensor of PyTorch or an array of JAX, CuPy or xarray, "dense" and "bits" are arrays of that
+    library.
 
     Raises
     ------
     ValueError
         If a shape, name or option is wrong, or the hits are of another scene.
     TypeError
-        If numbers are not real, or `skip_a` or `skip_b` not integers.
+        If numbers are not real, or `skip_a` or `skip_b` are not integers.
     MemoryError
-        If the result and a block of rays need more than `max_memory` or the memory that is free:
-        before anything is traced. The memory of "sparse" without `out` depends on what is found,
-        and is checked as it grows; with it, that of a band of rows is known.
+        If the result and a block of rays need more than `max_memory` or the memory that is free;
+        raised before anything is traced. Without `out`, the memory of "sparse" depends on the
+        pairs found, and is checked as it grows; with `out`, that of a band of rows is known.
     FileFormatError
         If `out` belongs to another query.
     StoreWriteError
@@ -132,19 +133,19 @@ def visibility(
     hidden by it. At a point on a surface the segment is open: it leaves the triangle's plane to
     the side of the other point by a bound of the rounding errors, as in `Hits.spawn`, not by a
     fixed epsilon, so that neither the triangle nor its neighbours in the same plane hide it.
-    Two points of one plane see each other along its front, and not with `front_only`. A
-    surface nearer to a point than that bound, which is below 2**-17 of the scene's size, may hide
-    it or not. Points that are equal see each other, unless `front_only` excludes it. A point that
-    is NaN, infinite, a miss or on a degenerate triangle sees nothing, and is not seen.
+    Two points in one plane see each other along its front, but not with `front_only`. A surface
+    nearer to a point than that bound, which is below 2**-17 of the scene's size, may or may not
+    hide it. Points that are equal see each other, unless `front_only` excludes it. A point that is
+    NaN, infinite, a miss or on a degenerate triangle sees nothing and is not seen.
 
-    Segments run from `a` to `b`. With the arguments exchanged, the result is the transpose but
+    Segments run from `a` to `b`. With the arguments exchanged, the result is the transpose, except
     for segments that pass an edge within rounding errors.
 
-    Rays are traced in blocks of at most 262,144; memory is that of the result and of a block. Rows
-    of "sparse" are written in order: without `b` all segments are traced, from the lower to the
-    higher number, not half of them.
+    Rays are traced in blocks of at most 262,144; memory is needed for the result and one block.
+    With `out`, rows of "sparse" are written in order: without `b`, all segments are then traced,
+    from the lower to the higher number, not half of them.
 
-    In a scene with instances, `skip_a` and `skip_b` name triangles in all instances.
+    In a scene with instances, `skip_a` and `skip_b` refer to triangles in all instances.
 
     Examples
     --------

@@ -42,7 +42,7 @@ class VisibleFaces(NamedTuple):
     prim_ids : ndarray of shape (K,), int32
         Triangles, counted over the whole scene, increasing.
     pixel_counts : ndarray of shape (K,), int64
-        Pixels at whose centre each is seen; 0 for those that only their own rays found.
+        Pixels at whose centre each is seen; 0 for those that only additional rays found.
     instance_ids : ndarray of shape (K,), int32
         The instance that each is in, increasing, and `prim_ids` within each; 0 in a scene without
         instances.
@@ -67,14 +67,14 @@ def visible_faces(
     ----------
     tracer : Tracer
     camera : Camera, or array_like of shape (3,), real, optional
-        A point looks in all directions: an equirectangular camera there, for which `size` should
-        be twice as wide as high [default: the scene's camera]. Of a camera with a lens, the lens's
-        centre sees.
+        A point stands for an equirectangular camera there, which looks in all directions; `size`
+        should then be twice as wide as high [default: the scene's camera]. A camera with a lens
+        sees from the lens's centre.
     size : tuple of two int
         Width and height of the image in pixels.
     points_per_face : int
-        Points of each triangle, its centre first, that are looked for if the triangle covers no
-        pixel's centre; 0 looks for none.
+        Points of each triangle, its centre first, whose visibility is tested if the triangle
+        covers no pixel's centre; 0 tests none.
     progress : callable, optional
         Called with (rays done, rays): the number of rays may fall after the image.
 
@@ -91,15 +91,15 @@ def visible_faces(
 
     Notes
     -----
-    No triangle is missed that is the nearest at a pixel's centre: one ray is traced through each,
-    `Camera.rays`, and rays neither pass between triangles nor miss small ones (of triangles that
-    coincide there, the lowest number is seen). Both sides of triangles are visible.
+    No triangle that is the nearest at a pixel's centre is missed: one ray is traced through each
+    centre, as from `Camera.rays`, and rays neither pass between triangles nor miss small ones (of
+    triangles that coincide there, the lowest number is seen). Both sides of triangles are visible.
 
-    Triangles that cover no pixel's centre, because they are small or nearly hidden, get rays
-    of their own: they are seen if one of their `points_per_face` points is in the image, and
-    `visibility` finds that the eye sees it. So no triangle is missed whose centre is visible.
-    A triangle of which only parts between these points and the pixels' centres are visible is
-    missed: more pixels or points find it.
+    Triangles that cover no pixel's centre, because they are small or nearly hidden, are tested
+    with additional rays: they are seen if one of their `points_per_face` points is in the image,
+    and `visibility` finds that the eye sees it. So no triangle whose centre is visible is missed.
+    A triangle is missed if only parts of it between these points and the pixels' centres are
+    visible: more pixels or points find it.
 
     Examples
     --------

@@ -75,7 +75,9 @@ def own_options(machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
     own = {name: value for name, value in options.items() if name in MULTIPASS_OPTIONS}
     if own and machine != "multipass":
         name = next(iter(own))
-        raise TypeError(f"{machine}: has no option {name!r}; it is one of machine='multipass'")
+        raise TypeError(
+            f"{machine}: has no option {name!r}; it is an option of machine='multipass'"
+        )
     return own
 
 

@@ -55,7 +55,7 @@ class InsideTest:
         if self._uses_rays and not solids_of(self._triangles).is_closed_together:
             raise ValueError(
                 f"method='rays' cannot tell inside from outside: {self._open_meshes()} open, or "
-                "faces are oriented inconsistently; give method='winding'"
+                "faces are oriented inconsistently; use method='winding'"
             )
 
     def _open_meshes(self) -> str:

@@ -47,7 +47,7 @@ class MemoryNeeded(NamedTuple):
     results : int
         Bytes of the arrays that it returns.
     working : int
-        Bytes that it needs besides, until it returns.
+        Additional bytes that it needs until it returns.
     """
 
     results: int
@@ -73,13 +73,13 @@ class MemoryEstimator(RayCaster):
             Number of rays.
         query : {"first_hit", "any_hit", "count_hits", "multi_hit"}
         max_hits : int, optional
-            Hits that `multi_hit` finds per ray, at most; the estimate is for rays that all have as
-            many.
+            Maximum number of hits that `multi_hit` finds per ray; the estimate assumes that every
+            ray has as many.
 
         Returns
         -------
         MemoryNeeded
-            Bytes of the host's memory: of the results, and of what the query needs besides.
+            Bytes of the host's memory: of the results, and of the working memory.
 
         Raises
         ------
@@ -91,15 +91,15 @@ class MemoryEstimator(RayCaster):
 
         Notes
         -----
-        An upper bound, for rays in arrays of float32 or float64 that lie in memory without gaps
-        (others are copied), without filters; the arrays themselves do not count. `results` are
-        exact, but for rays with fewer hits. On the CPU the whole is at most twice the memory used,
-        and 0.3 MB per thread; where ``structure="bvh"`` chooses the kernel by the rays, it allows
-        for the one that needs most, 21 MB per thread. Memory of GPUs does not count: rays
-        are traced there in parts that fit.
+        This is an upper bound for queries without filters, and for rays in contiguous arrays of
+        float32 or float64 (others are copied); the arrays themselves do not count. `results` is
+        exact unless rays have fewer hits. On the CPU the total is at most twice the memory used,
+        plus 0.3 MB per thread; where ``structure="bvh"`` chooses the kernel by the rays, it allows
+        for the one that needs most, 21 MB per thread. GPU memory does not count: rays are traced
+        there in parts that fit.
 
-        Queries of a million rays or more check that so much memory is free, and raise MemoryError
-        with both numbers if it is not; `multi_hit` also before it stores hits.
+        Queries of a million rays or more check that this much memory is free, and raise
+        MemoryError with both numbers if it is not; `multi_hit` checks again before it stores hits.
 
         Examples
         --------
@@ -117,9 +117,7 @@ class MemoryEstimator(RayCaster):
         hits = 0
         if kind is Kind.MULTI_HIT:
             if max_hits is None:
-                raise ValueError(
-                    "max_hits: give the most hits per ray; the memory of multi_hit depends on it"
-                )
+                raise ValueError("max_hits: required, since the memory of multi_hit depends on it")
             limit = operator.index(max_hits)
             if limit < 0:
                 raise ValueError(f"max_hits: expected a number of at least 0, got {limit}")

@@ -49,8 +49,8 @@ class MultipassBackend(LocalFrameBackend):
     """Runs each step of a traversal as a kernel over all rays that wait for it.
 
     As on hardware without branching (Purcell 2002, section 2.2; Foley 2005, section 3.4): streams
-    keep each ray's traversal between passes, its state names the kernel that it waits for, and a
-    scheduler chooses the kernel of the next pass, until no ray is active.
+    store each ray's traversal between passes, the ray's state names the kernel that it waits for,
+    and a scheduler chooses the kernel of the next pass, until no ray is active.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ class MultipassBackend(LocalFrameBackend):
         ----------
         observer : callable
             Receives a `PassSnapshot`. Where rays are traced in parts, to bound memory, each part
-            has its own first pass. That of a renderer's loop comes after its eye rays; where pixels
-            need more room, they have other numbers then.
+            has its own first pass. In a renderer's loop it comes after the eye rays; where pixels
+            need more room, they are then renumbered.
         """
         machine = copy.copy(self)
         machine.observer = observer

@@ -36,7 +36,7 @@ class PointQueries(RayCaster):
     def closest_point(
         self, points: Any, *, max_distance: Any = np.inf, progress: Progress | None = None
     ) -> ClosestPoints:
-        """Find the nearest point of the scene's triangles to each point.
+        """Find the nearest point on the scene's triangles for each point.
 
         Parameters
         ----------
@@ -68,12 +68,12 @@ class PointQueries(RayCaster):
         Notes
         -----
         The distance is computed in float64, between the point and the triangles' float32
-        coordinates in the scene's local frame: its error is below 2**-48 of the distance and the
-        triangle's size together [1]_. Both structures give the same bits. Equal distances, before
-        the square root: the lowest prim_id wins; triangles that share an edge or a vertex have
-        equal distances to points nearest to it, bit for bit. Degenerate triangles, and those with
-        a NaN or infinite vertex, count as little as they do for rays: the nearest point is never
-        on them.
+        coordinates in the scene's local frame: its error is below 2**-48 of the sum of the
+        distance and the triangle's size [1]_. Both structures give the same bits. At equal
+        distances, before the square root, the lowest prim_id wins; triangles that share an edge or
+        a vertex have equal distances to points nearest to it, bit for bit. Degenerate triangles,
+        and those with a NaN or infinite vertex, are ignored, as they are by rays: the nearest
+        point is never on them.
 
         References
         ----------
@@ -194,7 +194,7 @@ class PointQueries(RayCaster):
         method : {"rays", "winding"}
             Count the crossings of three rays in different directions with a closed surface; where
             they disagree, the winding number decides. Or use winding numbers for all points, which
-            suits open surfaces, too: inside is where they are above 1/2 or below -1/2.
+            also suits open surfaces: inside is where they are above 1/2 or below -1/2.
         progress : callable, optional
             Called with (steps done, steps).
 
@@ -213,14 +213,14 @@ class PointQueries(RayCaster):
 
         Notes
         -----
-        On every structure, device and machine. The surface is that of all meshes together, and it
-        is closed if its triangles traverse each edge as often in one direction as in the other.
-        With ``"rays"``, a point within two closed meshes at once is outside, as it is within none
-        or all of several nested ones by turns; with ``"winding"`` it is inside, if their faces
-        have the same orientation.
+        Supported on every structure, device and machine. The surface is that of all meshes
+        together, and it is closed if its triangles traverse each edge as often in one direction as
+        in the other. With ``"rays"``, a point within two closed meshes at once is outside: inside
+        and outside alternate in nested meshes. With ``"winding"`` it is inside, if the faces of
+        both have the same orientation.
 
-        Rays begin at the points rounded to float32 in the scene's local frame: a point that is
-        nearer to the surface than that, or on it, may be on either side.
+        Rays begin at the points rounded to float32 in the scene's local frame: a point on the
+        surface, or nearer to it than the rounding error, may count as inside or outside.
 
         Examples
         --------
@@ -243,8 +243,8 @@ class PointQueries(RayCaster):
         points : array_like of shape S + (3,), real
             World space.
         accuracy : float
-            Greatest error, at least 0. If it is above 0, groups of triangles that are far away are
-            added as one where that suffices.
+            Greatest error, at least 0. If it is above 0, distant groups of triangles are summed as
+            one where that is accurate enough.
         progress : callable, optional
             Called with (points done, points).
 
@@ -252,23 +252,24 @@ class PointQueries(RayCaster):
         -------
         ndarray of shape S, float64
             The generalised winding number [1]_: the sum of the triangles' signed solid angles
-            divided by 4 pi. Of a closed surface with outward normals it is 1 inside and 0 outside,
-            within rounding; of an open one something between. NaN for points with a coordinate
-            that is NaN or infinite.
+            divided by 4 pi. For a closed surface with outward normals it is 1 inside and 0
+            outside, within rounding; for an open one, something in between. NaN for points with a
+            coordinate that is NaN or infinite.
 
         Raises
         ------
         ValueError, TypeError
-            If the points are not real numbers of shape S + (3,), or `accuracy` is no number at
-            least 0.
+            If the points are not real numbers of shape S + (3,), or `accuracy` is not a number of
+            at least 0.
 
         Notes
         -----
-        By default exact but for rounding: each point takes time proportional to the number of
-        triangles, about 4 ns each on one core. With an `accuracy`, it takes a tree of the triangles
-        that is made once, and the expansions of Barill et al. [2]_, each with a bound of its error:
-        the bounds of all groups together are below `accuracy`, or the exact sum is taken.
-        `contains` does this by itself, with the same answers as by exact sums.
+        By default, the result is exact except for rounding, and each point takes time proportional
+        to the number of triangles, about 4 ns per triangle on one core. An `accuracy` enables a
+        tree of the triangles, built once, and the expansions of Barill et al. [2]_, each with an
+        error bound: the bounds of all groups together are below `accuracy`; otherwise the exact
+        sum is computed. `contains` does this automatically, with the same results as with exact
+        sums.
 
         References
         ----------

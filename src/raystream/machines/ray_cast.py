@@ -48,22 +48,22 @@ class RayCaster(TracedScene):
         Returns
         -------
         RayHit
-            ``t``, ``u``, ``v`` and ``prim_id`` as Python numbers, with the bits that `first_hit`
-            has for the same ray; true for a hit. A miss has ``t = inf`` and ``prim_id = -1``.
+            ``t``, ``u``, ``v`` and ``prim_id`` as Python numbers, with the same bits as from
+            `first_hit`; true for a hit. A miss has ``t = inf`` and ``prim_id = -1``.
 
         Raises
         ------
         ValueError
-            If a shape is not (3,), or a limit is not one number.
+            If a shape is not (3,), or a limit is not a single number.
         TypeError
-            If the numbers are not real, or in arrays on a GPU.
+            If the numbers are not real, or are in arrays on a GPU.
 
         Notes
         -----
-        For code that needs a hit before it knows its next ray: of many rays, `first_hit` takes
-        less than a tenth of the time for each. Threads may cast rays at the same time, and run
-        in parallel. On GPUs, on ``machine="multipass"``, with ``counters=True``, in float64 and in
-        subclasses with a `first_hit` of their own, it is `first_hit` of one ray, and takes as long.
+        For code that needs a hit before it knows its next ray; for many rays, `first_hit` takes
+        less than a tenth of the time per ray. Threads may cast rays at the same time, and run in
+        parallel. On GPUs, on ``machine="multipass"``, with ``counters=True``, in float64 and in
+        subclasses with their own `first_hit`, it calls `first_hit` for one ray, and takes as long.
 
         Examples
         --------

@@ -43,7 +43,8 @@ class Queues(NamedTuple):
     latest : int or None
         The kernel that ran last.
     spawns : bool
-        Shading spawns rays, which are traced in the same loop: it need not wait for all others.
+        Whether shading spawns rays, which are traced in the same loop: it need not wait for all
+        others.
     """
 
     kernels: Sequence[StepKernel]

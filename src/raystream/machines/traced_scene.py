@@ -142,7 +142,7 @@ class TracedScene:
 
     @property
     def is_counting(self) -> bool:
-        """Whether it was made with ``counters=True``."""
+        """Whether the tracer was made with ``counters=True``."""
         return self._counts
 
     @property
@@ -180,7 +180,7 @@ class TracedScene:
         max_cost_growth: float = 1.5,
         progress: Progress | None = None,
     ) -> UpdateReport:
-        """Move the scene's vertices; which triangles they form stays as it is.
+        """Move the scene's vertices; the faces stay the same.
 
         Parameters
         ----------
@@ -188,17 +188,17 @@ class TracedScene:
             New positions of all vertices, world space, scene units: an array for a scene of
             one mesh, else one for each mesh, or None for a mesh that stays where it is. Or a
             scene with the same faces, such as `Scene.at` returns: its lights, materials, normals
-            and camera are used, too. If all its meshes are the same objects as before, nothing
-            is done, and the report's costs are nan.
+            and camera are also used. If all its meshes are the same objects as before, nothing is
+            done, and the report's costs are nan.
         transforms : array_like of shape (K, 3, 4), real, optional
-            In place of `vertices`, for a scene with instances: where they are now, see
-            `Scene.instances`. The objects stay as they are: only the tree over the instances is
-            rebuilt. A scene that `Scene.with_transforms` returned does the same.
+            Instead of `vertices`, for a scene with instances: their new transforms, see
+            `Scene.instances`. The objects stay the same: only the tree over the instances is
+            rebuilt. Passing a scene that `Scene.with_transforms` returned does the same.
         max_cost_growth : float
-            Refitting a tree to moved triangles is much faster than building it, but the refitted
-            tree is slower to traverse the further neighbours move apart. It is rebuilt when the
-            expected cost of a ray exceeds this multiple of the cost right after the last build;
-            0 rebuilds every time.
+            Refitting a tree to moved triangles is much faster than building it, but the further
+            neighbours move apart, the slower the refitted tree is to traverse. It is rebuilt when
+            the expected cost of a ray exceeds this multiple of the cost right after the last
+            build; 0 rebuilds every time.
         progress : callable, optional
             Called with (triangles placed, triangles) during a rebuild.
 
@@ -222,9 +222,9 @@ class TracedScene:
         grew beyond 2**40 times the scale of the scene. Triangles that have become degenerate,
         NaN or infinite are not hit until a later update makes them valid.
 
-        `scene` becomes a scene with the moved vertices; arrays do not update shading normals.
-        Earlier hits still refer to the old triangles. No query may run in another thread
-        meanwhile. An interrupt leaves everything unchanged.
+        `scene` becomes a scene with the moved vertices; vertices given as arrays do not update
+        shading normals. Earlier hits still refer to the old triangles. No query may run in another
+        thread meanwhile. An interrupt leaves everything unchanged.
 
         Examples
         --------
@@ -248,7 +248,7 @@ class TracedScene:
         if scene.placements is not None:
             return self._update_instances(vertices)
         if isinstance(vertices, Scene) and vertices.placements is not None:
-            raise ValueError("vertices: the scene has instances, and this tracer's has none")
+            raise ValueError("vertices: the scene has instances, but this tracer's scene has none")
         if isinstance(vertices, Scene):
             meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
             if all(map(operator.is_, scene.meshes, meshes)):
@@ -276,11 +276,11 @@ class TracedScene:
         old: Any = self.structure
         if not isinstance(scene, Scene) or scene.placements is None:
             raise ValueError(
-                "vertices: a scene with instances moves by transforms=, or to another scene that "
-                "`with_transforms` of its scene returned"
+                "vertices: move a scene with instances by transforms=, or to a scene that "
+                "Scene.with_transforms has returned"
             )
         if not scene.has_objects_of(self.scene):
-            raise ValueError("vertices: the scene has other objects than this tracer's")
+            raise ValueError("vertices: the scene's objects differ from this tracer's")
         started = time.perf_counter()
         self._set(scene, old.moved(old.triangles.moved(scene.placements)))
         return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
@@ -338,7 +338,7 @@ class TracedScene:
         Raises
         ------
         FileFormatError
-            If the file is damaged, of another version, or not such a file at all; or if it was
+            If the file is damaged, of another version, or not a saved structure; or if it was
             built from other triangles than those of `scene`.
         """
         if scene is not None and not isinstance(scene, Scene):
@@ -432,7 +432,7 @@ class TracedScene:
         if count is None:
             raise ValueError(
                 "near: expected None, since only structure='graph' on the CPU's branching machine "
-                "knows sectors"
+                "has sectors"
             )
         return flat_ids("near", near, count, shape)
 

@@ -74,7 +74,7 @@ def attenuation(
     missing = np.unique(ids[np.isnan(table[ids])])
     if len(missing):
         known = ", ".join(f"{i} ({names[i]!r})" for i in missing[:5])
-        raise ValueError(f"coefficients: rays cross {by} {known}, which has none")
+        raise ValueError(f"coefficients: none for {by} {known}, which rays cross")
     ray_count = len(thickness.ray_splits) - 1
     depth = np.bincount(thickness.ray_id, table[ids] * thickness.path_length, ray_count)
     passed: NDArray[np.float64] = np.exp(-depth).reshape(thickness.status.shape)

@@ -133,11 +133,11 @@ def _axes(
     given = [name for name, value in place._asdict().items() if value is not None]
     if len(named) == 2:
         if given:
-            raise ValueError(f"{given[0]}: dem has coordinates of its own; give only one")
+            raise ValueError(f"{given[0]}: dem has its own coordinates; give only one")
         y, x = (np.asarray(labels.coords[name].values) for name in named)
         return _axis(str(named[1]), x), _axis(str(named[0]), y)
     if len(given) == 2:
-        raise ValueError("spacing, transform: expected one of them")
+        raise ValueError("spacing, transform: expected only one of them")
     columns, rows = np.arange(shape[1]), np.arange(shape[0])
     if place.transform is not None:
         a, b, c, d, e, f = _numbers("transform", tuple(place.transform)[:6], 6)

@@ -69,7 +69,7 @@ def _index_of(argument: str, key: Any, names: tuple[str, ...], kind: str) -> int
         if count == 1:
             return names.index(key)
         if count:
-            raise ValueError(f"{argument}: {key!r} is the name of {count}; use their numbers")
+            raise ValueError(f"{argument}: {key!r} has {count} matches; use their numbers")
         listed = ", ".join(repr(name) for name in names[:8]) + (", ..." if names[8:] else "")
         raise ValueError(f"{argument}: no {kind} {key!r}; there are {listed}")
     index = operator.index(key)

@@ -25,7 +25,7 @@ _OF_RETURNS = ("prim_id", "mesh_id", "material_id", "instance_id")
 class LibraryThickness(LibraryColumns):
     """Segments of rays inside closed meshes, in arrays of the library that the rays came from.
 
-    What `thickness` returns for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when they
+    The result of `thickness` for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when they
     are first read, and share memory with those of `host`, except where JAX copies them.
 
     Attributes
@@ -35,7 +35,7 @@ class LibraryThickness(LibraryColumns):
     unpaired_ray, unpaired_t, unpaired_prim_id, unpaired_mesh_id, unpaired_instance_id, unpaired_kind
         See `Thickness`.
     counts, status, is_complete, mesh_is_closed, mesh_is_flipped
-        See `Thickness`; of xarray with the dimensions of the rays where they are of its shape.
+        See `Thickness`; with xarray, those of the rays' shape have the rays' dimensions.
     mesh_names, material_names : tuple of str
     """  # noqa: E501 - numpydoc wants the names in one line
 
@@ -67,7 +67,7 @@ class LibraryThickness(LibraryColumns):
 class LibraryLidarReturns(LibraryColumns):
     """Returns of pulses, in arrays of the library that the rays came from.
 
-    What `lidar_returns` returns for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when
+    The result of `lidar_returns` for rays of PyTorch, JAX, CuPy and xarray. Arrays are made when
     they are first read, and share memory with those of `host`, except where JAX copies them.
 
     Attributes
@@ -75,7 +75,7 @@ class LibraryLidarReturns(LibraryColumns):
     ray_splits, ray_id, ranges, positions, intensity, incidence_angle, return_number, return_count, prim_id, mesh_id, material_id, instance_id
         See `LidarReturns`.
     counts, status
-        See `LidarReturns`; of xarray with the dimensions of the rays.
+        See `LidarReturns`; with xarray, they have the rays' dimensions.
     """  # noqa: E501 - numpydoc wants the names in one line
 
     _of_rays = frozenset(("status", "counts"))

@@ -43,13 +43,13 @@ class LidarReturns(RayRows):
     positions : ndarray of shape (K, 3), float64
         World space: the points at these ranges on the axes of the pulses.
     intensity : ndarray of shape (K,), float64
-        Fraction of the pulse's energy; 1 for all of it from a white surface at a right angle.
+        Fraction of the pulse's energy; 1 if a white surface at a right angle returns all of it.
     incidence_angle : ndarray of shape (K,), float64
         Degrees between the ray and the normal of the triangle, 0 to 90.
     return_number, return_count : ndarray of shape (K,), int32
         Number of the return within its pulse, from 1; and number of returns of that pulse.
     prim_id, mesh_id, material_id : ndarray of shape (K,), int32
-        The triangle that returned most energy, its mesh and its material.
+        The triangle that returned the most energy, its mesh and its material.
     instance_id : ndarray of shape (K,), int32
         The instance that the triangle is in; 0 in a scene without instances.
     status : ndarray of the pulses' leading shape, uint8
@@ -101,23 +101,24 @@ def lidar_returns(
     origins, directions, t_min, t_max
         As in `Tracer.first_hit`: one ray per pulse, its axis.
     max_returns : int
-        Keep at most this many of each pulse, the nearest.
+        Maximum number of returns to keep per pulse, the nearest ones.
     reflectance : mapping, or array_like of shape () or (M,), real
         Diffuse reflectance of the scene's materials, 0 to 1; one number applies to all. A mapping
         has materials, by name or number, as keys, and leaves the others at 1.
     transmission : mapping, or array_like of shape () or (M,), real
-        Fraction of a pulse that passes a surface, 0 to 1, given likewise; for foliage, the
-        fraction of gaps. A mapping leaves the others at 0.
+        Fraction of a pulse that passes through a surface, 0 to 1, given in the same way; for
+        foliage, the fraction of gaps. A mapping leaves the others at 0.
     threshold : float
-        Detection threshold: weaker returns are dropped, and a ray is traced on while it has at
-        least this much of its energy.
+        Detection threshold: weaker returns are dropped, and a ray continues while it has at least
+        this fraction of its energy.
     divergence : float
         Full angle of the pulse's cone in degrees, at most 90.
     sub_rays : int
-        Rays per pulse, spread evenly over its cone, with equal energy. A single one is the axis.
+        Rays per pulse, spread evenly over its cone, with equal energy. A single ray follows the
+        axis.
     separation : float
-        Echoes less than this beyond the first echo of a return belong to it: half the length
-        of a pulse, in scene units.
+        Echoes less than this distance behind the first echo of a return belong to that return:
+        half the length of a pulse, in scene units.
     progress : callable, optional
         Called with (pulses done, pulses).
 

@@ -91,10 +91,10 @@ def thickness(
     A mesh that is closed and has a negative volume faces inward: its sides are swapped, and
     `Thickness.mesh_is_flipped` says so.
 
-    A ray from outside leaves a closed mesh as often as it enters it, through edges and
-    vertices too. Where it grazes a silhouette within rounding errors, the exit may come
-    before the entry. Without a t_max this case is recognised and gives a segment of length 0;
-    with one, both crossings are reported as unpaired.
+    A ray from outside leaves a closed mesh as often as it enters it, even through edges and
+    vertices. Where it grazes a silhouette within rounding errors, the exit may come before the
+    entry. Without a t_max this case is recognised and gives a segment of length 0; with one, both
+    crossings are reported as unpaired.
 
     Examples
     --------

@@ -28,8 +28,8 @@ class SweepPattern:
     period : float
         Seconds from the start of a sweep to the start of the next.
     channels, columns : array_like of shape (N,), int, optional
-        Numbers that say where each pulse belongs in an image of the sweep: of a laser or line,
-        and within it [default: one channel, pulses in the order given].
+        Where each pulse belongs in an image of the sweep: the number of its laser or line, and its
+        number within that [default: one channel, pulses in the order given].
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class SweepPattern:
         with np.errstate(invalid="ignore"):
             largest = np.abs(directions).max(axis=1, initial=0.0)
         if not (np.isfinite(largest) & (largest > 0.0)).all():
-            raise ValueError("directions: expected finite numbers, not all zero in any direction")
+            raise ValueError("directions: expected finite numbers, and no zero vectors")
         # Scaled before squaring: lengths of tiny and huge vectors would underflow or overflow.
         scaled = directions / largest[:, None]
         lengths = np.sqrt(np.einsum("nk,nk->n", scaled, scaled))

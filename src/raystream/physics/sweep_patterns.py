@@ -37,19 +37,19 @@ def spinning(
 ) -> SweepPattern:
     """Make the pattern of a head that spins about the y axis, clockwise seen from above.
 
-    One revolution. It starts ahead, and fires all channels once in each column; the head turns
-    on meanwhile.
+    One revolution. It starts ahead, and fires all channels once in each column, while the head
+    keeps turning.
 
     Parameters
     ----------
     elevations : array_like of shape (C,), real
-        Degrees above the horizon of each channel.
+        Elevation of each channel above the horizon, in degrees.
     rate : float
         Revolutions per second.
     columns : int
         Columns per revolution, evenly spaced.
     azimuth_offsets : array_like of shape (C,) or (), real
-        Degrees that each channel points to the right of the head.
+        Angle by which each channel points to the right of the head, in degrees.
     firing_times : array_like of shape (C,) or (), real
         Seconds after the start of its column at which each channel is fired.
 
@@ -66,7 +66,7 @@ def spinning(
     TypeError
         If the values are not real numbers.
     MemoryError
-        If the pattern does not fit.
+        If the pattern does not fit into memory.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def vlp16(rate: float = 10.0) -> SweepPattern:
 
     References
     ----------
-    Velodyne LiDAR, "VLP-16 User Manual", 63-9243 Rev. D, tables 9-1 and section 9.4.
+    Velodyne LiDAR, "VLP-16 User Manual", 63-9243 Rev. D, table 9-1 and section 9.4.
 
     Examples
     --------
@@ -178,16 +178,16 @@ def vls128(rate: float = 10.0) -> SweepPattern:
 def raster(
     columns: int, rows: int, *, fov: tuple[float, float] = (120.0, 25.0), rate: float = 10.0
 ) -> SweepPattern:
-    """Make the pattern of a scanner that goes line by line from the top, each from the left.
+    """Make the pattern of a scanner that sweeps lines from the left, one by one from the top.
 
     Pulses are evenly spaced in azimuth, elevation and time: a polygon mirror, or a solid-state
-    scanner. For a flash, which fires all at once, replace its times by zeros:
+    scanner. For a flash LiDAR, which fires all pulses at once, replace the times with zeros:
     ``dataclasses.replace(pattern, times=0 * pattern.times)``.
 
     Parameters
     ----------
     columns, rows : int
-        Pulses in a line, and lines.
+        Pulses per line, and number of lines.
     fov : (float, float)
         Degrees across, at most 360, and from top to bottom, at most 180.
     rate : float
@@ -203,7 +203,7 @@ def raster(
     ValueError
         If there is no pulse, or an angle or rate is out of range.
     MemoryError
-        If the pattern does not fit.
+        If the pattern does not fit into memory.
     """
     wide, high, period = *_fov(fov), 1.0 / _rate(rate)
     row, column = _grid(rows, columns)
@@ -219,15 +219,15 @@ def raster(
 def mems(
     columns: int, rows: int, *, fov: tuple[float, float] = (60.0, 20.0), rate: float = 10.0
 ) -> SweepPattern:
-    """Make the pattern of a mirror that resonates from side to side and sinks evenly.
+    """Make the pattern of a mirror that oscillates from side to side and tilts down evenly.
 
     The azimuth is a sine of time and the elevation linear: lines alternate in direction, are
-    slightly inclined, and denser at their ends. Pulses are evenly spaced in time.
+    slightly inclined, and are denser at their ends. Pulses are evenly spaced in time.
 
     Parameters
     ----------
     columns, rows : int
-        Pulses in a line, which is half an oscillation, and lines.
+        Pulses per line, which is half an oscillation, and number of lines.
     fov : (float, float)
         Degrees across, at most 360, and from top to bottom, at most 180.
     rate : float
@@ -243,7 +243,7 @@ def mems(
     ValueError
         If there is no pulse, or an angle or rate is out of range.
     MemoryError
-        If the pattern does not fit.
+        If the pattern does not fit into memory.
     """
     wide, high, period = *_fov(fov), 1.0 / _rate(rate)
     row, column = _grid(rows, columns)
@@ -265,11 +265,11 @@ def rosette(
     rate: float = 10.0,
     start: float = 0.0,
 ) -> SweepPattern:
-    """Make the pattern of two turning wedge prisms (Risley prisms): a rosette about -z.
+    """Make the pattern of two rotating wedge prisms (Risley prisms): a rosette about -z.
 
-    Each prism bends the beam by a fixed angle, in a direction that turns; the two angles add up
-    as vectors, as for thin prisms. If the speeds times the period are no whole numbers, sweeps
-    differ: give each its `start`, and their union fills the field of view.
+    Each prism bends the beam by a fixed angle, in a direction that rotates; the two angles add up
+    as vectors, as for thin prisms. If the speeds times the period are not integers, sweeps differ:
+    give each its `start`, and their union fills the field of view.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def rosette(
         Degrees by which each prism bends the beam; the field of view is a circle, twice their
         sum across, at most 180.
     speeds : (float, float)
-        Revolutions per second of each prism; negative turns the other way.
+        Revolutions per second of each prism; negative numbers turn it the other way.
     rate : float
         Sweeps per second.
     start : float
@@ -295,7 +295,7 @@ def rosette(
     ValueError
         If there is no pulse, or an angle, speed or rate is out of range.
     MemoryError
-        If the pattern does not fit.
+        If the pattern does not fit into memory.
 
     References
     ----------

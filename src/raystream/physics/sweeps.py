@@ -50,7 +50,7 @@ class _Pulses(NamedTuple):
 
 
 class LidarSweep(LidarReturns):
-    """Returns of one sweep of a sensor: `LidarReturns` with times, channels and sensor's frame.
+    """Returns of one sweep of a sensor: `LidarReturns` with times, channels and the sensor's frame.
 
     Attributes
     ----------
@@ -110,14 +110,14 @@ class LidarSweep(LidarReturns):
         Parameters
         ----------
         time : float, optional
-            [default: when the last pulse was fired].
+            The time of that frame [default: when the last pulse was fired].
 
         Returns
         -------
         ndarray of shape (K, 3), float64
-            Of a static scene, where a sensor that stands still at that time would see the
-            points. What moved in the scene stays distorted: each point is where its surface was
-            when the pulse was fired.
+            For a static scene, the points where a stationary sensor would see them at that time.
+            Moving objects stay distorted: each point is where its surface was when the pulse was
+            fired.
 
         Raises
         ------
@@ -149,8 +149,8 @@ def lidar_sweep(
     Parameters
     ----------
     tracer : Tracer
-        If its scene is animated, the scene moves during the sweep, too; the tracer is left with
-        the scene that it has now.
+        If its scene is animated, the scene also moves during the sweep; afterwards, the tracer has
+        its original scene again.
     pattern : SweepPattern
         From `raystream.sweep_patterns`, or your own.
     motion : SensorTrack
@@ -159,9 +159,9 @@ def lidar_sweep(
         Time at which the sweep starts, in the units of the motion and of the scene's animation:
         seconds. Pulse i is fired at ``start + pattern.times[i]``.
     time_steps : int
-        Of an animated scene: the sweep is cut into this many parts of equal time, and the scene
-        is posed once for each, in the middle of it. A surface is then up to speed * duration /
-        (2 * time_steps) from its place at the time of the pulse. Each part costs a
+        For an animated scene: the sweep is divided into this many intervals of equal length, and
+        the scene is posed once for each, at its middle. A surface is then up to speed * duration /
+        (2 * time_steps) from its place at the time of the pulse. Each interval costs a
         `Tracer.update`. Poses of the sensor are exact for each pulse in any case.
     progress : callable, optional
         Called with (pulses done, pulses).

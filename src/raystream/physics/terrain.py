@@ -104,17 +104,17 @@ class Terrain:
         observer : array_like of shape (2,), real
             x and y of the observer, on ground with data.
         height : float
-            Of the eye above the ground there, more than 0.
+            Height of the eye above the ground there, greater than 0.
         target_height : float
-            Of what is looked at above the ground, in each cell.
+            Height of the target above the ground, in each cell.
         max_distance : float
-            From the eye to what is looked at; farther cells are not visible.
+            Maximum distance from the eye to the target; farther cells are not visible.
         earth_radius : float, optional
-            Of a curved Earth, in the units of the raster: 6,371,000 m on average [default: the
-            Earth is flat].
+            Radius of a curved Earth, in the units of the raster: 6,371,000 m on average [default:
+            the Earth is flat].
         refraction : float
-            Coefficient of refraction: the curvature of lines of sight, as part of the Earth's. For
-            light 0.13 is usual (Gauss), for radio waves 0.25.
+            Coefficient of refraction: the curvature of lines of sight as a fraction of the
+            Earth's. Usual values are 0.13 for light (Gauss) and 0.25 for radio waves.
         progress : callable, optional
             Called with (rows done, rows).
 
@@ -122,8 +122,8 @@ class Terrain:
         -------
         ndarray of shape (H, W), bool, or DataArray
             Whether the line from the eye to the centre of each cell is clear: no triangle is in
-            the way but those around that cell. False where there is no data. A DataArray, named
-            "viewshed", if the terrain was made of one.
+            the way except those around that cell. False where there is no data. A DataArray, named
+            "viewshed", if the terrain was made from one.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Terrain:
             float32, see Notes), `target_height` or `max_distance` is negative or NaN, or
             `earth_radius` is less than the distance of a cell; or `refraction` is given without it.
         MemoryError
-            If with `earth_radius` a second terrain does not fit into memory.
+            If, with `earth_radius`, a second terrain does not fit into memory.
 
         Notes
         -----
@@ -140,9 +140,9 @@ class Terrain:
         terrain's size (1 cm in 10 km) may be reported either way. Rays are traced in bands of rows,
         which bounds the memory.
 
-        With `earth_radius` cells at a distance d from the observer, on the map, are lowered by
+        With `earth_radius`, cells at a distance d from the observer on the map are lowered by
         (1 - refraction) d**2 / (2 earth_radius), and lines are straight [1]_. That is a sphere's
-        drop but for d**4 / (24 earth_radius**3): 2 cm in 100 km. The lowered terrain is built
+        drop except for d**4 / (24 earth_radius**3): 2 cm in 100 km. The lowered terrain is built
         for each call.
 
         References
@@ -182,11 +182,11 @@ class Terrain:
         Parameters
         ----------
         azimuth : float
-            Of the sun, degrees clockwise from north, the direction of increasing y.
+            Azimuth of the sun, in degrees clockwise from north, the direction of increasing y.
         altitude : float
-            Of the sun, degrees above the horizon, more than 0 and at most 90.
+            Altitude of the sun, in degrees above the horizon, greater than 0 and at most 90.
         shadows : bool
-            Trace rays, and shade what lies in the shadow of other ground.
+            Trace rays to find the ground that lies in the shadow of other ground.
         progress : callable, optional
             Called with (rows done, rows).
 
@@ -195,7 +195,7 @@ class Terrain:
         ndarray of shape (H, W), float32, or DataArray
             Cosine of the angle between the sun and the ground's normal, 0 to 1; 0 where the ground
             faces away or, with `shadows`, in shadow; NaN where there is no data, or no neighbour in
-            the row or in the column. A DataArray, named "hillshade", if the terrain was made of
+            the row or in the column. A DataArray, named "hillshade", if the terrain was made from
             one.
 
         Raises
@@ -206,7 +206,7 @@ class Terrain:
         Notes
         -----
         Slopes are those of the parabola through a cell and its neighbours in the row, and in the
-        column; of a line, at the border and beside cells without data.
+        column; at the border and next to cells without data, those of a line.
         """
         azimuth, altitude = as_number("azimuth", azimuth), as_number("altitude", altitude)
         if not math.isfinite(azimuth):
@@ -253,9 +253,9 @@ class Terrain:
         ground = float(self._elevation.at(*place[:, None])[0])
         if math.isnan(ground):
             raise ValueError(
-                f"observer: no ground at ({place[0]:g}, {place[1]:g}); x is from "
+                f"observer: no ground at ({place[0]:g}, {place[1]:g}); x ranges from "
                 f"{self.x.min():g} to {self.x.max():g}, y from {self.y.min():g} to "
-                f"{self.y.max():g}, without cells that have no data"
+                f"{self.y.max():g}, except cells without data"
             )
         least = _LEAST_HEIGHT * self._size
         height = as_number("height", height)
@@ -327,30 +327,30 @@ def terrain(
     progress: Progress | None = None,
     **options: Any,
 ) -> Terrain:
-    """Make a scene of an elevation raster.
+    """Make a scene from an elevation raster.
 
     Parameters
     ----------
     dem : array_like of shape (H, W), real, or xarray.DataArray
         Heights at the centres of cells, at least 2 x 2. NaN, or masked, where there is no data.
-        Of a DataArray the last dimension is x; its coordinates are used, if it has any, and
-        ``attrs["_FillValue"]``.
+        The last dimension of a DataArray is x; its coordinates, if any, and
+        ``attrs["_FillValue"]`` are used.
     spacing : float or array_like of shape (2,), optional
         Distance between columns, and between rows; negative if rows run from north to south. The
         first cell's centre is at (0, 0) [default: 1].
     transform : sequence of 6 or 9 numbers, optional
-        In place of `spacing`, as rasterio's ``Affine`` (a, b, c, d, e, f): the corner of column i
+        Instead of `spacing`, as rasterio's ``Affine`` (a, b, c, d, e, f): the corner of column i
         and row j is at x = a i + c, y = e j + f. Rotated rasters (b or d not 0) are not supported.
     nodata : float, optional
         A height that stands for no data.
     surface : {"mesh", "height field"}
         How the triangles are kept: as a mesh, or as `Scene.height_field`, which is ready at once
-        and takes a fifteenth of the memory. Rays of all directions are about twice as fast with a
+        and takes a fifteenth of the memory. Rays in all directions are about twice as fast with a
         mesh, and all structures, devices and queries support it. Results are the same.
     progress : callable, optional
         Called with (triangles done, triangles) during a long build.
     **options
-        Of the `Tracer`, such as ``structure`` and ``device``.
+        Options of the `Tracer`, such as ``structure`` and ``device``.
 
     Returns
     -------
@@ -359,8 +359,9 @@ def terrain(
     Raises
     ------
     ValueError
-        If `dem` has another shape, infinite heights, or dimensions in degrees (heights are not);
-        if coordinates do not increase or decrease throughout; or if `surface` is unknown.
+        If `dem` has the wrong shape, infinite heights, or dimensions in degrees, unlike the
+        heights; if coordinates neither increase nor decrease throughout; or if `surface` is
+        unknown.
     TypeError
         If `dem` does not hold real numbers.
     MemoryError
@@ -372,7 +373,7 @@ def terrain(
     Each square of four neighbouring centres is two triangles, split from the corner of the lower
     row and column number to the opposite one; triangles share vertices, so that no ray slips
     between them. Triangles with a corner without data are left out: such cells are holes. Results
-    are those of this surface: nothing is known of the ground between the centres.
+    are those of this surface: nothing is known about the ground between the centres.
 
     Examples
     --------

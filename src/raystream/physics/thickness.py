@@ -126,7 +126,7 @@ class Thickness(RayRows):
 
     @cached_property
     def is_complete(self) -> NDArray[np.bool_]:
-        """Whether a ray is valid and all its crossings are paired; of the leading shape."""
+        """Whether each ray is valid and all its crossings are paired; of the leading shape."""
         complete = self.status.ravel() == RayStatus.VALID
         complete[self.unpaired_ray] = False
         return complete.reshape(self.status.shape)

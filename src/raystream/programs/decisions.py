@@ -15,7 +15,7 @@ class Decision(enum.IntEnum):
     CONTINUE
         The ray continues; the same as returning None.
     STOP
-        The ray ends: the program gets none of its later hits.
+        The ray ends: the program receives no later hits of it.
     IGNORE
         The ray continues, and the query ignores the hit.
     """

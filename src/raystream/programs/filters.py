@@ -37,7 +37,7 @@ def _keep_all(hit: Any) -> bool:
 
 
 class Bound(NamedTuple):
-    """A filter with constants passed at run time, so that others need no compilation.
+    """A filter with constants passed at run time: new values need no compilation.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Bound(NamedTuple):
     constants : tuple
         Numbers, and tuples of numbers.
     kept : object
-        Keeps the memory at addresses among them alive.
+        Keeps alive the memory at addresses among the constants.
     """
 
     function: Callable[..., Any]

@@ -42,7 +42,7 @@ _NO_INSTANCE = np.int32(0)
 
 
 class Hit(NamedTuple):
-    """A hit, as an argument of programs. Unused fields are not computed.
+    """A hit, as an argument of a program. Unused fields are not computed.
 
     Attributes
     ----------

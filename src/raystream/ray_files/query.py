@@ -49,7 +49,7 @@ class QueryReport:
     rays_hit, hits : int
         Number of rays that hit anything, and number of all hits.
     invalid_rays : int or None
-        None if the query does not report it.
+        Number of invalid rays; None if the query does not report it.
     seconds : float
         Duration of this run, from the first ray read to the last hit written.
     reading_wait, writing_wait : float
@@ -92,8 +92,8 @@ def query_zarr(
         ``t``, ``u``, ``v``, ``prim_id``, ``mesh_id`` and ``status``, ``any_hit`` writes ``hit``,
         and ``count_hits`` writes ``count``; each of shape S. ``multi_hit`` writes ``status``
         of shape S, ``ray_splits`` of shape (N + 1,), and ``t``, ``u``, ``v``, ``prim_id`` of
-        shape (K,). In a scene with instances ``first_hit`` and ``multi_hit`` write ``instance_id``,
-        too. The bits equal those of tracing all rays at once.
+        shape (K,). In a scene with instances, ``first_hit`` and ``multi_hit`` also write
+        ``instance_id``. The bits equal those of tracing all rays at once.
     query : {"first_hit", "any_hit", "multi_hit", "count_hits"}
     max_hits : int, optional
         ``multi_hit`` only: keep the nearest hits of each ray.

@@ -87,7 +87,7 @@ def prepare_output(
     elif not found and any(target.iterdir()):
         raise FileFormatError(target, "holds files other than hits; choose another output")
     if not is_replaceable(target):
-        raise FileFormatError(target, "holds files beside hits; choose another output")
+        raise FileFormatError(target, "holds other files besides hits; choose another output")
     # The journal first: until a block is done, it marks the folder's content as replaceable.
     write_journal(record, identity, QueryProgress())
     remove_store(target)

@@ -92,12 +92,12 @@ class CheckpointArrays:
             found = f"{array.dtype} of shape {array.shape}"
             raise FileFormatError(self.path, f"array {name!r} is {found}, expected {shape}")
         if not np.isfinite(array).all() or (array.size and array.min() < least):
-            raise FileFormatError(self.path, f"array {name!r} holds numbers that no sums have")
+            raise FileFormatError(self.path, f"array {name!r} holds numbers that cannot be sums")
         return array
 
     def _array(self, name: str) -> NDArray[Any]:
         if name not in self.arrays:
-            raise FileFormatError(self.path, f"is no checkpoint: lacks the array {name!r}")
+            raise FileFormatError(self.path, f"is not a checkpoint: it lacks the array {name!r}")
         return self.arrays[name]
 
 

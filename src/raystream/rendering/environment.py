@@ -80,7 +80,7 @@ def image_light(lights: Sequence[Light]) -> EnvironmentLight | None:
     found = [light for light in lights if isinstance(light, EnvironmentLight)]
     found = [light for light in found if light.image is not None]
     if len(found) > 1:
-        raise ValueError(f"lights: one environment light may have an image, {len(found)} have")
+        raise ValueError(f"lights: only one environment light may have an image, not {len(found)}")
     return found[0] if found else None
 
 

@@ -88,12 +88,12 @@ def read_exr(path: str) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
             _check_header(path, openexr, len(file.parts), file.header())
         with openexr.File(path, separate_channels=True) as file:
             if not file.parts:  # OpenEXR prints why, and raises nothing
-                raise FileFormatError(path, "is not a whole .exr file")
+                raise FileFormatError(path, "is not a complete .exr file")
             channels = {name: _plain(it.pixels) for name, it in file.channels().items()}
     except (FileFormatError, MemoryError):
         raise
     except Exception as error:  # OpenEXR raises many types for corrupt files
-        raise FileFormatError(path, f"is not a whole .exr file ({error})") from error
+        raise FileFormatError(path, f"is not a complete .exr file ({error})") from error
     colors = [channels.pop(name, None) for name in "RGB"]
     if all(plane is None for plane in colors) and "Y" in channels:
         colors = [channels.pop("Y")] * 3

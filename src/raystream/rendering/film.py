@@ -58,7 +58,7 @@ class Film:
     dropped : int
         Number of samples that were not finite; they count as black.
     targets : ndarray of shape (T,), int64, optional
-        Samples that tiles get in a round that has begun, see `adaptive.Rounds`.
+        Target numbers of samples of the tiles in the current round, see `adaptive.Rounds`.
 
     Raises
     ------

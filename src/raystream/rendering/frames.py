@@ -63,10 +63,10 @@ def render_frames(
     Parameters
     ----------
     scene : Scene
-        With an animation or a camera track, or still, if `camera` moves.
+        With an animation or a camera track, or static, if `camera` moves.
     mode, size, samples, structure, device, **options
-        As for `render`, without ``checkpoint`` and ``on_pass``; noise and time limits apply to
-        each frame.
+        As for `render`, except ``checkpoint`` and ``on_pass``; noise and time limits apply to each
+        frame.
     frames : slice, int or iterable of int, optional
         Frames to render [default: all]; see `Timeline.chosen`.
     fps : float, optional
@@ -75,7 +75,7 @@ def render_frames(
         The view [default: the scene's camera, which may move, or one chosen for the scene as
         given, see `Scene.camera_for`].
     seed : int
-        Of the animation; each frame has its own, see `frame_seed`.
+        Seed of the animation; each frame has its own, see `frame_seed`.
     progress : callable, optional
         Called with (rays done, rays) of all frames.
 
@@ -84,9 +84,9 @@ def render_frames(
     iterator of (int, Image)
         Number and image of each frame, rendered on demand. Frame i is ``render(scene.at(time),
         ..., seed=frame_seed(seed, i))`` at the time ``start + i / fps``, bit for bit if both trace
-        in the same local frame, as ordinary scenes do. Whether ``lights="auto"``
-        adds lights depends on no frame's view, else they would flicker; the sun and the light at
-        the eye that are added follow the camera.
+        in the same local frame, as ordinary scenes do. Whether ``lights="auto"`` adds lights does
+        not depend on a frame's view, else they would flicker; an added sun and light at the eye
+        follow the camera.
 
     Raises
     ------

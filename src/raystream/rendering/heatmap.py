@@ -48,7 +48,7 @@ class RayCost:
     mean : float
         Per ray.
     most : int
-        Of a single ray.
+        The largest count of a single ray.
     total : int
     """
 
@@ -92,7 +92,7 @@ class Heatmap:
     structure : str
         Name of the structure.
     passes : PassCost or None
-        Of a multipass machine only.
+        Only with a multipass machine.
     maximum : float, optional
         Top of the scale [default: the largest count]. ``dataclasses.replace(heat, maximum=50)``
         draws the same counts on another scale.
@@ -165,7 +165,7 @@ def heatmap(
         Top of the scale, to make images comparable [default: the largest count of a pixel].
         Larger counts are clamped, and the scale bar says so.
     seed : int
-        Of the samples' positions, 0 to 2**32 - 1.
+        Seed of the samples' positions, 0 to 2**32 - 1.
     progress : callable, optional
         Called with (rays done, rays).
 

@@ -321,8 +321,8 @@ class Integrator:
             return self.default_samples
         if sampler == "stratified":
             raise ValueError(
-                "samples: give their number, with noise or time_limit too, to the sampler "
-                "'stratified', which divides each pixel into as many parts"
+                "samples: required by the sampler 'stratified', also with noise or time_limit: "
+                "it divides each pixel into this number of parts"
             )
         return MOST_SAMPLES
 

@@ -70,5 +70,5 @@ def read_png(path: str) -> NDArray[np.float32]:
     except (FileFormatError, MemoryError):
         raise
     except Exception as error:  # Pillow raises many types for corrupt files
-        raise FileFormatError(path, f"is not a whole .png file ({error})") from error
+        raise FileFormatError(path, f"is not a complete .png file ({error})") from error
     return decode_srgb(encoded)

@@ -78,39 +78,40 @@ def render(
     structure, device
         See `Tracer`; not allowed if `scene` is a tracer.
     **options
-        Of the mode: ``max_bounces``, the maximum number of surfaces that scatter light
+        Options of the mode: ``max_bounces``, the maximum number of surfaces that scatter light
         (``"path"`` and ``"whitted"``: 8, ``"kajiya"``: 3); ``min_weight``, below which rays end
         (``"whitted"``: 1/512); ``shadows=False``, without shadow rays (``"whitted"``);
         ``light_samples=False`` turns next-event estimation off, ``diffuse_only=True`` all
         reflection but the diffuse one, and ``preset="arnold"`` both, with two bounces: Purcell's
         path tracer (``"path"``); ``clamp``, a bound on the indirect light of a sample (``"path"``
         and ``"kajiya"``: inf); ``rays`` per hit, and their length ``distance`` (``"ao"``: 32, a
-        tenth of the diagonal of the scene's bounds; inf for unlimited); ``opacity`` of a sheet,
-        or ``absorption`` of solids per world unit (``"xray"``: 0.2, None). All others are
-        passed to the tracer.
+        tenth of the diagonal of the scene's bounds; inf for unlimited); ``opacity`` of a sheet, or
+        ``absorption`` of solids per world unit (``"xray"``: 0.2, None). All others are passed to
+        the tracer.
     camera : Camera, optional
         The view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     lights : {"auto", "file", "added"}
         ``"auto"`` adds a light if the scene has none, or if its lights are too weak to see
         anything: a sun and a sky (``"path"``, ``"kajiya"``), or a headlight (``"raycast"``,
         ``"shadow"``, ``"whitted"``); see `lighting.needs_light` for the criterion. If what the
-        camera sees is dark nevertheless, as in a closed room, paths get all three; see
-        `view_light.lit`. ``"file"`` uses the scene's lights only; ``"added"`` adds in any case.
+        camera sees is dark nevertheless, as in a closed room, ``"path"`` and ``"kajiya"`` add all
+        three; see `view_light.lit`. ``"file"`` uses the scene's lights only; ``"added"`` adds
+        lights in any case.
     seed : int
-        Of the samples: the same seed gives the same image, on any number of threads.
+        Seed of the samples: the same seed gives the same image, on any number of threads.
     noise, time_limit : float, optional
         Stop early once the image's estimated relative error is below `noise`, or after
         `time_limit` seconds; see `limits.Limits`. Until then, noisy tiles of the image get more
         samples than others, at most `samples` per pixel; see `adaptive.Rounds`. Devices other
-        than the CPU, and the multipass machine, give all pixels the same number.
+        than the CPU, and the multipass machine, give all pixels the same number of samples.
     sampler : {"sobol", "stratified", "random"}
-        The random number generator of samples. With `noise` or `time_limit`, "stratified" needs
-        `samples`, too.
+        The random number generator of samples. With `noise` or `time_limit`, "stratified" also
+        needs `samples`.
     layers : list of {"depth", "normal", "albedo", "prim_id", "emission"}, or "all", optional
-        Extra layers (AOVs), beside ``variance`` and ``samples``: values at the first hits of the
-        pixels' samples, averaged, or of the first sample for ``prim_id``. Depth is the distance
-        from the ray's origin, inf for a miss; normals are in world space and face the camera;
-        albedo is the diffuse and glossy reflectance; prim_id is -1 for a miss; emission is
+        Extra layers (AOVs), in addition to ``variance`` and ``samples``: values at the first hits
+        of the pixels' samples, averaged, or of the first sample for ``prim_id``. Depth is the
+        distance from the ray's origin, inf for a miss; normals are in world space and face the
+        camera; albedo is the diffuse and glossy reflectance; prim_id is -1 for a miss; emission is
         light that needs no secondary ray. The image has the same bits with or without layers.
     checkpoint : path, optional
         A file of samples, from which an interrupted image is resumed; see
@@ -123,7 +124,7 @@ def render(
     Returns
     -------
     Image
-        Linear RGB, with the layers ``variance`` and ``samples``, and those given.
+        Linear RGB, with the layers ``variance`` and ``samples``, and those requested.
 
     Raises
     ------

@@ -82,8 +82,8 @@ def write_video(
     path : str or path
         ``.gif`` (256 colours per frame, at most 50 frames per second), ``.webp`` or ``.apng``;
         ``.mp4``, ``.webm``, ``.mkv`` or ``.mov`` with the ffmpeg of imageio-ffmpeg (needs
-        ``raystream[video]``; ``IMAGEIO_FFMPEG_EXE`` names another); it chooses the codec. Written
-        atomically.
+        ``raystream[video]``; ``IMAGEIO_FFMPEG_EXE`` names another one), which chooses the codec.
+        Written atomically.
     images : iterable of Image, or of ndarray of shape (H, W, 3), uint8
         All of the same size; arrays are sRGB.
     fps : float
@@ -97,7 +97,7 @@ def write_video(
         If the suffix is not supported, there are no images, their sizes differ, or `fps` is not
         above 0.
     RaystreamError
-        If ffmpeg is missing or fails; the message has the last line of its output.
+        If ffmpeg is missing or fails; the message contains the last line of its output.
     OSError
         If the file cannot be written.
     """

@@ -57,7 +57,7 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
         why = "are too weak to see by" if is_weak else "do not reach what the camera sees"
         warnings.warn(
             f"the scene's own lights {why}: added {added} (lights='file' or --lights file uses "
-            "the scene's own only)",
+            "only the scene's own)",
             RaystreamWarning,
             stacklevel=3,
         )

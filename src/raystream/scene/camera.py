@@ -41,8 +41,8 @@ def unit_vector(name: str, values: ArrayLike) -> NDArray[np.float64]:
 class Camera:
     """A camera in a right-handed world; a pinhole by default.
 
-    Parameters that a projection does not use are ignored, so that one can be replaced without
-    the others; but only a perspective camera can have a lens.
+    Parameters that a projection does not use are ignored, so that the projection can be replaced
+    alone; but only a perspective camera can have a lens.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ class Camera:
     projection : {"perspective", "orthographic", "equirectangular"}
         The volume shown: a pyramid in front of the eye; a box, by parallel rays that see
         nothing behind the eye; or the whole sphere around the eye, 360 degrees of longitude
-        across and 180 of latitude down, with the view in the centre, where pixels are square
-        if the image is twice as wide as high.
+        across and 180 of latitude down, with the view direction in the centre, where pixels are
+        square if the image is twice as wide as high.
     height : float, optional
         Height of an orthographic image, world units, above 0 [default: the height that a
         perspective camera of this `fov` shows at `look_at`].
@@ -187,10 +187,10 @@ class Camera:
             (column, row) covers [column, column + 1) x [row, row + 1) [default: every
             pixel's centre, S = (height, width)].
         lens : array_like of shape S + (2,), float, optional
-            Samples in [0, 1) of the point where each ray passes the lens, mapped uniformly to
-            its disk, to the right and upward; (0.5, 0.5) is its centre. The leading shape is
-            broadcast against `x` and `y`, even if the camera has no lens [default: the centre
-            of the lens].
+            Samples in [0, 1) of the point where each ray passes through the lens, mapped uniformly
+            to its disk, to the right and upward; (0.5, 0.5) is its centre. The leading shape is
+            broadcast against `x` and `y`, even if the camera has no lens [default: the centre of
+            the lens].
 
         Returns
         -------
@@ -199,8 +199,8 @@ class Camera:
             (read-only). Orthographic: points of the plane through the eye. With `lens`:
             points of the lens.
         directions : ndarray of shape S + (3,), float32
-            Unit length, world space; orthographic: all the same. With `lens`: toward the
-            point where the pinhole's ray intersects the plane in focus.
+            Unit length, world space; orthographic: all the same. With `lens`: toward the point
+            where the pinhole ray intersects the plane in focus.
 
         Raises
         ------

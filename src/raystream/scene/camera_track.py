@@ -43,7 +43,7 @@ class CameraTrack:
     Parameters
     ----------
     still : Camera
-        The camera at rest; also its eye or its view, if there are no keys for them.
+        The camera at rest; it also provides the eye or the view if that has no keys.
     positions : array_like of shape (K, 4) or (K, 7), optional
         Keys of the eye: time; x, y, z, world space; and tension, continuity, bias [default:
         0]. Times must not decrease.
@@ -60,7 +60,7 @@ class CameraTrack:
     Raises
     ------
     ValueError
-        If there are no keys, or they are of another shape, not finite or out of order.
+        If there are no keys, or they have the wrong shape, are not finite or are out of order.
 
     References
     ----------

@@ -86,10 +86,10 @@ def daylight(
     Parameters
     ----------
     azimuth : float
-        Of the sun in degrees, clockwise as seen from above: 0 is north and 90 is east. East is the
-        world's +x, north is -z where y is up, and +y where z is up.
+        Azimuth of the sun in degrees, clockwise as seen from above: 0 is north and 90 is east.
+        East is the world's +x; north is -z if y is up, and +y if z is up.
     elevation : float
-        Of the sun above the horizon in degrees, above 0 and at most 90.
+        Elevation of the sun above the horizon in degrees, greater than 0 and at most 90.
     up : array_like of shape (3,)
         World space; need not be unit length. See :attr:`Scene.up`.
     turbidity : float
@@ -110,7 +110,8 @@ def daylight(
     -----
     Luminance and colour of the sky follow the model of Preetham, Shirley and Smits ("A Practical
     Analytic Model for Daylight", 1999), with Perez' distribution; the sun is dimmed by air, ozone
-    and haze as there, at three wavelengths. Close to the horizon the model is less exact.
+    and haze as in that paper, at three wavelengths. The model is less accurate close to the
+    horizon.
 
     Examples
     --------

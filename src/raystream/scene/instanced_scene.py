@@ -41,21 +41,21 @@ class InstancedScene:
         Parameters
         ----------
         objects : Mesh, Scene, or sequence of them
-            In a space of their own, object space. A list of meshes within the sequence is one
-            object. Of a scene, its meshes and materials are used,
-            not its lights and cameras. One that has instances itself is placed with them: each of
-            its instances becomes one in this scene, for each time that it is placed.
+            In their own space, object space. A list of meshes within the sequence is one object.
+            Only the meshes and materials of a scene are used, not its lights and cameras. A scene
+            may have instances itself: each time it is placed, each of its instances becomes an
+            instance of the new scene.
         transforms : array_like of shape (K, 3, 4) or (3, 4), real
             Object to world space: ``world = transforms[k, :, :3] @ point + transforms[k, :, 3]``,
-            in float64. They may mirror, shear, and scale by axis.
+            in float64. They may mirror, shear, and scale each axis differently.
         object_ids : array_like of shape (K,), int, optional
             The object of each instance [default: the only object].
         worlds : array_like of shape (K,), int, optional
-            The world of each instance, from 0, or -1 for one that is in all worlds. Queries then
-            take the world of each ray, which meets no instance of another one: thousands of
-            copies of a small scene, in different states, answer one batch.
+            The world of each instance, from 0, or -1 for an instance in all worlds. Queries then
+            take the world of each ray, and the ray ignores instances in other worlds: one batch of
+            rays can query thousands of copies of a small scene in different states.
         materials : sequence of Material, optional
-            Of objects that are meshes. Those of scenes follow.
+            Materials of the objects that are meshes. Those of scenes follow.
         **parts
             ``lights``, ``camera`` and other parameters of `Scene`.
 
@@ -63,14 +63,14 @@ class InstancedScene:
         -------
         Scene
             Its `meshes` are those of the objects: ``prim_id``, ``mesh_id`` and ``material_id`` of
-            hits name triangles, meshes and materials however often they are placed, and
-            ``instance_id`` says which instance is hit.
+            hits refer to the objects' triangles, meshes and materials, however often they are
+            placed; ``instance_id`` identifies the instance that is hit.
 
         Raises
         ------
         ValueError
-            If a shape is wrong, there is no such object, a transform is not finite, or singular or
-            nearly so (a condition number beyond 1e9). A tracer raises it for 2**31 triangles or
+            If a shape is wrong, an object does not exist, or a transform is not finite, singular
+            or nearly so (a condition number above 1e9). A tracer raises it for 2**31 triangles or
             more in all instances.
         TypeError
             If an object is neither a mesh nor a scene, or the numbers are of the wrong kind.
@@ -79,14 +79,14 @@ class InstancedScene:
 
         Notes
         -----
-        A ray is moved to object space in float64 and traced there. So the hits in an instance have
-        the bits of a tracer of the object alone, for the moved ray. Hits of one ray at equal t, as
-        it is reported: the lowest instance_id first, then the lowest prim_id. A direction longer
-        than 2**500, or shorter than its inverse, makes a ray INVALID.
+        A ray is transformed to object space in float64 and traced there, so hits in an instance
+        have the same bits as hits of the transformed ray in a tracer of the object alone. Hits of
+        one ray at equal t, as reported, are ordered by instance_id, then by prim_id. A ray whose
+        direction is longer than 2**500 or shorter than 2**-500 is INVALID.
 
         ``structure="bvh"`` and ``"brute"`` trace and render such scenes on the CPU, CUDA and, with
-        its machine ``"compute"``, ``device="graphics"``. For closest points, view factors and other
-        machines make a plain scene by `flattened`.
+        its machine ``"compute"``, ``device="graphics"``. For closest points, view factors and
+        other machines, use `flattened` to make a plain scene.
 
         Examples
         --------
@@ -108,12 +108,12 @@ class InstancedScene:
 
     @property
     def geometry(self) -> Geometry:
-        """The meshes with what is derived from them, shared by scenes."""
+        """The meshes and the data derived from them, shared between scenes."""
         return self._geometry
 
     @property
     def placements(self) -> Instances | None:
-        """The instances: ``object_ids``, ``transforms`` and ``inverses``; None without any."""
+        """The instances: ``object_ids``, ``transforms`` and ``inverses``, or None."""
         geometry = self._geometry
         return geometry.instances if isinstance(geometry, InstancedGeometry) else None
 
@@ -126,7 +126,7 @@ class InstancedScene:
         return is_same and all(map(operator.is_, own.meshes, others.meshes))
 
     def with_transforms(self, transforms: Any) -> Self:
-        """Copy the scene with its instances elsewhere; the objects are shared.
+        """Copy the scene with its instances moved; the objects are shared.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class InstancedScene:
         Raises
         ------
         ValueError, TypeError
-            If there are no instances, and as `instances`.
+            If there are no instances; otherwise as `instances`.
         """
         geometry = self._geometry
         if not isinstance(geometry, InstancedGeometry):
@@ -145,7 +145,7 @@ class InstancedScene:
         return self._with(_geometry=moved)
 
     def flattened(self) -> Self:
-        """The same scene without instances: each one's meshes are copied to where it is.
+        """The same scene without instances: the meshes of each are copied to its place.
 
         Returns
         -------

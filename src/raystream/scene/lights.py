@@ -76,8 +76,8 @@ class SpotLight:
     intensity : Color
         Radiant intensity inside `inner_angle`, linear RGB.
     inner_angle, outer_angle : float
-        Between the axis and the directions where the light begins to fade, and where it ends, in
-        degrees; 0 <= inner < outer <= 90.
+        Angles between the axis and the directions at which the light begins to fade and at which
+        it ends, in degrees; 0 <= inner < outer <= 90.
     """
 
     position: Vector
@@ -132,21 +132,21 @@ class EnvironmentLight:
     """Light from every direction: of constant radiance, or an environment map.
 
     The map is equirectangular: its top row is around `up`, its bottom row around the opposite
-    direction, and its columns span 360 degrees. With no rotation, the column a quarter of its
-    width to the right of the centre is at the world's +x (projected perpendicular to `up`; +z
-    where `up` is along x), and its centre at the cross product of `up` and that axis: at -z
-    where y is up, at +y where z is up. An equirectangular camera that looks there renders the
-    same image. Texels are interpolated bilinearly. A scene may have one such light.
+    direction, and its columns span 360 degrees. Without rotation, the column a quarter of the
+    width to the right of the centre is at the world's +x (projected perpendicular to `up`; +z if
+    `up` is along x), and the centre is at the cross product of `up` and that axis: at -z if y is
+    up, at +y if z is up. An equirectangular camera that looks there renders the same image. Texels
+    are interpolated bilinearly. A scene may have one such light.
 
     Parameters
     ----------
     radiance : Color
-        Linear RGB; multiplied with the image, if there is one.
+        Linear RGB; multiplied by the image, if there is one.
     image : path, or array_like of shape (H, W, 3), float, optional
         Linear radiance, or a file, read on first use: ``.hdr`` (Radiance) and ``.exr``
         hold radiance, ``.png``, ``.jpg`` and ``.jpeg`` are decoded from sRGB.
     up : Vector
-        The world's direction at the top of the image; need not be unit length.
+        World direction at the top of the image; need not be unit length.
     rotation : float
         Rotation of the image about `up` in degrees, counterclockwise as seen from above.
 

@@ -36,14 +36,14 @@ def load(
         For animated scenes (AFF, glTF): the time to show, in the file's units. At 0, glTF
         shows its rest pose; see also `Scene.at`.
     triangles : int, optional
-        For built-in scenes: the approximate number of triangles. More than 500 million are made
-        with instances, where the scene has such a form.
+        For built-in scenes: the approximate number of triangles. Above 500 million, they are made
+        with instances if the scene has such a form.
     instances : bool
-        For glTF files: keep a mesh that several nodes have, or that has copies by
-        ``EXT_mesh_gpu_instancing``, once, with instances; see `Scene.instances`. Such a scene is
-        not animated. Otherwise each is a copy. For the built-in scenes ``"forest"`` and
-        ``"robots"``: keep each kind of tree, or each part of a robot, once, for up to two billion
-        triangles.
+        For glTF files: store a mesh that several nodes use, or that ``EXT_mesh_gpu_instancing``
+        copies, once, with instances; see `Scene.instances`. Such a scene is not animated.
+        Otherwise, the mesh is copied for each use. For the built-in scenes ``"forest"`` and
+        ``"robots"``: store each kind of tree, or each part of a robot, once, which allows up to
+        two billion triangles.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def load(
     Raises
     ------
     FileFormatError
-        If there is no such file or name, or the file cannot be used: a message of one line.
+        If there is no such file or name, or the file cannot be used. The message is one line.
     ValueError
         If `time`, `triangles` or `instances` does not apply to the source.
 
@@ -61,7 +61,7 @@ def load(
     -----
     RaystreamWarning
         If only part of the file could be used: triangles without area or with indices out of
-        range, missing textures. Also if it holds no triangles: the scene is then empty, and
+        range, missing textures. Also if it contains no triangles: the scene is then empty, and
         every ray misses.
 
     Examples

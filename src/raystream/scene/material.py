@@ -48,31 +48,33 @@ class Material:
         Mirror reflectance, for reflected rays.
     transmission : Color
         Transmittance, for refracted rays (MTL ``Tf``, BART ``T``). With `roughness` it is a part
-        of `diffuse`, as in glTF: only the rest is scattered, and metal transmits nothing. Times
-        the red of the texture ``"transmission"``.
+        of `diffuse`, as in glTF: only the rest is scattered, and metal transmits nothing. It is
+        multiplied by the red channel of the texture ``"transmission"``.
     ior : float
         Index of refraction (MTL ``Ni``).
     emission : Color
-        Radiance that the front side emits (MTL ``Ke``); non-zero makes area lights.
+        Radiance that the front side emits (MTL ``Ke``); if it is not zero, the triangles are area
+        lights.
     opacity : float
-        1 is solid, 0 is invisible (MTL ``d``, glTF alpha); times the texture ``"opacity"``. It
-        is the fraction of rays that see the surface.
+        1 is solid, 0 is invisible (MTL ``d``, glTF alpha); multiplied by the texture
+        ``"opacity"``. It is the fraction of rays that see the surface.
     roughness, metallic : float or None
         glTF's parameters; None if the file has none.
     normal_reflectance : Color
-        With `roughness`, reflectance of what is not metal at normal incidence; times the texture
-        ``"specular"``, and the red of ``"reflectance"`` [default: of an index of refraction of
-        1.5].
+        With `roughness`, reflectance of non-metals at normal incidence; multiplied by the texture
+        ``"specular"`` and by the red channel of ``"reflectance"`` [default: that of an index of
+        refraction of 1.5].
     grazing_reflectance : float
-        With `roughness`, the same at grazing incidence; times the red of ``"reflectance"``.
+        With `roughness`, the same at grazing incidence; multiplied by the red channel of
+        ``"reflectance"``.
     double_sided : bool
         False if only the front is visible (glTF); tracing hits both sides.
     textures : mapping of str to Texture
         By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
         ``"normal"``, ``"metallic_roughness"``, ``"reflectance"``, ``"transmission"``,
-        ``"occlusion"``, and those of coat and sheen.
-        Opacity is read from the alpha channel, or from the luminance where that is missing or 1
-        everywhere. Occlusion is not used: rays compute it.
+        ``"occlusion"``, and those of the coat and the sheen. Opacity is read from the alpha
+        channel, or from the luminance if alpha is missing or 1 everywhere. Occlusion is not used:
+        rays compute it.
     normal_scale : float
         Factor of a normal map's x and y: 0 is flat, negative swaps bumps and dents.
     bump_scale : float
@@ -82,22 +84,22 @@ class Material:
         The surface is solid where the opacity is at least this, and absent elsewhere (glTF's
         ``MASK``) [default: partial opacity].
     absorption : Color
-        Absorption coefficient of the volume behind the surface: exp(-absorption d) is
-        transmitted over a world length d (Beer-Lambert law). It applies where a ray hits the
-        surface from behind, so meshes should be closed.
+        Absorption coefficient of the volume behind the surface: exp(-absorption d) is transmitted
+        over a length d in world units (Beer-Lambert law). It applies where a ray hits the surface
+        from behind, so meshes should be closed.
     clearcoat, clearcoat_roughness : float
         With `roughness`, the strength from 0 to 1 of a clear coat on both sides of the surface,
-        whose index of refraction is 1.5, and its roughness; times the red of the texture
-        ``"clearcoat"`` and the green of ``"clearcoat_roughness"``. It does not dim the light that
-        the surface emits.
+        with an index of refraction of 1.5, and its roughness; multiplied by the red channel of the
+        texture ``"clearcoat"`` and the green channel of ``"clearcoat_roughness"``. The coat does
+        not dim the light that the surface emits.
     clearcoat_normal_scale : float
-        As `normal_scale`, for ``"clearcoat_normal"``: the coat does not follow ``"normal"``.
+        As `normal_scale`, for ``"clearcoat_normal"``: the coat does not use ``"normal"``.
     sheen_color : Color
-        With `roughness`, colour of fibres, as of velvet, above the surface and below the coat; at
-        most 1, and times the texture ``"sheen_color"``.
+        With `roughness`, colour of a layer of fibres, as on velvet, above the surface and below
+        the coat; at most 1, and multiplied by the texture ``"sheen_color"``.
     sheen_roughness : float
-        From 0, where only the silhouette shines, to 1; times the texture ``"sheen_roughness"``
-        of one channel.
+        From 0, where only the silhouette shines, to 1; multiplied by the texture
+        ``"sheen_roughness"``, which has one channel.
     """
 
     name: str = ""
@@ -148,7 +150,7 @@ class Material:
 
     @property
     def has_sheen(self) -> bool:
-        """Whether there are fibres with a sheen."""
+        """Whether the surface has a sheen."""
         return self.roughness is not None and any(self.sheen_color)
 
     @property

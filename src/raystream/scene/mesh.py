@@ -26,7 +26,7 @@ class Mesh:
     normals : array_like of shape (V, 3), float, optional
         Shading normals; need not be unit length.
     colors : array_like of shape (V, 3), float, optional
-        Linear RGB in [0, 1], multiplied with the material's diffuse colour.
+        Linear RGB in [0, 1], multiplied by the material's diffuse colour.
     texcoords : array_like of shape (V, 2), float, optional
         Texture coordinates; (0, 0) is the lower left corner of the image.
     material_ids : int or array_like of shape (F,), integer, optional
@@ -89,7 +89,7 @@ class Mesh:
         Raises
         ------
         ValueError
-            If the number of either differs.
+            If the number of vertices or normals differs.
         TypeError
             If they are not real numbers.
         """

@@ -30,12 +30,12 @@ class PrimitiveScene(InstancedScene):
         centers : array_like of shape (N, 3), real
             World space, scene units.
         radii : float or array_like of shape (N,), real
-            More than 0.
+            Greater than 0.
         material_ids : int or array_like of shape (N,), int
-            Of each sphere.
+            Material of each sphere.
         **parts
-            ``materials``, ``camera`` and other parameters of `Scene`, without ``meshes``:
-            `combine` puts spheres and meshes into one scene.
+            ``materials``, ``camera`` and other parameters of `Scene`, except ``meshes``: `combine`
+            puts spheres and meshes into one scene.
 
         Returns
         -------
@@ -44,7 +44,7 @@ class PrimitiveScene(InstancedScene):
         Raises
         ------
         ValueError
-            If a shape is wrong, a centre is not finite, or a radius is not finite and more than 0.
+            If a shape is wrong, a centre is not finite, or a radius is not finite or not above 0.
             A tracer raises it for 2**30 spheres or more.
         TypeError
             If the numbers are of the wrong kind.
@@ -52,12 +52,13 @@ class PrimitiveScene(InstancedScene):
         Notes
         -----
         A ray hits a sphere where it enters and where it leaves: two hits with the same prim_id,
-        also where it only touches the sphere. Normals point outwards. u and v say where on the
+        even where it only touches the sphere. Normals point outwards. u and v say where on the
         sphere a hit is, on the octahedron that the square [0, 1] x [0, 1] folds to (see
         `raystream.core.spheres.directions_at`); `positions` and `normals` follow from them.
 
-        Spheres are tested in float64 with the ray's own numbers: a hit or miss is that of a sphere
-        whose radius differs by no more than 2**-48 of (radius + distance from the ray's origin).
+        Spheres are tested in float64 with the ray's unrounded coordinates: the result is exact for
+        a sphere whose radius differs by at most 2**-48 of (radius + distance from the ray's
+        origin).
 
         ``structure="bvh"`` and ``"brute"`` on the CPU and CUDA answer `Tracer.first_hit`,
         `any_hit`, `multi_hit`, `count_hits` and `cast`.
@@ -86,17 +87,17 @@ class PrimitiveScene(InstancedScene):
         material_id: int = 0,
         **parts: Any,
     ) -> Self:
-        """Make a scene of terrain, from an array of heights and without triangles in memory.
+        """Make a scene of terrain from an array of heights, without storing triangles.
 
         Parameters
         ----------
         heights : array_like of shape (H, W), real
-            The z of samples on a grid, at least 2 x 2; NaN where there is no data. A NumPy array
+            The z of samples on a grid of at least 2 x 2; NaN where there is no data. A NumPy array
             is not copied: do not change it.
         origin : array_like of shape (3,), real
-            Of the sample in row 0 and column 0: its x and y, and what is added to all heights.
+            The x and y of the sample in row 0 and column 0, and an offset added to all heights.
         spacing : float or array_like of shape (2,), real
-            From column to column along x, and from row to row along y; may be negative.
+            Distance between columns along x, and between rows along y; may be negative.
         material_id : int
         **parts
             As for `spheres`.
@@ -109,20 +110,20 @@ class PrimitiveScene(InstancedScene):
         Raises
         ------
         ValueError
-            If there are fewer than 2 x 2 samples, heights are infinite, or `origin` or `spacing` is
-            not finite, or `spacing` too small. A tracer raises it for 2**31 triangles or more.
+            If there are fewer than 2 x 2 samples, a height is infinite, `origin` or `spacing` is
+            not finite, or `spacing` is too small. A tracer raises it for 2**31 triangles or more.
         TypeError
             If the numbers are of the wrong kind.
 
         Notes
         -----
-        The surface has two triangles for each cell between four samples, split from the sample with
-        the lower row and column to the opposite one; fronts are up. Triangles with a corner without
-        data are missing. Hits have the bits that a mesh of these triangles has: prim_id is 2 * (row
-        * (W - 1) + column) for the triangle at the lower row of a cell, and one more for the other;
-        u and v are weights of vertices. Missing triangles are counted as well.
+        Each cell between four samples consists of two triangles, split along the diagonal from the
+        sample with the lower row and column; their fronts face up. Triangles with a corner without
+        data are missing. Hits have the same bits as for a mesh of these triangles: prim_id is 2 *
+        (row * (W - 1) + column) for the triangle at the lower row of a cell, and one more for the
+        other; u and v are weights of vertices. The numbering includes missing triangles.
 
-        A tracer takes about 5 bytes per sample, beside the array that was given. See `spheres` for
+        A tracer takes about 5 bytes per sample, in addition to the given array. See `spheres` for
         what is supported.
 
         Examples
@@ -145,14 +146,14 @@ class PrimitiveScene(InstancedScene):
 
     @classmethod
     def combine(cls, scenes: Iterable[Scene], **parts: Any) -> Self:
-        """Make a scene of the meshes, height fields and spheres of several scenes.
+        """Combine the meshes, height fields and spheres of several scenes into one.
 
         Parameters
         ----------
         scenes : iterable of Scene
             Without instances. Their lights and cameras are not used.
         **parts
-            ``lights``, ``camera`` and other parameters of `Scene`, without ``meshes`` and
+            ``lights``, ``camera`` and other parameters of `Scene`, except ``meshes`` and
             ``materials``.
 
         Returns
@@ -200,7 +201,7 @@ class PrimitiveScene(InstancedScene):
         return isinstance(self._geometry, PrimitiveGeometry)
 
     def mesh_name(self, mesh_id: int) -> str:
-        """What a hit's mesh is called: a mesh's name, "height field" or "spheres"."""
+        """Name of a hit's mesh: that of the mesh, "height field" or "spheres"."""
         meshes = self._geometry.meshes
         if mesh_id < len(meshes):
             return meshes[mesh_id].name
@@ -218,7 +219,7 @@ class PrimitiveScene(InstancedScene):
 
     @property
     def primitive_counts(self) -> str:
-        """Numbers of height fields and spheres, to be shown after others; empty without any."""
+        """Numbers of height fields and spheres, as text to append; empty if there are none."""
         geometry = self._geometry
         if not isinstance(geometry, PrimitiveGeometry):
             return ""

@@ -216,7 +216,7 @@ class Scene(PrimitiveScene):
         if _are_same(scene.meshes, self.meshes):
             scene._geometry = self._geometry
         elif self.placements is not None:
-            raise ValueError("meshes: a scene with instances keeps them; see Scene.instances")
+            raise ValueError("meshes: fixed in a scene with instances; see Scene.instances")
         elif self.has_primitives:
             raise ValueError("meshes: spheres and height fields would be lost; see Scene.combine")
         return scene
@@ -292,13 +292,13 @@ class Scene(PrimitiveScene):
         -------
         ndarray of shape (2, 3), float64
             Rows: low and high corner, world space; both zero if nothing can be hit. With
-            instances, around the boxes of their objects.
+            instances, it encloses the bounding boxes of their objects.
         """
         return self.triangles.world_bounds
 
     @property
     def camera(self) -> Camera:
-        """The scene's own camera, else one chosen for images of 4:3, see `camera_for`."""
+        """The scene's own camera, or one chosen for 4:3 images; see `camera_for`."""
         return self.camera_for(4.0 / 3.0)
 
     @property
@@ -313,7 +313,7 @@ class Scene(PrimitiveScene):
         return self._views.camera is not None
 
     def camera_for(self, aspect: float) -> Camera:
-        """The scene's own camera, else one chosen for an aspect ratio.
+        """The scene's own camera, or one chosen for an aspect ratio.
 
         Parameters
         ----------
@@ -323,16 +323,16 @@ class Scene(PrimitiveScene):
         Returns
         -------
         Camera
-            Without an own camera: one that frames the bulk of the triangles, without strays far
-            away and without the outer parts of a ground that is much larger than what stands on
-            it. It looks from in front, the right and above, unless the scene shows more of itself
-            from another direction. If it is a room that shows most from inside, the camera stands
-            in it, for any aspect.
+            If the scene has no camera: one that frames the bulk of the triangles, without distant
+            outliers and without the outer parts of a ground that is much larger than the objects
+            on it. It looks from the front, right and above, unless more of the scene is visible
+            from another direction. If the scene is a room that is best seen from inside, the
+            camera is inside it, for any aspect.
 
         Notes
         -----
-        The choice depends on the triangles and `up` only, not on their order, a structure or a
-        device, and is made once.
+        The choice depends only on the triangles and `up`, not on the triangles' order, the
+        structure or the device, and is made once.
         """
         if self._views.camera is not None:
             return self._views.camera
@@ -441,8 +441,8 @@ class Scene(PrimitiveScene):
 
         Excludes materials whose emission is a texture, and those that are not opaque: they
         glow, but are not sampled as lights, since such textures are mostly black and cut-outs
-        emit nothing. So do materials that spheres or height fields have. With instances, triangles
-        are listed once, and emit light in each instance.
+        emit nothing. The same holds for materials of spheres and height fields. With instances,
+        triangles are listed once, but emit light in each instance.
         """
         lights: list[AreaLight] = []
         others = self.primitive_materials

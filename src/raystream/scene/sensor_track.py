@@ -32,7 +32,7 @@ class SensorPoses(NamedTuple):
     positions : ndarray of shape (N, 3), float64
         World space: the origin of the sensor's frame.
     quaternions : ndarray of shape (N, 4), float64
-        Unit quaternions w, x, y, z that turn the sensor's frame into the world's axes.
+        Unit quaternions w, x, y, z that rotate the sensor's frame to the world's axes.
     """
 
     positions: Array
@@ -45,7 +45,7 @@ class SensorPoses(NamedTuple):
         return rows.transpose(0, 2, 1)
 
     def directions_to_world(self, directions: Array) -> Array:
-        """Turn directions in the sensor's frame, (N, 3), into world space."""
+        """Rotate directions in the sensor's frame, (N, 3), into world space."""
         return _rotated(self.quaternions, directions)
 
     def to_world(self, points: Array) -> Array:
@@ -71,7 +71,7 @@ class SensorTrack:
         World space.
     rotations : array_like of shape (K, 3, 3), real, optional
         Rotation matrices from the sensor's frame to the world: their columns are the sensor's
-        axes, x to the right, y up and -z ahead, as a camera's [default: the world's axes].
+        axes, x to the right, y up and -z ahead, as for a camera [default: the world's axes].
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class SensorTrack:
     def of_camera(
         cls, camera: Camera | CameraMotion, times: Sequence[float] | Array = (0.0,)
     ) -> SensorTrack:
-        """Make the track of a sensor that is where a camera is.
+        """Make the track of a sensor that moves with a camera.
 
         Parameters
         ----------

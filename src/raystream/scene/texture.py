@@ -48,20 +48,20 @@ class Texture:
     ----------
     source : path, bytes or ndarray of shape (H, W, C), uint8
         The image file, its encoded content, or decoded pixels with the top row first: encoded
-        values (sRGB for colours), C is 1, 3 or 4.
+        values (sRGB for colours); C is 1, 3 or 4.
     name : str, optional
         Defaults to the file's name.
     wrap : {"repeat", "clamp"}
         Behaviour outside [0, 1].
     transform : tuple of six float, optional
         a, b, c, d, e, f: the image is looked up at u' = a u + b v + c and v' = d u + e v + f, where
-        u and v are a mesh's coordinates and v points up [default: unchanged]. It moves maps of
-        normals and heights, but does not turn their normals.
+        u and v are a mesh's coordinates and v points up [default: unchanged]. It moves normal and
+        bump maps, but does not rotate their normals.
 
     Raises
     ------
     ValueError, TypeError
-        If an argument is of another type, shape or range. Files are read on first use.
+        If an argument has the wrong type, shape or range. Files are read on first use.
     """
 
     def __init__(
@@ -118,13 +118,13 @@ class Texture:
         return self.changed(_alpha_of)
 
     def changed(self, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Texture:
-        """Return a texture whose pixels are made of this one's on first use.
+        """Return a texture whose pixels are computed from this one's on first use.
 
         Parameters
         ----------
         change : callable
-            From pixels of shape (H, W, C) to others, as `pixels` returns them. A function that
-            can be pickled: scenes travel to other processes.
+            Maps pixels of shape (H, W, C), as `pixels` returns them, to new ones. It must be
+            picklable, since scenes are sent to other processes.
         """
         made = Texture(b"", name=self.name, wrap=self.wrap, transform=self.transform)
         made._made = self, change

@@ -32,13 +32,13 @@ def baked(
     function : callable
         ``function(u, v)``, called once with arrays of shape (H, W), float64: the texels'
         centres in [0, 1], v upward. It returns numbers in [0, 1], of shape (H, W) for greys or
-        (H, W, 3) for colours, or an array with as many axes that broadcasts to one of these; a
-        single number is a uniform grey. Values are clipped to [0, 1].
+        (H, W, 3) for colours, or an array with the same number of axes that broadcasts to one of
+        these; a single number is a uniform grey. Values are clipped to [0, 1].
     size : tuple of two int
         Width and height in texels.
     encoding : {"srgb", "plain"}
-        Encoding of numbers as bytes: "srgb" for linear colours, "plain" for other data such as
-        heights of bump maps, normals, roughness.
+        Encoding of numbers as bytes: "srgb" for linear colours, "plain" for other data, such as
+        heights of bump maps, normals or roughness.
     wrap, name
         See `Texture`.
 
@@ -49,7 +49,7 @@ def baked(
     Raises
     ------
     ValueError
-        If the size is not positive or above `MAX_TEXTURE_PIXELS`, or the result has the wrong
+        If the size is not positive or exceeds `MAX_TEXTURE_PIXELS`, or the result has the wrong
         shape or is not finite.
 
     Examples
@@ -94,7 +94,7 @@ def checker(
     one, other : array_like of three float
         Linear RGB in [0, 1]; `one` is at the lower left, where u and v are 0.
     count : tuple of two int
-        Squares across [0, 1] along u and v; even if the texture is to repeat.
+        Squares across [0, 1] along u and v; even numbers if the texture is to repeat.
     texels : int
         Texels per side of a square. Edges are one texel wide.
 
@@ -158,8 +158,8 @@ def noise(
 
     References
     ----------
-    Perlin, "Improving Noise", 2002: gradients at cell corners and a blend of fifth
-    degree. Here the gradients are random, depending on the seed.
+    Perlin, "Improving Noise", 2002: gradients at cell corners and a blend of degree five. Here the
+    gradients are random, depending on the seed.
     """
     if frequency < 1 or octaves < 1 or size < 1 or frequency << (octaves - 1) > size:
         raise ValueError(

@@ -134,13 +134,13 @@ def walk(
 ) -> Walk:
     """Follow one ray to its nearest hit.
 
-    The multipass machine traces the ray with one step per pass, and its streams are read after each
-    pass: the walk is what the machine does.
+    The multipass machine traces the ray with one step per pass, and its streams are read after
+    each pass: the walk shows what the machine does.
 
     Parameters
     ----------
     tracer : Tracer
-        Of a grid, kd-tree, graph or BVH on the CPU, with any machine.
+        With a grid, kd-tree, graph or BVH on the CPU, and any machine.
     origin, direction : array_like of shape (3,), real
         World space, scene units.
     max_steps : int, optional

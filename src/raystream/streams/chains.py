@@ -136,7 +136,7 @@ class While(_Chain):
     idle : {"last", "all"}
         The loop ends after a round in which the last step, or every step, wrote no record.
     limit : int
-        Most rounds.
+        Maximum number of rounds.
     """
 
     def __init__(self, *steps: Step, idle: str = "last", limit: int = LOOP_LIMIT) -> None:

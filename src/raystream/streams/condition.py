@@ -104,7 +104,7 @@ def as_condition(where: Any, count: int) -> Condition | None:
         where = Condition(stream, "!=", False)
     if len(where.stream) != count:
         raise ValueError(
-            f"where: {where.stream.label} has {len(where.stream):,} records, and the kernel's "
+            f"where: {where.stream.label} has {len(where.stream):,} records, but the kernel's "
             f"streams have {count:,}"
         )
     return where

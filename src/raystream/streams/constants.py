@@ -51,7 +51,7 @@ def changed_constant(label: str, old: Any, new: Any) -> Any:
     """
     if old is None:
         if new is not None:
-            raise TypeError(f"{label}: {new!r} cannot take the place of None")
+            raise TypeError(f"{label}: {new!r} cannot replace None")
         return None
     if isinstance(old, tuple):
         if not isinstance(new, tuple | list) or len(new) != len(old):

@@ -173,7 +173,7 @@ def _check_parameters(name: str, function: Callable[..., Any], declared: list[st
         if parameter.kind is not inspect.Parameter.POSITIONAL_OR_KEYWORD:
             raise TypeError(f"{name}: the parameter {parameter} must have a plain name")
         if parameter.default is inspect.Parameter.empty and key not in declared:
-            raise TypeError(f"{name}: the parameter {key!r} is no input, gather array or constant")
+            raise TypeError(f"{name}: parameter {key!r} is not an input, gather array or constant")
     for key in declared:
         if key not in parameters:
             raise TypeError(f"{name}: the function has no parameter {key!r}")

@@ -24,20 +24,20 @@ class GatherArray:
     Parameters
     ----------
     values : array_like or Stream
-        An array is not copied. Of a stream, a kernel that also writes it reads the old records.
+        An array is not copied. If a kernel also writes the stream, it reads the old records.
     shape : tuple of int, optional
         Reshapes the records, the last index running fastest.
     vectors : bool
         Whether the last axis of an array holds the components of vectors; not for streams.
     name : str, optional
-        For counters [default: the kernel's name for it].
+        Name in counters [default: the kernel's name for it].
 
     Raises
     ------
     TypeError
         If kernels cannot compute with the dtype.
     ValueError
-        If the array has no dimensions, or `shape` has another number of records.
+        If the array has no dimensions, or `shape` has a different number of records.
     """
 
     def __init__(

@@ -38,19 +38,19 @@ class Kernel:
         tuples, NumPy's functions of numbers, and other functions compiled by `device`. Variables
         from outside are frozen when it is compiled.
     inputs : mapping of str to Stream, optional
-        Or `INDEX`, for the position of the record.
+        A stream may be replaced by `INDEX`, the position of the record.
     outputs : Stream or sequence of Stream
         A stream may be both input and output.
     gathers : mapping of str to GatherArray, optional
         A Stream or an array is converted. So are all members of a named tuple, except numbers;
         the function receives a named tuple of that class.
     constants : mapping of str to number, optional
-        Or to tuples of numbers. `set_constants` changes them.
+        Tuples of numbers are also accepted. `set_constants` changes them.
     where : Condition, optional
         Run only on records for which it holds, such as ``state == 2``. Also a stream or an
         array of booleans.
     name : str, optional
-        For errors and counters [default: the function's].
+        Name in errors and counters [default: the function's].
 
     Raises
     ------
@@ -62,13 +62,13 @@ class Kernel:
 
     Notes
     -----
-    Records run in any order and on several threads. A function sees its own record, and through
-    gather arrays the old records: the result is the same for any number of threads. Do not
-    execute one kernel from two threads at a time.
+    The function runs on records in any order and on several threads. A function sees its own
+    record, and through gather arrays the old records: the result is the same for any number of
+    threads. Do not execute one kernel from two threads at a time.
 
     Python numbers, as constants and in the function's text, are float64 and int64: write
-    ``np.float32(0.5)`` to stay in float32. A stream of integers takes any integer, without a
-    check of its range, but no float.
+    ``np.float32(0.5)`` to stay in float32. A stream of integers accepts any integer, without a
+    range check, but no float.
 
     Examples
     --------
@@ -217,7 +217,7 @@ class Kernel:
         where, counters : optional
             As for `execute`. A condition is evaluated again in each call.
         limit : int
-            Most calls.
+            Maximum number of calls.
         progress : callable, optional
             Called after each call with (records that it did not write, records).
 

@@ -114,7 +114,7 @@ class RecordStream(ABC):
         return reductions.count_nonzero(self) == len(self)
 
     def reduce(self, function: Callable[..., Any], initial: Any = None) -> Any:
-        """Fold all records by a function of two.
+        """Fold all records with a function of two records.
 
         Parameters
         ----------

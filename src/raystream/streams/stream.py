@@ -23,7 +23,7 @@ class Stream(RecordStream):
     dtype : dtype, optional
         Converts the values.
     name : str, optional
-        For errors and counters [default: a kernel's name for it].
+        Name in errors and counters [default: a kernel's name for it].
 
     Raises
     ------

@@ -103,7 +103,7 @@ class Structure(ABC):
     make_searches : callable
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
     precision : {"float32", "float64"}
-        Of triangles and distances.
+        Precision of triangles and distances.
     """
 
     traverse: ClassVar[Callable[..., Any]]

@@ -54,7 +54,7 @@ def _tracer(number: int) -> Tracer:
         return _TRACERS[number]
     except KeyError:
         raise RuntimeError(
-            "tracer: the TorchTracer of this compiled function has been deleted; keep it"
+            "tracer: the TorchTracer of this compiled function has been deleted; keep a reference"
         ) from None
 
 

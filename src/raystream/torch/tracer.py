@@ -44,8 +44,7 @@ class TorchTracer:
     Parameters
     ----------
     tracer : Tracer
-        After its `Tracer.update` the queries, compiled ones included, answer for the moved
-        triangles.
+        After its `Tracer.update`, all queries use the moved triangles, including compiled ones.
 
     Raises
     ------
@@ -55,18 +54,19 @@ class TorchTracer:
     Notes
     -----
     Every query takes `origins` and `directions` of any leading shape S: tensors of shape S + (3,)
-    that broadcast, of any real dtype, where the tracer traces: on the CPU, or on its GPU. They are
+    that broadcast, of any real dtype, on the tracer's device: on the CPU, or on its GPU. They are
     read without a copy, except bfloat16, which becomes float32. `t_min` and `t_max` are numbers or
-    tensors that broadcast to S. Answers have the bits of the tracer's. Under ``torch.compile``
-    a query is one operator without a graph break; under ``torch.vmap`` all rays are traced in one
-    batch. No memory is needed for pairs of rays and triangles.
+    tensors that broadcast to S. Results have the same bits as the tracer's. Under
+    ``torch.compile`` a query is one operator without a graph break; under ``torch.vmap`` all rays
+    are traced in one batch. No memory is needed for pairs of rays and triangles.
 
-    If `origins`, `directions` or `vertices` require gradients, ``t``, ``u`` and ``v`` have those of
-    the crossing of the ray with the triangle that it hit, held fixed, evaluated in float64. They
-    are exact as long as the ray hits that triangle. **They say nothing of visibility**: where a ray
-    passes from one triangle to another, over an edge or a silhouette, the answer jumps, and the
-    gradient does not know of it. Misses have none: they contribute zeros, never NaN. Reverse mode,
-    any number of times; forward mode is not supported.
+    If `origins`, `directions` or `vertices` require gradients, ``t``, ``u`` and ``v`` have the
+    gradients of the intersection of the ray with the triangle that it hit, held fixed, evaluated
+    in float64. They are exact as long as the ray hits that triangle. **They say nothing about
+    visibility**: where a ray passes from one triangle to another, over an edge or a silhouette,
+    the result jumps, which the gradient does not reflect. Misses have no gradients: they
+    contribute zeros, never NaN. Reverse mode can be applied any number of times; forward mode is
+    not supported.
 
     Examples
     --------
@@ -110,7 +110,7 @@ class TorchTracer:
             Closed search interval, in direction lengths.
         vertices : Tensor of shape (V, 3), float, or one for each mesh, optional
             The scene's vertices, to which gradients flow: one mesh after another. Rays are traced
-            against the tracer's own: give the same numbers, see `Tracer.update`.
+            against the tracer's own vertices: pass the same numbers, see `Tracer.update`.
 
         Returns
         -------
@@ -191,7 +191,7 @@ class TorchTracer:
         origins, directions, t_min, t_max, vertices
             See `first_hit`.
         max_hits : int
-            Hits that are kept of each ray.
+            Number of hits to keep per ray.
         crossings : {"triangles", "surfaces"}
             See `Tracer.count_hits`.
 
@@ -217,7 +217,7 @@ class TorchTracer:
         Parameters
         ----------
         hits : TorchHits
-            Of `first_hit` or `multi_hit` of this tracer, with the same `vertices`.
+            From `first_hit` or `multi_hit` of this tracer, with the same `vertices`.
         vertices : Tensor of shape (V, 3), float, or one for each mesh, optional
             See `first_hit`.
 

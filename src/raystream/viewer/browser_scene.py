@@ -80,7 +80,7 @@ def packed_scene(
     size = sum(array.nbytes for array in made.arrays.values())
     if size > MAX_BYTES:
         raise RaystreamError(
-            f"The scene takes {size:,} bytes, and at most {MAX_BYTES:,} are sent to a browser."
+            f"The scene takes {size:,} bytes, but at most {MAX_BYTES:,} are sent to a browser."
         )
     modes = {
         mode: {**about, "max_bounces": replace(settings, mode=mode).message()["max_bounces"]}

@@ -83,27 +83,28 @@ def export_page(
     """Write a scene as a page that traces it on the visitor's GPU, by WebGPU.
 
     The page is one file, which opens from disk or any server and needs no network; or a folder of
-    files for a server. It has the scene's triangles, materials and lights, structures as they were
-    built here, and the shaders of ``device="graphics"``. Where there is no WebGPU it shows an image
-    that was rendered here.
+    files for a server. It contains the scene's triangles, materials and lights, the structures as
+    built here, and the shaders of ``device="graphics"``. Without WebGPU, it shows an image that
+    was rendered here.
 
     Parameters
     ----------
     scene : Scene or Tracer
     path : path
-        Of the page, such as ``"page.html"``; with `split` of a folder, whose files are replaced.
+        Path of the page, such as ``"page.html"``; with `split`, of a folder, whose files are
+        replaced.
     structures : sequence of str or StructureOptions
-        The structures to choose from; the first one is first seen [default: ``["bvh"]``]. Several
-        may be of one kind with different options, such as the traversals of a kd-tree: arrays that
-        are equal are kept once. A tracer has its own.
+        The structures to choose from; the first one is selected initially [default: ``["bvh"]``].
+        Several may be of one kind with different options, such as the traversals of a kd-tree:
+        equal arrays are stored once. Not allowed with a tracer, which has its own.
     camera : Camera, optional
-        The first view [default: the scene's camera, or one chosen by `Scene.camera_for`].
+        The initial view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     size : (int, int)
-        Of the image for visitors without WebGPU.
+        Size of the image for visitors without WebGPU.
     split : bool
         Write a folder with ``index.html``, its script, style, image and data, for large scenes: it
-        takes three quarters of the bytes, and browsers keep what has not changed. Browsers open
-        it from a server only.
+        takes three quarters of the bytes, and browsers cache files that have not changed. Browsers
+        open it from a server only.
 
     Returns
     -------
@@ -122,8 +123,8 @@ def export_page(
     Warns
     -----
     RaystreamWarning
-        If textures beside diffuse ones were left out, which the shaders do not have; for a tracer
-        they are an error.
+        If textures other than diffuse ones were left out, which the shaders do not support; with a
+        tracer, they are an error.
 
     Examples
     --------

@@ -203,7 +203,7 @@ def test_textures_of_extensions(tmp_path: Path) -> None:
     found = {role: texture.pixels()[0, 0].tolist() for role, texture in material.textures.items()}
     assert found == {"specular": [3, 0, 0, 9], "transmission": [2, 0, 0, 9], "reflectance": [9]}
     solid = document["extensions"] | extended(volume={"thicknessFactor": 1})["extensions"]
-    expected = "left out: 1 of the specular factor of solids that transmit light by a map"
+    expected = "left out: 1 for the specular factor of solids with a transmission map"
     with pytest.warns(RaystreamWarning, match=expected) as caught:
         _, material = loaded(tmp_path, {"extensions": solid})
     assert len(caught) == 1

@@ -72,12 +72,13 @@ def image_times(runner: Runner) -> Result:
     result.plots = [_grid_plot(found, 1), _grid_plot(found, ITERATIONS), _bounce_plot(found)]
     result.notes = [
         (
-            "The values of his Figures 6.8 to 6.10 are not in our copy, so no published times are "
-            f"given. They are from a GeForce 6 in 2005; ours are from the device {runner.device!r}."
+            "The values of the thesis's Figures 6.8 to 6.10 are not in our copy, so no published "
+            "times are given. The thesis's times are from a GeForce 6 in 2005; ours are from the "
+            f"device {runner.device!r}."
         ),
         (
-            "As in his renderer, no shadow rays are traced, and no ray is terminated for a small "
-            "weight. The images above have shadows."
+            "As in Christen's renderer, no shadow rays are traced, and no ray is terminated "
+            "because of a small weight. The images above have shadows."
         ),
     ]
     if runner.device != "cpu":
@@ -159,7 +160,7 @@ def _scenes(triangles: dict[str, int]) -> Table:
         "christen-scenes",
         f"Triangles of the scenes: {theirs.source}; the teapot: {teapot.place}",
         rows,
-        "His scenes were published as images only; the column says how ours differ.",
+        "Christen's scenes were published only as images; the last column says how ours differ.",
     )
 
 
@@ -190,12 +191,12 @@ def _table(runner: Runner, found: dict[tuple[str, int, str], _Times]) -> Table:
     ]
     return Table.of(
         "christen-times",
-        f"Milliseconds of an image of {size} x {size} pixels, by the number of iterations",
+        f"Milliseconds per image of {size} x {size} pixels, by number of iterations",
         ["scene", "grid", "device", "machine", "drawn", *map(str, range(1, ITERATIONS + 1))],
         rows,
         "An iteration is a surface on a path: n iterations are n - 1 bounces after the first "
-        f"surface. multipass: once; the other machine: medians of {ROUNDS} rounds. Times of "
-        "reduced images are scaled by the number of pixels.",
+        "surface. The machine multipass is timed once; times of the other machine are medians of "
+        f"{ROUNDS} rounds. Times of reduced images are scaled by the number of pixels.",
         *reasons,
     )
 

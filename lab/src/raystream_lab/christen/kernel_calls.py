@@ -198,11 +198,11 @@ def _iterations_table(found: dict[str, list[_Passes]], pixels: int) -> Table:
         ["scene", "iteration", "rays", "of pixels", "passes", "at least", "of all rays"]
         + ["of all passes", "rejected early", "lanes idle", "idle, own rays only", "shadow rays"],
         rows,
-        "Passes are kernel calls. Rejected early: pixels masked out, as by early z, summed over "
-        "passes; lanes idle is their share. His textures always hold all pixels. Ours hold only "
-        "the rays of an iteration: the next column. Each call needs another pass that sets "
-        "depths, which is not counted.",
-        "Shadow rays are not included: his renderer has none.",
+        "Passes are kernel calls. Rejected early: pixels masked out, as by early z culling, summed "
+        "over passes; lanes idle: their share of all pixels. Christen's textures always hold all "
+        "pixels; ours hold only the rays of an iteration, as the next column assumes. Each call "
+        "needs another pass to set depths, which is not counted.",
+        "Shadow rays are not included, since Christen's renderer has none.",
     )
 
 
@@ -285,12 +285,13 @@ def _few(found: dict[str, list[_Passes]], pixels: int) -> Claim:
         for letter, each in found.items()
     }
     return Claim.judged(
-        f"from iteration {depth}, only few rays are active (read as: at most {FEW:.0%} of the "
+        f"from iteration {depth}, only a few rays are active (read as: at most {FEW:.0%} of the "
         "pixels)",
         source.source,
         {letter: share <= FEW for letter, share in shares.items()},
         "; ".join(f"{letter}: {share:.2%}" for letter, share in shares.items())
-        + "; mirrors are all surfaces of A and a third of B's cubes: his are not known",
+        + "; in ours, all surfaces of A and a third of B's cubes are mirrors; which of his were is "
+        "not known",
     )
 
 

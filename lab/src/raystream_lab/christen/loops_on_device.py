@@ -128,21 +128,22 @@ def _table(runner: Runner, found: _Found) -> Table:
     ]
     return Table.of(
         "christen-loops",
-        f"Kernel calls of {ITERATIONS} iterations by who chooses the next, {size} x {size} pixels",
+        f"Kernel calls of {ITERATIONS} iterations, by who chooses the next kernel, {size} x {size} "
+        "pixels",
         ["scene", "grid", "loop", "rays", "passes", "draws", "seconds", "microseconds per pass"],
         rows,
         runner.facts.note,
         _LOOP_NOTES[runner.device],
-        "cpu: the CPU's multipass machine. Seconds: the best of up to "
-        f"{_ROUNDS} rounds in which loops take turns. Without shadow rays, as in his renderer.",
+        f"cpu: the CPU's multipass machine. Seconds: the best of up to {_ROUNDS} rounds in which "
+        "the loops take turns. No shadow rays are traced, as in Christen's renderer.",
     )
 
 
 #: What the loops are.
 _LOOP_NOTES = {
-    "graphics": "queries: the host waits for the occlusion queries of each pass, as his did; "
-    "device: a compute shader counts the waiting rays, and chooses the kernel of the next pass by "
-    "the arguments of indirect draws.",
+    "graphics": "queries: the host waits for the occlusion queries of each pass, as in Christen's "
+    "renderer; device: a compute shader counts the waiting rays, and chooses the "
+    "kernel of the next pass by the arguments of indirect draws.",
     "cuda": "batches: the device chooses, and the host checks after each batch of passes whether "
     "any ray is left; graph: the device repeats passes on its own.",
 }

@@ -60,14 +60,14 @@ def on_graphics(runner: Runner) -> Result:
                     "seconds",
                     "seconds, CPU",
                     "ratio",
-                    "farthest colour",
+                    "largest colour difference",
                 ],
                 rows,
                 open_facts("graphics").note,
                 "A pass runs one kernel over the pixels that wait for it: eye rays, a step of the "
-                "grid, a test, or shading, which spawns the next ray. Colour and weight (his "
-                "equation 5.1) stay in textures, without readback before the end. CPU: mode "
-                "whitted on the same grid, single rays. Farthest: maximum difference from that "
+                "grid, a test, or shading, which spawns the next ray. Colour and weight (equation "
+                "5.1 of the thesis) stay in textures, without readback before the end. CPU: mode "
+                "whitted on the same grid, single rays. Largest colour difference: from that "
                 "image, in linear light.",
             )
         ],

@@ -52,15 +52,16 @@ def pixel_memory(runner: Runner) -> Result:
             comparison(
                 "christen-pixel",
                 f"Colour and weight of a pixel: {source.source}",
-                [("bits", theirs, bits, "ours has a weight for each colour, his one for all")],
+                [("bits", theirs, bits, "ours has a weight per colour component, his only one")],
             ),
             Table.of(
                 "christen-pixel-memory",
                 "Memory of a pixel in a loop of the multipass machine",
                 ["scene", "iterations", "bytes per pixel"],
                 rows,
-                "All records: the ray, its place in the grid, its hit, the paths of two bounces, "
-                "and a shadow ray to each light, which his renderer lacks.",
+                "All records are included: the ray, its place in the grid, its hit, the paths of "
+                "two bounces, and a shadow ray to each light, although Christen's renderer has no "
+                "shadow rays.",
             ),
         ],
         claims=[

@@ -43,21 +43,21 @@ SCENES = {
         "three_boxes",
         (
             "his arrangement and mirrors are not known; ours are two boxes that reflect 0.6 of the "
-            "light, on a flat one that reflects 0.3"
+            "light, on a flat box that reflects 0.3"
         ),
     ),
     "B": (
         "cubes",
         (
-            "his places and mirrors are not known; ours are 171 cubes that float in a room, a "
-            "third of them mirrors, the others reflect 0.1"
+            "his positions and mirrors are not known; ours are 171 cubes that float in a room; a "
+            "third are mirrors, the others reflect 0.1 of the light"
         ),
     ),
     "C": (
         "boxes",
         (
             "his has objects of many and of few triangles; ours has rounded boxes of 4,800 "
-            "triangles among plain ones, some of steel that reflects 0.7"
+            "triangles among plain boxes, some of steel that reflects 0.7 of the light"
         ),
     ),
 }
@@ -109,7 +109,7 @@ def teapot_model() -> tuple[Scene, str]:
     except RaystreamError:
         scene = load(_STAND_IN)
         solid = [replace(one, transmission=(0.0, 0.0, 0.0)) for one in scene.materials]
-        about = f"no model of a teapot: `{_STAND_IN}` stands in, without glass"
+        about = f"no model of a teapot was found: `{_STAND_IN}` replaces it, without glass"
         return scene.replace(materials=solid), about
     mirror = (_TEAPOT_REFLECTION,) * 3
     polished = [replace(one, reflection=mirror) for one in scene.materials]

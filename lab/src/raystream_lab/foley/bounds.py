@@ -137,14 +137,14 @@ def _table(found: dict[str, Found], size: int) -> Table:
         rows,
         "A ray that visits m leaves should take at most m h splits with restart, and at most three "
         "times a stack's steps with backtrack. Steps: splits descended and nodes climbed to. After "
-        "a climb ours runs Down once more on the node that it reached; Foley's does not.",
+        "a climb, our Down runs once more on the node that was reached; Foley's does not.",
     )
 
 
 def _leaf_table(found: dict[str, Found]) -> Table:
     return Table.of(
         "foley-leaves",
-        "Leaves that a ray visits, of rays that hit the scene's box",
+        "Leaves per ray, for rays that hit the scene's box",
         ["scene", "leaves of the tree", "mean", "median", "99 %", "most"],
         [[name, one["tree leaves"], *one["leaves"]] for name, one in found.items()],
     )

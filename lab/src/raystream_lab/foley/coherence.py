@@ -211,10 +211,10 @@ def _distinct_table(found: Mapping[str, Mapping[str, Found]]) -> Table:
         ["scene", "rays are", "groups", "Down", "Up", "leaves"],
         rows,
         f"{_GROUPS} groups of each kind: tiles of {_TILE} x {_TILE} pixels, or random rays. "
-        "Distinct nodes of a group over the sum of those of its rays: 1 means that no two rays "
-        "of a group visit the same node; less is more coherent.",
-        f"Traversed in float64; at least {least:.1%} of the rays take the engine's numbers of "
-        "steps.",
+        "Figures are the distinct nodes of a group over the sum of its rays' nodes: 1 means that "
+        "no two rays of a group visit the same node; lower values are more coherent.",
+        f"Traversed in float64; at least {least:.1%} of the rays take the same number of steps as "
+        "in the engine.",
     )
 
 
@@ -229,9 +229,9 @@ def _climb_table(found: Mapping[str, Mapping[str, Found]]) -> Table:
             for kind, one in each.items()
             for grouping in GROUPINGS
         ],
-        f"The last climb of at least {_CLIMB} steps of each ray; step 1 reaches the parent of the "
-        "leaf. Distinct nodes of a group over its climbs: the number cannot grow, since equal "
-        "nodes have one parent; the rate of decrease is measured.",
+        f"Of each ray, the last climb of at least {_CLIMB} steps counts; step 1 reaches the parent "
+        "of the leaf. Figures are the distinct nodes of a group over its climbs. They cannot "
+        "increase, since equal nodes have the same parent; the rate of decrease is measured.",
     )
 
 

@@ -165,9 +165,9 @@ def _table(cases: Sequence[Case], size: int) -> Table:
         ["scene", "rays are", "groups are", "climbs", "groups averaged"]
         + [*(f"step {k + 1}" for k in range(CLIMB)), "left by a step"],
         rows,
-        f"The last climb of at least {CLIMB} steps of every ray; step 1 reaches the parent of the "
-        "leaf. Distinct nodes of a group over its climbs. Groups of neighbours follow a Morton "
-        "curve over the image; the largest group has all climbs.",
+        f"Of each ray, the last climb of at least {CLIMB} steps counts; step 1 reaches the parent "
+        "of the leaf. Figures are the distinct nodes of a group over its climbs. Groups of "
+        "neighbours follow a Morton curve over the image; the largest group has all climbs.",
     )
 
 

@@ -137,7 +137,7 @@ def _table_2(runner: Runner, found: Mapping[str, _Found], size: int) -> Table:
         theirs = published_figures(name)
         cpu, ours = figures_of(each["cpu"]), figures_of(each["device"])
         for key, title in _TITLES.items():
-            why = f"the CPU counts {cpu[key]:.4g}: causes are in foley-counts of the CPU"
+            why = f"the CPU counts {cpu[key]:.4g}; for causes, see foley-counts on the CPU"
             near = is_near(ours[key], theirs[key])
             rows.append((f"{name}, {title}", theirs[key], ours[key], "" if near else why))
     return comparison(
@@ -146,8 +146,8 @@ def _table_2(runner: Runner, found: Mapping[str, _Found], size: int) -> Table:
         f"{size} rays",
         rows,
         runner.facts.note,
-        "Counted by the device on the multipass machine, and scaled to 512 x 512 rays. Down of "
-        "backtrack omits the run after each climb, as Foley's does.",
+        "Counted by the device on the multipass machine, and scaled to 512 x 512 rays. Backtrack's "
+        "Down omits the run after each climb, as Foley's does.",
     )
 
 
@@ -165,8 +165,8 @@ def _kernel_table(found: Mapping[str, _Found]) -> Table:
         ["scene", "traversal", "kernel", "runs", "per ray", "passes"],
         rows,
         "The device counts the rays that wait before each pass. A run of our Intersect tests a "
-        "block of up to four triangles, so it has fewer runs than Foley's has tests; those of "
-        "Leaf are his transitions.",
+        "block of up to four triangles, so there are fewer runs than Foley has tests; runs of Leaf "
+        "are Foley's transitions.",
     )
 
 

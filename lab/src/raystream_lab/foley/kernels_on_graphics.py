@@ -103,10 +103,10 @@ def kernels_on_graphics(runner: Runner) -> Result:
             + ["GB/s of streams", "published GB/s"],
             speeds,
             runner.facts.note,
-            "A pass is timed from the choice of its kernel to the next choice: the draw, the "
-            "draws that copy back and classify, and the host's wait for the occlusion queries. "
-            "The paper repeats one full pass without masked rays; here passes are those of the "
-            "image, in which few rays take part, so bandwidths are lower bounds.",
+            "A pass is timed from the choice of its kernel to the next choice: the draw, the draws "
+            "that copy back and classify, and the host's wait for the occlusion queries. The paper "
+            "repeats one full pass without masked rays; here passes are those of the image, in "
+            "which few rays are active, so bandwidths are lower bounds.",
         ),
     ]
     return result
@@ -159,5 +159,5 @@ def _rows(name: str, theirs: dict[str, float], one: dict[str, Any]) -> list[list
         [f"{name}: floats in", theirs["floats_in"], one["in"], one["in"] / theirs["floats_in"]]
         + [whole + "without nodes, cells and triangles"],
         [f"{name}: floats out", theirs["floats_out"], one["out"]]
-        + [one["out"] / theirs["floats_out"], whole + "the state, too"],
+        + [one["out"] / theirs["floats_out"], whole + "with the state"],
     ]

@@ -99,8 +99,8 @@ def key_kernels(runner: Runner) -> Result:
         _published_table(runner, rows),
         Table.of(
             "foley-bandwidth",
-            f"{runs} runs of each kernel on the kitchen's rays, {size} x {size}, in turn with "
-            "versions that only fetch",
+            f"{runs} runs of each kernel on the kitchen's rays, {size} x {size}, interleaved with "
+            "fetch-only versions",
             [
                 "kernel",
                 "ns per ray",
@@ -113,9 +113,10 @@ def key_kernels(runner: Runner) -> Result:
             ],
             speeds,
             f"Copying an array reaches {copying:.3g} GB/s here. Foley's rule: a kernel that takes "
-            "as long as its fetch-only version waits for memory. As long: up to a quarter more, "
-            "our choice.",
-            "All rays that waited for the kernel in its busiest pass take part; none is masked.",
+            "as long as its fetch-only version waits for memory. Here, up to a quarter longer "
+            "counts as equally long.",
+            "Each run processes all rays that waited for the kernel in its busiest pass; none is "
+            "masked.",
         ),
     ]
     result.claims = [
@@ -223,7 +224,7 @@ def _published_table(runner: Runner, ours: list[list[Cell]]) -> Table:
         f"{near['as published']} with those as published.",
         "As published: the packed records of Figure 6, whose sign bits hold a ray's state; one "
         "triangle per run, by Möller and Trumbore (Purcell 2002, Figure 5); brute force with the "
-        "triangle in constants. Floats in and out: of the fields that the code reads and writes. "
+        "triangle in constants. Floats in and out count the fields that the code reads and writes. "
         "The paper's instructions work on vectors of 4 numbers, ours on scalars.",
     )
 

@@ -132,7 +132,7 @@ def _ray_table(found: dict[str, Found]) -> Table:
         f"has {_ENTRY} bytes per split of the longest path. State: the ray itself, its goal, its "
         f"hit, its place in the tree. The paper's packed state has {floats} floats, "
         f"{floats * _FLOAT_BYTES} bytes, without the ray ({state.place}).",
-        "Million rays: in the memory of the paper's card, beside the tree.",
+        "Million rays: those that fit in the memory of the paper's card together with the tree.",
     )
 
 

@@ -120,10 +120,10 @@ def other_views_table(found: Mapping[str, ViewCosts]) -> Table:
             )
     return Table.of(
         "foley-other-views",
-        "Other views: kernel runs per ray, where the grid does best, median, and worst",
+        "Other views: kernel runs per ray in the best, median and worst view for the grid",
         ["scene", "view", "rays that hit", *_COMPARED, "grid / better tree", "published times"]
         + ["views where the grid is ahead"],
         rows,
-        "Kernel runs: steps and tests, and for kd-trees Leaf and Continue per leaf. The bunny "
-        "from all sides; animated scenes along their camera's path.",
+        "Kernel runs: steps and tests; for kd-trees also Leaf and Continue per leaf. The bunny is "
+        "seen from all sides, animated scenes along their camera's path.",
     )

@@ -199,13 +199,13 @@ def _brute_table(prices: BrutePrices) -> Table:
     ]
     return Table.of(
         "foley-brute-price",
-        "The price of a triangle test by brute force, from three places of the paper",
+        "The cost of a triangle test by brute force, from three places in the paper",
         ["place", "triangles", "printed ms", "ns per test", "million tests per second"]
         + ["time at section 3's rate / printed"],
         rows,
         f"Table 1: {SIZE} x {SIZE} rays, each tested against all triangles. Table 3: bandwidth "
         "over the floats read and written by a test. The paper does not explain the difference: "
-        "the times may be too small, or of fewer rays.",
+        "the times may be too small, or those of fewer rays.",
     )
 
 
@@ -218,9 +218,9 @@ def _brute_claim(prices: BrutePrices) -> Claim:
         "per second: the paper's own times agree, within a quarter",
         "Foley 2005, section 3 and Table 1",
         near,
-        f"nanoseconds per test: section 3 {prices.in_text:.3g}, Table 3 "
-        f"{prices.by_bandwidth:.3g}, Table 1 {listed(prices.by_scene)}; printed times too small, "
-        f"or of fewer rays, by a factor of {listed(short)}",
+        f"nanoseconds per test: section 3 {prices.in_text:.3g}, Table 3 {prices.by_bandwidth:.3g}, "
+        f"Table 1 {listed(prices.by_scene)}; the printed times are too small, or those of fewer "
+        f"rays, by a factor of {listed(short)}",
     )
 
 

@@ -86,9 +86,9 @@ def recirculation(runner: Runner) -> Result:
             ],
             rows,
             "Both machines run the same functions on the same rays. Nearly full: passes in which "
-            "at least three quarters of the rays take part; their excess over the branching "
-            "machine is loading and storing rays. Idle: checking the state of rays that a pass "
-            "does not run on.",
+            "at least three quarters of the rays are active; the time that they take in excess of "
+            "the branching machine goes to loading and storing rays. Idle: the time for checking "
+            "the state of rays that a pass does not run on.",
         )
     ]
     result.plots = [
@@ -112,7 +112,7 @@ def recirculation(runner: Runner) -> Result:
             "would leave idle",
             source,
             {name: ratio > slowdown for name, ratio in ratios.items()},
-            "all rays / rays that take part: "
+            "all rays / active rays: "
             + listed(ratios, ".1f")
             + "; on this machine, which skips them, full passes would be faster by "
             + listed(lost, ".1f"),

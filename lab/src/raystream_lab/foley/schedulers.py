@@ -170,10 +170,11 @@ def _rule_table(rules: Mapping[str, Mapping[str, Schedule]], size: int) -> Table
         f"Schedulers of kd-trees on the multipass machine, {size} x {size} rays",
         ["scene and traversal", "scheduler", *_COLUMNS],
         rows,
-        "Shares of all lanes, one per ray, mean over passes. Idle lanes cost: passes over those "
-        f"of a schedule without idle lanes; Foley estimates more than {factor}, for hardware that "
-        "rejects blocks of idle fragments early, but pays for each kernel switch.",
-        "The bound: the sum over kernels of the maximum runs on any ray.",
+        "Shares are of all lanes, one per ray, as means over passes. Idle lanes cost: the number "
+        f"of passes relative to a schedule without idle lanes; Foley estimates more than {factor}, "
+        "for hardware that rejects blocks of idle fragments early, but pays for each kernel "
+        "switch.",
+        "The bound is the sum, over kernels, of the maximum number of runs on any ray.",
     )
 
 
@@ -189,7 +190,8 @@ def _ratio_table(ratios: Mapping[str, Mapping[str, Schedule]], size: int) -> Tab
         f"Switching when another kernel has a multiple of the rays, {size} x {size} rays",
         ["scene and traversal", "ratio", *_COLUMNS, "switches per pass"],
         rows,
-        f"Foley's ratio is {theirs}. At 1 the fullest kernel runs, but ties keep the last one.",
+        f"Foley's ratio is {theirs}. At 1 the fullest kernel runs, but in a tie the last kernel "
+        "continues.",
     )
 
 
@@ -231,7 +233,7 @@ def _claims(
             "all lanes / lanes that work, with Foley's scheduler: " + listed(idle),
         ),
         Claim.judged(
-            "Foley's rule switches kernels less often than running the fullest one",
+            "Foley's rule switches kernels less often than a rule that always runs the fullest one",
             source,
             {case: double < most for case, (double, most) in fewer.items()},
             ", ".join(f"{case} {a:,.0f} and {b:,.0f}" for case, (a, b) in fewer.items()),
@@ -241,7 +243,7 @@ def _claims(
             source,
             {case: double >= most for case, (double, most) in batches.items()},
             ", ".join(f"{case} {a:.1%} and {b:.1%}" for case, (a, b) in batches.items())
-            + f"; fewest passes of the ratios tried at {', '.join(best.values())}, Foley's is "
-            + f"{ratio}",
+            + f"; of the ratios tried, {', '.join(best.values())} take the fewest passes, Foley's "
+            "is " + f"{ratio}",
         ),
     ]

@@ -145,7 +145,9 @@ def explain_difference(
         return "; ".join(f"{one.name} gives {one.figures[key]:.3g}" for one in chosen)
     best = ordered[0]
     count = f"{_near_count(best, theirs)} of {len(theirs)}"
-    return f"{NOT_EXPLAINED}: {best.name} gives {best.figures[key]:.3g}, but {count} figures near"
+    return (
+        f"{NOT_EXPLAINED}: {best.name} gives {best.figures[key]:.3g}, but {count} figures are near"
+    )
 
 
 def _near_count(trial: Trial, theirs: Mapping[str, float]) -> int:

@@ -91,7 +91,7 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
     quick : bool
         Only a few settings.
     """
-    yield Setting("as we have it", f"first frame, costs 8:1, bonus {PBRT_BONUS}")
+    yield Setting("as in the lab", f"first frame, costs 8:1, bonus {PBRT_BONUS}")
     if name in _STILL_VIEWS:
         still = _STILL_VIEWS[name]
         yield Setting("camera", "the file's block v", camera=lambda _: still)

@@ -47,7 +47,7 @@ _TITLES = {
 _EXACT = "clipped triangles, bonus 0.5"
 _BUILDERS: dict[str, dict[str, Any]] = {
     f"planes, bonus {OWN_BONUS}: raystream's default": {"empty_bonus": OWN_BONUS},
-    "planes, bonus 0.5: as we have it": {},
+    "planes, bonus 0.5: as in the lab": {},
     _EXACT: {"overlap": "exact"},
     "whole boxes, bonus 0.5: pbrt's": {"overlap": "box"},
 }
@@ -102,8 +102,8 @@ def _table_2(found: dict[str, States], tried: dict[str, list[Trial]], size: int)
         f"Rays in each state, in millions: {published('foley', 'table 2').source}; "
         f"{size} x {size} rays",
         rows,
-        "Counts are scaled to 512 x 512 rays. Down of backtrack omits the run after each climb, "
-        "as Foley's does, and then equals the stack's.",
+        "Counts are scaled to 512 x 512 rays. Backtrack's Down omits the run after each climb, as "
+        "Foley's does, and then equals the stack's.",
         _transition_note(found),
     )
 
@@ -120,8 +120,8 @@ def _transition_note(found: dict[str, States]) -> str:
         own = (ours["restart down"] - ours["down"]) / (ours["transitions"] - rays)
         parts.append(f"{name} {whole:.3g}, not {half:.3g}; ours {own:.3g}")
     return (
-        "Trans. counts leaves, not Leaf and Continue together: only then does a restart of "
-        f"Foley's descend through as few known splits as ours ({'; '.join(parts)})."
+        "Trans. counts leaves, not Leaf and Continue together: only then does a restart descend "
+        f"again through as few splits in Foley's tree as in ours ({'; '.join(parts)})."
     )
 
 
@@ -168,12 +168,12 @@ def _same_table(found: dict[str, States]) -> Table:
             )
     return Table.of(
         "foley-identities",
-        "Identities of the traversals, exact",
+        "Identities of the traversals, which hold exactly",
         ["scene", "traversal", "Down", "of them after a climb", "the rest", "Up", "restarts"]
         + ["leaves", "triangles"],
         rows,
-        "In each scene, leaves and triangles are equal, and so is the rest of Down for stack and "
-        "backtrack. There are as many restarts as climbs.",
+        "In each scene, all traversals have equal numbers of leaves and triangles; stack and "
+        "backtrack also have an equal rest of Down. There are as many restarts as climbs.",
     )
 
 
@@ -195,11 +195,12 @@ def _builder_table(runner: Runner, found: dict[str, States]) -> Table:
         ["scene", "builder", *_TITLES.values(), "of 5 within a quarter", "references"]
         + ["longer than clipped"],
         rows,
-        "raystream lists a triangle where its box and plane overlap a cell, so that all structures "
-        "have equal bits; the last column has the price, at the same bonus. Clipped: the triangle "
-        "itself (Havran and Bittner 2002; KdTree(overlap='exact')), without that guarantee. Whole "
-        "boxes: as pbrt. The paper says of its builder only that it is based on pbrt's, with cost "
-        "estimates improved by Havran and Bittner.",
+        "raystream lists a triangle in each cell that its box and plane overlap, so that results "
+        "have equal bits in all structures; the last column shows the price, at the same bonus. "
+        "Clipped: in each cell that the triangle itself overlaps (Havran and Bittner 2002; "
+        "KdTree(overlap='exact')), without that guarantee. Whole boxes: in each cell that its box "
+        "overlaps, as in pbrt. The paper says of its builder only that it is based on pbrt's, with "
+        "cost estimates improved by Havran and Bittner.",
     )
 
 

@@ -219,13 +219,13 @@ def _table_1(both: Mapping[str, Found], size: int) -> Table:
         ["scene", "structure", "published", "ours, branching", "ratio", "median", "rounds"]
         + ["ours, multipass", "its ratio"],
         rows,
-        f"Scaled to 512 x 512 rays; {size} x {size} were traced, by brute force {_BRUTE_SHARE} "
-        "times fewer per side. Best of rounds in which structures take turns, up to 3 on the "
-        "multipass machine with Foley's scheduler. The hardware differs: compare structures with "
-        "each other, in the next table.",
+        f"Times are scaled to 512 x 512 rays; {size} x {size} were traced, by brute force "
+        f"{_BRUTE_SHARE} times fewer along each side. They are the best of several rounds in which "
+        "structures take turns; the multipass machine, with Foley's scheduler, has up to 3. The "
+        "hardware differs, so compare structures with each other, as in the next table.",
         "Brute force on the multipass machine is Foley's: one pass over all rays per triangle, "
-        "whose corners are constants of the kernel, by Möller and Trumbore. It is timed in the "
-        "Cornell box alone.",
+        "whose corners are constants of the kernel, with the test of Möller and Trumbore. It is "
+        "timed only in the Cornell box.",
     )
 
 
@@ -261,10 +261,10 @@ def _relative_table(
         ["scene", "structure", "published", "ours, branching", "ratio", "ours, multipass"]
         + ["its ratio", "ours, by counts", "their ratio", "why they differ"],
         rows,
-        "By counts: cells and tests of a grid, or steps down and up and tests of a tree, over "
-        "the steps and tests of backtrack. Why: the product gives the branching machine's times. "
-        "Other views: the one whose kernel runs, over backtrack's, are nearest to the published "
-        "ratio of times.",
+        "By counts: cells and tests of a grid, or steps down and up and tests of a tree, over the "
+        "steps and tests of backtrack. Why they differ: the product of the two factors is the "
+        "ratio of times on the branching machine. Other views: the view in which the ratio of "
+        "kernel runs to backtrack's is nearest to the published ratio of times.",
     )
 
 
@@ -294,8 +294,9 @@ def _count_table(counts: Found) -> Table:
         "Work per primary ray",
         ["scene", "structure", "steps", "leaves", "tests", "steps and tests"] + ["kernel runs"],
         rows,
-        "Steps: cells of a grid; splits descended and nodes climbed in a kd-tree; inner nodes of "
-        "a BVH. Kernel runs: Foley's kd-trees also run Leaf and Continue per leaf.",
+        "Steps: cells of a grid; splits descended and nodes climbed to in a kd-tree; inner nodes "
+        "of a BVH. Kernel runs: steps and tests; Foley's kd-trees also run Leaf and Continue per "
+        "leaf.",
     )
 
 

@@ -97,7 +97,7 @@ def _most(ways: Mapping[str, Costs]) -> Claim:
         "Foley 2005, abstract and Table 1",
         near,
         f"largest grid / better kd-tree: published {old:.3g}; ours {listed(leads)}"
-        + (f"; a different ratio by {', '.join(others)}" if others else ""),
+        + (f"; not within a quarter: {', '.join(others)}" if others else ""),
     )
 
 

@@ -188,11 +188,12 @@ def _table_1(runner: Runner, found: Mapping[str, dict[str, _Figures]], size: int
         + ["passes", "why they differ"],
         rows,
         runner.facts.note,
-        f"Scaled to 512 x 512 rays; {size} x {size} were traced, by brute force in large scenes "
-        f"{_BRUTE_SHARE} times fewer per side. Best of up to {_ROUNDS} rounds in which structures "
-        "take turns, including the transfer of rays and hits. multipass has Foley's scheduler.",
-        f"By passes, brute force runs only in scenes of up to {_LARGE:,} triangles: it takes a "
-        "pass over all rays for each.",
+        f"Times are scaled to 512 x 512 rays; {size} x {size} were traced, by brute force in large "
+        f"scenes {_BRUTE_SHARE} times fewer along each side. They are the best of up to {_ROUNDS} "
+        "rounds in which structures take turns, and include the transfer of rays and hits. The "
+        "machine multipass has Foley's scheduler.",
+        f"In passes, brute force runs only in scenes of up to {_LARGE:,} triangles, since it takes "
+        "a pass over all rays for each triangle.",
     )
 
 
@@ -231,8 +232,8 @@ def _relative_table(runner: Runner, found: Mapping[str, dict[str, _Figures]]) ->
         ["scene", "machine", "structure", "published", f"ours, {runner.device}", "ratio"]
         + ["why they differ"],
         rows,
-        "Why: the product of steps and tests, as the device counts them, and of the time of each "
-        "is our value.",
+        "Why they differ: the product of the factors for the number of steps and tests, as the "
+        "device counts them, and for the time of each is our value.",
     )
 
 

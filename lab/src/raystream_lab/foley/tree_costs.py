@@ -131,9 +131,9 @@ def _cost_table(found: Mapping[str, Found], size: int) -> Table:
         + ["leaves", "tests", "passes", "efficiency"]
         + [f"ms, {t}" for t in TRAVERSALS],
         rows,
-        "A test costs 1. Steps, leaves and tests per ray; triangles per non-empty leaf; passes "
-        "and efficiency of the multipass machine with backtrack and Foley's scheduler; best "
-        "milliseconds on the branching machine, all trees in turn.",
+        "A test costs 1. Steps, leaves and tests per ray; triangles per non-empty leaf; passes and "
+        "efficiency of the multipass machine with backtrack and Foley's scheduler; best "
+        "milliseconds on the branching machine, with all trees in turn.",
     )
 
 
@@ -157,8 +157,8 @@ def _best_table(found: Mapping[str, Found]) -> Table:
         "The cost with the best time",
         ["scene", "traversal", "published", "ours", "ratio", "time at the published / best"],
         rows,
-        "The cost of a step, in tests. Times are flat near the optimum, so its position is less "
-        "certain than the loss at the published cost.",
+        "The cost of a step is given in tests. Times are flat near the optimum, so its position is "
+        "less certain than the loss at the published cost.",
     )
 
 

@@ -109,20 +109,21 @@ def compiled_kernels(runner: Runner) -> Result:
                 f"Our compiled kernels and {place.source}",
                 ["kernel", *_COLUMNS],
                 rows,
-                "Instructions: of the optimised LLVM code of one step for one ray, which loads "
-                "its state, computes and stores, over all branches. A further step: the part "
-                "that another step in the same pass takes, and the paper's branching kernel. "
-                "Processor's: of the same code. R, W and M are the words of Table 1, multipass.",
+                "Instructions: those of the optimised LLVM code of one step for one ray, which "
+                "loads its state, computes and stores, over all branches. A further step: the part "
+                "of them that another step in the same pass takes, next to the paper's branching "
+                "kernel. Processor's: machine instructions of the same code. R, W and M: the words "
+                "of Table 1, multipass.",
                 "The paper's instructions work on vectors of 4 numbers, ours in grid and brute "
-                "force on scalars. A ray is set up again in each pass, and the triangle test is "
-                "watertight, with a float64 part for rays through an edge; the paper's is Möller "
-                "and Trumbore's. As published: that test as printed in Figure 5, and a 3D-DDA that "
-                "adds up distances (raystream_lab.as_published); words in and out are those of "
-                "the fields that the code reads and writes.",
-                "Words in and out: of the whole records that a pass reads and writes. Words of "
-                "the scene: in all loads of the code; in grid and brute force, both parts of the "
-                "triangle test load the same 9 words of vertices; trees test four triangles at a "
-                "time.",
+                "force on scalars. Our kernels set a ray up again in each pass, and our triangle "
+                "test is watertight, with a float64 part for rays through an edge; the paper's "
+                "test is Möller and Trumbore's. As published: the latter as printed in Figure 5, "
+                "and a 3D-DDA that adds up distances (raystream_lab.as_published); words in and "
+                "out are those of the fields that the code reads and writes.",
+                "Words in and out: those of the whole records that a pass reads and writes. Words "
+                "of the scene: those of all loads in the code; in grid and brute force, both parts "
+                "of the triangle test load the same 9 words of vertices; trees test four triangles "
+                "at a time.",
             )
         ],
     )
@@ -140,8 +141,8 @@ def _program_claims(own: dict[str, dict[str, Any]]) -> list[Claim]:
             written[f"{kernel}, {architecture}"] = row["written"]
     return [
         Claim.judged(
-            f"The longest program has about {longest} instructions (read as: none more than a "
-            "quarter above)",
+            f"The longest program has about {longest} instructions (read as: none has more than a "
+            "quarter more)",
             limits.source,
             {name: count <= longest * (1.0 + TOLERANCE) for name, count in lengths.items()},
             listed(lengths, "g"),

@@ -127,9 +127,9 @@ def _prices(found: dict[str, Lists]) -> tuple[list[str], list[list[Cell]], str]:
         columns,
         rows,
         (
-            "Planes: cells list the triangles whose box and plane overlap them, as usual. "
-            "Exact: only those that overlap the cell themselves, by 13 separating axes, without a "
-            "promise for rays that graze an edge."
+            "Planes: cells list the triangles whose box and plane overlap them, as by default. "
+            "Exact: cells list only the triangles that overlap them, by a test of 13 separating "
+            "axes, without a guarantee for rays that graze an edge."
         ),
     )
 

@@ -152,18 +152,19 @@ def extensions(runner: Runner) -> Result:
             f"Extensions over the ray caster, the bunny on a floor: {source}",
             compared,
             "Shadow rays: those of the paper's hybrid, which rasterises the visible surfaces. "
-            "Whitted: of one and of two bounces, which the paper does not tell. Path: the preset "
-            "arnold, of two diffuse bounces, with the paper's 64 samples; or one that also "
-            "samples a light at each surface, and mirrors.",
+            "Whitted: with one and with two bounces, since the paper does not give their number. "
+            "Path: the preset arnold, with two diffuse bounces and the paper's 64 samples. Path, "
+            "to lights: a path tracer that also samples a light at each surface, and has mirrors.",
         ),
         Table.of(
             "purcell-extensions-all",
             "Counts per camera ray: the ray caster's, and ratios to them",
             ["scene", "mode", *_COUNTED, "time"],
             rows,
-            "The ray caster's time is in microseconds per ray. Times are of whole images, "
-            "medians of rounds in which the modes take turns; instructions and words by Table 1, "
-            f"branching. Paths: {_PATH_SAMPLES} samples, the bunny's the paper's.",
+            "The ray caster's time is in microseconds per ray. Times are of whole images, medians "
+            "of rounds in which the modes take turns; instructions and words are by Table 1, "
+            f"branching. Paths have {_PATH_SAMPLES} samples, those of the bunny as many as the "
+            "paper's.",
         ),
     ]
     if passes:
@@ -286,11 +287,11 @@ def _multipass_table(runner: Runner, passes: dict[str, dict[str, float]]) -> Tab
         ["mode", "passes per sample", "rays", "steps", "tests", "instructions"]
         + ["published, branching", "bytes", "bytes, published, branching"],
         rows,
-        "Counts per camera ray: the ray caster's, and ratios to them; instructions and bytes by "
-        "Table 1, multipass, with the stencil of all pixels in each pass. The paper gives no "
+        "Counts per camera ray: the ray caster's, and ratios to them. Instructions and bytes are "
+        "by Table 1, multipass, with the stencil of all pixels in each pass. The paper gives no "
         "numbers for this machine.",
         "Shadow rays are traced by a query; all other modes are one loop per sample, whose shadow "
-        "rays search the nearest hit, with the kernels of all other rays.",
+        "rays search for the nearest hit, with the same kernels as all other rays.",
     )
 
 

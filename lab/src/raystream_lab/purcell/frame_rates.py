@@ -113,9 +113,9 @@ def frame_table(ours: Costs, theirs: Costs, size: int) -> Table:
             )
         ],
         rows,
-        f"Images of {SIZE} x {SIZE} pixels. {slow.bytes / 1e9:g} GB/s in both: "
-        f"{slow.balance:g} and {fast.balance:g} bytes per instruction. Table 1's costs; caches are "
-        "not included.",
+        f"Images have {SIZE} x {SIZE} pixels. Both rates have {slow.bytes / 1e9:g} GB/s: "
+        f"{slow.balance:g} and {fast.balance:g} bytes per instruction. Costs are those of Table 1; "
+        "caches are not included.",
         "The height of Figure 7's line is not in our copy; the plots show the GeForce3's rates.",
     )
 
@@ -152,8 +152,8 @@ def frame_claims(ours: Costs, theirs: Costs) -> list[Claim]:
             "bytes per instruction: " + listed(balances["multipass"]),
         ),
         Claim.judged(
-            "Branching is severely limited by instructions (read as section 5.2 does: even with "
-            f"four times as many it needs less than the {slow.bytes / 1e9:g} GB/s)",
+            "Branching is severely limited by instructions (read as in section 5.2: even with four "
+            f"times as many it needs less than the {slow.bytes / 1e9:g} GB/s)",
             "Purcell 2002, sections 4.2 and 5.2",
             {case: one < fast.balance for case, one in balances["branching"].items()},
             "bytes per instruction: " + listed(balances["branching"]),

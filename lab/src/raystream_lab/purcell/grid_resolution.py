@@ -99,7 +99,7 @@ def grid_resolution(runner: Runner) -> Result:
             "Grids from coarse to fine; instructions per ray by Table 1 (branching)",
             ["view", "least cells", "cells", "v", "t", "traversal", "intersection", "both", ""],
             rows,
-            "Least cells: along the shortest axis of the scene's box, as in the paper.",
+            "Least cells: those along the shortest axis of the scene's box, as in the paper.",
         )
     ]
     result.claims = [
@@ -110,7 +110,7 @@ def grid_resolution(runner: Runner) -> Result:
             _listed("not throughout: ", monotone) or f"throughout, in all {len(monotone)} views",
         ),
         Claim.judged(
-            "At the paper's resolutions traversal and intersection take about equal time (here: "
+            "At the paper's resolutions, traversal and intersection take about equal time (here: "
             "instructions, within a factor of two)",
             place,
             balanced,

@@ -151,8 +151,8 @@ def _kind_table(ours: Costs, theirs: Costs, size: int) -> Table:
         f"Bytes by kind of data (Figure 8): shares; {size} x {size}",
         ["view", "architecture", *columns, "bytes per ray"],
         rows,
-        "State: of rays between passes, and the pixel's colour. Data: grid, lists, triangles, "
-        "and reads of shading.",
+        "State: that of rays between passes, and the pixel's colour. Data: the grid, lists, "
+        "triangles, and what shading reads.",
     )
 
 

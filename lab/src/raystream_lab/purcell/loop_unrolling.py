@@ -55,7 +55,7 @@ def loop_unrolling(runner: Runner) -> Result:
             "The paper gives 50 % for the first and 40 % for the second. They must be swapped: "
             "suppressing reads saves more, never less.",
             "Instructions: the overhead of a pass (Table 1: multipass minus branching) is paid "
-            "once per pass, and each of its steps in full, needed or not.",
+            "once per pass, and each of its steps is paid in full, whether needed or not.",
         ),
         _aggressive_table(longer, (steps, tests)),
     ]
@@ -67,8 +67,8 @@ def loop_unrolling(runner: Runner) -> Result:
             listed(saved, ".0%") + "; with reads suppressed " + listed(suppressed, ".0%"),
         ),
         Claim.judged(
-            "It adds less than a tenth to the instructions (a changed reading: our model charges "
-            "the overhead of a pass once for all its steps, so their number can fall)",
+            "It adds less than a tenth to the instructions (our reading: the model charges the "
+            "overhead of a pass once for all its steps, so their number can fall)",
             paper.source,
             {name: one < values["instructions_added"] for name, one in added.items()},
             f"{listed(added, '.0%')}; fewer in {sum(one < 0.0 for one in added.values())} of "

@@ -36,9 +36,9 @@ def mailbox(runner: Runner) -> Result:
                 *(f"{count} entries save" for count in entries),
             ],
             rows,
-            "Without a mailbox, a triangle in several cells is tested in each that the ray "
-            "visits. Entries: of a mailbox per ray, addressed by the triangle's number modulo "
-            "their count.",
+            "Without a mailbox, a triangle that lies in several cells is tested in each of them "
+            "that the ray visits. Entries: those of each ray's mailbox, addressed by the "
+            "triangle's number modulo their count.",
         )
     ]
     return result

@@ -112,13 +112,13 @@ def _machines_table(runner: Runner, found: dict[str, _Found], size: int) -> Tabl
         "purcell-machines",
         f"Primary rays on machines of {runner.device} and the CPU, {size} x {size}",
         ["view", "machine", "passes", "draws", "rays active in a pass", "seconds"]
-        + ["million rays/s", "rays with other triangles", "farthest t, of t"],
+        + ["million rays/s", "rays with other triangles", "largest difference in t, of t"],
         rows,
         runner.facts.note,
-        "Draws: those encoded; where a graphics device chooses the kernel, draws of the others "
-        "are empty. Seconds: medians of rounds in which all take turns, including the transfer "
-        "of rays and hits. Unrolled: steps and tests per pass as in section 4.2.",
-        "Other triangles, and t: compared with the CPU's multipass machine.",
+        "Draws: those encoded; if a graphics device chooses the kernel, the draws of the others "
+        "are empty. Seconds: medians of rounds in which all machines take turns, including the "
+        "transfer of rays and hits. Unrolled: steps and tests per pass as in section 4.2.",
+        "Other triangles and differences in t: compared with the CPU's multipass machine.",
     )
 
 
@@ -135,7 +135,7 @@ def _passes_table(contender: str, found: dict[str, _Found], size: int) -> Table:
             ("SIMD efficiency", "efficiency", "efficiency"),
         ):
             is_near = abs(ours[own] / theirs[key] - 1.0) <= _NEAR
-            why = f"the CPU's machine has {cpu[own]:.4g}: causes are in purcell-passes of the CPU"
+            why = f"the CPU's machine has {cpu[own]:.4g}; for causes, see purcell-passes on the CPU"
             rows.append((f"{name}: {what}", theirs[key], ours[own], "" if is_near else why))
     return comparison(
         "purcell-table-2",
@@ -143,8 +143,9 @@ def _passes_table(contender: str, found: dict[str, _Found], size: int) -> Table:
         f"{size}",
         rows,
         "The scenes, grids and cameras are those of the CPU's experiments, and so are the causes "
-        "of differences: models that replace unpublished ones, and cameras that are not known. "
-        "An image of other than 1024 x 1024 pixels has other longest rays, which bound the passes.",
+        "of differences: models that replace unpublished ones, and cameras that are not known. In "
+        "images of other sizes than 1024 x 1024 pixels, the longest rays, which bound the passes, "
+        "are different ones.",
     )
 
 

@@ -73,7 +73,7 @@ def pass_reasons(
         count = runner.measure(
             f"{name}, passes of a ray caster", lambda: _other_passes(runner, name), shared=True
         )
-        reasons["other"] = f"the ray caster's loop has {count}: a pass of eye rays is added"
+        reasons["other"] = f"the ray caster's loop has {count}, with a pass for eye rays"
     if not far:
         return reasons
     camera, tried = _nearest_schedule(runner, name, theirs)
@@ -82,7 +82,7 @@ def pass_reasons(
     for own in far:
         told = f"camera {camera} gives {_number(tried[own])}"
         if near < len(compared):
-            told = f"{NOT_EXPLAINED}: {told}, but {near} of {len(compared)} figures near"
+            told = f"{NOT_EXPLAINED}: {told}, but {near} of {len(compared)} figures are near"
         reasons[own] = told
     return reasons
 

@@ -171,7 +171,7 @@ def _by_grid(resolutions: Mapping[int, ImageCounts]) -> dict[str, ImageCounts]:
 def _explain(name: str, key: str, why: str) -> str:
     if name == _ALONE:
         return "not the paper's scene: its grid differs"
-    return "the camera was chosen by it" if (name, key) == _CHOSEN_BY else why
+    return "the camera was chosen by this share" if (name, key) == _CHOSEN_BY else why
 
 
 def _soda_hall() -> str:
@@ -188,8 +188,8 @@ def _soda_hall() -> str:
 
 def _notes(runner: Runner) -> list[str]:
     about = (
-        "Soda Hall and the forest are substitutes: their figures show whether ours are of the "
-        "same kind, not whether they are right. The paper's cameras are not known."
+        "Soda Hall and the forest are replaced by substitutes, whose figures show only whether "
+        "ours are plausible, not whether they are right. The paper's cameras are not known."
     )
     notes = [about]
     if runner.quick:

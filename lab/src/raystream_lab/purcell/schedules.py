@@ -104,10 +104,10 @@ def _table_2(runner: Runner, found: dict[str, dict[str, Any]], size: int) -> Tab
         "purcell-table-2",
         f"Passes: {source}; threshold 20 %, {size} x {size}",
         rows,
-        "Camera: the one of the sweep for Figure 6 whose longest walks are nearest to the paper's, "
-        "in steps and tests at once; scheduled again at the full size.",
-        "Other passes: set-up and shading. The paper also makes eye rays in a pass, and takes two "
-        "for set-up.",
+        "Camera: of the cameras tried for Figure 6, the one whose longest walks are nearest to the "
+        "paper's in both steps and tests, scheduled again at the full size.",
+        "Other passes: set-up and shading. In the paper, generating eye rays takes a pass as well, "
+        "and set-up takes two.",
     )
 
 
@@ -138,8 +138,8 @@ def _schedulers(found: dict[str, dict[str, Any]], size: int) -> Table:
             "fewest",
         ],
         rows,
-        "Optimal: the sum over kernels of the maximum runs on any ray, a lower bound that may "
-        "not be attainable. Naive intersects as soon as any ray waits for it.",
+        "Optimal: the sum, over kernels, of the maximum number of runs on any ray, a lower bound "
+        "that may not be attainable. Naive intersects as soon as any ray waits for it.",
     )
 
 
@@ -235,8 +235,8 @@ def _efficiency_claims(busy: dict[str, float]) -> list[Claim]:
     rest = {name: one for name, one in busy.items() if name != other}
     claims = [
         Claim.judged(
-            f"The SIMD efficiency is roughly {about:.0%}, except for {other} (read as: as near as "
-            f"the paper's own, {about / factor:.3f} to {about * factor:.3f})",
+            f"The SIMD efficiency is roughly {about:.0%}, except for {other} (read as: as close to "
+            f"it as the paper's own values, {about / factor:.3f} to {about * factor:.3f})",
             source.source,
             {name: about / factor <= one <= about * factor for name, one in rest.items()},
             listed(rest),

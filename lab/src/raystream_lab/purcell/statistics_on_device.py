@@ -28,7 +28,7 @@ def statistics_on_device(runner: Runner) -> Result:
         theirs = published("purcell", "figure 6").values[paper_view(name)]
         for key, what in STATISTICS.items():
             is_like = is_near(ours[key], theirs[key])
-            why = f"the CPU counts {cpu[key]:.4g}: causes are in purcell-statistics of the CPU"
+            why = f"the CPU counts {cpu[key]:.4g}; for causes, see purcell-statistics on the CPU"
             figure.append((f"{name}: {what}", theirs[key], ours[key], "" if is_like else why))
         counts += [(f"{name}: {key.replace('_', ' ')}", cpu[key], ours[key]) for key in _COUNTED]
     source = published("purcell", "figure 6").source

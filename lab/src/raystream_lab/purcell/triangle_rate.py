@@ -50,13 +50,13 @@ def triangle_rate(runner: Runner) -> Result:
             ],
             rows,
             "Tests per second: all tests of the image's rays over the time of the image, which "
-            "includes traversal. Medians of rounds without counters; tests are counted in "
-            "another run. The BVH traces many rays at once, and its counts are those of single "
+            "includes traversal. Times are medians of rounds without counters; tests are counted "
+            "in another run. The BVH traces many rays at once, but its counts are those of single "
             "rays.",
             f"Published: {speed['pentium_intersections_per_second'] / 1e6:g} million tests/s by a "
-            "Pentium III of 800 MHz (Wald, after Purcell 2002, section 5.2), and nearly "
-            f"{claims['brute_tests_per_second'] / 1e6:g} million by a Radeon X800 with brute "
-            "force (Foley 2005, section 3).",
+            "Pentium III of 800 MHz (Wald, cited in Purcell 2002, section 5.2), and nearly "
+            f"{claims['brute_tests_per_second'] / 1e6:g} million by a Radeon X800 with brute force "
+            "(Foley 2005, section 3).",
         )
     )
     return result

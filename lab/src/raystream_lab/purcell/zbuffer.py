@@ -83,10 +83,11 @@ def zbuffer(runner: Runner) -> Result:
             rows,
             *(f"{one.name}: {one.about}." for one in _FAMILIES),
             "Depth complexity: triangles that a pixel's ray hits, by counting all hits. Ray "
-            "tracing: Table 1, branching, on the paper's grids, with as many cells per triangle "
-            "in smaller scenes. Z-buffer: each triangle's three vertices, by programs of "
+            "tracing: Table 1, branching, on the paper's grids; smaller scenes have as many cells "
+            "per triangle. Z-buffer: each triangle's three vertices are processed by programs of "
             f"{_VERTEX_INSTRUCTIONS[0]} or {_VERTEX_INSTRUCTIONS[1]} instructions, and each "
-            "fragment shaded by the same colour kernel; deferred: only the nearest one is shaded.",
+            "fragment is shaded by the same colour kernel; deferred: only the nearest fragment is "
+            "shaded.",
         ),
         Table.of(
             "purcell-crossover",
@@ -99,7 +100,8 @@ def zbuffer(runner: Runner) -> Result:
             "Growth of instructions with depth complexity: exponent of a power law",
             ["scenes", *names],
             [[name, *values.values()] for name, values in growth.items()],
-            "1 is linear, 0 constant; fitted to the logarithms over all of a family's scenes.",
+            "1 is linear, 0 constant. Exponents are fitted to the logarithms over all of a "
+            "family's scenes.",
         ),
     ]
     result.claims = [

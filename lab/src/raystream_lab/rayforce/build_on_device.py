@@ -44,9 +44,9 @@ def build_on_device(runner: Runner) -> Result:
             + [f"bytes, {runner.device}"],
             rows,
             runner.facts.note,
-            "The shorter of two builds: the first may compile. The triangles are on the device "
-            "already, and the structure stays there. The BVH is built by clusters there, on the "
-            "CPU by the surface area heuristic.",
+            "Times are the shorter of two builds, since the first may compile. The triangles are "
+            "on the device already, and the structure stays there. The BVH is built by clusters on "
+            "the device, and by the surface area heuristic on the CPU.",
         ),
         agreement_table(
             "rayforce-build-agreement",

@@ -171,14 +171,14 @@ def _displacement(found: dict[str, dict[str, Any]]) -> Table:
             )
     return Table.of(
         "rayforce-displacement",
-        "Sectors left on the way to the start of rays that leave a hit, mean",
+        "Sectors passed on the way to the start sector of rays that leave a hit, mean",
         ["scene", "rays", "from bins", "from bins, in turn", "by displacement", "steps from there"]
         + ["saved, of all"],
         rows,
         "ao: 32 any-hit rays from each first hit. Bounces: those of kajiya. In turn: from the "
-        "sector of the ray before, if it began in the same bin, as rays walk without a known "
+        "sector of the previous ray, if it began in the same bin, as for rays without a known "
         "sector. By displacement: from the sector of the hit (Hits.sectors, near=), as ao, kajiya "
-        "and path do. Saved: of the sectors left and visited in turn.",
+        "and path do. Saved: share of the sectors passed and visited in turn.",
     )
 
 
@@ -191,7 +191,8 @@ def _displacement_claim(found: dict[str, dict[str, Any]]) -> Claim:
     walks = [one for values in found.values() for one in values["leaving"].values()]
     most = max((one["displaced"] for one in walks), default=0.0)
     return Claim.judged(
-        "Rays that begin in the sector of their hit leave less than half as many on the way",
+        "Rays that begin in the sector of their hit pass less than half as many sectors on the way "
+        "to their start",
         "Rayforce 2013, section 2; displacement from other origins",
         cases,
         f"at most {most:.2g} sectors by displacement",
@@ -222,8 +223,9 @@ def _graphs(found: dict[str, dict[str, Any]]) -> Table:
         ["scene", "triangles", "sectors", "empty", "lists per triangle", "link nodes"]
         + ["of those without sharing", "link nodes behind a face", "bytes per triangle", "bins"],
         rows,
-        "Bytes of sectors, link nodes, lists and bins, without the triangles' vertices. Link "
-        "nodes behind a face: the number that a random ray visits from one sector to the next.",
+        "Bytes: those of sectors, link nodes, lists and bins, without the triangles' vertices. "
+        "Link nodes behind a face: the number that a random ray visits from one sector to the "
+        "next.",
     )
 
 
@@ -231,7 +233,7 @@ def _walks(found: dict[str, dict[str, Any]]) -> Table:
     return Table.of(
         "rayforce-walks",
         "From a bin's sector to the ray's start sector",
-        ["scene", "rays", "sectors left, mean", "most", "rays already there"],
+        ["scene", "rays", "sectors passed, mean", "most", "rays already there"],
         [
             [name, kind, walk["mean"], walk["most"], walk["none"]]
             for name, values in found.items()
@@ -262,8 +264,8 @@ def _structures(found: dict[str, dict[str, Any]]) -> Table:
         ["scene", "structure", "bytes per triangle", f"bytes / {REFERENCE}'s", "build, s"]
         + [f"build / {REFERENCE}'s"],
         rows,
-        "Bytes include a copy of the vertices in test order; the grid has none, and reads the "
-        "scene's. Build times are the shorter of two.",
+        "Bytes include a copy of the vertices in test order; the grid has no copy, and reads the "
+        "scene's vertices. Build times are the shorter of two builds.",
     )
 
 

@@ -207,9 +207,10 @@ def _table(runner: Runner, found: _Found) -> Table:
         ["more triangles", "times", "triangles", "structure", "steps", "tests", "price"]
         + ["ns per ray", "pixels that changed"],
         rows,
-        "Steps and tests are counted, and decide. The price is the cost of a ray's sectors, link "
-        "nodes and tests by the costs of the graph's builder, which trades steps for tests. "
-        "Times are of the BVH's kernels for many rays, and of single rays in the others.",
+        "Verdicts rest on counts, not on times. The price is the cost of a ray's sectors, link "
+        "nodes and tests in the cost model of the graph's builder, which trades steps for tests. "
+        "Times are those of the BVH's kernels for many rays, and of single rays in the other "
+        "structures.",
     )
 
 

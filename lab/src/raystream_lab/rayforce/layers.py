@@ -195,9 +195,9 @@ def _times(runner: Runner, found: dict[int, dict[str, dict[str, Any]]]) -> Table
         f"Layers: nanoseconds per ray, {size} x {size} rays",
         ["layers", "structure", *QUERIES, "all, per hit"],
         rows,
-        f"Sheets of {2 * CELLS**2} triangles, parallel and facing the camera; each ray hits all "
-        "of them. With `max_hits` 1 or 4 the nearest few are kept. Medians of rounds in which "
-        "structures take turns; only the BVH has kernels for many rays at once.",
+        f"Sheets of {2 * CELLS**2} triangles, parallel and facing the camera; each ray hits all of "
+        "them. With `max_hits` of 1 or 4, only the nearest hits are kept. Times are medians of "
+        "rounds in which structures take turns; only the BVH has kernels for many rays at once.",
     )
 
 

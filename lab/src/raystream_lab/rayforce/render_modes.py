@@ -128,7 +128,7 @@ def render_modes(runner: Runner) -> Result:
             ]
             if runner.device != "cpu":
                 continue
-            title = f"{view.name}: {mode}, one sample a pixel"
+            title = f"{view.name}: {mode}, one sample per pixel"
             name = f"rayforce {view.name} {mode}"
             result.images.append(
                 report_image(runner, name, title, contenders.scene, mode, _IMAGE_SIZE)
@@ -241,9 +241,9 @@ def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
         ["scene", "structure", "drawn", "rays per pixel", "ms", "frames/s"]
         + ["Mrays/s", f"time / {REFERENCE}'s"],
         rows,
-        f"Whole frames without display, medians of {ROUNDS} rounds in which structures take "
-        "turns. Material tables are built once per scene. Times of reduced frames are scaled by "
-        "the number of pixels.",
+        f"Times are of whole frames without display, medians of {ROUNDS} rounds in which "
+        "structures take turns. Material tables are built once per scene. Times of reduced frames "
+        "are scaled by the number of pixels.",
     )
 
 
@@ -280,17 +280,17 @@ def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
         published("rayforce", "figure 3").source,
         {case: rate >= INTERACTIVE for case, rate in rates.items()},
         f"the {REFERENCE} with {thread_count()} threads, frames/s: {listed(rates, '.2g')}; the "
-        "poster's GeForce GTX 690 is not comparable with ours",
+        "poster's GeForce GTX 690 is not comparable with our hardware",
     )
 
 
 def _notes(found: dict[str, dict[str, _Frames]], size: Size) -> Iterator[str]:
     yield (
         "The values of the poster's Figure 3 and its three scenes are not in our copy, so no "
-        "published column is given. The scenes here are interiors with details of different "
-        "sizes, or small built-in ones instead. Scenes without lights get one near the camera, "
-        f"and all surfaces are made opaque. Rays of ao are {REACH:g} of the scene's diagonal long; "
-        "the poster does not give their length."
+        "published column is given. The scenes here are interiors with details of different sizes, "
+        "or small built-in scenes instead. Scenes without lights receive one near the camera, and "
+        f"all surfaces are made opaque. Rays of ao are {REACH:g} of the scene's diagonal long; the "
+        "poster does not give their length."
     )
     ratios = [
         frame["small_pixel"] / _pixel_seconds(frame)
@@ -303,6 +303,7 @@ def _notes(found: dict[str, dict[str, _Frames]], size: Size) -> Iterator[str]:
         yield (
             "Accuracy of scaling: where more than a quarter of the width was rendered, a pixel of "
             f"a quarter-width frame took {min(ratios):.2g} to {max(ratios):.2g} times as long "
-            f"(median {statistics.median(ratios):.2g}). Scaled times may be too long by as much; "
-            f"{', '.join(one for one in STRUCTURES if one != _SLOW)} are rendered at the same size."
+            f"(median {statistics.median(ratios):.2g}). Scaled times may be too long by these "
+            f"factors; {', '.join(one for one in STRUCTURES if one != _SLOW)} are rendered at the "
+            "same size."
         )

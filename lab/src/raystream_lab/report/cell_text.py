@@ -26,7 +26,7 @@ def claims_table(claims: Iterable[Claim]) -> Table:
     """The table of claims and verdicts."""
     return Table.of(
         "claims",
-        "What the papers say, and what is so here",
+        "The papers' claims and our verdicts",
         ("claim", "source", "verdict", "evidence"),
         [(one.text[:1].upper() + one.text[1:], *astuple(one)[1:]) for one in claims],
     )

@@ -72,7 +72,7 @@ def as_pages(
     ]
     parts[-len(papers) :] = ["\n".join(parts[-len(papers) :])] if papers else []
     if any(claims.values()):
-        parts += ["## What the papers say, and what is so here", table_text(_summary(claims))]
+        parts += ["## The papers' claims and our verdicts", table_text(_summary(claims))]
     if walk is not None:
         parts.append(
             f'<a href="{walk}">One ray, step by step</a>: through a grid, kd-trees and a graph of '
@@ -88,7 +88,7 @@ def _paper_page(
     parts = [f"# {paper_name(paper)} on the {about.device_name}", paper_reference(paper)]
     claims = [claim for one in outcomes for claim in one.result.claims]
     if claims:
-        parts += ["## What the paper says, and what is so here", table_text(claims_table(claims))]
+        parts += ["## The paper's claims and our verdicts", table_text(claims_table(claims))]
     for experiment, result, seconds in outcomes:
         parts.append(f"## {_text(experiment.title)}")
         parts.append(f"`{about.command_for(experiment.name)}` ({seconds:.0f} s)")

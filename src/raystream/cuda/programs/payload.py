@@ -118,5 +118,5 @@ def _viewed(scope: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedP
         raise ValueError("payload: the array on the GPU is not in C order, or not aligned; copy it")
     width = 1 if view.shape == shape else view.shape[-1]
     if getattr(payload, "__cuda_array_interface__", {"data": (0, False)})["data"][1]:
-        raise ValueError("payload: the array is read-only, and programs write to it")
+        raise ValueError("payload: the array is read-only, but programs write to it")
     return PlacedPayload(payload, (view.dtype, width), np.uint64(view.address))

@@ -92,7 +92,7 @@ class TableMemory:
             free = self._gpu.free_byte_count()
             if array.nbytes > free:
                 raise CudaError(
-                    f"device 'cuda': the scene's {name} take {array.nbytes:,} bytes, and "
+                    f"device 'cuda': the scene's {name} take {array.nbytes:,} bytes, but "
                     f"{self._gpu.name} has {free:,} free; use device='cpu'"
                 )
             self.arrays[region.begin] = self._gpu.upload(f"the scene's {name}", array)

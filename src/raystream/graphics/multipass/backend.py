@@ -136,7 +136,7 @@ class MultipassBackend(GraphicsBackend):
         if loop == "device" and not isinstance(scheduler, str):
             known = ", ".join(map(repr, SCHEDULERS))
             raise TypeError(
-                f"scheduler: the device knows {known}; {scheduler!r:.60} needs loop='queries'"
+                f"scheduler: the device supports {known}; {scheduler!r:.60} needs loop='queries'"
             )
         self._scheduler = scheduler
         self._threshold = float(threshold)
@@ -169,8 +169,8 @@ class MultipassBackend(GraphicsBackend):
         streams = self._streams
         if is_multi and len(streams.passes.groups) > 1:
             raise GraphicsError(
-                f"multipass: {self.opened.adapter} has too few render targets to keep many hits "
-                "of a ray; take machine='compute'"
+                f"multipass: {self.opened.adapter} has too few render targets to store several "
+                "hits per ray; use machine='compute'"
             )
         begins = wanted[:, 1] != 0 if is_multi else np.full(len(wanted), True)
         if not begins.all():

@@ -89,7 +89,7 @@ class DeviceScheduler:
         spawns: bool = False,
     ) -> None:
         if len(kernels) > _MOST_KERNELS:
-            raise GraphicsError(f"multipass: {len(kernels)} kernels, and room for {_MOST_KERNELS}")
+            raise GraphicsError(f"multipass: {len(kernels)} kernels, but room for {_MOST_KERNELS}")
         self._opened = opened
         self._share = share
         self._spawns = spawns

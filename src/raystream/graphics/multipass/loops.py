@@ -206,5 +206,5 @@ def _check(work: Work, is_exact: bool, what: str) -> None:
     if not is_exact:
         raise GraphicsError(
             f"multipass: {work.opened.adapter} counts fragments inexactly in occlusion queries "
-            f"({what}); take loop='device'"
+            f"({what}); use loop='device'"
         )

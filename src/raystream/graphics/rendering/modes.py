@@ -150,7 +150,7 @@ def unsupported(context: RenderContext) -> str | None:
     if context.tables.kinds & IS_ROUGH and any(one.roughness is not None for one in used):
         return "materials with a roughness"
     if any(not TEXTURES.issuperset(one.textures) for one in used):
-        return "textures beside diffuse ones"
+        return "textures other than diffuse ones"
     if any(texture.transform for one in used for texture in one.textures.values()):
         return "textures with a transform"
     if context.punctual.sky.image or context.lights.sky.image:

@@ -62,7 +62,7 @@ class PathRows:
         if self.room > _MOST_ROOM:
             raise GraphicsError(
                 f"device 'graphics': a pixel has more than {_MOST_ROOM} paths at once behind "
-                "glass; take fewer max_bounces, a larger min_weight, or device='cpu'"
+                "glass; use fewer max_bounces, a larger min_weight, or device='cpu'"
             )
         self._buffer = Buffer(self._opened, "paths behind glass; render with a smaller size")
         self._buffer.reserve(self._half_bytes() * 2)

@@ -52,7 +52,7 @@ def as_device_condition(name: str, where: Any, count: int, opened: OpenDevice) -
     check_device(f"{name}, where", stream, opened)
     if len(stream) != count:
         raise ValueError(
-            f"{name}, where: {stream.label} has {len(stream):,} records, and the kernel's streams "
+            f"{name}, where: {stream.label} has {len(stream):,} records, but the kernel's streams "
             f"have {count:,}"
         )
     constant_words(f"{name}, where", type_of(stream.dtype, 1), where.value)

@@ -155,7 +155,7 @@ def _check_names(name: str, found: Declarations) -> None:
                 f"{name}: the gather array {key!r} is a parameter; call it as a function instead"
             )
         if key not in declared:
-            raise TypeError(f"{name}: the parameter {key!r} is no input or constant")
+            raise TypeError(f"{name}: the parameter {key!r} is not an input or constant")
     for key in (*found.inputs, *found.constants):
         if key not in parameters:
             raise TypeError(f"{name}: the function has no parameter {key!r}")
@@ -212,26 +212,26 @@ def _check_types(name: str, found: Declarations) -> None:
 def _compare(label: str, given: Member, stream: Stream) -> None:
     wanted = type_of(stream.dtype, stream.component_count)
     if given.type in CONSTANT_TYPES and given.type != wanted:
-        raise TypeError(f"{label}: is declared as {given.type}, and {stream.label} has {wanted}")
+        raise TypeError(f"{label}: is declared as {given.type}, but {stream.label} has {wanted}")
 
 
 def _fields(name: str, found: Declarations, single: bool) -> tuple[str, ...]:
     """The members of the structure that the function returns."""
     returned = found.function.returned
     if not returned:
-        raise TypeError(f"{name}: the function returns nothing; it returns a record")
+        raise TypeError(f"{name}: the function returns nothing; it must return a record")
     structure = found.text.structure(returned)
     if structure is None:
         if not single and len(found.outputs) > 1:
             raise TypeError(
-                f"{name}: has {len(found.outputs)} outputs, and the function returns {returned}; "
+                f"{name}: has {len(found.outputs)} outputs, but the function returns {returned}; "
                 "return a structure with a member for each"
             )
         _compare(f"{name}, its result", Member("", returned), found.outputs[0])
         return ()
     if len(structure.members) != len(found.outputs):
         raise TypeError(
-            f"{name}: has {len(found.outputs)} outputs, and {returned} has "
+            f"{name}: has {len(found.outputs)} outputs, but {returned} has "
             f"{len(structure.members)} members"
         )
     for member, stream in zip(structure.members, found.outputs, strict=True):

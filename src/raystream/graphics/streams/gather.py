@@ -21,26 +21,27 @@ class GatherArray:
     A kernel's source calls it as a function of i32 indices: ``table(i)`` is one record, or
     ``table(i, j)`` if it has two dimensions. ``table_shape[0]`` is its length as an i32, and
     ``table_shape[1]`` that of the next dimension. Negative indices count from the end. Other
-    indices out of range are checked in counted passes only; else they read some record, or 0.
+    indices out of range are checked in counted passes only; otherwise, they read some record, or
+    0.
 
     Parameters
     ----------
     values : array_like or Stream
-        An array is copied when a kernel takes it: float32, int32 or uint32. Of a stream, a kernel
-        that also writes it reads the old records.
+        An array, of float32, int32 or uint32, is copied when a kernel takes it. If a kernel also
+        writes the stream, it reads the old records.
     shape : tuple of int, optional
         Reshapes the records, the last index running fastest.
     vectors : bool
         Whether the last axis of an array holds the components of vectors; not for streams.
     name : str, optional
-        For counters [default: the kernel's name for it].
+        Name in counters [default: the kernel's name for it].
 
     Raises
     ------
     TypeError
-        If the values are a stream of another device, or no array.
+        If the values are a stream of another device, or not an array.
     ValueError
-        If the array has no dimensions, or `shape` has another number of records.
+        If the array has no dimensions, or `shape` has a different number of records.
     """
 
     def __init__(

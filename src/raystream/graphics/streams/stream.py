@@ -36,7 +36,7 @@ class Stream(RecordStream):
     dtype : dtype, optional
         Converts the values.
     name : str, optional
-        For errors and counters [default: a kernel's name for it].
+        Name in errors and counters [default: a kernel's name for it].
     adapter : str or OpenDevice, optional
         A part of an adapter's name [default: as for ``Tracer(device="graphics")``].
 
@@ -203,6 +203,6 @@ def check_device(label: str, stream: Stream, opened: OpenDevice) -> None:
     """Raise GraphicsError if a stream is on another device."""
     if stream.opened is not opened:
         raise GraphicsError(
-            f"{label}: is on {stream.opened.adapter}, opened at another time, or another adapter "
-            "than the kernel's other streams; make all of them again"
+            f"{label}: is on {stream.opened.adapter}, but the kernel's other streams are on "
+            "another adapter, or on this one opened at another time; make all of them again"
         )

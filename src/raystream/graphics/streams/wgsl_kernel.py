@@ -35,25 +35,25 @@ class Kernel:
     Parameters
     ----------
     source : str
-        WGSL with the function, and what it uses: other functions, structures, constants.
+        WGSL with the function and everything that it uses: other functions, structures, constants.
     function : str, optional
         Name of the function [default: the only one]. Its parameters are the names of inputs and
         constants. It returns the output's record, or a structure with a member for each of
-        several outputs, in their order. After ``discard;`` the record is rejected: that of every
-        output stays as it was.
+        several outputs, in their order. After ``discard;`` the record is rejected: the records of
+        all outputs stay as they were.
     inputs : mapping of str to Stream, optional
-        Or `INDEX`, for the position of the record: i32 or u32.
+        A stream may be replaced by `INDEX`, the position of the record: i32 or u32.
     outputs : Stream or sequence of Stream
         A stream may be both input and output.
     gathers : mapping of str to GatherArray, optional
         A Stream or an array is converted. The source calls them by their names.
     constants : mapping of str to number, optional
-        Or to two to four numbers; in the type of the parameter: f32, i32, u32 or a vector.
-        `set_constants` changes them.
+        Tuples of two to four numbers are also accepted; they get the type of the parameter: f32,
+        i32, u32 or a vector. `set_constants` changes them.
     where : Condition, optional
         Run only on records for which it holds, such as ``state == 2``. Also an array of booleans.
     name : str, optional
-        For errors and counters [default: the function's].
+        Name in errors and counters [default: the function's].
 
     Raises
     ------
@@ -68,13 +68,13 @@ class Kernel:
 
     Notes
     -----
-    Records run in any order, and see the old records through gather arrays. Numbers have 32 bits,
-    and a shader's compiler may fuse or reorder float operations: results equal the CPU's for
-    integers, and nearly for floats. NaN and infinity are not guaranteed.
+    The function runs on records in any order, and sees the old records through gather arrays.
+    Numbers have 32 bits, and a shader's compiler may fuse or reorder float operations: results
+    equal the CPU's for integers, and nearly for floats. NaN and infinity are not guaranteed.
 
-    A source is run as it is, within the limits of ``graphics/streams/wgsl_text.py``. It can read
-    its own streams and gather arrays only, but nothing limits its time: a loop without an end
-    blocks the device until its driver resets it.
+    A source is run unchanged, within the limits of ``graphics/streams/wgsl_text.py``. It can read
+    its own streams and gather arrays only, but nothing limits its time: an infinite loop blocks
+    the device until its driver resets it.
 
     Examples
     --------
@@ -203,7 +203,7 @@ class Kernel:
         where, counters : optional
             As for `execute`. A condition is evaluated again in each call.
         limit : int
-            Most calls.
+            Maximum number of calls.
 
         Returns
         -------
@@ -245,7 +245,7 @@ class Kernel:
             most = opened.limits["max-sampled-textures-per-shader-stage"]
             if len(reads) > most:
                 raise GraphicsError(
-                    f"kernel {self.name}: reads {len(reads)} streams and gather arrays, and "
+                    f"kernel {self.name}: reads {len(reads)} streams and gather arrays, but "
                     f"{opened.adapter} allows {most}"
                 )
             program = make_program(declared, condition, is_counted)

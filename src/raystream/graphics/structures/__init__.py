@@ -57,4 +57,4 @@ def _check_name(name: str) -> None:
     known = names_with("graphics")
     if name not in known:
         listed = ", ".join(map(repr, known))
-        raise GraphicsError(f"device 'graphics': has the structures {listed}, not {name!r}")
+        raise GraphicsError(f"device 'graphics': supports the structures {listed}, not {name!r}")

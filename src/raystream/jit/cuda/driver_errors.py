@@ -16,7 +16,7 @@ _ABSENT = re.compile(r'Function "cu\w+" not found|Driver missing function')
 
 _NO_DRIVER = "there is no NVIDIA driver"
 _NEW_DRIVER = "install a newer one, or the cuda-toolkit of its version"
-_LOST = "CUDA cannot be used in this process any more, CPU tracers can; start a new one"
+_LOST = "CUDA can no longer be used in this process, but CPU tracers can; start a new process"
 
 #: Longest unknown message that is quoted; compilers' are much longer.
 _MAX_LENGTH = 300

@@ -20,7 +20,7 @@ def steps_of(structure: Structure) -> Steps:
     if make is None:
         known = ", ".join(map(repr, names_with("multipass")))
         raise ValueError(
-            f"machine: 'multipass' runs the structures {known}, not {structure.name!r}"
+            f"machine: 'multipass' supports the structures {known}, not {structure.name!r}"
         )
     steps: Steps = make(structure)
     return steps

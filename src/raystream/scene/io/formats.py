@@ -73,7 +73,7 @@ def read_model(path: Path, *, time: float = 0.0, has_instances: bool = False) ->
         )
     if has_instances and suffix not in INSTANCED:
         raise ValueError(
-            f"instances: {suffix} files are read without, only {' '.join(sorted(INSTANCED))} with"
+            f"instances: not supported for {suffix} files, only {' '.join(sorted(INSTANCED))}"
         )
     try:
         scene = check_loaded(path, _reader(suffix, time, has_instances)(path))

@@ -148,10 +148,10 @@ class _SceneReader:
         lost = lost_extensions(self.file.extensions_used())
         if lost:
             names = ", ".join(shown(name.encode()) for name in lost[:8])
-            warn_partial(path, f"extensions that are not supported, and ignored: {names}")
+            warn_partial(path, f"unsupported extensions ignored: {names}")
         if self.instances is not None and self.instances.flat_count:
             count = self.instances.flat_count
-            warn_partial(path, f"{count:,} instances left out, which their transform flattens")
+            warn_partial(path, f"{count:,} instances left out, since their transforms flatten them")
         unposed = sum(shape.is_unposed for shape in self._shapes.values())
         if unposed:
             warn_partial(path, f"{unposed:,} skinned meshes left in their bind pose")

@@ -79,7 +79,9 @@ class GltfFile:
         if version != 2:
             raise self.error(f"GLB version {version} is not supported, only 2")
         if length > len(content):
-            raise self.error(f"is truncated: it declares {length:,} bytes and has {len(content):,}")
+            raise self.error(
+                f"is truncated: it declares {length:,} bytes, but has {len(content):,}"
+            )
         text, position = b"", 12
         while position + 8 <= length:
             size, kind = (

@@ -111,7 +111,7 @@ def _material(file: GltfFile, entry: Node, reader: TextureReader) -> tuple[Mater
         fields |= _layers(file, coat, sheen)
         if has_map and fields["ior"] != 1.0:
             if "reflectance" in textures:
-                reader.leave_out("of the specular factor of solids that transmit light by a map")
+                reader.leave_out("for the specular factor of solids with a transmission map")
             rest = partial(_rest_of, _through(file, entry))
             textures["reflectance"] = textures["transmission"].changed(rest)
     if color and role in textures and not is_solid:

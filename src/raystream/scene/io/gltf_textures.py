@@ -52,7 +52,7 @@ class TextureReader:
         found: dict[str, Texture] = {}
         for role, place in places.items():
             if place.number != shared.number:
-                self._left_out[f"of {role}, with texture coordinates of their own"] += 1
+                self._left_out[f"for {role}, with their own texture coordinates"] += 1
                 continue
             texture = self._texture(uses[role], place.seen_from(shared))
             if texture is not None:

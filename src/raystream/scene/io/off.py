@@ -58,7 +58,7 @@ def read_off(path: Path) -> Scene:
         raise FileFormatError(
             path,
             f"is truncated: the header declares {vertex_count:,} vertices and {face_count:,} "
-            f"faces, there are {len(rows):,} lines",
+            f"faces, but there are {len(rows):,} lines",
         )
     vertex_rows = rows[:vertex_count]
     face_rows = rows[vertex_count : vertex_count + face_count]

@@ -73,7 +73,7 @@ def _binary_corners(path: Path, content: bytes) -> NDArray[Any]:
         raise FileFormatError(
             path,
             f"is truncated or not STL: {count:,} triangles need {declared:,} bytes, "
-            f"it has {len(content):,}",
+            f"but it has {len(content):,}",
         )
     if count == 0 and len(content) >= _HEADER_BYTES + _FACET.itemsize:
         raise FileFormatError(path, "is damaged: data after a declared count of no triangles")

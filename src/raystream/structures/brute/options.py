@@ -15,7 +15,7 @@ __all__ = ["Brute"]
 class Brute(StructureOptions):
     """Every ray is tested against every triangle (Foley 2005, section 3); it has no options.
 
-    Slow on all but the smallest scenes, and the definition of the right answer.
+    Slow on all but the smallest scenes, but the definition of the right result.
     """
 
     name = "brute"

@@ -24,18 +24,18 @@ class Bvh(StructureOptions):
     quality : {"fast", "balanced"}
         Time spent on the build, for faster traversal.
     max_leaf_size : int
-        Most triangles in a leaf, 1 to 32.
+        Maximum number of triangles in a leaf, 1 to 32.
     kernel : {"auto", "wavefront", "packet", "groups", "stream", "single"}
         How the CPU traces rays; ``"auto"`` chooses for each batch. All give the same bits; the
-        others are for measurements. Queries that a kernel does not support take another one, and
-        those with ray counters take ``"single"``.
+        others are for measurements. Queries that a kernel does not support use another one, and
+        those with ray counters use ``"single"``.
 
     Raises
     ------
     ValueError
         If an option is out of range.
     TypeError
-        If `max_leaf_size` is no integer.
+        If `max_leaf_size` is not an integer.
     """
 
     name = "bvh"

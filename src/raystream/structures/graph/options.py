@@ -17,20 +17,20 @@ __all__ = ["Graph"]
 class Graph(StructureOptions):
     """A graph of sectors (Rayforce 2013): boxes linked through their faces.
 
-    Rays walk from sector to sector, without a stack, and test triangles in the order of the ray.
-    How sectors are made and linked is our reading of Gribble and Naveros, "GPU Ray Tracing with
-    Rayforce", SIGGRAPH 2013 posters; see docs/decisions.
+    Rays traverse sector after sector, without a stack, and test triangles in the order of the ray.
+    How sectors are made and linked is our interpretation of Gribble and Naveros, "GPU Ray Tracing
+    with Rayforce", SIGGRAPH 2013 posters; see docs/decisions.
 
     Parameters
     ----------
     crossing_cost, intersection_cost, link_cost : float
-        Costs of a step into a sector, of a triangle test, and of a plane that separates the
-        sectors behind a face, which the builder minimises, 1e-6 (of planes 0) to 1e6; only their
-        ratios matter. The defaults are measured: sectors and planes are expensive as they miss
-        the cache.
+        Costs, which the builder minimises, of a step into a sector, of a triangle test, and of a
+        plane that separates the sectors behind a face, 1e-6 (for planes 0) to 1e6; only their
+        ratios matter. The defaults are measured: sectors and planes are expensive because they
+        miss the cache.
     max_depth : int, optional
-        Most splits per sector, up to 64 [default: 8 + 1.3 log2 of the
-        number of triangles, but at most 64].
+        Maximum number of splits per sector, up to 64 [default: 8 + 1.3 log2 of the number of
+        triangles, but at most 64].
     max_leaf_size : int
         Sectors with at most this many triangles are not split, 1 to 1024.
 

@@ -29,8 +29,8 @@ class Grid(StructureOptions):
     ----------
     resolution : int or sequence of three int, optional
         Cells along the axes x, y and z, of any shape; one number applies to all three. No
-        cell is smaller than 2**-16 of the largest coordinate, so an axis along which the scene
-        is flat has fewer, or one.
+        cell is smaller than 2**-16 of the largest coordinate, so an axis along which the scene is
+        flat has fewer cells, or only one.
     min_resolution : int, optional
         Cells along the shortest axis along which the scene is not flat; the others get cells of
         about the same size (Purcell 2002, section 4.1).
@@ -39,7 +39,7 @@ class Grid(StructureOptions):
         scenes with details of many sizes.
     overlap : {"plane", "exact"}
         Which cells list a triangle: those that its box and its plane overlap, or only those that
-        the triangle overlaps, by separating axes (Christen 2005, section 5.1.1).
+        the triangle overlaps, tested with separating axes (Christen 2005, section 5.1.1).
         ``"exact"`` is for comparison with the papers: lists are shorter, but hits may differ from
         those of other structures, or be missed, where a ray grazes a triangle's edge.
 
@@ -57,8 +57,8 @@ class Grid(StructureOptions):
     Without `resolution` and `min_resolution` there are about 2 cells per triangle, or 1 per
     4 triangles with two levels, and fewer if triangles are so large that lists become long: at
     most 24 references per triangle (or 2**20). A scene with details that are small compared to
-    its size, such as a teapot in a stadium, then has them in few cells: tracing is slow there,
-    with the same hits.
+    its size, such as a teapot in a stadium, then has them in few cells: tracing is slow there, but
+    the hits are the same.
     """
 
     name = "grid"
@@ -89,7 +89,7 @@ class Grid(StructureOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.resolution is not None and self.min_resolution is not None:
-            raise ValueError("min_resolution: expected None where resolution is given")
+            raise ValueError("min_resolution: expected None if resolution is given")
         if self.min_resolution is not None:
             _checked("min_resolution", self.min_resolution)
         if self.resolution is not None:

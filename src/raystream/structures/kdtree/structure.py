@@ -49,7 +49,7 @@ class KdTreeStructure(Structure):
 
     Notes
     -----
-    Triangles are listed in every leaf that they overlap, and hit in one: see
+    Triangles are listed in every leaf that they overlap, but hit in only one: see
     docs/decisions/0011-kdtree.rst.
     """
 

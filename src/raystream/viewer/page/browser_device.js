@@ -61,13 +61,13 @@ export class BrowserDevice {
     const reason = missingWebGpu() ?? failure ?? structure?.browser.reason;
     if (reason || !structure || !settings) return reason ?? null;
     const {view} = this.handlers.seen();
-    if (typeof settings.heatmap === "string") return "Heat maps are not traced by browsers.";
+    if (typeof settings.heatmap === "string") return "Browsers cannot trace heat maps.";
     if (!structure.browser.modes.includes(settings.mode)) {
-      return `Mode ${settings.mode} is not traced by browsers.`;
+      return `Browsers cannot trace mode ${settings.mode}.`;
     }
-    if (settings.tone !== "linear") return `Tone curve ${settings.tone} is not shown by browsers.`;
+    if (settings.tone !== "linear") return `Browsers cannot show tone curve ${settings.tone}.`;
     if (view && view.projection !== "perspective") {
-      return `${capital(words(view.projection))} views are not traced by browsers.`;
+      return `${capital(words(view.projection))} views cannot be traced by browsers.`;
     }
     return null;
   }

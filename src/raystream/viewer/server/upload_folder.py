@@ -33,7 +33,7 @@ MAX_UPLOADS = 3
 DISK_RESERVE = 256 << 20
 
 
-_REMOVED = "the connection of this upload has ended, or has replaced it by newer uploads"
+_REMOVED = "the connection of this upload has ended, or newer uploads have replaced it"
 
 
 class RejectedError(Exception):

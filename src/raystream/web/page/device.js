@@ -67,7 +67,7 @@ export class Gpu {
     const room = Math.max(Math.ceil(size / 16) * 16, 64);
     if (room > this.mostBytes) {
       throw new PageError(
-        `${name} would take ${room.toLocaleString()} bytes, and this GPU allows `
+        `${name} would take ${room.toLocaleString()} bytes, but this GPU allows `
         + `${this.mostBytes.toLocaleString()} in a buffer.`);
     }
     const made = this.device.createBuffer({
@@ -102,7 +102,7 @@ export class Gpu {
     const row = TEXTURE_WIDTH * words;
     const height = Math.max(Math.ceil(array.length / row), 1);
     if (height > this.limits.maxTextureDimension2D) {
-      throw new PageError(`${name} needs a texture of ${height.toLocaleString()} rows, and this GPU `
+      throw new PageError(`${name} needs a texture of ${height.toLocaleString()} rows, but this GPU `
         + `allows ${this.limits.maxTextureDimension2D.toLocaleString()}.`);
     }
     const texture = this.device.createTexture({

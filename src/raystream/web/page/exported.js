@@ -334,7 +334,7 @@ const opened = start();
 opened.catch(error => {
   const why = error instanceof PageError ? error.message
     : `This page does not work here: ${error.message}`;
-  say(`${why} The image was rendered beforehand.`);
+  say(`${why} The image shown is pre-rendered.`);
   byId("controls").hidden = true;
 });
 globalThis.raystream = {opened};

@@ -36,7 +36,7 @@ export function whyNoPasses({limits}) {
   const {maxColorAttachments: most, maxColorAttachmentBytesPerSample: bytes} = limits;
   if (most >= length && bytes >= length * TEXEL_BYTES) return null;
   return `Passes write ${length} textures at once, ${length * TEXEL_BYTES} bytes for each pixel; this `
-    + `GPU writes ${Math.min(most, Math.floor(bytes / TEXEL_BYTES))}.`;
+    + `GPU can write ${Math.min(most, Math.floor(bytes / TEXEL_BYTES))}.`;
 }
 
 export class Streams {

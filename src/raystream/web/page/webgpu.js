@@ -4,5 +4,5 @@
 export function missingWebGpu() {
   if (navigator.gpu) return null;
   return isSecureContext ? "This browser has no WebGPU."
-    : "Browsers offer WebGPU only to pages from disk, from this computer or by HTTPS.";
+    : "Browsers offer WebGPU only to pages from disk, from this computer or over HTTPS.";
 }

@@ -21,8 +21,8 @@ def kernels_of(structure: Structure) -> TraversalKernels:
     if make is None:
         known = ", ".join(map(repr, names_with("graphics multipass")))
         raise GraphicsError(
-            f"device 'graphics': machine='multipass' runs the structures {known}, "
-            f"not {structure.name!r}; take machine='compute'"
+            f"device 'graphics': machine='multipass' supports the structures {known}, "
+            f"not {structure.name!r}; use machine='compute'"
         )
     kernels: TraversalKernels = make(structure)
     return kernels

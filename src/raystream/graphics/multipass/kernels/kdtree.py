@@ -91,7 +91,7 @@ def kernels(kdtree: KdTreeStructure) -> TraversalKernels:
     """
     if kdtree.options.traversal in ("stack", "short-stack"):
         raise GraphicsError(
-            "device 'graphics': machine='multipass' has no memory for the stacks of rays; take "
+            "device 'graphics': machine='multipass' has no memory for the stacks of rays; use "
             "traversal='restart' or 'backtrack'"
         )
     return _KERNELS
