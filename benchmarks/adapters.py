@@ -1,12 +1,13 @@
-"""The adapters beside trimesh and Open3D: times of the same calls, and wrong counts at edges.
+"""Adapters against trimesh and Open3D: times of the same calls, and wrong counts at edges.
 
     python benchmarks/adapters.py                      # a sphere of 81,920 triangles
     python benchmarks/adapters.py bunny.ply --rays 1000000
 
-Runs alternate between a library and its adapter; times are medians. The structure is built
-beforehand. Rays are incoherent: from points around the model, in all directions. The second table
-counts rays that aim at vertices and edges of a closed sphere, from outside at its centre: each
-crosses it exactly twice. Needs the packages that it compares: trimesh with embreex, Open3D.
+Runs alternate between a library and its adapter; times are medians. Structures are built in
+advance. Rays are incoherent: they start around the model and go in all directions. The second table
+counts wrong answers for rays that start outside a closed sphere and pass through its vertices and
+edges towards the centre: each crosses the sphere exactly twice. Needs the packages that it
+compares: trimesh with embreex, and Open3D.
 """
 
 import argparse
@@ -50,13 +51,13 @@ def main():
 
 
 def alternate(theirs, ours, runs):
-    """Median times of two calls, which take turns."""
+    """Median times of two calls, which alternate."""
     times = [], []
     for run in range(runs + 1):
         for call, kept in zip((theirs, ours), times, strict=True):
             start = time.perf_counter()
             call()
-            if run:  # the first builds and compiles
+            if run:  # the first run builds and compiles
                 kept.append(time.perf_counter() - start)
     return [statistics.median(one) for one in times]
 
@@ -130,7 +131,7 @@ def edges():
         "anywhere": vertices[faces].mean(axis=1) * 0.9,
     }
     engines = trimesh_engines(vertices, faces)
-    print("\nrays at a closed sphere whose number of crossings is not two")
+    print("\nrays at a closed sphere with a number of crossings other than two")
     print(f"{'aimed at':16} {'trimesh':>9} {'adapter':>9}   of")
     for name, aims in targets.items():
         origins = aims * 3 + 0.2 * rng.normal(size=aims.shape)

@@ -1,12 +1,12 @@
-"""Adaptive sampling against equal samples for all pixels, in equal processor time.
+"""Adaptive sampling against uniform sampling, in equal processor time.
 
     python benchmarks/adaptive.py
     python benchmarks/adaptive.py cornell --seconds 6 --seeds 9
 
-For each seed, an image with a time limit, sampled adaptively, then one with as many samples in each
-pixel as take about as long. Errors are against a reference of 1,024 samples, and scaled to equal
-time: an error falls with the root of the time. Medians of the ratios over the seeds; below 1,
-adaptive sampling is better.
+For each seed, renders an image with a time limit, sampled adaptively, then one with as many samples
+per pixel as take about the same time. Errors are measured against a reference of 1,024 samples, and
+scaled to equal time, since an error falls with the root of the time. Prints medians of the ratios
+over the seeds; below 1, adaptive sampling is better.
 """
 
 import argparse
@@ -19,8 +19,8 @@ import raystream as rs
 
 REFERENCE_SAMPLES = 1024
 
-#: Measures, all of linear RGB: mean of relative errors, of absolute ones up to 1, and roots of
-#: means of squares, of light up to 1, and of all light.
+#: Measures, all of linear RGB: the mean relative and mean absolute errors, and the root mean
+#: square errors of light up to 1 and of all light.
 MEASURES = {
     "relative": lambda a, b: (np.abs(a - b) / (b + 0.01)).mean(),
     "absolute": lambda a, b: np.abs(a - b).mean(),
@@ -30,14 +30,14 @@ MEASURES = {
 
 
 def rendered(tracer, size, **options):
-    """An image, and the processor seconds that it took, of all threads."""
+    """Render an image, and measure the processor time of all threads, in seconds."""
     started = time.process_time()
     image = rs.render(tracer, "path", size, **options)
     return image, time.process_time() - started
 
 
 def ratios(tracer, size, seconds, seed, reference):
-    """Adaptive over equal sampling: samples per second, then each measure's error."""
+    """Adaptive over uniform sampling: samples per second, then the error of each measure."""
     adaptive, took = rendered(tracer, size, time_limit=seconds, seed=seed)
     _, some = rendered(tracer, size, samples=16, seed=seed)
     samples = max(1, round(16 * took / some))

@@ -1,11 +1,11 @@
-"""Millions of hard rays: does a structure return brute force's bits?
+"""Millions of hard rays: does a structure give the same bits as brute force?
 
     python benchmarks/agreement.py --rays 5000000 --structure bvh
     python benchmarks/agreement.py --rays 5000000 --structure bvh --device cuda
 
-Runs every case of the test suite again and again with other seeds, more rays, and intervals
-of all kinds (t_min above, at and below zero), and counts the rays whose answer differs in any
-bit of any query. The figures in docs/decisions come from here.
+Runs every case of the test suite repeatedly with other seeds, more rays, and intervals of all kinds
+(t_min above, at and below zero), and counts the rays whose answer differs in any bit of any query.
+The figures in docs/decisions come from here.
 """
 
 import argparse
@@ -23,7 +23,7 @@ import cases
 
 
 def differing(tracer, oracle, rays):
-    """For each ray, whether any query gives other bits."""
+    """Whether any query gives different bits, for each ray."""
     wrong = np.zeros(len(rays["origins"]), bool)
     first, expected = tracer.first_hit(**rays), oracle.first_hit(**rays)
     for column in ("t", "u", "v", "prim_id"):
@@ -42,7 +42,7 @@ def differing(tracer, oracle, rays):
 
 
 def limits(kind, t, rng):
-    """Intervals around the first hits: above zero, below, at a hit, and any."""
+    """Intervals around the first hits: above zero, below zero, from or up to a hit."""
     t = np.where(np.isfinite(t), t, 1.0)
     shift = t * rng.uniform(0.2, 1.8, len(t))
     return {
@@ -54,7 +54,7 @@ def limits(kind, t, rng):
     }[kind]
 
 
-#: Options of the structures, taken in turn: trees that are as deep as can be.
+#: Options of the structures, used in turn: some make trees as deep as possible.
 OPTIONS = {
     "bvh": [{"max_leaf_size": 2}],
     "grid": [
@@ -75,7 +75,7 @@ OPTIONS = {
     ],
 }
 
-#: On a GPU, the ways to trace and build there.
+#: The ways to trace and build on a GPU.
 CUDA_OPTIONS = {
     **OPTIONS,
     "bvh": [{"max_leaf_size": 2}, {"build": "device"}],

@@ -1,14 +1,14 @@
-"""Simulated caches: how many references of a trace go through them in a second.
+"""Simulated caches: how many references of a trace they process per second.
 
     python benchmarks/cache_speed.py --references 20 --billion
 
-Traces are made up: words at random in 4 MB, in which nearly every access misses a cache of 64 KB;
-words at random in 48 MB; and one like a ray tracer's, in which rays near each other read a cell,
-an entry of its list and a triangle's three vertices, 12 bytes each. Prints references a second
-by the clock and by the processor's time of the thread (which others on the machine disturb
-less) and hit rates. With --billion, a billion references of the last kind go through a cache and
-through the measurement of reuse distances, in chunks: prints the peak of the process's memory
-after the first 20 million, and by how much it grew until the end.
+The traces are synthetic: random words in 4 MB, in which nearly every access misses a cache of 64
+KB; random words in 48 MB; and one like a ray tracer's, in which neighbouring rays read a cell, an
+entry of its list and a triangle's three vertices, 12 bytes each. Prints hit rates, and references
+per second, both in wall-clock time and in the thread's processor time, which other programs on the
+machine disturb less. With --billion, a billion references of the last kind go through a cache and
+through the measurement of reuse distances, in chunks. Then it prints the process's peak memory
+after the first 20 million, and its growth until the end.
 """
 
 import argparse
@@ -24,7 +24,7 @@ MILLION = 1_000_000
 CHUNK, CHUNK_COUNT = MILLION, 20
 KINDS = ("cells", "lists", "vertices")
 
-#: Where the arrays of the trace like a ray tracer's begin.
+#: Where the arrays of the ray tracer's trace begin.
 LISTS, VERTICES = np.uint64(1 << 28), np.uint64(1 << 30)
 
 
@@ -33,7 +33,7 @@ def random_words(rng, count, size):
 
 
 def like_rays(rng, count, triangle_count=200_000):
-    """Steps near the one before, with one in fifty to anywhere."""
+    """Steps near the previous one, and one in fifty to a random place."""
     steps = count // 5
     place = np.cumsum(rng.normal(0.0, 8.0, steps))
     jumps = np.cumsum(np.where(rng.random(steps) < 0.02, rng.integers(0, triangle_count, steps), 0))
@@ -70,7 +70,7 @@ def peak_memory():
 
 
 def feed(simulator, trace):
-    """Seconds by the clock and of the thread."""
+    """Seconds of wall-clock time and of the thread's processor time."""
     clock, thread = time.perf_counter(), time.thread_time()
     simulator.access(*trace)
     return np.array([time.perf_counter() - clock, time.thread_time() - thread])
@@ -82,12 +82,10 @@ def speeds(rng, count, runs):
         "random, 48 MB": random_words(rng, count, 48 << 20),
         "like rays": like_rays(rng, count),
     }
-    print(
-        f"{'million references a second':28s} {'trace':14s} {'clock':>8s} {'thread':>8s}   hit rate"
-    )
+    print(f"{'million references per s':28s} {'trace':14s} {'clock':>8s} {'thread':>8s}   hit rate")
     for trace_name, trace in traces.items():
         for name, simulator in simulators().items():
-            feed(simulator, trace)  # compiled, and warm
+            feed(simulator, trace)  # compiles, and warms up
             seconds = np.min([feed(simulator, trace) for _ in range(runs)], axis=0)
             rates = " ".join(f"{rate:8.1f}" for rate in len(trace[0]) / seconds / MILLION)
             print(f"{name:28s} {trace_name:14s} {rates}   {total_of(simulator).hit_rate:.2%}")
@@ -112,7 +110,7 @@ def billion(count):
         f"\n{'a billion, like rays':28s} {'clock':>8s} {'thread':>8s}    peak memory         lines"
     )
     for name in ("64 KB, direct-mapped", "reuse distances"):
-        # A process that has not yet used more than this run will need.
+        # A new process has not yet used more memory than this run will need.
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             rates, before, after, lines = pool.apply(long_run, (name, count))
         both = " ".join(f"{rate:8.1f}" for rate in rates)
@@ -122,9 +120,9 @@ def billion(count):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--references", type=float, default=20.0, help="millions, of each trace")
-    parser.add_argument("--runs", type=int, default=3, help="the fastest counts")
-    parser.add_argument("--billion", action="store_true", help="also the long runs")
+    parser.add_argument("--references", type=float, default=20.0, help="of each trace, in millions")
+    parser.add_argument("--runs", type=int, default=3, help="runs, of which the fastest counts")
+    parser.add_argument("--billion", action="store_true", help="do the long runs as well")
     arguments = parser.parse_args()
     rng = np.random.default_rng(2002)
     if arguments.references > 0:

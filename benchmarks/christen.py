@@ -1,20 +1,20 @@
-"""Reflections without recursion, beside a recursive ray tracer (Christen 2005, section 5.2).
+"""Reflections without recursion against a recursive ray tracer (Christen 2005, section 5.2).
 
     python benchmarks/christen.py --size 256 --bounces 5
 
-Renders five scenes with ``whitted``, with 1 to 5 bounces, and the same with the tests'
-recursive reference in float64, along the same camera rays. Differences are those of linear
-radiance, the largest of a pixel's three channels. Two references:
+Renders five scenes with ``whitted``, with 1 to 5 bounces, and again with the tests' recursive
+reference in float64, along the same camera rays. Differences are those of linear radiance, the
+largest of a pixel's three channels. There are two references:
 
 same rays
-    asks a tracer for its hits (of another structure, which gives the same bits as ``brute``),
-    so that only recursion, weights and shading differ.
+    queries a tracer for its hits (with another structure, which gives the same bits as ``brute``),
+    so only recursion, weights and shading differ.
 own rays
-    finds hits in float64 by itself. Here float32 shows: a ray that starts a millionth of the
-    scene away may meet another surface, and curved mirrors make a small difference larger with
-    each bounce. Every pixel over the limit is looked at again: the reference's rays are moved
-    at random, by as much as float32 may move them. Pixels are *explained* if that changes
-    the reference as much as raystream differs from it; the others are faults.
+    finds hits in float64 by itself. This shows the effect of float32: a ray that starts a millionth
+    of the scene away may hit another surface, and curved mirrors amplify a small difference with
+    each bounce. Every pixel over the limit is examined again: the reference's rays are moved at
+    random, by as much as float32 may move them. Pixels are *explained* if that changes the
+    reference as much as raystream differs from it; the others are faults.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def pictures(tracer, camera, size, bounces):
 
 
 def largest(a, b):
-    """The largest difference of each pixel's channels."""
+    """The largest difference over each pixel's channels."""
     return np.abs(a - b).max(axis=-1)
 
 
@@ -99,8 +99,8 @@ def main():
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--bounces", type=int, default=5)
     parser.add_argument("--limit", type=float, default=1e-5)
-    parser.add_argument("--trials", type=int, default=16, help="times that rays are moved")
-    parser.add_argument("--structure", default="kdtree", help="that finds the same rays' hits")
+    parser.add_argument("--trials", type=int, default=16, help="random displacements of the rays")
+    parser.add_argument("--structure", default="kdtree", help="of the tracer for the same rays")
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     arguments = parser.parse_args()
     rows = [list(COLUMNS)]

@@ -1,13 +1,13 @@
-"""How much more two workers with a thread each do than one.
+"""How much faster two workers with one thread each are than one worker.
 
     python benchmarks/cluster.py bunny --rays 20000000
 
-Two clusters of this machine, of one worker and of two, take turns. Rays are made on the workers,
-start on a sphere around the scene and go to points in its box, so that no two have anything in
-common; their first hits are counted there, too. Then a picture, whose light comes back here.
-Says medians of seconds, their ratio, and the seconds of the processor that the workers used,
-which tell how much of the ratio the machine's other users took or gave: on an idle machine of
-two cores, the ratio is twice the ratio of these.
+Two clusters on this machine, one with one worker and one with two, take turns. Rays are generated
+on the workers: they start on a sphere around the scene and go to random points in its box, so they
+are incoherent. Their first hits are also counted there. Then an image is rendered, whose light is
+sent back to this process. Prints median times in seconds, their ratio, and the processor time that
+the workers used. The latter shows how much other programs on the machine changed the ratio: on an
+idle machine with two cores, the speed-up is twice the ratio of the processor times.
 """
 
 import argparse
@@ -36,7 +36,7 @@ def make_rays(low, high, block_info=None):
 
 
 def lazy_rays(scene, count, chunk):
-    """Origins and directions that no one has made yet."""
+    """Origins and directions that have not been computed yet."""
     low, high = scene.bounds.astype(np.float32)
     lengths = da.core.normalize_chunks((chunk, 6), (count, 6))
     meta = np.empty((0, 6), np.float32)
@@ -45,19 +45,19 @@ def lazy_rays(scene, count, chunk):
 
 
 def processor_seconds(client):
-    """Of all workers together."""
+    """Processor time of all workers together, in seconds."""
     return sum(client.run(time.process_time).values())
 
 
 def take_turns(work, clients, repeats):
-    """Medians of seconds and of the processor's seconds, by number of workers."""
+    """Medians of seconds and of processor seconds, by number of workers."""
     seconds = {count: [] for count in clients}
     used = {count: [] for count in clients}
     for repeat in range(repeats + 1):
         for count, client in clients.items():
             before, began = processor_seconds(client), time.perf_counter()
             result = work(client)
-            if repeat:  # the first loads kernels and the scene
+            if repeat:  # the first run loads kernels and the scene
                 seconds[count].append(time.perf_counter() - began)
                 used[count].append(processor_seconds(client) - before)
             last = result
@@ -69,7 +69,7 @@ def take_turns(work, clients, repeats):
 
 
 def report(what, seconds, used):
-    """A line of figures."""
+    """Print a line of figures."""
     print(
         f"{what}: 1 worker {seconds[1]:.2f} s, 2 workers {seconds[2]:.2f} s: "
         f"{seconds[1] / seconds[2]:.2f} x; processor {used[1]:.2f} s and {used[2]:.2f} s: "

@@ -1,10 +1,11 @@
-"""How large the code is, and how far a query travels through it.
+"""How large the code is, and how many files a query passes through.
 
     python benchmarks/code_size.py
 
-Prints the lines of each room; functions with more than nine parameters; the files that a first
-hit passes, from `Tracer.first_hit` to the triangle test, on the BVH's kernels for many rays and
-for single ones; and the places that name a kind of query, which are those that a new one touches.
+Prints the number of lines of each subpackage; functions with more than nine parameters; the files
+that a first hit passes through, from `Tracer.first_hit` to the triangle test, with the BVH's
+kernels for many rays and with those for single rays; and the places that name a kind of query,
+which a new kind has to change.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from raystream.core.query import Kind
 SOURCE = Path(rs.__file__).parent
 MOST_PARAMETERS = 9
 
-#: Not passed but everywhere: what kernels are written with, and what runs them.
+#: Not counted as passed, since they are everywhere: what kernels are written with and run by.
 TOOLS = ("jit/",)
 
 
@@ -34,7 +35,7 @@ def modules():
 
 
 def lines_of_rooms():
-    """Lines by room."""
+    """Lines by subpackage."""
     lines = Counter()
     for name, text in modules():
         lines[name.partition("/")[0]] += len(text.splitlines())
@@ -42,7 +43,7 @@ def lines_of_rooms():
 
 
 def long_signatures():
-    """Functions with many parameters: name and number."""
+    """Functions with many parameters: name and number of parameters."""
     for name, text in modules():
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef):
@@ -53,7 +54,7 @@ def long_signatures():
 
 
 def reached(function, files):
-    """Files of the functions that a compiled one may call."""
+    """Collect the files of the functions that a compiled function may call."""
     function = function.py_func if isinstance(function, Dispatcher) else function
     name = Path(function.__code__.co_filename)
     if not name.is_relative_to(SOURCE) or function in files:
@@ -96,7 +97,7 @@ def files_passed(**options):
 
 
 def places_of(kind):
-    """Where a kind of query is named."""
+    """Places where a kind of query is named."""
     for name, text in modules():
         for number, line in enumerate(text.splitlines(), 1):
             if f"Kind.{kind.name}" in line:
@@ -104,7 +105,7 @@ def places_of(kind):
 
 
 def main():
-    """Print all of it."""
+    """Print all of these."""
     argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     lines = lines_of_rooms()
     print(*(f"{room:20} {count:7,}" for room, count in lines.most_common()), sep="\n")

@@ -1,10 +1,10 @@
-"""Compiling the engine: how long the first use of each kernel takes, once and ever after.
+"""Compiling the engine: how long the first use of each kernel takes, without and with the cache.
 
     python benchmarks/compile.py --runs 3
 
-A child process with an empty cache builds a small scene with each quality and traces a batch
-with each kernel and query; another one does the same with what the first has compiled. Prints
-the seconds of each step of both: with nothing compiled, and loaded from the cache.
+A child process with an empty cache builds a small scene with each quality and traces a batch with
+each kernel and query; another process does the same with the kernels that the first has compiled.
+Prints the seconds of each step of both: with nothing compiled, and loaded from the cache.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def steps():
     rs, scene = run("import, scene", load)
     from raystream.structures.bvh.kernel_choice import KERNELS
 
-    # As many rays as one look is worth, and as no ray is alone.
+    # Enough rays for a probe of their coherence, and more than are traced singly.
     origins, directions = scene.camera.rays(64, 64)
     rays = np.float32(origins), np.float32(directions)
     for quality in ("balanced", "fast"):
@@ -64,7 +64,7 @@ def child(folder):
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--runs", type=int, default=1, help="empty caches to start from")
+    parser.add_argument("--runs", type=int, default=1, help="runs, each with an empty cache")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.child:

@@ -1,19 +1,19 @@
-"""Checks and measures raystream on a machine with an NVIDIA GPU, in one command of eight minutes.
+"""Check and measure raystream on a machine with an NVIDIA GPU, in one command of eight minutes.
 
     pip install -e ".[cuda,test]" warp-lang
     RAYSTREAM_SCENES=/path/to/models python benchmarks/cuda_check.py --json cuda_check.json
 
-Each step is a process of its own with a time limit, and one that fails, as a kernel that is stopped
-takes CUDA with it, does not keep the others from running:
+Each step runs in its own process with a time limit. A step that fails does not stop the others,
+even if a stopped kernel makes CUDA unusable in its process:
 
     machine      what ``raystream info --devices`` lists
-    small scene  a small scene is asked everything, on the GPU and on the CPU
+    small scene  all queries of a small scene, on the GPU and on the CPU
     agreement    tests/cuda: every structure, query and case, CUDA's bits against the CPU's
-    sanitizer    compute-sanitizer's memcheck while the small scene is asked again
-    speed        benchmarks/cuda_speed.py for each scene, beside NVIDIA Warp
+    sanitizer    compute-sanitizer's memcheck while the small scene is queried again
+    speed        benchmarks/cuda_speed.py for each scene, compared with NVIDIA Warp
 
-Ends with 0 if nothing failed, 1 if something did, and 2 where there is no GPU. ``--tiny`` tries the
-script itself, in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``) too.
+Exits with 0 if nothing failed, 1 if something did, and 2 if there is no GPU. ``--tiny`` tests the
+script itself, also in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 """
 
 import argparse
@@ -29,17 +29,17 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: Seconds for everything, and for each step; a step gets no more than is left, and is left out
-#: with less than the least.
+#: Seconds for everything, and for each step. A step gets at most the time that is left, and is
+#: left out if that is less than the minimum.
 TOTAL = 460
 LEAST = 5
 LIMITS = {"machine": 60, "small scene": 120, "agreement": 150, "sanitizer": 60, "speed": 60}
 
-#: A little of each step: some tests, and few rays.
+#: A small part of each step: some tests, and few rays.
 TINY_TESTS = "layout or invalid"
 TINY = ["--size", "6x4", "--per-hit", "2", "--repeats", "1", "--ours", "grid"]
 
-#: What the small scene is asked besides each structure: blocks that build, and float64.
+#: What the small scene is traced with besides each structure: device builds, and float64.
 SMALL_WAYS = [
     ("bvh", {"build": "device"}),
     ("grid", {"build": "device"}),
@@ -47,7 +47,7 @@ SMALL_WAYS = [
     ("brute", {"precision": "float64"}),
 ]
 
-#: Models of public research, and built-in scenes of up to ten million triangles.
+#: Models from public research, and built-in scenes of up to ten million triangles.
 SCENES = (
     *("conference", "sibenik", "sponza", "bunny"),
     *("forest:1000000", "forest:10000000"),
@@ -75,7 +75,7 @@ class Check:
         self.results = {"steps": []}
 
     def run(self, name, command, limit, summary):
-        """Run a step; ``summary(returncode, out, err)`` says in a line what came of it."""
+        """Run a step; ``summary(returncode, out, err)`` gives its result in one line."""
         given = min(limit, self._end - time.monotonic())
         started = time.monotonic()
         out = err = ""
@@ -90,13 +90,13 @@ class Check:
             except subprocess.TimeoutExpired as error:
                 out, err = (_text(one) for one in (error.stdout, error.stderr))
                 status, line = "timed out", f"not done after {given:.0f} s"
-            except (OSError, ValueError, LookupError) as error:  # or what it said is no answer
+            except (OSError, ValueError, LookupError) as error:  # or its output is no answer
                 status, line = "failed", f"{type(error).__name__}: {error}"
         self.keep(name, status, line, time.monotonic() - started, out, err)
         return status == "passed"
 
     def keep(self, name, status, line, seconds=0.0, out="", err=""):
-        """Note how a step ended, and say it."""
+        """Record how a step ended, and print it."""
         step = {"step": name, "status": status, "seconds": round(seconds, 1), "line": line}
         if status in ("failed", "timed out"):
             step["output"] = (out + err)[-4000:]
@@ -105,7 +105,7 @@ class Check:
         self.write()
 
     def write(self):
-        """Write the results as they are."""
+        """Write the results so far."""
         if self._path:
             self._path.write_text(json.dumps(self.results, indent=1) + "\n")
 
@@ -140,11 +140,11 @@ def _text(said):
 
 def _last_line(out, err):
     lines = [*out.split("\n"), *err.split("\n")]
-    return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+    return next((line.strip() for line in reversed(lines) if line.strip()), "it printed nothing")
 
 
 def agreement(check, tiny):
-    """The whole agreement fixture and all other tests of the device."""
+    """Run all agreement cases and all other tests of the device."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder, "report.xml")
         processes = 0 if tiny else min(8, max(2, (os.cpu_count() or 2) // 2))
@@ -167,12 +167,12 @@ def agreement(check, tiny):
 
 
 def small_scene(check, tiny):
-    """A small scene is asked everything: that compiles most of what the other steps need."""
+    """Run all queries of a small scene, which compiles most of what the other steps need."""
     check.run("small scene", _small(tiny), LIMITS["small scene"], _small_summary)
 
 
 def sanitizer(check, tiny):
-    """The same under the memory checker, if there is one."""
+    """Run the same under the memory checker, if it is installed."""
     tool = find_sanitizer()
     if tool is None:
         check.keep("sanitizer", "left out", "compute-sanitizer: not found; it is in CUDA's toolkit")
@@ -201,7 +201,7 @@ def find_sanitizer():
 
 
 def small(tiny):
-    """Ask a small scene everything, and compare the answers with the CPU's."""
+    """Run all queries of a small scene, and compare the answers with the CPU's."""
     import numpy as np
 
     import raystream as rs
@@ -220,7 +220,7 @@ def small(tiny):
         for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
             found, expected = (getattr(one, query)(*rays) for one in (ours, theirs))
             wrong += not _same(found, expected)
-    # Scenes with kernels of their own: mirror images in two worlds, and spheres beside triangles.
+    # Scenes with their own kernels: mirrored instances in two worlds, and spheres with triangles.
     places = np.tile(np.eye(3, 4), (3, 1, 1))
     places[1:, :, :3] *= [[[-0.5]], [[0.25]]]
     placed = rs.Scene.instances(scene, places, worlds=[0, 1, -1])
@@ -243,7 +243,7 @@ def small(tiny):
         ours, theirs = rs.Tracer(scene, name, "cuda"), rs.Tracer(scene, name)
         found, expected = (one.closest_points(points, 3) for one in (ours, theirs))
         wrong += not _same(found, expected)
-    print(f"{len(ways)} tracers, {wrong} queries with other bits than the CPU's")
+    print(f"{len(ways)} tracers, {wrong} queries with different bits than the CPU's")
     return 1 if wrong else 0
 
 
@@ -256,7 +256,7 @@ def _same(ours, theirs):
 
 
 def speed(check, scenes, more):
-    """Rays per second, a process for each scene; what was measured before a limit is kept."""
+    """Measure rays per second, in a process for each scene; keep what was done before a limit."""
     check.results["speed"] = []
     for scene in scenes:
         with tempfile.TemporaryDirectory() as folder:
@@ -274,12 +274,12 @@ def _speed_summary(code, out, err):
 
 
 def table(check):
-    """The rates for people: a line for each scene and set of rays."""
+    """Print the rates: a line for each scene and set of rays."""
     scenes = check.results.get("speed", [])
     labels = list(dict.fromkeys(row["contender"] for one in scenes for row in one["rows"]))
     if not labels:
         return
-    print("\nMrays/s of the kernels alone; in brackets with all copies")
+    print("\nMrays/s of the kernels alone; with all copies in brackets")
     print(f"{'scene':18}{'rays':9}" + "".join(f"{label:>24}" for label in labels))
     for one in scenes:
         for name in dict.fromkeys(row["set"] for row in one["rows"]):
@@ -296,7 +296,7 @@ def _cell(row):
 
 
 def reason_against():
-    """Why there is nothing to check here; None if there is a GPU, or a simulated one."""
+    """Why nothing can be checked here; None if there is a GPU, or a simulated one."""
     sys.path.insert(0, str(ROOT / "src"))
     try:
         from raystream.jit.cuda import CudaError, open_gpu
@@ -312,10 +312,10 @@ def reason_against():
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, help="file for the results")
-    parser.add_argument("--scene", action="append", help=f"without it: {', '.join(SCENES)}")
+    parser.add_argument("--scene", action="append", help=f"[default: {', '.join(SCENES)}]")
     parser.add_argument("--ours", action="append", help="as for cuda_speed.py")
     parser.add_argument("--seconds", type=float, default=TOTAL, help="for everything")
-    parser.add_argument("--tiny", action="store_true", help="a little of each step")
+    parser.add_argument("--tiny", action="store_true", help="a small part of each step")
     parser.add_argument("--small", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if reason := reason_against():

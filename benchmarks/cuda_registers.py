@@ -1,12 +1,12 @@
-"""CUDA's kernels by the assembler: registers, local memory and spills, without a GPU.
+"""CUDA's kernels as the assembler reports them: registers, local memory and spills, without a GPU.
 
     python benchmarks/cuda_registers.py
     python benchmarks/cuda_registers.py --capability 9.0 --structure grid --json registers.json
 
 Compiles every kernel of `raystream.cuda.precompile` to PTX for compute capabilities 7.5, 8.0 and
-9.0, and each PTX with ``ptxas -v``: from PATH, or from NVIDIA's wheels, which come with
-``pip install raystream[cuda]``. The stack is a thread's local memory; what is spilled is in it.
-Warps are how many of a multiprocessor's the registers leave room for, of 32 (7.5) or 64.
+9.0, and assembles each with ``ptxas -v``, from PATH or from NVIDIA's wheels, which ``pip install
+raystream[cuda]`` installs. The stack is a thread's local memory, which includes spilled registers.
+*Warps* is how many warps a multiprocessor has enough registers for, out of 32 (7.5) or 64.
 """
 
 import argparse
@@ -26,7 +26,7 @@ _ENTRY = re.compile(
 _USED = re.compile(r"Used (\d+) registers")
 _CUMULATIVE = re.compile(r"(\d+) bytes cumulative stack size")
 
-#: Registers of a multiprocessor, all of these; and its most warps.
+#: Registers of a multiprocessor, for all capabilities; and its maximum number of warps.
 REGISTERS = 65_536
 MOST_WARPS = {(7, 5): 32}
 COLUMNS = {
@@ -41,7 +41,7 @@ COLUMNS = {
 
 
 def find_ptxas():
-    """Path of the assembler: the one of the compiler's own version, if it is there."""
+    """Path of the assembler, preferably that of the compiler's own version."""
     for folder in map(Path, sys.path):
         for name in ("cuda_nvcc/bin/ptxas", "cu13/bin/ptxas"):
             path = folder / "nvidia" / name
@@ -51,7 +51,7 @@ def find_ptxas():
 
 
 def assemble(ptxas, compiled, capability):
-    """What the assembler says of a kernel."""
+    """The assembler's figures for a kernel."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder, "kernel.ptx")
         source.write_text(compiled.ptx)
@@ -64,12 +64,12 @@ def assemble(ptxas, compiled, capability):
 
 
 def figures_of(said, entry, capability):
-    """Registers, stack and spills of a kernel; the stack is its functions', too."""
+    """Registers, stack and spills of a kernel; the stack includes that of its callees."""
     frames = {name: tuple(map(int, rest)) for name, *rest in _ENTRY.findall(said)}
     own, stores, loads = frames[entry]
     registers = int(_USED.search(said)[1])
     cumulative = _CUMULATIVE.search(said)
-    # A warp's registers come in steps of 256, of eight to a thread.
+    # A warp's registers are allocated in steps of 256: eight per thread.
     warps = REGISTERS // (32 * 8 * -(-registers // 8))
     return {
         "registers": registers,
@@ -82,8 +82,8 @@ def figures_of(said, entry, capability):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--capability", action="append", help="such as 9.0; all without it")
-    parser.add_argument("--structure", action="append", help="all without it")
+    parser.add_argument("--capability", action="append", help="such as 9.0 [default: all]")
+    parser.add_argument("--structure", action="append", help="[default: all]")
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     ptxas = find_ptxas()

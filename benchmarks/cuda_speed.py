@@ -1,19 +1,18 @@
-"""Rays per second on a GPU: raystream's kernels beside NVIDIA Warp's `mesh_query_ray`.
+"""Rays per second on a GPU: raystream's kernels against NVIDIA Warp's `mesh_query_ray`.
 
     python benchmarks/cuda_speed.py sponza forest:1000000 --json speed.json
     python benchmarks/cuda_speed.py bunny --ours bvh --ours grid:resolution=64 --shuffled
 
-After the protocol of Aila and Laine ("Understanding the Efficiency of Ray Traversal on GPUs",
-2009): 1024 x 768 primary rays, and 8 secondary rays where each of them hits: for ambient
-occlusion, short ones that ask for any hit; for diffuse light, long ones that ask for the first.
-Pixels follow each other in Morton order, and the rays of a hit follow each other; with
-``--shuffled`` each set is traced in random order, too.
+Follows the protocol of Aila and Laine ("Understanding the Efficiency of Ray Traversal on GPUs",
+2009): 1024 x 768 primary rays, and 8 secondary rays for each hit. Those for ambient occlusion are
+short any-hit rays, those for diffuse light are long first-hit rays. Pixels are in Morton order, and
+the rays of a hit follow each other; with ``--shuffled`` each set is also traced in random order.
 
 All contenders trace the same rays, alternately, from arrays on the device, and leave results there.
-Times are those of the kernels, by events around each launch on the device; and of the whole call,
-until the device is done: medians of several repeats. Answers are compared with those of the first
-contender, and that, for primary rays, with the CPU's bits. With ``--lock FILE`` several processes
-prepare scenes at once, and measure one by one.
+Times are those of the kernels, measured by events around each launch on the device, and those of
+the whole call, until the device is done: medians of several repeats. Answers are compared with
+those of the first contender, and the latter's, for primary rays, with the CPU's bits. With ``--lock
+FILE``, several processes prepare scenes at the same time, and measure one after another.
 """
 
 import argparse
@@ -39,25 +38,25 @@ from raystream.bench.runner import geometry_of
 from raystream.cli.tracer_options import parse_keywords
 from raystream.jit.threads import thread_count
 
-#: raystream's structures that are measured unless others are asked for: the first is the usual one.
+#: raystream's structures that are measured by default; the first is the default structure.
 OURS = ("bvh", "bvh:build=device", "kdtree", "graph", "grid")
 
-#: Warp's ways to build, by label; the first is its own choice.
+#: Warp's constructors, by label; the first entry leaves the choice to Warp.
 WARP = {
     "warp": {},
     **{f"warp, {one}": {"constructor": one} for one in ("sah", "median", "lbvh", "cubql")},
 }
 
-#: Rays of a set whose answers are compared.
+#: Number of rays of a set whose answers are compared.
 COMPARED = 1 << 20
 
-#: What takes longer to build than this, seconds, is not built a second time.
+#: Seconds: a structure that takes longer to build is not built a second time.
 PATIENCE = 2.0
 
 
 @contextlib.contextmanager
 def launches():
-    """Seconds of all kernels that raystream launches meanwhile; none in the simulator."""
+    """Yield a list, filled at the end with the seconds of all kernels; empty in the simulator."""
     from raystream.jit.cuda import Gpu
 
     launch, events, seconds = Gpu.launch, [], []
@@ -118,7 +117,7 @@ class DeviceRays(NamedTuple):
 
 
 class Turn:
-    """A contender, and how long it took.
+    """A contender, whose queries are timed.
 
     Attributes
     ----------
@@ -130,7 +129,7 @@ class Turn:
         self.label, self.contender = label, contender
 
     def run(self, query, rays):
-        """An answer on the device, seconds of its kernels or None, and of the whole."""
+        """An answer on the device, the seconds of its kernels or None, and of the whole call."""
         from numba import cuda
 
         cuda.synchronize()
@@ -138,7 +137,7 @@ class Turn:
         self.contender.run(query, rays, "")
         cuda.synchronize()
         whole = time.perf_counter() - started
-        with launches() as spent:  # whose events take time
+        with launches() as spent:  # a second run, since its events take time
             answer = self.contender.run(query, rays, "")
         kernels = getattr(self.contender, "kernel_seconds", None)
         return answer, sum(spent) if spent else kernels, whole
@@ -152,12 +151,12 @@ def on_host(answer):
 
 
 def _on_host(array):
-    """A device array of raystream, or Warp's, as NumPy's."""
+    """A device array of raystream or Warp as a NumPy array."""
     return array.host() if hasattr(array, "host") else array.numpy()
 
 
 class Ours(Raystream):
-    """A tracer with another's structure, if that was built with the same options.
+    """A tracer that shares another's structure, if that was built with the same options.
 
     Parameters
     ----------
@@ -176,8 +175,8 @@ class Ours(Raystream):
         self.built = None
 
     def build(self, geometry):
-        """Build, or take what is built."""
-        del geometry  # the scene's
+        """Build the structure, or share one that is built."""
+        del geometry  # the scene has it
         made = rs.Tracer.__new__(rs.Tracer)
         chosen = made._configure(self._structure, "cuda", self._machine, False, self._options)
         self.built = chosen.structure, chosen.device_options.build
@@ -193,7 +192,7 @@ class Ours(Raystream):
 
 
 def contenders(words, scene, warp, absent):
-    """raystream's, as they were asked for, and Warp's, by label."""
+    """raystream's contenders as they were requested, then Warp's, by label."""
     ours = []
     for word in words:
         ours.append(Ours(word, scene, ours[:]))
@@ -206,7 +205,7 @@ def contenders(words, scene, warp, absent):
 
 
 def morton(width, height):
-    """Pixels of a picture in the order of their interleaved bits."""
+    """Pixels of an image in Morton order."""
     y, x = np.divmod(np.arange(width * height), width)
     codes = np.zeros(len(x), np.int64)
     for bit in range(16):
@@ -215,7 +214,7 @@ def morton(width, height):
 
 
 def secondary(hits, eye, per_hit, t_max, generator):
-    """Cosine-distributed rays where others hit; those of a hit follow each other."""
+    """Cosine-distributed rays from hits; those of a hit follow each other."""
     normals = hits.normals.astype(np.float32)
     toward = np.asarray(eye) - hits.positions
     normals[np.einsum("ij,ij->i", normals, toward) < 0.0] *= -1.0
@@ -229,7 +228,7 @@ def secondary(hits, eye, per_hit, t_max, generator):
 
 
 def ray_sets(scene, tracer, size, per_hit):
-    """Name, query and rays of each set."""
+    """Yield the name, query and rays of each set."""
     width, height = size
     camera = scene.camera_for(width / height)
     given = camera.rays(width, height)
@@ -249,7 +248,7 @@ def ray_sets(scene, tracer, size, per_hit):
 
 
 def same_bits(ours, structure, rays):
-    """Rays whose first hit has other bits than the CPU finds with the same structure."""
+    """Number of rays whose first hit has different bits than on the CPU with the same structure."""
     tracer = rs.Tracer.of_structure(structure)
     theirs = tracer.first_hit(rays.origins, rays.directions, t_max=rays.t_max)
     is_other = ours.prim_id.ravel() != theirs.prim_id
@@ -257,10 +256,10 @@ def same_bits(ours, structure, rays):
 
 
 def trace_set(name, query, rays, turns, repeats):
-    """Rates of a set; the first turn's answers are what others are compared with."""
+    """Yield the rates of a set; answers are compared with those of the first contender."""
     kernels, whole = ({turn.label: [] for turn in turns} for _ in range(2))
     given, first, differing, other_bits = DeviceRays.of(rays), None, {}, None
-    for again in range(repeats + 1):  # the first time, something is compiled
+    for again in range(repeats + 1):  # the first run may compile
         for turn in turns:
             answer, device, total = turn.run(query, given)
             if again:
@@ -296,7 +295,7 @@ def few_of(answer):
 
 
 def in_orders(rays, shuffled):
-    """Rays as they are given and, if that is asked, in random order."""
+    """Yield the rays as they are given and, if requested, in random order."""
     yield "given", rays
     if shuffled:
         order = np.random.default_rng(len(rays)).permutation(len(rays))
@@ -304,12 +303,12 @@ def in_orders(rays, shuffled):
 
 
 def built(scene, words, warp, absent):
-    """Contenders that are there, with their builds' seconds."""
+    """Yield the available contenders, with the seconds of their builds."""
     geometry = geometry_of(scene)
     for label, contender in contenders(words, scene, warp, absent):
         seconds = []
         try:
-            for _ in range(2):  # the first may compile
+            for _ in range(2):  # the first build may compile
                 started = time.perf_counter()
                 contender.build(geometry)
                 seconds.append(time.perf_counter() - started)
@@ -323,7 +322,7 @@ def built(scene, words, warp, absent):
 
 
 def measure(name, arguments, keep):
-    """All that is measured of a scene; `keep` is called after each step."""
+    """Measure everything for a scene; `keep` is called after each step."""
     scene = rs.load(name)
     found = {"scene": name, "triangles": len(scene.triangles), "absent": {}, "builds": {}}
     found["rows"] = []
@@ -354,7 +353,7 @@ def measure(name, arguments, keep):
 
 @contextlib.contextmanager
 def alone(path):
-    """Wait until no other process that names the file measures."""
+    """Wait until no other process with the same lock file is measuring."""
     if path is None:
         yield
         return
@@ -364,11 +363,11 @@ def alone(path):
 
 
 def line_of(found, row):
-    """A row for people."""
+    """A line of the printed table."""
     rates = (row["mrays_per_second"], row["mrays_per_second_whole"])
     shown = "".join(f"{'-' if rate is None else format(rate, ',.2f'):>12}" for rate in rates)
     bits = row["other_bits_than_cpu"]
-    note = "" if bits is None else f"  {bits} rays with other bits than the CPU"
+    note = "" if bits is None else f"  {bits} rays with different bits than the CPU"
     build = found["builds"][row["contender"]]
     return (
         f"{found['scene']:18}{found['triangles']:>11,}{row['set']:>9}{row['rays_come']:>10}"
@@ -390,9 +389,9 @@ def main():
     parser.add_argument("--size", default="1024x768")
     parser.add_argument("--per-hit", type=int, default=8)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--shuffled", action="store_true", help="in random order, too")
+    parser.add_argument("--shuffled", action="store_true", help="also trace in random order")
     parser.add_argument("--no-warp", action="store_true")
-    parser.add_argument("--lock", type=Path, help="file that measuring processes share")
+    parser.add_argument("--lock", type=Path, help="lock file shared by measuring processes")
     parser.add_argument("--json", type=Path, help="file for the figures, written after each set")
     arguments = parser.parse_args()
     arguments.ours = arguments.ours or list(OURS)

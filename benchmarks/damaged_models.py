@@ -2,9 +2,9 @@
 
     python benchmarks/damaged_models.py --files 500000
 
-Takes the tiny models of the tests, one for each format and kind, changes up to four bytes of a
-copy, and reads it: it must be read, or refused with one line, within two seconds. Anything
-else is printed and counted. The figures in docs/decisions come from here.
+Takes the tests' tiny models, one for each format and kind, changes up to four bytes in a copy, and
+reads it. It must be read, or rejected with a one-line error, within two seconds. Anything else is
+printed and counted as a crash. The figures in docs/decisions come from here.
 """
 
 import argparse

@@ -1,11 +1,11 @@
-"""Denoisers: brightness and errors of images of few samples, before and after each filter.
+"""Denoisers: brightness and errors of images with few samples, before and after each filter.
 
     python benchmarks/denoisers.py
     python benchmarks/denoisers.py kitchen --samples 8 --keep images
 
-Against a reference of 512 samples, by ``path``: the change of the mean luminance by the filter in
-per cent, the root mean square error, the mean relative error, the peak signal-to-noise ratio in
-decibels, and seconds. ``--keep`` stores the images in a folder.
+Against a reference of 512 samples, in mode ``path``, prints the change of the mean luminance by the
+filter in per cent, the root mean square error, the mean relative error, the peak signal-to-noise
+ratio in decibels, and the seconds taken. ``--keep`` stores the images in a folder.
 """
 
 import argparse
@@ -27,7 +27,7 @@ def brightness(image):
 
 
 def timed(image, method):
-    """The denoised image, and the seconds of a second run: the first one compiles."""
+    """The denoised image, and the seconds of a second run, since the first one compiles."""
     image.denoise(method)
     start = time.perf_counter()
     smooth = image.denoise(method)

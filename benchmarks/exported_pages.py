@@ -1,11 +1,11 @@
-"""How soon an exported page shows its first image, in Chromium with WebGPU in software.
+"""How soon an exported page shows its first image, in Chromium with software WebGPU.
 
     python benchmarks/exported_pages.py bunny cornell --rounds 5
 
-Each scene is exported with its BVH alone. Each measurement has a new browser with an empty profile,
-which rests for a moment and then opens the page from disk (Playwright, of
-`pip install raystream[dev]`; Chromium of your system). Printed are the page's bytes and the seconds
-from opening until the first sample is on the canvas: medians, with the least and the largest.
+Each scene is exported with its BVH alone. Each measurement starts a new browser with an empty
+profile, waits for a moment, and then opens the page from disk (with Playwright, of `pip install
+raystream[dev]`, and the system's Chromium). Prints the page's size in bytes and the seconds from
+opening it until the first sample is on the canvas: medians, with the smallest and the largest.
 Scenes take turns, in rounds.
 """
 
@@ -32,7 +32,7 @@ ARGUMENTS = (
 #: Milliseconds until a new browser has started all its processes.
 REST = 3000
 
-#: Notes when the page has a sample, by its own clock: to be asked often would take its cores.
+#: Records when the page has a sample, by its own clock: frequent polling would load its cores.
 WATCH = """
 addEventListener("DOMContentLoaded", async () => {
   const page = await raystream.opened;
@@ -47,7 +47,7 @@ addEventListener("DOMContentLoaded", async () => {
 
 
 def seconds_to_first(playwright, program, path, size):
-    """Seconds from a page's address to its first image."""
+    """Seconds from opening a page to its first image."""
     browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
     try:
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
@@ -56,7 +56,7 @@ def seconds_to_first(playwright, program, path, size):
         page.goto(path.as_uri())
         while (shown := page.evaluate("window.firstShown ?? null")) is None:
             page.wait_for_timeout(100)
-        return shown / 1000  # of the page's clock, which begins with the navigation
+        return shown / 1000  # by the page's clock, which starts with the navigation
     finally:
         browser.close()
 

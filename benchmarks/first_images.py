@@ -1,8 +1,8 @@
-"""First images: what a user sees who names a model and a mode, and nothing else.
+"""First images: what a user sees after naming only a model and a mode.
 
-Renders every built-in scene, every sample that is there and the models given, in all modes, by the
-command line with a size, and reports how much of each image is dark or bright, and on the model. A
-sheet of all images is to be looked at.
+Renders every built-in scene, every available sample and the given models in all modes, with the
+command line and a size, and reports how much of each image is dark, bright, and covered by the
+model. Also writes a sheet of all images for inspection.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from raystream.core.errors import RaystreamError
 from raystream.scene.procedural import BUILTIN
 from raystream.scene.samples import SAMPLES, fetch
 
-#: Most of the pixels in the lowest or the highest tenth of the range, and least on the model.
+#: Largest share of pixels in the lowest or highest tenth of the range, and smallest on the model.
 MOST_EXTREME, LEAST_SHOWN = 0.95, 0.20
 
 LABEL = 14
 
 
 def known_scenes() -> list[str]:
-    """The built-in scenes, and the samples that can be had."""
+    """The built-in scenes, and the samples that can be fetched."""
     names = list(BUILTIN)
     for name in SAMPLES:
         with contextlib.suppress(RaystreamError, OSError):
@@ -40,7 +40,7 @@ def known_scenes() -> list[str]:
 
 
 def render(name: str, mode: str, size: str, folder: Path) -> tuple[Image.Image, str]:
-    """The image of a scene, and what the command line printed on stderr."""
+    """The image of a scene, and what the command line printed to stderr."""
     path = folder / "image.png"
     notes = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(notes):
@@ -54,7 +54,7 @@ def render(name: str, mode: str, size: str, folder: Path) -> tuple[Image.Image, 
 
 
 def shares(image: Image.Image) -> tuple[float, float]:
-    """Shares of the pixels in the lowest and in the highest tenth."""
+    """Shares of the pixels in the lowest and in the highest tenth of the range."""
     values = np.asarray(image).max(axis=2), np.asarray(image).min(axis=2)
     return float((values[0] < 25.5).mean()), float((values[1] > 229.5).mean())
 
@@ -67,9 +67,9 @@ def share_shown(scene: rs.Scene, width: int, height: int) -> float:
 
 
 def main() -> int:
-    """Render all, print a table, and write the sheet; returns the number of faults."""
+    """Render all images, print a table, and write the sheet; returns the number of faults."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="*", help="models, beside the built-in scenes and samples")
+    parser.add_argument("scenes", nargs="*", help="models, with the built-in scenes and samples")
     parser.add_argument("--only", action="store_true", help="only the scenes given")
     parser.add_argument("--modes", default=",".join(rs.MODES))
     parser.add_argument("--size", default="320x240")

@@ -1,12 +1,12 @@
-"""First and any hits in float64 beside float32, each in a process of its own, in turn.
+"""First and any hits in float64 against float32, each in its own process, in turn.
 
     python benchmarks/float64.py
     python benchmarks/float64.py sponza --rounds 9 --threads 1
 
-Rays are those of the scene's camera (coherent), one bounce of them in a random direction, and rays
-from anywhere in the scene's box (incoherent); all are float32. Times are medians in nanoseconds a
-ray of whole calls: of the wall clock, and of all threads' processor time, which other programs
-disturb less. Processes that wait are stopped.
+The rays are those of the scene's camera (coherent), one bounce of them in a random direction, and
+rays from anywhere in the scene's box (incoherent); all are float32. Times are medians of whole
+calls in nanoseconds per ray: of wall-clock time, and of the processor time of all threads, which
+other programs disturb less. Processes that wait are stopped.
 """
 
 import argparse

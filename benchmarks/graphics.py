@@ -1,13 +1,13 @@
-"""The graphics device beside the CPU engine: Mrays/s of first hits.
+"""The graphics device against the CPU engine: Mrays/s of first hits.
 
     python benchmarks/graphics.py
     RAYSTREAM_SCENES=~/models python benchmarks/graphics.py --scenes bunny --size 512
 
-All contenders answer the same rays, one after another in each round, and medians of the rounds
-count; a column after the CPU's says how many times as fast as the CPU a contender is, as the
-median of the ratios in a round. Answers are compared with the CPU's: the last column counts the
-rays for which another triangle was found. Names the adapter: a software one says nothing about
-graphics hardware, except that everything runs.
+All contenders trace the same rays, one after another in each round, and the median of the rounds
+counts. The column "times the CPU" gives the speed relative to the CPU, as the median of the ratios
+in a round. Answers are compared with the CPU's: the last column counts the rays for which a
+different triangle was found. The adapter is printed: a software adapter says nothing about graphics
+hardware, except that everything runs.
 """
 
 import argparse
@@ -26,11 +26,11 @@ from raystream.structures import names_with
 SCENES = ("cornell", "spheres", "robots", "building")
 RAY_SETS = ("primary", "bounce")
 
-#: What the others are compared with.
+#: The contender with which the others are compared.
 CPU = "cpu, bvh"
 
-#: Machines of the graphics device, in this order; a machine or structure that a scene is too
-#: large for, or too slow in, is left out with a line that says why.
+#: Machines of the graphics device, in this order. If a scene is too large or too slow for a machine
+#: or structure, it is left out, and a line says why.
 MACHINES = ("compute",)
 
 
@@ -51,7 +51,7 @@ def answer(tracer, rays):
 
 
 def warmed_up(tracers, rays, patience):
-    """Those that can answer, and not in more than `patience` times what the CPU takes."""
+    """The tracers that can answer within `patience` times the CPU's time."""
     base = min(answer(tracers[CPU], rays)[1] for _ in range(3))
     ready = {}
     few = Rays(*(np.ascontiguousarray(rows[::16]) for rows in rays.rows()), rays.t_max)
@@ -104,7 +104,7 @@ def main():
     parser.add_argument("--size", type=int, default=256, help="pixels along a side")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument(
-        "--patience", type=float, default=1000.0, help="contenders that take longer are left out"
+        "--patience", type=float, default=1000.0, help="contenders slower by more are left out"
     )
     arguments = parser.parse_args()
     adapter = open_device().adapter

@@ -1,17 +1,17 @@
-"""Images by fragment programs on the graphics device: seconds, passes, and what saves work.
+"""Images by fragment programs on the graphics device: seconds, passes, and what avoids work.
 
     python benchmarks/graphics_images.py
     python benchmarks/graphics_images.py --scenes cubes --modes shadow whitted --size 256
 
-For each scene and mode, the renderer as one loop of passes in four ways: kernels chosen on the
-device, or on the host by occlusion queries; the scene in textures; and rejection in the programs,
-with the stencil test of the kernels off, which is what passes cost without early rejection. Beside
-them, the stages as whole queries of the same machine, with shading on the host; and the CPU's loop.
-Contenders take turns in each round; seconds are medians.
+Renders each scene and mode as one loop of passes in four ways: kernels chosen on the device;
+kernels chosen on the host by occlusion queries; the scene in textures; and rejection in the
+programs, without the kernels' stencil test, which shows what passes cost without early rejection.
+For comparison, the stages also run as whole queries of the same machine, with shading on the host;
+and the loop runs on the CPU. Contenders take turns in each round; seconds are medians.
 
-Then the hybrid renderer (Purcell 2002, section 3.2): its first pass, which rasterises, beside the
-primary rays that it replaces, and all of it. Names the adapter: seconds of a software one say
-nothing about graphics hardware.
+Then it measures the hybrid renderer (Purcell 2002, section 3.2): its first pass, which rasterises,
+against the primary rays that it replaces; and the whole renderer. The adapter is printed: seconds
+of a software adapter say nothing about graphics hardware.
 """
 
 import argparse
@@ -41,7 +41,7 @@ class QueryTracer(rs.Tracer):
 
 @contextmanager
 def rejection_in_programs():
-    """Kernels whose stencil test always passes: the state in their records rejects the rest."""
+    """Let the stencil test of kernels always pass: the state in their records rejects the rest."""
     plain = loop_plan.fragment_pipeline
     kept = ("eye_rays", "commit", "classify", "resume")
 
@@ -81,7 +81,7 @@ def contenders(scene, structure, mode, size, options):
 
 
 def timed(ways, rounds):
-    """Median seconds of each, after one run, and what it returned."""
+    """Median seconds of each way, after one run, and what that run returned."""
     results = {name: way() for name, way in ways.items()}
     seconds = {name: [] for name in ways}
     for _ in range(rounds):
@@ -93,7 +93,7 @@ def timed(ways, rounds):
 
 
 def rows_of_images(arguments):
-    """Rows of the table of images."""
+    """Yield the rows of the table of images."""
     size = arguments.size, arguments.size
     for name in arguments.scenes:
         scene = rs.load(name)
@@ -107,7 +107,7 @@ def rows_of_images(arguments):
 
 
 def rows_of_hybrids(arguments):
-    """Rows of the table of the hybrid renderer."""
+    """Yield the rows of the table of the hybrid renderer."""
     size = arguments.size, arguments.size
     for name in arguments.scenes:
         scene = rs.load(name)

@@ -1,11 +1,12 @@
-"""Time per ray of the same rays in shapes that people pass them in.
+"""Time per ray of the same rays in the array shapes that users pass.
 
     python benchmarks/input_shapes.py bunny kitchen --size 1024x768
 
-First hits of a camera's rays in twelve arrangements, and of random rays; contenders take turns, and
-the median of some rounds counts. The ratio is to the fastest of the contenders with the same rays:
-the camera's in the order of rows or tiles; ten million, whose pixels are flatter; in random order,
-to the fastest kernel for them. A thousand rays, and one, are told in microseconds, as latency.
+Measures first hits of a camera's rays in twelve arrangements, and of rays in random order.
+Contenders take turns, and the median of the rounds counts. The ratio is to the fastest contender
+with the same rays: the camera's in the order of rows or tiles; ten million, whose pixels are
+flatter; and in random order, where it is to the fastest kernel. Times of a thousand rays, and of
+one, are given in microseconds, as latency.
 """
 
 import argparse
@@ -16,7 +17,7 @@ import numpy as np
 
 import raystream as rs
 
-#: Rays of the large batches, at least.
+#: Minimum number of rays in the large batches.
 MANY = 10_000_000
 
 
@@ -55,7 +56,7 @@ def arrangements(camera, width, height):
 
 
 def with_holes(tracer, camera, width, height):
-    """Rays of pixels that hit: as a list, and in the order of tiles."""
+    """Yield the rays of pixels with a hit: as a list, and in the order of tiles."""
     origins, directions = camera.rays(width, height)
     directions = np.ascontiguousarray(directions, np.float32)
     eye = np.asarray(origins, np.float32).reshape(-1, 3)[0].copy()
@@ -99,7 +100,7 @@ def measure(scene, width, height, rounds):
 
 
 def main():
-    """Measure the scenes of the command line."""
+    """Measure the scenes given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=["bunny"])
     parser.add_argument("--size", default="1024x768", help="multiples of 16 [default: 1024x768]")

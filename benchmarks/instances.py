@@ -3,12 +3,12 @@
     python benchmarks/instances.py
     python benchmarks/instances.py --rounds 9 --side 32
 
-A patch of trees stands 4,096 times, turned and mirrored. Each contender is a process that
-waits while the other traces; they take turns, round by round. Printed are medians of the rounds,
-and the median and range of their ratios; the better of Mitsuba's two hints counts. Where other
-programs run, the ratio of the processor times of all threads says more. Rays are those of a camera
-above the trees, in rows, and rays of any direction from anywhere among the trees. Needs mitsuba and
-libLLVM.
+A patch of trees is placed 4,096 times, rotated and mirrored. Each contender is a process that waits
+while the other traces; they take turns, round by round. Prints medians of the rounds, and the
+median and range of their ratios; the better of Mitsuba's two hints counts. If other programs are
+running, the ratio of the processor times of all threads is more meaningful. The rays are those of a
+camera above the trees, in rows, and rays in random directions from random places among the trees.
+Needs mitsuba and libLLVM.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ QUERIES = ("first_hit", "any_hit")
 
 
 def forest(side: int) -> tuple[rs.Scene, np.ndarray]:
-    """A patch of trees, and where it stands."""
+    """A patch of trees, and the transforms that place it."""
     patch = rs.load("forest", triangles=280_000)
     trees = patch.replace(meshes=patch.meshes[1:])
     low, high = trees.bounds
@@ -67,7 +67,7 @@ def ray_sets(places: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 class Ours:
-    """raystream on NumPy arrays."""
+    """raystream with NumPy arrays."""
 
     modes = ("",)
 
@@ -85,7 +85,7 @@ class Ours:
 
 
 class Mitsuba:
-    """Mitsuba's Embree on arrays of its own, with both of its hints."""
+    """Mitsuba's Embree with its own arrays, and with both of its hints."""
 
     modes = ("incoherent", "coherent")
 
@@ -191,7 +191,7 @@ def main() -> None:
                     times[name].append(answer["seconds"])
                     spent[name].append(answer["processor"])
                     shares[name] = answer["share"]
-            rounds = {name: some[1:] for name, some in times.items()}  # the first compiles
+            rounds = {name: some[1:] for name, some in times.items()}  # the first round compiles
             rates = " ".join(
                 f"{count / statistics.median(some) / 1e6:10.2f}" for some in rounds.values()
             )

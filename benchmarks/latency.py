@@ -1,10 +1,10 @@
-"""Latency: one ray by `Tracer.cast`, and small batches, on one core.
+"""Latency: single rays with `Tracer.cast`, and small batches, on one core.
 
     python benchmarks/latency.py
     python benchmarks/latency.py conference --structure kdtree
 
-Rays of the scene's camera in random order; medians, in microseconds, of calls with rays of their
-own each, from converted arguments to the result.
+Traces rays of the scene's camera in random order. Prints the median time of a call in microseconds,
+from converted arguments to the result; each call has its own rays.
 """
 
 import argparse
@@ -17,7 +17,7 @@ import numpy as np
 
 import raystream as rs
 
-#: Rays of a batch, and batches that are timed.
+#: Rays per batch, and the number of batches that are timed.
 BATCHES = {1: 5_000, 10: 5_000, 100: 3_000, 1_000: 1_000}
 
 
@@ -31,7 +31,7 @@ def camera_rays(scene, count):
 
 
 def median(call, arguments):
-    """Median time of a call in microseconds, after some that are not counted."""
+    """Median time of a call in microseconds, after some calls that are not timed."""
     for one in arguments[:10]:
         call(*one)
     times = []

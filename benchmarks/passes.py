@@ -1,10 +1,10 @@
-"""How many passes the multipass machine takes, and what rays meet in kd-trees.
+"""How many passes the multipass machine takes, and the states of rays in kd-trees.
 
     python benchmarks/passes.py --size 512 --scenes bunny bart_robots
 
-Prints the tables of docs/machines.rst, for first hits along the rays of each scene's camera:
-passes of each scheduler beside the fewest possible ones (Purcell 2002, Table 2), and how often
-rays were in each state of the three kd-tree traversals (Foley 2005, Table 2).
+Prints the tables of docs/machines.rst, for first hits of each scene's camera rays: the passes of
+each scheduler compared with the minimum (Purcell 2002, Table 2), and how often rays were in each
+state of the three kd-tree traversals (Foley 2005, Table 2).
 """
 
 import argparse
@@ -31,7 +31,7 @@ def table(title, columns, rows):
 
 
 def first_hits(scene, size, structure, **options):
-    """The counters of a scene's eye rays, and the seconds that it took."""
+    """The counters of a scene's camera rays, and the seconds taken."""
     tracer = rs.Tracer(scene, structure, counters=True, **options)
     origins, directions = scene.camera_for(1.0).rays(size, size)
     started = time.perf_counter()
@@ -40,7 +40,7 @@ def first_hits(scene, size, structure, **options):
 
 
 def scheduler_rows(name, scene, size, structure, options):
-    """A row for each scheduler."""
+    """Yield a row for each scheduler."""
     for scheduler in SCHEDULERS:
         found, seconds = first_hits(
             scene, size, structure, machine="multipass", scheduler=scheduler, **options
@@ -62,7 +62,7 @@ def scheduler_rows(name, scene, size, structure, options):
 
 
 def unrolled_rows(name, scene, size):
-    """Passes, and words read and written, with several steps in a pass."""
+    """Yield passes, and words read and written, with several steps per pass."""
     for steps, tests in ((1, 1), (4, 2), (8, 4), (16, 8)):
         for compaction in (False, True):
             found, seconds = first_hits(
@@ -91,7 +91,7 @@ def unrolled_rows(name, scene, size):
 
 
 def foley_rows(name, scene, size, cost):
-    """A row for each traversal of a kd-tree."""
+    """Yield a row for each traversal of a kd-tree."""
     for traversal in ("stack", "restart", "backtrack"):
         found, _ = first_hits(
             scene, size, "kdtree", traversal=traversal, layout="foley", traversal_cost=cost
@@ -133,7 +133,7 @@ def main():
         schedules,
     )
     table(
-        "Several steps in a pass",
+        "Several steps per pass",
         ["scene", "steps", "tests", "compaction", "passes", "efficiency", "words/ray", "seconds"],
         unrolled,
     )

@@ -3,11 +3,11 @@
     python benchmarks/primitives.py
     python benchmarks/primitives.py --compared 10000 --side 1000 --rounds 9
 
-Contenders are processes of their own, which take turns, round by round; printed are medians in
-millions of rays per second, and the median and range of their ratios. Memory is what a process
-holds after the build beyond what it held before, and at most meanwhile. Rays are those of a camera,
-in rows, and rays of any direction from anywhere in the scene. Mitsuba needs minutes and 18 GB for a
-million spheres: it gets fewer. Needs mitsuba and libLLVM.
+Each contender runs in its own process; they take turns, round by round. Prints medians in millions
+of rays per second, and the median and range of their ratios. Memory is what a process holds after
+the build, beyond what it held before, and its peak during the build. The rays are those of a
+camera, in rows, and rays in random directions from random places in the scene. Mitsuba needs
+minutes and 18 GB for a million spheres, so it is given fewer. Needs mitsuba and libLLVM.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def camera_rays(camera: rs.Camera) -> Rays:
 
 
 def rays_within(low: Any, high: Any) -> Rays:
-    """Rays of any direction from anywhere in a box, float32."""
+    """Rays in random directions from random places in a box, float32."""
     rng = np.random.default_rng(1)
     origins = rng.uniform(low, high, (SIZE[0] * SIZE[1], 3))
     return origins.astype(np.float32), rng.normal(size=origins.shape).astype(np.float32)
@@ -109,7 +109,7 @@ def our_mesh(side: int) -> Ours:
 
 
 class MitsubaSpheres:
-    """Mitsuba's own spheres, in its tree for them, on arrays of its own."""
+    """Mitsuba's own spheres, in its tree for them, with its own arrays."""
 
     def __init__(self, count: int) -> None:
         import drjit
@@ -172,7 +172,7 @@ def contend(name: str, size: int) -> None:
 
 
 def compare(names: tuple[str, ...], size: int, rounds: int) -> None:
-    """Let contenders take turns, and print a table."""
+    """Let the contenders take turns, and print a table."""
     command = [sys.executable, __file__, "--size", str(size), "--contender"]
     running = {}
     for name in names:
@@ -202,7 +202,7 @@ def compare(names: tuple[str, ...], size: int, rounds: int) -> None:
                     answer = json.loads(process.stdout.readline())
                     times[name].append(answer["seconds"])
                     shares[name] = answer["share"]
-            kept = {name: some[1:] for name, some in times.items()}  # the first compiles
+            kept = {name: some[1:] for name, some in times.items()}  # the first round compiles
             rates = " ".join(f"{count / statistics.median(t) / 1e6:10.2f}" for t in kept.values())
             first, last = kept[names[0]], kept[names[-1]]
             ratios = [b / a for a, b in zip(first, last, strict=True)]
@@ -222,7 +222,7 @@ def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--spheres", type=int, default=1_000_000)
-    parser.add_argument("--compared", type=int, default=100_000, help="spheres with Mitsuba")
+    parser.add_argument("--compared", type=int, default=100_000, help="spheres against Mitsuba")
     parser.add_argument("--side", type=int, default=4000, help="samples along each side")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--only", choices=("spheres", "terrain"))

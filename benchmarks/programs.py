@@ -1,13 +1,13 @@
-"""Programs and filters beside the queries that do the same, on every structure; and cut-outs.
+"""Programs and filters against queries that do the same, on every structure; and cut-outs.
 
     python benchmarks/programs.py --scenes bunny kitchen --structures bvh kdtree graph
     python benchmarks/programs.py --scenes bunny kitchen --sets primary bounce --groups filters
     python benchmarks/programs.py --scenes leaves
 
-In each round all of them run one after another; the medians of the rounds count. Prints the
-tables of docs/decisions/0013-programs.rst: milliseconds, and how many times as long as the first
-query of the group each takes. The scene "leaves" is rendered instead: a tree's crown of squares,
-from which an opacity texture cuts leaves, beside the same squares without it.
+In each round, all of them run one after another; the medians of the rounds count. Prints the tables
+of docs/decisions/0013-programs.rst: milliseconds, and the time relative to the first query of the
+group. The scene "leaves" is rendered instead: the crown of a tree made of squares, from which an
+opacity texture cuts out leaves, against the same squares without the texture.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def half(hit):
     return hit.prim_id % 2 == 0
 
 
-#: Groups of queries; the first of a group is the one that others are compared with.
+#: Groups of queries; the others of a group are compared with its first.
 PROGRAMS = (
     {
         "count_hits": lambda tracer, rays: tracer.count_hits(*rays),
@@ -79,7 +79,7 @@ LEAVES = 30_000
 
 
 def leaves(is_cut):
-    """A crown of squares, 6 by 12 cm, over a floor; with a texture of their opacity if cut."""
+    """A crown of squares, 6 by 12 cm, over a floor; with an opacity texture if they are cut out."""
     rng = np.random.default_rng(7)
     centers = rng.normal(size=(LEAVES, 3)) * [1.0, 1.0, 0.7] + [0.0, 0.0, 2.2]
     along = rng.normal(size=(LEAVES, 3))
@@ -109,7 +109,7 @@ def leaves(is_cut):
 def measure(groups, rounds, *arguments):
     """Median seconds of each query."""
     seconds = {title: [] for group in groups for title in group}
-    for k in range(rounds + 1):  # the first one compiles
+    for k in range(rounds + 1):  # the first round compiles
         for group in groups:
             for title, query in group.items():
                 started = time.perf_counter()

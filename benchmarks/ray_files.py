@@ -2,11 +2,11 @@
 
     python benchmarks/ray_files.py --rays 200M --scene bunny --folder /tmp/rays
 
-Writes a store of rays chunk by chunk, from all around the scene at places in its box, and runs
-``raystream query`` on it in processes of their own: once from start to end; and once more with
-``kill -9`` on the way, which resumes each time. Prints time, rays per second and the most memory
-that each process had, and compares the two stores of hits, file by file. 200 million rays take
-5 GB, and the hits up to 4 GB, twice; ``--keep`` leaves them there.
+Writes a store of rays, chunk by chunk, from all around the scene to random places in its box. Then
+runs ``raystream query`` on it in separate processes: once from start to end, and once more with
+``kill -9`` on the way, after which it is resumed each time. Prints the time, the rays per second
+and the peak memory of each process, and compares the two stores of hits, file by file. 200 million
+rays take 5 GB, and their hits up to 4 GB, twice; ``--keep`` keeps the stores.
 """
 
 import argparse
@@ -33,7 +33,7 @@ def count(text):
 
 
 def write_rays(path, scene, ray_count):
-    """Origins on a sphere around the scene, directions to places in its box; float32."""
+    """Write rays from a sphere around the scene to random places in its box; float32."""
     low, high = (np.asarray(corner, np.float32) for corner in scene.bounds)
     centre, radius = (low + high) / 2, np.linalg.norm(high - low)
     group = zarr.create_group(path)
@@ -53,7 +53,7 @@ def write_rays(path, scene, ray_count):
 
 
 def peak_megabytes(process):
-    """The most memory that a process had so far; Linux says."""
+    """The peak memory of a process so far, as reported by Linux."""
     try:
         for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
             if line.startswith("VmHWM:"):
@@ -71,7 +71,7 @@ def rays_done(output):
 
 
 def run(arguments, rays, output, stop_at=None):
-    """Run the command; kill it when so many rays are done. Returns figures or None, and memory."""
+    """Run the command, and kill it at a number of rays; returns figures or None, and memory."""
     command = [sys.executable, "-m", "raystream", "query", arguments.scene, str(rays), "--json"]
     command += ["-o", str(output), f"--{arguments.query}", "--resume"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

@@ -1,30 +1,29 @@
-"""Path tracing here and with Mitsuba 3: time of a sample, and whether the images agree.
+"""Path tracing here and with Mitsuba 3: the time per sample, and whether the images agree.
 
     python benchmarks/render_speed.py cornell sponza
     python benchmarks/render_speed.py --size 256 --samples 1024 --parts 16   # for the images
 
-Renders scenes whose surfaces are made matte, with their textures of colour and, where they have no
-light of their own, under a white sky; here and with Mitsuba (``pip install mitsuba``), which traces
-paths with samples of the lights too, with Russian roulette from the same surface on, to the same
-depth: Mitsuba's ``max_depth`` counts a path's edges from the eye to the light, one more than the
-surfaces between. Both spread their samples evenly over each pixel (a box filter), with independent
-numbers. Each runs in a process of its own, since idle threads of one would take the other's cores.
-After a part that warms it up (compilation, memory), they take turns, a part of the samples each;
-the ratio is that of the medians.
+Renders scenes here and with Mitsuba (``pip install mitsuba``). Their surfaces are made matte, with
+their colour textures, and scenes without light of their own are under a white sky. Mitsuba also
+traces paths with light sampling, with Russian roulette from the same surface on, and to the same
+depth: its ``max_depth`` counts a path's edges from the eye to the light, one more than the surfaces
+between. Both spread their samples evenly over each pixel (a box filter), with independent numbers.
+Each runs in its own process, since idle threads of one would take the other's cores. After a
+warm-up part (compilation, memory), they take turns, each with a part of the samples; the ratio is
+that of the medians.
 
 Error is
 
     mean(|ours - theirs|) / mean(theirs)
 
-over blocks of pixels and all channels; so is its noise, what two pictures without any fault
-would differ by at this number of samples, for which E|x| = sqrt(2 / pi) sigma. The last lines
-compare the variance of a sample, averaged over the pixels: equal times at unequal noise would be
-no tie.
+over blocks of pixels and all channels. Its noise is the error that two correct images would have at
+this number of samples, for which E|x| = sqrt(2 / pi) sigma. The last lines compare the variance of
+a sample, averaged over the pixels: equal times at unequal noise would not be equal performance.
 
-Mitsuba's compiled variants need an LLVM that selects ``minimum`` of floats: 15 and 16 abort there,
-19 and 22 do not. On Debian 12, ``apt install libllvm19``; the newest one installed is used, unless
-``DRJIT_LIBLLVM_PATH`` names another. ``--variant scalar_rgb`` needs none. If a renderer's process
-ends, so does the benchmark.
+Mitsuba's compiled variants need an LLVM that can select ``minimum`` of floats: 15 and 16 abort
+there, 19 and 22 do not. On Debian 12, use ``apt install libllvm19``; the newest installed version
+is used, unless ``DRJIT_LIBLLVM_PATH`` names another. ``--variant scalar_rgb`` needs none. If a
+renderer's process ends, so does the benchmark.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class Ours:
 
 
 class Mitsuba:
-    """Mitsuba's, of the same triangles, materials and camera."""
+    """Mitsuba's path tracer, with the same triangles, materials and camera."""
 
     def __init__(self, scene, size, bounces, threads, variant):
         import drjit
@@ -114,7 +113,7 @@ def _sensor(mitsuba, camera, size):
 
 
 def _reflectance(mitsuba, material, bitmaps):
-    """A colour, or a bitmap times it."""
+    """A colour, or a bitmap multiplied by it."""
     texture = material.textures.get("diffuse")
     if texture is None:
         return {"type": "rgb", "value": material.diffuse}
@@ -135,7 +134,7 @@ def _mesh(mitsuba, mesh, faces, material, bitmaps):
     if material.emits:
         radiance = {"type": "rgb", "value": material.emission}
         properties["emitter"] = mitsuba.load_dict({"type": "area", "radiance": radiance})
-    # Only its own vertices: a mesh of the file has those of all materials.
+    # Only the vertices in use: a mesh of the file has those of all materials.
     used, places = np.unique(faces, return_inverse=True)
     has_texture = reflectance["type"] == "bitmap" and mesh.texcoords is not None
     made = mitsuba.Mesh(
@@ -152,7 +151,7 @@ def _mesh(mitsuba, mesh, faces, material, bitmaps):
 
 
 def matte(name):
-    """A scene whose surfaces only scatter evenly, on both sides, with a light and a camera."""
+    """A scene with only diffuse surfaces, on both sides, with a light and a camera."""
     scene = rs.load(name)
     materials = [
         rs.Material(
@@ -184,21 +183,21 @@ def relative_error(ours, theirs):
 
 
 def expected_error(parts, side):
-    """The relative error that noise alone would bring, from the spread of parts."""
+    """The relative error expected from noise alone, from the spread of the parts."""
     spread = [np.var([in_blocks(part, side) for part in each], axis=0, ddof=1) for each in parts]
     variance = sum(s / len(each) for s, each in zip(spread, parts, strict=True))
     mean = np.mean([part.mean() for part in parts[1]])
-    # The root of an estimated variance is too small by 1 / (4 degrees of freedom).
+    # The root of an estimated variance is too small by a relative 1 / (4 degrees of freedom).
     degrees = sum(len(each) - 1 for each in parts)
     sigma = np.sqrt(variance).mean() / (1 - 1 / (4 * degrees))
     return math.sqrt(2 / math.pi) * sigma / mean
 
 
 def serve(pipe, kind, name, *options):
-    """Render parts of a scene on request: sends pixels and seconds."""
+    """Render parts of a scene on request, and send pixels and seconds."""
     warnings.simplefilter("ignore")  # triangles without area
     renderer = kind(matte(name), *options)
-    with contextlib.suppress(EOFError):  # the benchmark needs no more
+    with contextlib.suppress(EOFError):  # the benchmark has ended
         while True:
             samples, seed = pipe.recv()
             started = time.perf_counter()
@@ -208,7 +207,7 @@ def serve(pipe, kind, name, *options):
 
 
 class Server:
-    """A renderer of a scene, in a process of its own; see `serve`."""
+    """A renderer of a scene in its own process; see `serve`."""
 
     def __init__(self, kind, *options):
         spawning = multiprocessing.get_context("spawn")
@@ -216,7 +215,7 @@ class Server:
         self.pipe, far = spawning.Pipe()
         self.process = spawning.Process(target=serve, args=(far, kind, *options), daemon=True)
         self.process.start()
-        far.close()  # only the process has it now, so that the pipe ends with the process
+        far.close()  # only the process holds it now, so the pipe closes when the process ends
 
     def render(self, samples, seed):
         """Pixels and seconds; if the process has ended, the benchmark ends too."""
@@ -234,7 +233,7 @@ class Server:
 
 
 def measure(name, arguments):
-    """Parts by both renderers in turns: two lists of pixels, two of seconds."""
+    """Render parts with both renderers in turn: two lists of pixels, two of seconds."""
     options = name, arguments.size, arguments.bounces, arguments.threads, arguments.variant
     servers = [Server(kind, *options) for kind in (Ours, Mitsuba)]
     samples = arguments.samples // arguments.parts
@@ -286,7 +285,7 @@ def main():
     parser.add_argument("--samples", type=int, default=112)
     parser.add_argument("--parts", type=int, default=7)
     parser.add_argument("--bounces", type=int, default=4)
-    parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba, or scalar_rgb")
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's, or scalar_rgb")
     parser.add_argument("--threads", type=int, default=rs.thread_count())
     arguments = parser.parse_args()
     if arguments.parts < 2:

@@ -1,12 +1,12 @@
-"""How long a picture takes beside its rays alone.
+"""How long an image takes compared with its rays alone.
 
     python benchmarks/render_stages.py cornell sponza --size 1024x768
 
-Renders 8 samples of each pixel by ``ao``, ``kajiya`` and ``path``, and keeps all rays of one
-sample that the tracer is asked about. Then it asks a tracer about the same rays again, all of a
-kind and bounce at once, as a user would: that is the time of the rays alone. The two take turns;
-the ratio's median says what shading and bookkeeping add. ``--threads 1`` also tells the parts
-of the rendering by stage, in seconds of the processor.
+Renders 8 samples of each pixel in modes ``ao``, ``kajiya`` and ``path``, and records all rays of
+one sample that are sent to the tracer. Then it traces the same rays again, all rays of a kind and
+bounce at once, as a user would: that is the time of the rays alone. The two take turns; the median
+of the ratio shows what shading and bookkeeping add. ``--threads 1`` also prints the processor
+seconds of each rendering stage.
 """
 
 import argparse
@@ -21,12 +21,12 @@ import raystream as rs
 from raystream.rendering import ao, integrator, path
 from raystream.rendering.render import RENDERERS
 
-#: Of a picture; its time is that of one.
+#: Samples of an image; the printed time is that of one sample.
 SAMPLES = 8
 
 MODES = {"ao": {}, "kajiya": {}, "path": {"max_bounces": 8}}
 
-#: Looks from inside, of scenes without a camera of their own; see the samples' descriptions.
+#: Interior views for scenes without a camera of their own; see the samples' descriptions.
 VIEWS = {
     "sponza": {"eye": (-9, 2, 0), "look_at": (8, 4, 0), "up": (0, 1, 0), "fov": 65},
     "sibenik": {"eye": (-17, -11, 0.5), "look_at": (0, -8, 0), "up": (0, 1, 0), "fov": 60},
@@ -40,7 +40,7 @@ VIEWS = {
 
 
 class Listener:
-    """A tracer that keeps the rays it is asked about, by query."""
+    """A tracer that records the rays of its queries."""
 
     def __init__(self, tracer):
         self.tracer, self.scene, self.batches = tracer, tracer.scene, []
@@ -49,7 +49,7 @@ class Listener:
         return getattr(self.tracer, name)
 
     def first_hit(self, origins, directions, **options):
-        """Ask the tracer."""
+        """Query the tracer, and record the rays."""
         hits = self.tracer.first_hit(origins, directions, **options)
         self.batches.append(
             ("first_hit", origins.reshape(-1, 3).copy(), directions.reshape(-1, 3).copy(), None)
@@ -57,14 +57,14 @@ class Listener:
         return hits
 
     def any_hit(self, origins, directions, t_max=np.inf, **options):
-        """Ask the tracer."""
+        """Query the tracer, and record the rays."""
         seen = self.tracer.any_hit(origins, directions, t_max=t_max, **options)
         self.batches.append(("any_hit", origins.copy(), directions.copy(), np.array(t_max)))
         return seen
 
 
 def view_of(name, scene, aspect):
-    """The scene's own camera, or the one that is known for it."""
+    """The view listed for a scene, else the scene's own camera."""
     for known, parts in VIEWS.items():
         if known in name:
             return rs.Camera(**parts)
@@ -72,7 +72,7 @@ def view_of(name, scene, aspect):
 
 
 def rays_of(tracer, mode, size, camera, options):
-    """All rays of one sample of a picture: origins, directions, t_max, by query and bounce."""
+    """All rays of one sample of an image: origins, directions, t_max, by query and bounce."""
     renderer = RENDERERS[mode]
     listener = Listener(tracer)
     chosen = renderer.check({**renderer.options, **options})
@@ -97,7 +97,7 @@ def _joined(batches):
 
 
 def ask(tracer, rays):
-    """Ask a tracer about rays."""
+    """Trace rays."""
     for (query, _), (origins, directions, t_max) in rays.items():
         if query == "first_hit":
             tracer.first_hit(origins, directions)
@@ -106,7 +106,7 @@ def ask(tracer, rays):
 
 
 def seconds(function):
-    """How long a call takes."""
+    """Seconds that a call takes."""
     started = time.perf_counter()
     function()
     return time.perf_counter() - started
@@ -118,7 +118,7 @@ STAGES = {
     "shading of paths": (path, "shade_paths"),
     "shading of paths in plain scenes": (path, "shade_plain_paths"),
     "shading of ao": (ao, "spawn_ao_rays"),
-    "rays from the eye": (integrator, "camera_paths"),
+    "camera rays": (integrator, "camera_paths"),
     "adding light": (integrator, "add_unblocked"),
 }
 
@@ -177,8 +177,8 @@ def main():
             picture, alone = (statistics.median(column) for column in zip(*pairs, strict=True))
             print(
                 f"{name}, {mode}, {width}x{height}, {arguments.threads} threads: "
-                f"{count / width / height:.2f} rays a pixel, {count / alone / 1e6:.1f} M/s alone; "
-                f"picture {picture:.2f} s, rays {alone:.2f} s, ratio "
+                f"{count / width / height:.2f} rays/pixel, {count / alone / 1e6:.1f} M/s alone; "
+                f"image {picture:.2f} s, rays {alone:.2f} s, ratio "
                 f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
             )
             if arguments.threads == 1:

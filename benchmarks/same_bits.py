@@ -1,14 +1,14 @@
-"""Whether two versions of raystream give the same bits: hits of 5 million rays, and 16 pictures.
+"""Whether two versions of raystream give the same bits: hits of 5 million rays, and 16 images.
 
     python benchmarks/same_bits.py --record before.json
     ... edit, or check out another version ...
     python benchmarks/same_bits.py --compare before.json
 
-Records a digest of each column of each answer: eight scenes, five kinds of rays, every structure
-and kernel, four queries; and of eight modes of rendering two scenes. ``--compare`` names the
-digests that differ and exits with 1 if there are any. Uses the public interface only, so that
-versions far apart can be compared. Scenes that are not there (``RAYSTREAM_SCENES``) are left out
-when recording; comparing needs those that were recorded.
+Records a digest of each column of each answer, for eight scenes, five kinds of rays, every
+structure and kernel, and four queries; and digests of images of two scenes in eight modes.
+``--compare`` prints the digests that differ, and exits with 1 if there are any. Uses only the
+public interface, so that versions far apart can be compared. Scenes that are not available
+(``RAYSTREAM_SCENES``) are left out when recording; comparing needs those that were recorded.
 """
 
 import argparse
@@ -23,7 +23,7 @@ import raystream as rs
 
 SCENES = ("cornell", "spheres", "robots", "building", "bunny", "sponza", "conference", "sibenik")
 
-#: Rays of a scene: all of them by the usual tracer, some by each of the others.
+#: Rays of a scene: all of them for the default tracer, few for each of the others.
 RAYS = 5_000_000 // len(SCENES)
 FEW = 4_000
 
@@ -79,7 +79,7 @@ def ray_kinds(scene, count, rng):
     yield "random", inside.astype(np.float32), around.astype(np.float32), 0.0, np.inf
     ends = low + rng.random((count // 5, 3)) * (high - low)
     yield "shadow", inside, ends - inside, 1e-4, 1.0
-    # From afar through vertices and edges.
+    # From far away, through vertices and edges.
     picked = corners[rng.integers(0, len(corners), count // 5)]
     at = np.where(rng.random((len(picked), 1)) < 0.5, picked[:, 0], picked[:, :2].mean(1))
     origins = (low + high) / 2 + around / np.linalg.norm(around, axis=1)[:, None] * size * 3
@@ -100,7 +100,7 @@ def answers(tracer, query, options, rays):
 
 
 def hits_of(name, count):
-    """Digests of a scene's hits, by what they are of; and how many rays were traced."""
+    """Digests of a scene's hits, by their labels, and the number of rays traced."""
     scene = rs.load(name)
     found, traced = {}, 0
     for kind, *rays in ray_kinds(scene, count, np.random.default_rng(len(name))):
@@ -128,7 +128,7 @@ def tracer_of(scene, label, options):
 
 
 def pictures():
-    """Digests of pictures, by scene and mode."""
+    """Yield digests of images, by scene and mode."""
     for name in PICTURED:
         scene = rs.load(name)
         for mode in MODES:
@@ -137,13 +137,13 @@ def pictures():
 
 
 def main():
-    """Record, or compare."""
+    """Record digests, or compare them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     group = parser.add_mutually_exclusive_group(required=True)
     group.add_argument("--record", type=Path, metavar="FILE")
     group.add_argument("--compare", type=Path, metavar="FILE")
     parser.add_argument(
-        "--rays", type=int, default=RAYS, help="rays of a scene [default: %(default)s]"
+        "--rays", type=int, default=RAYS, help="rays per scene [default: %(default)s]"
     )
     asked = parser.parse_args()
     before = json.loads(asked.compare.read_text()) if asked.compare else None
@@ -160,7 +160,7 @@ def main():
         traced += count
         print(f"{name}: {count:,} rays, {len(hits):,} columns", flush=True)
     found |= dict(pictures())
-    print(f"{traced:,} rays, {len(PICTURED) * len(MODES)} pictures, {len(found):,} digests")
+    print(f"{traced:,} rays, {len(PICTURED) * len(MODES)} images, {len(found):,} digests")
     if asked.record:
         names = list(dict.fromkeys(key.partition(":")[0] for key in found if key[:8] != "picture:"))
         content = {"rays": asked.rays, "scenes": names, "digests": found}

@@ -1,11 +1,12 @@
-"""Does what a ray costs depend on what it cannot see?
+"""Does the cost of a ray depend on what it cannot see?
 
     python benchmarks/scalability.py -o scalability.png
 
-Rayforce's authors say that performance "depends only on geometric complexity along a ray".
-A camera looks at a scene in front of a wall; behind the wall, small triangles are added until
-there are 100 times as many as in front. Counts what the camera's rays meet, in each structure, and
-plots it (with matplotlib). The figures in docs/structures.rst come from here.
+Rayforce's authors say that performance "depends only on geometric complexity along a ray". Here a
+camera looks at a scene in front of a wall; behind the wall, small triangles are added until there
+are 100 times as many as in front. Counts the traversal steps and triangle tests of the camera's
+rays in each structure, and plots them (with matplotlib). The figures in docs/structures.rst come
+from here.
 """
 
 import argparse
@@ -72,7 +73,7 @@ def main():
 
 
 def plot(path, triangle_counts, found):
-    """Steps and tests of a ray against the number of triangles."""
+    """Plot the steps and tests per ray against the number of triangles."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -80,7 +81,7 @@ def plot(path, triangle_counts, found):
 
     figure, panels = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
     for k, (panel, title) in enumerate(
-        zip(panels, ("steps of a ray", "triangles tested by a ray"), strict=True)
+        zip(panels, ("steps per ray", "triangle tests per ray"), strict=True)
     ):
         for name, numbers in found.items():
             panel.plot(triangle_counts, [pair[k] for pair in numbers], marker="o", label=name)

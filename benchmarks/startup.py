@@ -1,9 +1,9 @@
-"""Whole processes, from the shell's prompt and back: how long a user waits.
+"""Whole processes, from the command line and back: how long a user waits.
 
     python benchmarks/startup.py --runs 7
 
-Times `import raystream`, a first picture with an empty compile cache, and warm pictures of a
-model (the bunny, where RAYSTREAM_SCENES names a folder that has it).
+Times `import raystream`, a first image with an empty compile cache, and warm images of a model (the
+bunny, if RAYSTREAM_SCENES names a folder that contains it).
 """
 
 import argparse
@@ -45,8 +45,8 @@ def main():
         warm = [seconds(command, fresh) for _ in range(runs)]
         imports = [seconds([sys.executable, "-c", "import raystream"], fresh) for _ in range(runs)]
     report("import raystream", imports)
-    report("first picture, nothing compiled", cold)
-    report(f"warm picture of {Path(warm_scene).name}", warm)
+    report("first image, nothing compiled", cold)
+    report(f"warm image of {Path(warm_scene).name}", warm)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""The five structures beside each other: speed of three queries, build time, memory.
+"""The five structures compared: speed of three queries, build time, memory.
 
     python benchmarks/structures.py --scenes conference kitchen sibenik robots building spheres
     python benchmarks/structures.py --ratio kdtree graph --rounds 12
 
-All structures answer the same rays, one after another in each round, and medians of the rounds
-count. Prints the tables of docs/structures.rst; every answer is compared with the BVH's. With
-``--ratio`` two structures only, and the median of their times' ratio in a round: above 1 the
-second one is faster.
+All structures trace the same rays, one after another in each round, and the median of the rounds
+counts. Prints the tables of docs/structures.rst; every answer is compared with the BVH's. With
+``--ratio``, only two structures are compared, by the median of the ratio of their times in a round:
+above 1, the second one is faster.
 """
 
 import argparse
@@ -28,7 +28,7 @@ STRUCTURES = {
     "grid": {"structure": "grid"},
 }
 
-#: Ray set, query.
+#: Ray set and query of each column.
 QUERIES = {
     "first, primary": ("primary", "first_hit"),
     "first, bounce": ("bounce", "first_hit"),
@@ -39,7 +39,7 @@ QUERIES = {
 
 
 def answer(tracer, rays, query):
-    """What a tracer says, and the seconds that it takes."""
+    """The answer of a tracer, and the seconds taken."""
     started = time.perf_counter()
     found = getattr(tracer, query)(rays.origins, rays.directions, t_max=rays.t_max)
     return found, time.perf_counter() - started
@@ -75,7 +75,7 @@ def time_queries(scene, tracers, queries, size, rounds):
         rays = sets[ray_set]
         counts[title] = max(rays.origins.size, rays.directions.size) // 3
         expected, _ = answer(reference, rays, query)
-        for k in range(rounds + 1):  # the first one warms up
+        for k in range(rounds + 1):  # the first round warms up
             for label, tracer in tracers.items():
                 found, taken = answer(tracer, rays, query)
                 assert same(found, expected), (label, title)

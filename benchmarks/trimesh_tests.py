@@ -5,12 +5,12 @@
 
 The tests are run unchanged, and stay outside the repository: the source distribution is downloaded
 into a temporary folder. It has the tests, but neither the module `generic` that they import nor
-their models: these come from a checkout of trimesh's repository, which is cloned from GitHub if
-none is given. Each test runs twice, with trimesh's intersectors and with the adapter; the classes
-`ray_pyembree.RayMeshIntersector` and `ray_triangle.RayMeshIntersector` are replaced before the
-tests are imported. Tests that pass with trimesh's intersectors and not with the adapter are listed
-with the reason; one without a reason, or with one that no longer applies, makes the exit status 1.
-So does a run in which the adapter was never called.
+their models. These come from a checkout of trimesh's repository, which is cloned from GitHub if no
+checkout is given. Each test runs twice, with trimesh's intersectors and with the adapter; the
+classes `ray_pyembree.RayMeshIntersector` and `ray_triangle.RayMeshIntersector` are replaced before
+the tests are imported. Tests that pass with trimesh's intersectors but not with the adapter are
+listed with the reason. The exit status is 1 if a reason is missing or no longer applies, or if the
+adapter was never called.
 
 The tests need more packages than ours: pip install trimesh embreex rtree scipy networkx shapely
 manifold3d pytest.
@@ -31,7 +31,7 @@ from pathlib import Path
 #: Files of tests that cast rays.
 PATTERNS = ("test_ray*.py", "test_proximity.py", "test_mutate.py", "test_thickness.py")
 
-#: Tests that do not pass with the adapter, and the fault of trimesh's that they test.
+#: Tests that fail with the adapter, and the fault of trimesh that they test.
 EXPLAINED: dict[str, str] = {}
 
 
@@ -69,7 +69,7 @@ def clone(scratch):
 
 
 def complete(folder, checkout):
-    """Add what the distribution leaves out; nothing of it is replaced."""
+    """Add the files that the distribution lacks; existing files are not replaced."""
     for path in sorted((checkout / "tests").rglob("*")):
         place = folder / path.relative_to(checkout)
         if path.is_file() and not place.exists() and not path.name.startswith("test_"):
@@ -102,7 +102,7 @@ def compare(folder):
     failed = {name for name, (outcome, _) in tests.items() if outcome == "failed"}
     both = {name for name in failed if results["trimesh"]["tests"].get(name, [""])[0] == "failed"}
     for name in sorted(both):
-        print(f"\n{name} fails with trimesh's intersectors, too:\n    {last_line(tests[name][1])}")
+        print(f"\n{name} also fails with trimesh's intersectors:\n    {last_line(tests[name][1])}")
     failed -= both
     for name in sorted(failed):
         print(f"\n{name}: {EXPLAINED.get(name, 'NOT EXPLAINED')}\n{tests[name][1]}")
@@ -150,7 +150,7 @@ def run(folder, who):
 
 
 class Results:
-    """A plugin: notes how each test went."""
+    """A plugin that records the outcome of each test."""
 
     def __init__(self):
         self.tests = {}
@@ -167,7 +167,7 @@ class Results:
 
 
 def replace_intersectors(calls):
-    """Put the adapter in trimesh's place, with its calls counted by method."""
+    """Replace trimesh's intersectors with the adapter, and count its calls by method."""
     import types
 
     import trimesh

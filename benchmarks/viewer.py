@@ -1,11 +1,12 @@
-"""How many pictures of a moving camera the viewer makes in a second.
+"""How many images per second the viewer renders with a moving camera.
 
     python benchmarks/viewer.py --scenes bunny sponza robots:1000000 --seconds 6
 
-A camera orbits each scene as a page would let it, 60 times a second, and a page that shows
-every frame at once counts them: all of the engine, from the message that moves the camera to
-the bytes of the picture, without a browser and a socket. Also how long the first picture of a
-page takes where the scene is built already, and that of the resting camera.
+A camera orbits each scene at 60 steps per second, as a page would move it, and a simulated page
+that shows every frame at once counts the frames. This covers the whole engine, from the message
+that moves the camera to the bytes of the image, without a browser and a socket. Also measures how
+long a page waits for its first image if the scene is already built, and for that of the resting
+camera.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from raystream.viewer import Frame, RenderService
 
 
 class Page:
-    """Shows every frame at once."""
+    """A page that shows every frame at once."""
 
     def __init__(self, service, size):
         self.frames, self.changed = [], threading.Condition()
@@ -42,7 +43,7 @@ class Page:
             raise SystemExit(message["message"])
 
     def wait(self, wanted):
-        """The first frame that is wanted: when it came, and its header."""
+        """The first frame that meets a condition: its arrival time and its header."""
         with self.changed:
             find = lambda: next((one for one in self.frames if wanted(one[1])), None)  # noqa: E731
             return self.changed.wait_for(find, 600)
@@ -62,7 +63,7 @@ class Page:
 
 
 def around(camera, turn):
-    """A camera that has gone around what it looks at."""
+    """A camera rotated around the point that it looks at."""
     axis = np.array(camera.up) / np.linalg.norm(camera.up)
     arm = np.subtract(camera.eye, camera.look_at)
     cos, sin = math.cos(turn), math.sin(turn)
@@ -71,7 +72,7 @@ def around(camera, turn):
 
 
 def orbit(page, camera, seconds):
-    """Move the camera for so long; the frames from half a second on."""
+    """Move the camera for some seconds; the frames after the first half second."""
     end, number = time.perf_counter() + seconds, 0
     begin = len(page.frames)
     while time.perf_counter() < end:

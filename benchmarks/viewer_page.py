@@ -1,16 +1,16 @@
-"""The viewer as a person meets it: a browser on its page, the server beside it on the same cores.
+"""The viewer as a user sees it: a browser with its page, and the server on the same cores.
 
     python benchmarks/viewer_page.py bunny sponza robots:1000000 --rounds 5
 
-For each scene a `raystream view` process and a Chromium without a window (Playwright; both of
-`pip install raystream[dev]`, Chromium of your system), whose picture has 1024 x 768 pixels:
+For each scene, starts a `raystream view` process and a headless Chromium (with Playwright, of `pip
+install raystream[dev]`, and the system's Chromium). The image has 1024 x 768 pixels. Measures:
 
-- how long the first picture takes from when the page's address is entered, after one that warmed
-  the server up;
-- pictures a second that the page draws while a hand drags the camera around the scene, beside the
-  server's own timer, with their sizes, and what rendering and encoding took.
+- how long the first image takes from when the page's address is entered, after one that warmed up
+  the server;
+- images per second that the page draws while the mouse drags the camera around the scene, compared
+  with the server's own timer, with their sizes, and the times of rendering and encoding.
 
-Scenes take turns, in rounds; printed are medians, with the least and the largest.
+Scenes take turns, in rounds; prints medians, with the smallest and the largest.
 """
 
 import argparse
@@ -26,8 +26,8 @@ from contextlib import ExitStack, contextmanager
 SIZE = 1024, 768
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
-#: Notes when pictures come and are drawn, inside the page: to be told of each by the browser
-#: would take the cores from the server.
+#: Records inside the page when images arrive and are drawn: reporting each to the browser's driver
+#: would take cores from the server.
 WATCH = """
 window.arrived = []; window.drawn = [];
 const Plain = window.WebSocket;
@@ -65,10 +65,10 @@ def serving(scene):
 
 
 def look(browser, address, seconds):
-    """Open the page, and drag for some seconds; returns figures, in seconds and pictures."""
+    """Open the page, and drag for some seconds; returns times in seconds and image figures."""
     width, height = SIZE
     window = {"width": width + 420, "height": height + 80}
-    page = browser.new_page(viewport=window, bypass_csp=True)  # for the figures below
+    page = browser.new_page(viewport=window, bypass_csp=True)  # for the scripts below
     page.set_default_timeout(600_000)
     page.add_init_script(WATCH)
     page.goto(f"{address}#size={width}x{height}")
@@ -93,8 +93,8 @@ def look(browser, address, seconds):
     page.close()
     middle_one = lambda name: statistics.median(one[name] for one in arrived)  # noqa: E731
     return {
-        "first picture, s": first,
-        "drawn a second": drawn / spent,
+        "first image, s": first,
+        "drawn per second": drawn / spent,
         "server's timer": statistics.median(one["fps"] for one in arrived if one["fps"]),
         "width": middle_one("width"),
         "height": middle_one("height"),
@@ -107,7 +107,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="+")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=6.0, help="of dragging, in each round")
+    parser.add_argument("--seconds", type=float, default=6.0, help="time to drag in each round")
     parser.add_argument("--json", help="write the figures to this file")
     asked = parser.parse_args()
     from playwright.sync_api import sync_playwright

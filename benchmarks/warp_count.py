@@ -1,6 +1,6 @@
-"""A kernel for Warp that counts all triangles on a ray, which it has no call for."""
+"""A Warp kernel that counts all triangles along a ray, which Warp offers only in kernels."""
 
-# No postponed annotations: Warp reads those of its kernels.
+# No postponed annotations: Warp reads the annotations of its kernels.
 
 import warp as wp
 

@@ -2,12 +2,12 @@
 
     python benchmarks/watertight.py --rays 1000000
 
-A sphere of 20,480 triangles (an icosphere divided five times), with rays from outside that
-aim at its vertices, at edge midpoints and along the planes of its faces. Each crosses the
-sphere twice, or not at all where it passes beside the silhouette; rays at vertices and
-midpoints go on towards the inside, so that exactly two is right. Every structure here, and
-the peers that are installed: Open3D, embreex by way of trimesh, Warp, FCPW. Peers list
-triangles, each in its own way; the count is what a user gets from a call for all hits.
+Uses a sphere of 20,480 triangles (an icosphere divided five times), with rays from outside that are
+aimed at its vertices, at edge midpoints and along the planes of its faces. Each crosses the sphere
+twice, or not at all if it passes outside the silhouette; rays at vertices and midpoints continue
+towards the inside, so exactly two is right. Tests every structure of raystream, and the other
+libraries that are installed: Open3D, embreex through trimesh, Warp, and FCPW. These list triangles,
+each in its own way; the count is what a user receives from a call for all hits.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from watertight import RAYS
 
 
 def own(options):
-    """Crossings of surfaces, by one of raystream's tracers."""
+    """Crossings of surfaces, counted by one of raystream's tracers."""
 
     def make(vertices, faces):
         tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), **options)
@@ -108,7 +108,7 @@ def fcpw(vertices, faces):
     return count
 
 
-#: Most rays for those that take them one by one, or test every triangle.
+#: Maximum number of rays for contenders that trace them one by one, or test every triangle.
 FEWER = {"FCPW": 200_000, "brute": 20_000, "brute, multipass": 2_000, "grid, one cell": 20_000}
 
 
@@ -124,7 +124,7 @@ def main():
     peers = {"Open3D": ("open3d", open3d), "trimesh, embreex": ("embreex", trimesh)}
     peers |= {"Warp": ("warp", warp), "FCPW": ("fcpw", fcpw)}
     makers |= {name: maker for name, (module, maker) in peers.items() if find_spec(module)}
-    print(f"{len(faces):,} triangles; share of rays counted wrongly, and how many of how many")
+    print(f"{len(faces):,} triangles; share and number of rays that are counted wrongly")
     for name, maker in makers.items():
         if arguments.only not in name or arguments.skip in name:
             continue
