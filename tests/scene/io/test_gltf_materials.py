@@ -128,7 +128,7 @@ def test_a_texture_of_another_set_is_left_out(tmp_path: Path) -> None:
         "emissiveTexture": use(2, 1),
         "occlusionTexture": use(3, 1),  # which no renderer uses
     }
-    with pytest.warns(RaystreamWarning, match="left out: 1 of emission, with") as caught:
+    with pytest.warns(RaystreamWarning, match="left out: 1 for emission, with") as caught:
         scene, material = loaded(tmp_path, document)
     assert len(caught) == 1
     assert sorted(material.textures) == ["diffuse", "metallic_roughness"]
