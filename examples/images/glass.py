@@ -4,7 +4,7 @@ Light through panes
 
 Some triangles let part of the light through. A filter hides the panes from the camera's rays; a
 program at every hit between the floor and the lamp dims the light at each pane, and stops at the
-first opaque triangle.
+first opaque triangle. In the output, denser characters stand for more light.
 """
 
 import numpy as np

@@ -9,7 +9,7 @@ A closed mesh in glass, on a tiled floor, under the sky and two large lamps.
     $ python examples/images/glass_model.py bunny 1920x1080 512
 
 renders a model file, a sample or a ``ring`` in this size, with this number of samples per pixel;
-without arguments, a small image of the ring.
+without arguments, a small image of the ring. Pages show ``ring 480x360 64``.
 """
 
 import sys
@@ -22,7 +22,7 @@ GLASS = rs.Material("glass", diffuse=(0, 0, 0), transmission=(0.97, 1.0, 0.98), 
 
 
 def ring(turns=96, sides=48):
-    """A torus that lies on its side."""
+    """A torus that lies flat."""
     u, v = np.meshgrid(*(np.arange(n) * 2 * np.pi / n for n in (turns, sides)), indexing="ij")
     reach = 1.0 + 0.4 * np.cos(v)
     corners = np.stack([reach * np.cos(u), 0.4 * np.sin(v), reach * np.sin(u)], axis=-1)
@@ -54,7 +54,7 @@ model = [ring()] if sys.argv[1:2] in ([], ["ring"]) else rs.load(sys.argv[1]).me
 width, height = map(int, (sys.argv[2] if len(sys.argv) > 2 else "64x48").split("x"))
 samples = int(sys.argv[3]) if len(sys.argv) > 3 else 16
 
-# Of height 1, in the middle of the floor.
+# Of size 1, in the middle of the floor.
 corners = np.concatenate([mesh.vertices for mesh in model])
 low, high = corners.min(axis=0), corners.max(axis=0)
 foot = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])

@@ -11,7 +11,7 @@ from raystream.graphics.errors import GraphicsError
 
 scene = rs.load("cornell")
 try:
-    image = hybrid(scene, (96, 96))
+    image = hybrid(scene, (320, 320))
 except GraphicsError as error:  # no adapter, or wgpu is not installed
     print(error)
 else:

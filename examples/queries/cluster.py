@@ -28,9 +28,9 @@ def main():
         share, farthest = da.compute(*seen)
         print(f"{share:.1%} of {hits.shape[0]:,} rays hit, at most {farthest:.0f} away")
 
-        image = rs.cluster.render(scene, "path", (160, 120), samples=4, client=tracer.client)
+        image = rs.cluster.render(scene, "whitted", (320, 240), samples=4, client=tracer.client)
         image.save("cluster.png")
-        alone = rs.render(scene, "path", (160, 120), samples=4)
+        alone = rs.render(scene, "whitted", (320, 240), samples=4)
         assert (image.pixels == alone.pixels).all()
         print("wrote cluster.png")
 

@@ -12,7 +12,7 @@ import raystream as rs
 scene = rs.load("spheres")
 tracer = rs.Tracer(scene)
 
-# A fan of rays from the scene's camera, level with the ground.
+# A fan of rays from the scene's camera, from the left to the right of its view.
 camera = scene.camera
 angles = np.linspace(-0.5, 0.5, 11)
 right, up, forward = camera.basis()
@@ -25,4 +25,5 @@ for angle, t, prim_id, cosine in zip(angles, hits.t, hits.prim_id, cosines, stri
         print(f"{np.degrees(angle):6.1f} degrees: nothing")
         continue
     tilt = np.degrees(np.arccos(min(cosine, 1.0)))
-    print(f"{np.degrees(angle):6.1f} degrees: triangle {prim_id} at {t:.3f}, tilted {tilt:.1f}")
+    place = f"triangle {prim_id} at {t:.3f}, {tilt:.1f} degrees from its normal"
+    print(f"{np.degrees(angle):6.1f} degrees: {place}")

@@ -46,21 +46,22 @@ else:
 
     image = rs.render(tracer, mode="whitted", size=(width, height), samples=2)
     figure, (view, table) = plt.subplots(
-        1, 2, figsize=(9.6, 4.2), width_ratios=[2, 1], layout="constrained"
+        2, 1, figsize=(6.4, 7.6), height_ratios=[3, 2], layout="constrained"
     )
     view.imshow(image.to_bytes())
     view.set_axis_off()
     table.set_axis_off()
     (cross,) = view.plot([], [], "+", color="red", ms=16)
-    text = table.text(0, 1, "Click on the image", va="top", family="monospace", fontsize=8)
+    text = table.text(0, 1, "Click on the image", va="top", family="monospace", fontsize=10)
 
     def clicked(event):
         """Show the hits of the pixel below the mouse."""
         if event.inaxes is view:
             column, row = int(event.xdata + 0.5), int(event.ydata + 0.5)
             cross.set_data([column], [row])
-            lines = [f"{t:5.2f}  {part}" for t, part, _ in pick(column, row)]
-            text.set_text("\n".join(lines[:24]) or "nothing")
+            lines = [f"{t:6.3f} m  {part}" for t, part, _ in pick(column, row)]
+            pairs = zip(lines[:10], [*lines[10:20], *[""] * 10], strict=False)
+            text.set_text("\n".join(f"{a:28}{b}" for a, b in pairs) or "nothing")
             figure.canvas.draw_idle()
 
     figure.canvas.mpl_connect("button_press_event", clicked)

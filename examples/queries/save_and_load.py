@@ -19,8 +19,8 @@ if not path.exists():
     built.save(path)
     print(f"built in {built.structure.report.seconds:.2f} s, saved as {path}")
 
-# The file holds the triangles, too: a query needs nothing else. Given the scene it was built
-# of, images have its materials and lights.
+# The file holds the triangles, too: a query needs nothing else. The scene, given
+# here as well, adds the materials and lights for images.
 tracer = rs.Tracer.load(path, scene)
 low, high = scene.bounds
 rng = np.random.default_rng(0)

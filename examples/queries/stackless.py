@@ -2,8 +2,9 @@
 Traversal without a stack
 =========================
 
-Figures 3 and 4 of Foley and Sugerman 2005, for a ray of your own: how it walks through a kd-tree
-with a stack, by restarting at the root, and by backtracking to an ancestor.
+How a ray traverses a kd-tree with a stack, by restarting at the root, and by backtracking to an
+ancestor, as in Figures 3 and 4 of Foley and Sugerman, "KD-Tree Acceleration Structures for a GPU
+Raytracer", Graphics Hardware 2005.
 
 The image shows the leaves that the ray visits, and the depth in the tree after each run of a
 kernel. All three visit the same leaves in the same order; they differ in how they find the next.
@@ -14,7 +15,7 @@ import numpy as np
 import raystream as rs
 from raystream.stepper import walk
 
-# Pillars on a plan, 20 x 12 m, and a ray that passes between them.
+# Pillars on a plan of 20 x 12 m, and a ray between them until it hits one.
 rng = np.random.default_rng(4)
 corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -33,7 +34,7 @@ for traversal in ("stack", "restart", "backtrack"):
     order = list(dict.fromkeys(leaves))
     print(
         f"{traversal:9}  {len(order)} leaves, {way.counts['steps']:3} steps,"
-        f" {way.counts['restarts']} restarts, {way.counts['backtracks']} steps up"
+        f" {way.counts['restarts']} restarts, {way.counts['backtracks']} backtracks"
     )
     walks.setdefault("leaves", order)
     assert order == walks["leaves"]

@@ -2,8 +2,8 @@
 Signed distances on a grid
 ==========================
 
-The field is negative inside. Its zero is the surface, and its gradient has length 1: marching
-cubes, collision tests and offset surfaces start from such a grid.
+The distance from a closed mesh, negative inside, sampled on a grid. Marching cubes, collision tests
+and offset surfaces start from such a grid.
 """
 
 import numpy as np
@@ -39,7 +39,8 @@ ball = rs.Scene.from_arrays(corners.reshape(-1, 3), np.arange(corners.shape[0] *
 
 line = np.linspace(-1.5, 1.5, 61)
 grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1)
-field = rs.Tracer(ball).signed_distance(grid)
+tracer = rs.Tracer(ball)
+field = tracer.signed_distance(grid)
 
 exact = np.linalg.norm(grid, axis=-1) - 1.0
 print(f"{ball.triangle_count:,} triangles, {field.size:,} points")
@@ -47,3 +48,10 @@ print(f"largest difference from a sphere's: {np.abs(field - exact).max():.4f}")
 volume = (field < 0).sum() * (line[1] - line[0]) ** 3
 print(f"volume inside: {volume:.3f}, of a sphere: {4 / 3 * np.pi:.3f}")
 assert np.abs(field - exact).max() < 0.003
+
+# A slice through the middle: blue inside, red outside, a line at every 0.1.
+x, y = np.meshgrid(np.linspace(-1.5, 1.5, 400), np.linspace(-1.5, 1.5, 400))
+middle = tracer.signed_distance(np.stack([x, y, np.zeros_like(x)], axis=-1))[..., None]
+shade = np.where(np.abs(middle * 10 - np.round(middle * 10)) < 0.08, 0.3, 1 - np.abs(middle) / 2)
+rs.Image(np.where(middle < 0, [0.2, 0.4, 1.0], [1.0, 0.5, 0.3]) * shade).save("distance_field.png")
+print("wrote distance_field.png")

@@ -1,8 +1,9 @@
 """
-Pose of a sensor, in JAX
-========================
+Position of a sensor, in JAX
+============================
 
-Where is the sensor? Its position is found from a few measured distances by Gauss-Newton steps.
+Where is the sensor? Its position is found from a few measured distances by Gauss-Newton
+steps; the first one may overshoot.
 """
 
 import numpy as np

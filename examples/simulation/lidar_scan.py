@@ -58,6 +58,8 @@ else:
     axes[0].set_aspect("equal")
     axes[1].pcolormesh(line, np.degrees(swing), found.counts, **style)
     axes[1].set(title="Returns of each pulse", xlabel="z, m", ylabel="swing, degrees")
-    figure.colorbar(shown, ax=axes, label="returns", ticks=range(1, 6), shrink=0.6)
+    figure.colorbar(
+        shown, ax=axes, label="return number, or number of returns", ticks=range(1, 6), shrink=0.6
+    )
     figure.savefig("lidar.png", dpi=80)
     print("wrote lidar.png")

@@ -12,7 +12,7 @@ import numpy as np
 
 import raystream as rs
 
-# A street along z, 60 m long, with houses on both sides, poles and parked cars; in metres.
+# A street along z, 100 m long, with houses on both sides, poles and parked cars; in metres.
 corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
@@ -73,6 +73,6 @@ for name, clouds in (("as reported", raw), ("compensated", compensated)):
     images.append(image)
 assert thickness[1] < 1e-4 < 0.1 < thickness[0]
 
-image = np.concatenate([images[0].T, np.ones((10, 800)), images[1].T])
-rs.Image(np.stack([image, image**1.5, 0.4 * image], axis=-1)).save("lidar_street.png")
+upper, lower = (np.stack([one.T, one.T**1.5, 0.4 * one.T], axis=-1) for one in images)
+rs.Image(np.concatenate([upper, np.full((10, 800, 3), 0.5), lower])).save("lidar_street.png")
 print("wrote lidar_street.png")

@@ -10,11 +10,16 @@ import numpy as np
 
 import raystream as rs
 
+# A ball of diameter 1, from longitudes and latitudes.
+u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
+unit = 0.5 * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
+unit = unit.reshape(-1, 3)
+corner = (25 * np.arange(12)[:, None] + np.arange(24)).reshape(-1, 1)
+faces = (corner + [0, 25, 26, 0, 26, 1]).reshape(-1, 3)
+
 # A tree: a trunk that stops light, and a crown that lets some of it through.
-ball = rs.load("spheres").meshes[0]
-unit = (ball.vertices - ball.vertices.mean(axis=0)) / np.ptp(ball.vertices, axis=0).max()
-crown = rs.Mesh(4.0 * unit + [0.0, 0.0, 4.0], ball.faces, name="crown", material_ids=0)
-trunk = rs.Mesh(unit * [0.6, 0.6, 3.0] + [0.0, 0.0, 1.5], ball.faces, material_ids=1)
+crown = rs.Mesh(4.0 * unit + [0.0, 0.0, 4.0], faces, name="crown", material_ids=0)
+trunk = rs.Mesh(unit * [0.6, 0.6, 3.0] + [0.0, 0.0, 1.5], faces, material_ids=1)
 materials = [rs.Material("leaves"), rs.Material("wood")]
 tree = rs.Scene([crown, trunk], materials=materials)
 square = np.array([[-200, -200, 0], [200, -200, 0], [200, 200, 0], [-200, 200, 0]], float)
@@ -48,4 +53,16 @@ print(f"heights are right to within {np.abs(tops[:1600] - heights).max():.2f} m"
 on_ground, to_sun = above * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.01], [0.3, 0.2, 1.0]
 shade = tracer.any_hit(on_ground, to_sun)
 thinned = tracer.any_hit(on_ground, to_sun, on_hit=lambda hit: hit.instance_id // 40 % 2 == 0)
-print(f"{shade.mean():.0%} of the ground is in shade, {thinned.mean():.0%} with every second row")
+print(
+    f"{shade.mean():.0%} of the ground is in shade, {thinned.mean():.0%} without every second row"
+)
+
+# The first return of each pulse from above, 100 x 80 m: a colour for each tree, tops brightest.
+first = cloud.return_number == 1
+colors = np.append(rng.uniform(0.3, 1.0, (1600, 3)), [[0.5, 0.4, 0.3]], axis=0)
+image = np.zeros((*px.shape, 3))
+columns, rows = (2 * cloud.positions[first, :2]).astype(int).T
+shade = 0.2 + cloud.positions[first, 2] / 8
+image[rows, columns] = colors[cloud.instance_id[first]] * shade[:, None]
+rs.Image(image[:160, :200][::-1].repeat(4, axis=0).repeat(4, axis=1)).save("orchard.png")
+print("wrote orchard.png")

@@ -51,3 +51,10 @@ targets = np.stack([x, y, heights], axis=-1).reshape(-1, 3)
 clear = ~tracer.any_hit(mast, targets - mast, t_max=0.999)
 print(f"ground in sight: {clear.mean():.1%}, without shrubs ", end="")
 print(f"{(~rs.Tracer(ground).any_hit(mast, targets - mast, t_max=0.999)).mean():.1%}")
+
+# From above: the ground in sight is bright, points in sight are green, hidden points dark.
+image = np.where(clear.reshape(heights.shape)[..., None], [0.8, 0.7, 0.5], [0.3, 0.25, 0.2])
+places = np.clip((points[:, :2] / 100.0 * (side - 1)).astype(int), 0, side - 1)
+image[places[:, 1], places[:, 0]] = np.where(seen[:, None], [0.1, 0.8, 0.1], [0.0, 0.15, 0.0])
+rs.Image(image[::-1].repeat(2, axis=0).repeat(2, axis=1)).save("point_cloud.png")
+print("wrote point_cloud.png")

@@ -8,6 +8,7 @@ Where terrain blocks the line of sight, the edge that obstructs it most diffract
 find by how much a receiver would have to be raised to see the mast, and the edge that the raised
 ray touches. The loss is that of a single knife edge (Recommendation ITU-R P.526, section 4.1); in
 line of sight it is that of free space. The check is a wall on a plain, whose edge is known.
+In the image, yellow is a loss of 82 dB or less and dark 132 dB or more; the mast is white.
 """
 
 import numpy as np
@@ -75,5 +76,6 @@ print(f"{decibels.size:,} receivers: {decibels.min():.0f} to {decibels.max():.0f
 share = np.clip((132 - decibels[..., None]) / 50, 0, 1)
 slope = 0.6 + 0.4 * np.clip(np.gradient(heights, axis=1)[..., None] / 10, -1, 1)
 image = slope * ((1 - share) * [0.02, 0.02, 0.1] + share * [0.9, 0.7, 0.1])
+image[place[1] - 3 : place[1] + 4, place[0] - 3 : place[0] + 4] = 1.0
 rs.Image(image[::-1]).save("radio.png")  # north is up
 print("wrote radio.png")

@@ -7,7 +7,8 @@ The echoes of a clap in a room with a screen, by image sources and visibility.
 Mirroring the source in the walls of a room gives its images. A straight line from an image to the
 listener, folded back into the room, is the path of an echo (Allen and Berkley, "Image Method for
 Efficiently Simulating Small-Room Acoustics", Journal of the Acoustical Society of America 65(4),
-1979). Rays find which paths the screen blocks; these are pale in the image.
+1979). Rays find which paths the screen blocks; these are pale in the image, which shows
+100 ms from left to right and 60 dB from bottom to top.
 """
 
 import itertools

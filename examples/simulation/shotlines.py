@@ -7,7 +7,8 @@ program at every hit subtracts the steel that a line has penetrated, and stops i
 critical component or when its 100 mm are used up.
 
 The check is the presented area: half the sum of the projected faces, since the hull is convex. The
-image shows the vehicle from four sides: engine red, fuel yellow, stopped by the hull grey.
+image shows the vehicle at azimuths of 30, 60, 90 and 150 degrees from the front: where lines reach
+the engine (red) or the fuel (yellow), are stopped by the hull (grey), or pass through (light grey).
 """
 
 import numpy as np
@@ -61,7 +62,7 @@ across, up = np.meshgrid(np.arange(-3500, 3500, CELL), np.arange(1700, -300, -CE
 first, second, third = outside[faces].transpose(1, 0, 2)
 areas = np.cross(second - first, third - first) / 2
 views = []
-print("azimuth  presented  engine   fuel   m²")
+print("azimuth  presented  engine   fuel (m²)")
 for azimuth in range(0, 181, 15):
     turn = np.radians(azimuth)
     way, side = (

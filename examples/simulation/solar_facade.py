@@ -2,11 +2,13 @@
 Hours of sun on a façade
 ========================
 
-How long does the sun shine on each part of a wall that faces south, behind two buildings?
+How long does the sun shine on each part of a wall that faces south, across the street from two
+buildings?
 
 For every five minutes of a day in February at 48 degrees north, rays are cast from the points of
 the wall toward the sun. The check is the shadow of an endless building, which has a closed form;
-the image has two buildings with a gap between them.
+the image has two buildings with a gap between them, and
+brighter parts have more hours of sun.
 """
 
 import numpy as np
@@ -55,7 +57,9 @@ def solar_hours(*buildings):
 hours = solar_hours(building(-100.0, 100.0, HEIGHT))
 is_above = z[..., None] + STREET * (up / south)[is_day] > HEIGHT
 difference = np.abs(hours - STEP * is_above.sum(axis=-1)).max()
-print(f"endless building: {hours.min():.1f} to {hours.max():.1f} hours, error {difference:.0e}")
+print(
+    f"endless building: {hours.min():.1f} to {hours.max():.1f} hours, error {difference:.0e} hours"
+)
 assert difference < 1e-9
 
 hours = solar_hours(building(-60.0, -4.0, HEIGHT), building(3.0, 60.0, 1.4 * HEIGHT))

@@ -2,7 +2,8 @@
 Viewshed
 ========
 
-What a lookout sees of the terrain, drawn in orange, and the ground in evening light with shadows.
+What a lookout (white) sees of the terrain, drawn in orange, and the ground in evening light with
+shadows.
 """
 
 import numpy as np
@@ -21,6 +22,8 @@ shade = ground.hillshade(azimuth=250.0, altitude=15.0, shadows=True)
 
 light = 0.25 + 0.75 * shade[..., None]
 color = np.where(visible[..., None], [0.9, 0.45, 0.1], [0.55, 0.55, 0.55])
-rs.Image((light * color)[::-1]).save("terrain.png")  # north is up
+image = light * color
+image[246:255, 146:155] = 1.0  # the lookout, at 3,000 and 5,000 m
+rs.Image(image[::-1]).save("terrain.png")  # north is up
 print(f"terrain.png: {ground}")
 print(f"{visible.mean():.1%} in sight, {np.mean(shade == 0):.1%} in shadow")

@@ -44,6 +44,10 @@ seen = tracer.trace(origins, [0.0, 0.0, 1.0], on_hit=add_up, payload=RECORD, cro
 exact = 2 * np.sqrt(np.maximum(1 - x**2 - y**2, 0))
 error = np.abs(seen["inside"] - exact)
 print(f"rays that cross the sphere: {np.count_nonzero(seen['crossings']):,} of {x.size:,}")
-print(f"mean thickness: {seen['inside'].mean():.4f}; of an exact sphere: {exact.mean():.4f}")
+print(f"mean of all rays: {seen['inside'].mean():.4f}; of an exact sphere: {exact.mean():.4f}")
 assert (seen["crossings"] % 2 == 0).all()
 assert np.median(error) < 0.01
+
+image = (seen["inside"] / 2)[..., None] * [1.0, 0.6, 0.2]
+rs.Image(image.repeat(2, axis=0).repeat(2, axis=1)).save("thickness.png")
+print("wrote thickness.png")

@@ -59,7 +59,7 @@ def main():
         optimizer.step()
         if step % 30 == 0:
             error = heights.detach().numpy() - real[:, 2]
-            print(f"step {step:3d}: heights are {np.sqrt(np.mean(error**2)):.3f} off")
+            print(f"step {step:3d}: RMS error of the heights {np.sqrt(np.mean(error**2)):.3f}")
     assert np.sqrt(np.mean(error**2)) < 0.1
 
 

@@ -5,8 +5,9 @@ Heat in a plate
 A plate with one hot edge, until its temperatures settle.
 
 Each cell becomes the mean of its four neighbours. The kernel gathers from the stream that it
-writes, so every cell reads its neighbours' old values. A cell that hardly changes is rejected; when
-all cells are, the plate has settled.
+writes, and all writes take effect after the pass, so every cell reads its neighbours' old values. A
+cell that hardly changes is rejected; when all cells are rejected, the plate has settled. Denser
+characters and brighter pixels are hotter.
 """
 
 import numpy as np
@@ -53,5 +54,6 @@ plate = cells.array.reshape(height, width) / 100.0
 for row in plate[::8, ::2]:
     print("".join(" .:-=+*#%@"[min(int(value * 10.0), 9)] for value in row))
 colours = np.stack([3.0 * plate, 3.0 * plate - 1.0, 3.0 * plate - 2.0], axis=-1)
-rs.Image(np.clip(colours, 0.0, 1.0).astype(np.float32)).save("heat.png")
+image = np.clip(colours, 0.0, 1.0).astype(np.float32).repeat(4, axis=0).repeat(4, axis=1)
+rs.Image(image).save("heat.png")
 print("heat.png: black is cold, white is hot")
