@@ -53,7 +53,7 @@ html_extra_path = ["extra"]  # a ray's walk, as the lab wrote it
 # Classes for them are described where they are missing, too: PyTorch is not in [dev].
 autodoc_mock_imports = [name for name in ("jax", "torch") if not find_spec(name)]
 
-add_module_names = False
+autodoc_preserve_defaults = True  # defaults as in the source
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings state shape, dtype and unit
 numpydoc_show_class_members = False  # api.rst lists them

@@ -103,11 +103,6 @@ def visibility(
     SparseVisibility
         ``form="sparse"``: the pairs that see each other.
 
-    With `out`, the arrays are read-only memory maps of the file, or arrays of the group,
-    ``zarr.Array``: "visible", or "indptr" and "indices". Otherwise, if `a`, or else `b`, is a
-    tensor of PyTorch or an array of JAX, CuPy or xarray, "dense" and "bits" are arrays of that
-    library.
-
     Raises
     ------
     ValueError
@@ -128,6 +123,11 @@ def visibility(
 
     Notes
     -----
+    With `out`, the arrays are read-only memory maps of the file, or arrays of the group,
+    ``zarr.Array``: "visible", or "indptr" and "indices". Otherwise, if `a`, or else `b`, is a
+    tensor of PyTorch or an array of JAX, CuPy or xarray, "dense" and "bits" are arrays of that
+    library.
+
     Two points see each other if no triangle meets the segment between them. A segment between
     free points includes both ends: a point that lies on a triangle within rounding errors may be
     hidden by it. At a point on a surface the segment is open: it leaves the triangle's plane to

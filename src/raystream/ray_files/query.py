@@ -106,6 +106,7 @@ def query_zarr(
         output is complete.
     progress : callable, optional
         Called with (rays done, rays) on the calling thread, first with those of earlier runs.
+        Rays of a block that is not yet written count; an interrupted run traces them again.
 
     Returns
     -------

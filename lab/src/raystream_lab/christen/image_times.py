@@ -78,7 +78,7 @@ def image_times(runner: Runner) -> Result:
         ),
         (
             "As in Christen's renderer, no shadow rays are traced, and no ray is terminated "
-            "because of a small weight. The images above have shadows."
+            "because of a small weight. The lab's other images of these scenes have shadows."
         ),
     ]
     if runner.device != "cpu":

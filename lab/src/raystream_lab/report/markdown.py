@@ -92,7 +92,8 @@ def _paper_page(
     for experiment, result, seconds in outcomes:
         parts.append(f"## {_text(experiment.title)}")
         parts.append(f"`{about.command_for(experiment.name)}` ({seconds:.0f} s)")
-        parts += [f"![{_text(one.title)}]({_IMAGES}/{one.path.name})" for one in result.images]
+        for one in result.images:
+            parts += [f"![{_text(one.title)}]({_IMAGES}/{one.path.name})", f"*{_text(one.title)}*"]
         for table in result.tables:
             parts += [f"### {_text(table.title)}", table_text(table), *map(_text, table.notes)]
         parts += [
