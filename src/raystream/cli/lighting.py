@@ -46,7 +46,7 @@ class LightingOptions:
             metavar="AZIMUTH ELEVATION",
             callback=_sun,
             help="A sun and a clear sky instead of the scene's: degrees from north (-z, or +y if z "
-            "is up) towards east (+x), and degrees above the horizon.",
+            "is up) towards east (+x), and above the horizon.",
         ),
     ] = None
     environment: Annotated[

@@ -58,7 +58,7 @@ class ImageOptions:
         options.choice(
             options.MODES,
             f"Renderer: {' or '.join(options.MODES)} [default: {options.DEFAULT_MODE}]. Rays of ao "
-            "are a tenth of the scene's diagonal long; --option distance=LENGTH (or inf) sets it.",
+            "are a tenth of the scene's diagonal long, or --option distance=LENGTH.",
         ),
     ] = None
     heat: HeatmapOptions

@@ -100,8 +100,8 @@ class SamplingOptions:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Mode path: a named set of options; arnold is Purcell's path tracer, with two "
-            "diffuse bounces and without samples of the lights.",
+            help="Mode path: a set of options; arnold is Purcell's path tracer, with two diffuse "
+            "bounces and no samples of lights.",
         ),
     ] = None
     sampler: Annotated[

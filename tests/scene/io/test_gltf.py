@@ -535,7 +535,7 @@ def test_nodes_that_share_a_mesh_are_instances(tmp_path: Path) -> None:
         placed = rs.load(tmp_path / "a.gltf", instances=True)
     assert len(placed.meshes) == 1
     assert placed.placements.object_ids.tolist() == [0, 0]
-    with pytest.raises(ValueError, match=r"instances: \.obj files"):
+    with pytest.raises(ValueError, match=r"instances: not supported for \.obj files"):
         rs.load(tiny_obj(tmp_path), instances=True)
     with pytest.raises(ValueError, match="instances: only for glTF"):
         rs.load("cornell", instances=True)
