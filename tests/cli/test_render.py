@@ -327,7 +327,7 @@ def test_exposure_is_automatic_for_scenes_without_lights(run, square):
         (["--eye", 0, 0, 5, "--look-at", 0, 0, 9], "the camera sees no surface: --eye and"),
         (
             ["--lights", "file"],
-            "the image is black: the scene's own lights do not reach what the camera sees",
+            "the image is black: the scene has no lights; --lights auto adds some",
         ),
         (["--exposure", "1e9"], "the image is white: it is overexposed; --exposure auto"),
         (["--exposure", "1e-9"], "the image is black: there is too little light; --exposure auto"),
@@ -344,3 +344,12 @@ def test_black_and_white_images_are_reported(run, square, arguments, note):
     assert result.code == 0
     assert result.err.startswith(note)
     assert bool(result.err) == bool(note)
+
+
+def test_lights_that_do_not_reach_the_view_are_reported(run):
+    behind = ["--eye", 278, 273, 1500, "--look-at", 278, 273, 500, "--fov", 10]
+    result = run(
+        "render", "cornell", "--size", "16x12", "--samples", 4, *behind, "--lights", "file"
+    )
+    expected = "the image is black: the scene's own lights do not reach what the camera sees"
+    assert result.err.startswith(expected)

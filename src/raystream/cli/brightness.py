@@ -149,6 +149,8 @@ def report_blank(
         why = "--option distance=LENGTH changes how far away surfaces occlude"
     elif is_white:
         why = "it is overexposed; --exposure auto shows more"
+    elif chosen.get("lights") == "file" and not tracer.scene.has_lights:
+        why = "the scene has no lights; --lights auto adds some"
     elif chosen.get("lights") == "file":
         why = "the scene's own lights do not reach what the camera sees; --lights auto adds others"
     else:
