@@ -77,7 +77,11 @@ def test_a_source_that_does_not_compile(x, capfd, source, message):
         ("fn f() -> f32 { return 1.0; }", TypeError, "f: the function has no parameter 'x'"),
         ("fn f(x: vec2<f32>) -> f32 {}", TypeError, "input 'x': is declared as vec2f, .* has f32"),
         ("fn f(x: f32) -> u32 {}", TypeError, "f, its result: is declared as u32, but .* has f32"),
-        ("struct R { a: f32, b: f32 } fn f(x: f32) -> R {}", TypeError, "1 outputs, but R has 2 members"),
+        (
+            "struct R { a: f32, b: f32 } fn f(x: f32) -> R {}",
+            TypeError,
+            "1 outputs, but R has 2 members",
+        ),
         ("struct R { a: i32 } fn f(x: f32) -> R {}", TypeError, "R.a: is declared as i32"),
     ],
 )
