@@ -10,7 +10,7 @@ from typing import Any
 from sphinx_gallery.scrapers import figure_rst
 from sphinx_gallery.sorting import ExplicitOrder
 
-#: Arguments of examples whose images are small without.
+#: Arguments of examples whose images are small without; their docstrings name them, too.
 ARGUMENTS = {
     "glass_model.py": ["ring", "480x360", "64"],
     "instances.py": ["480x270", "8"],
@@ -39,7 +39,7 @@ def settings(docs: Path) -> dict[str, Any]:
     logging.getLogger("distributed").propagate = False  # Sphinx shows every record
     copies = docs / "_build" / "examples"
     shutil.rmtree(copies, ignore_errors=True)
-    skip = shutil.ignore_patterns("__pycache__", "output")
+    skip = shutil.ignore_patterns("__pycache__")
     shutil.copytree(docs.parent / "examples", copies, ignore=skip)
     sections = ("simulation", "queries", "images", "streams")
     return {

@@ -9,7 +9,7 @@ A closed mesh in glass, on a tiled floor, under the sky and two large lamps.
     $ python examples/images/glass_model.py bunny 1920x1080 512
 
 renders a model file, a sample or a ``ring`` in this size, with this number of samples per pixel;
-without arguments, a small image of the ring. Pages show ``ring 480x360 64``.
+without arguments, a small image of the ring. The documentation shows ``ring 480x360 64``.
 """
 
 import sys

@@ -9,7 +9,7 @@ One patch of forest, placed thousands of times as instances: more than a billion
     $ python examples/images/instances.py 1920x1080 16
 
 renders an image of this size, with this number of samples per pixel; without arguments, a small
-one. Pages show ``480x270 8``.
+one. The documentation shows ``480x270 8``.
 """
 
 import sys

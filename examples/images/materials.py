@@ -9,7 +9,7 @@ Plastic, metal, car paint, varnish, velvet and frosted glass.
     $ python examples/images/materials.py 1280x480 256
 
 renders an image of this size, with this number of samples per pixel; without arguments, a small
-one. Pages show ``640x240 32``.
+one. The documentation shows ``640x240 32``.
 """
 
 import sys

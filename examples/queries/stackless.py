@@ -26,27 +26,27 @@ pillars = [rs.Mesh(corners * [0.5, 0.5, 1] + [x, y, 0], faces) for x, y in place
 scene = rs.Scene(pillars, up=(0, 0, 1))
 origin, direction = np.array([0.2, 0.9, 0.5]), np.array([1.0, 0.5, 0.0])
 
-walks = {}
-for traversal in ("stack", "restart", "backtrack"):
+TRAVERSALS = ("stack", "restart", "backtrack")
+walks, orders = {}, []
+for traversal in TRAVERSALS:
     way = walk(rs.Tracer(scene, "kdtree", traversal=traversal), origin, direction)
     walks[traversal] = [step.at for step in way.steps if step.at is not None]
     leaves = [spot.number for spot in walks[traversal] if spot.kind == "leaf"]
-    order = list(dict.fromkeys(leaves))
+    orders.append(list(dict.fromkeys(leaves)))
     print(
-        f"{traversal:9}  {len(order)} leaves, {way.counts['steps']:3} steps,"
+        f"{traversal:9}  {len(orders[-1])} leaves, {way.counts['steps']:3} steps,"
         f" {way.counts['restarts']} restarts, {way.counts['backtracks']} backtracks"
     )
-    walks.setdefault("leaves", order)
-    assert order == walks["leaves"]
+assert orders[0] == orders[1] == orders[2]
 
 # The depth of a node: the number of split nodes whose boxes contain its box.
-visited = {spot.number: spot for name in ("stack", "restart", "backtrack") for spot in walks[name]}
+visited = {spot.number: spot for name in TRAVERSALS for spot in walks[name]}
 splits = [spot for spot in visited.values() if spot.kind == "split"]
-inner, outer = 1e-6, -1e-6
+ROUNDING = 1e-6  # metres
 depths = {
     number: sum(
-        all(a <= b + inner for a, b in zip(other.low, spot.low, strict=True))
-        and all(a >= b + outer for a, b in zip(other.high, spot.high, strict=True))
+        all(a <= b + ROUNDING for a, b in zip(other.low, spot.low, strict=True))
+        and all(a >= b - ROUNDING for a, b in zip(other.high, spot.high, strict=True))
         for other in splits
         if other.number != number
     )
@@ -65,17 +65,17 @@ else:
     figure, axes = plt.subplots(
         4, 1, figsize=(7.2, 9), layout="constrained", height_ratios=[3, 1, 1, 1]
     )
-    for rank, number in enumerate(walks["leaves"]):
+    for rank, number in enumerate(orders[0]):
         low, high = np.array(visited[number].low[:2]), np.array(visited[number].high[:2])
-        shade = plt.get_cmap("YlGnBu")(0.15 + 0.6 * rank / len(walks["leaves"]))
+        shade = plt.get_cmap("YlGnBu")(0.15 + 0.6 * rank / len(orders[0]))
         axes[0].add_patch(Rectangle(low, *(high - low), fc=shade, ec="tab:blue"))
     for place in places:
         axes[0].add_patch(Rectangle(place, 0.5, 0.5, fc="0.4"))
     end = origin + way.t * direction
     axes[0].annotate("", end[:2], origin[:2], arrowprops={"arrowstyle": "->", "color": "tab:red"})
     axes[0].set(xlim=(0, 20.5), ylim=(0, 12.5), aspect="equal", title="leaves, in order")
-    most = max(len(walks[name]) for name in ("stack", "restart", "backtrack"))
-    for axis, name in zip(axes[1:], ("stack", "restart", "backtrack"), strict=True):
+    most = max(len(walks[name]) for name in TRAVERSALS)
+    for axis, name in zip(axes[1:], TRAVERSALS, strict=True):
         depth = [depths[spot.number] for spot in walks[name]]
         axis.plot(depth, color="0.6", lw=1)
         is_leaf = [k for k, spot in enumerate(walks[name]) if spot.kind == "leaf"]
