@@ -19,6 +19,8 @@ from hypothesis import HealthCheck, settings
 import raystream as rs
 from docstrings import Docstrings
 from extras import Skipped, need
+from tally import Tally
+from tiers import Tiers
 
 # Kernels may have to be compiled, and cores are shared: no test of properties is timed.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -33,6 +35,11 @@ def pytest_configure(config: pytest.Config) -> None:
     if path and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Skipped(Path(path)))
     config.pluginmanager.register(Docstrings())
+    config.pluginmanager.register(Tiers())
+    counts = os.environ.get("RAYSTREAM_TEST_TALLY")
+    tally = Tally(Path(counts) if counts and not hasattr(config, "workerinput") else None)
+    tally.listen()
+    config.pluginmanager.register(tally)
 
 
 MULTIPASS = {"machine": "multipass"}
@@ -151,9 +158,9 @@ TRACERS = {
 
 
 #: Those with distinct code: a traversal, a kernel or a machine that no other one of these has. The
-#: rest run the same code on another tree, or in other passes. A default run has these in every test
-#: of tracers, and the rest with some cases in turn: see `is_default`. CI runs all. A new line above
-#: with its own code gets one here, too.
+#: rest run the same code on another tree, or in other passes. CI has these in every test of
+#: tracers, and the rest with some cases in turn: see `is_turn`. `.ci/nightly` runs all. A new line
+#: above with its own code gets one here, too.
 CODE_PATHS = (
     "brute",
     "bvh",
@@ -174,7 +181,27 @@ CODE_PATHS = (
 )
 
 
-def is_default(tracer: str, number: int, every: int) -> bool:
+#: One of each kind of code: every structure, each of the BVH's kernels for many rays, and passes.
+#: A default run has only these.
+EVERYDAY = (
+    "brute",
+    "bvh",
+    "bvh, wavefront",
+    "bvh, packets",
+    "bvh, groups",
+    "grid",
+    "kdtree, stack",
+    "graph",
+    "bvh, multipass, compacting",
+)
+
+
+def tier(*, is_everyday: bool, is_ci: bool = True) -> list[pytest.MarkDecorator]:
+    """The marks of a parameter: none if a default run has it."""
+    return [] if is_everyday else [pytest.mark.ci if is_ci else pytest.mark.exhaustive]
+
+
+def is_turn(tracer: str, number: int, every: int) -> bool:
     """Whether it is a tracer's turn in the case of this number: one case in `every`.
 
     Any `every` consecutive tracers in the table cover all cases between them.
@@ -196,16 +223,21 @@ TREES = [
 ]
 
 
-def every_tracer_but_usually(names: Collection[str]) -> list[Any]:
-    """Tracers by name, as parameters of a test: the only ones in a default run."""
+def every_tracer(
+    in_ci: Collection[str] = CODE_PATHS, everyday: Collection[str] = EVERYDAY
+) -> list[Any]:
+    """Tracers by name, as parameters of a test: these in CI, and those of them in a default run."""
     return [
-        pytest.param(name, marks=[pytest.mark.exhaustive] * (name not in names)) for name in TRACERS
+        pytest.param(name, marks=tier(is_everyday=name in everyday, is_ci=name in in_ci))
+        for name in TRACERS
     ]
 
 
-#: For tests of one case, and for tests of building, moving or saving.
-EVERY_TRACER = every_tracer_but_usually(CODE_PATHS)
-EVERY_TREE = every_tracer_but_usually({*CODE_PATHS, *TREES})
+#: For tests of one case, for tests of building, moving or saving, and for tests of what does not
+#: depend on how rays are searched.
+EVERY_TRACER = every_tracer()
+EVERY_TREE = every_tracer({*CODE_PATHS, *TREES})
+EVERY_QUERY = every_tracer(everyday=("brute", "bvh", "kdtree, stack"))
 
 #: The same on graphics devices, where t, u and v are compared with a tolerance.
 GRAPHICS_TRACERS = {
@@ -340,9 +372,9 @@ def make_tracer(request):
     return lambda scene: rs.Tracer(scene, **TRACERS[request.param])
 
 
-#: The fragment programs' are for CI, where a test does not say otherwise: they take many passes.
+#: All in CI, but for fragment programs, where a test does not say otherwise: they take many passes.
 EVERY_GRAPHICS_TRACER = [
-    pytest.param(name, marks=[pytest.mark.exhaustive] * ("machine" in options))
+    pytest.param(name, marks=tier(is_everyday=False, is_ci="machine" not in options))
     for name, options in GRAPHICS_TRACERS.items()
 ]
 

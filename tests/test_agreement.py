@@ -18,10 +18,12 @@ from conftest import (
     CODE_PATHS,
     EVERY_GRAPHICS_TRACER,
     EVERY_TREE,
+    EVERYDAY,
     GRAPHICS_TRACERS,
     TRACERS,
     assert_same_bits,
-    is_default,
+    is_turn,
+    tier,
 )
 from oracles import check_counts, check_first, judge
 from raystream.structures import STRUCTURES
@@ -125,20 +127,26 @@ def assert_same_answers(tracer: rs.Tracer, oracle: rs.Tracer, rays) -> None:
     assert_expected_of(tracer, rays, answers_of(oracle, rays))
 
 
-#: Cases that graphics devices are always asked: compute shaders, and the fragment programs that
-#: take many passes. Those of all others are for CI: ``-m exhaustive``.
+#: Cases that graphics devices are asked in CI: compute shaders, and the fragment programs that
+#: take many passes. Those of all others are for `.ci/nightly`.
 COMPUTE_CASES = ("exact_edges_on_a_lattice", "limits_at_the_hits_themselves")
 FRAGMENT_CASES = ("exact_edges_on_a_lattice",)
 FRAGMENT_TRACERS = ("grid, multipass, graphics", "kdtree, backtrack, multipass, graphics")
 
 
+def is_everyday(tracer: str, name: str) -> bool:
+    """Whether a default run has a case on a tracer: a third of them in turn, but for two of each."""
+    is_hard = name in ("random_soup", "exact_edges_on_a_lattice")
+    return tracer in EVERYDAY and (is_hard or is_turn(tracer, list(CASES).index(name), 3))
+
+
 def is_exhaustive(tracer: str, name: str) -> bool:
-    """Whether a case on a tracer is omitted from a default run.
+    """Whether a case on a tracer is omitted from CI.
 
     On the CPU the code paths have each case, and all others a quarter of them in turn.
     """
     if tracer in TRACERS:
-        return tracer not in CODE_PATHS and not is_default(tracer, list(CASES).index(name), 4)
+        return tracer not in CODE_PATHS and not is_turn(tracer, list(CASES).index(name), 4)
     options = GRAPHICS_TRACERS[tracer]
     if tracer == "kdtree, short stack, graphics":  # one of four traversals
         return True
@@ -150,7 +158,10 @@ def is_exhaustive(tracer: str, name: str) -> bool:
 def tracers_with(name: str) -> list[Any]:
     """Every tracer, for a case."""
     return [
-        pytest.param(one, marks=[pytest.mark.exhaustive] * is_exhaustive(one, name))
+        pytest.param(
+            one,
+            marks=tier(is_everyday=is_everyday(one, name), is_ci=not is_exhaustive(one, name)),
+        )
         for one in (*TRACERS, *GRAPHICS_TRACERS)
     ]
 
@@ -171,11 +182,18 @@ def test_structures_equal_brute_force(make_tracer_anywhere, name):
     assert_expected_of(tracer, rays_of(case), expected_of(name), is_brief=is_brief)
 
 
-def test_a_usual_run_has_each_structure_with_each_case_and_each_tracer_with_some():
+def test_each_structure_has_each_case_in_ci_and_each_tracer_some():
     assert {TRACERS[one]["structure"] for one in CODE_PATHS} == {*STRUCTURES}
     for tracer in TRACERS:
         count = sum(not is_exhaustive(tracer, name) for name in CASES)
         assert count == len(CASES) if tracer in CODE_PATHS else count >= 5
+
+
+def test_each_structure_and_each_case_is_in_a_default_run():
+    assert {TRACERS[one]["structure"] for one in EVERYDAY} == {*STRUCTURES}
+    assert {*EVERYDAY} <= {*CODE_PATHS}
+    for name in CASES:
+        assert sum(is_everyday(tracer, name) for tracer in TRACERS) >= len(EVERYDAY) // 3
 
 
 def test_brute_force_agrees_with_float64(case):

@@ -9,7 +9,7 @@ import pytest
 
 import raystream as rs
 from batches import BATCHES
-from conftest import TRACERS, assert_same_bits, is_default
+from conftest import TRACERS, assert_same_bits, is_turn, tier
 from meshes import soup
 from raystream.jit.threads import parallel_for, thread_count
 from raystream.structures.bvh import stream_batch
@@ -27,12 +27,16 @@ READERS = (
     "bvh, multipass",
 )
 
-#: All batches on all tracers; those that read rays like another one run in CI only, except some.
+#: All batches on all tracers: a default run has those that read rays differently with a third of
+#: the batches each, CI with all of them, and some of the rest.
 PAIRS = [
     pytest.param(
         name,
         tracer,
-        marks=[pytest.mark.exhaustive] * (tracer not in READERS and not is_default(tracer, i, 8)),
+        marks=tier(
+            is_everyday=tracer in READERS[:-1] and is_turn(tracer, i, 3),
+            is_ci=tracer in READERS or is_turn(tracer, i, 8),
+        ),
         id=f"{name}-{tracer}",
     )
     for i, name in enumerate(BATCHES)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import raystream as rs
 from cases import CASES
-from conftest import EVERY_TRACER
+from conftest import EVERY_QUERY
 from meshes import grid_floor, soup
 from strategies import scenes_and_rays
 
@@ -40,7 +40,7 @@ def assert_same_as_first_hit(tracer, origin, direction, t_min=0.0, t_max=np.inf)
     return hit
 
 
-@pytest.mark.parametrize("make_tracer", EVERY_TRACER, indirect=True)
+@pytest.mark.parametrize("make_tracer", EVERY_QUERY, indirect=True)
 @pytest.mark.parametrize(
     "name", ["edges_and_vertices_from_outside", "origins_far_away", "limits_at_the_hits_themselves"]
 )

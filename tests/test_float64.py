@@ -156,6 +156,7 @@ def test_no_ray_slips_through_a_closed_mesh(middle, size):
     assert (crossings % 2 == 0).all()
 
 
+@pytest.mark.ci
 def test_limits_are_closed():
     scene = rs.Scene.from_arrays(*icosphere(3))
     rng = np.random.default_rng(3)
@@ -172,6 +173,7 @@ def test_limits_are_closed():
         assert (behind.t > t).all()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("count", [1, 300])
 def test_invalid_rays_are_reported(count):
     """Among valid ones, which they leave as they are."""
@@ -194,6 +196,7 @@ def test_invalid_rays_are_reported(count):
         assert np.array_equal(many.counts, np.where(is_bad, 0, 2))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("far", [1e3, 1e7, 1e12, 1e20])
 def test_origins_far_from_the_scene(far):
     scene = rs.Scene.from_arrays(*soup(200, seed=5))
@@ -209,6 +212,7 @@ def test_origins_far_from_the_scene(far):
         assert_same(answers_of(tracers[kernel], rays), wanted)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("scale", [1e-30, 1e-6, 1e12, 1e40])
 def test_scenes_of_any_size(scale):
     vertices, faces = soup(100, seed=2)

@@ -301,7 +301,7 @@ def test_every_exhaustive_test_is_in_a_part():
     """By the text: a module that marks tests, or takes fixtures whose cases are marked."""
     paths = [ROOT / one for part in nightly.load_parts() for one in part.tests]
     files = [file for file in (ROOT / "tests").rglob("test_*.py") if file != Path(__file__)]
-    words = r"exhaustive|make_tracer|EVERY_TR"
+    words = r"exhaustive|make_tracer|EVERY_TR|EVERY_QUERY|every_tracer|is_ci="
     marked = [file for file in files if re.search(words, file.read_text("utf-8"))]
     assert len(marked) > 20
     assert [file for file in marked if not {file, *file.parents} & {*paths}] == []

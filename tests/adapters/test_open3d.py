@@ -31,6 +31,7 @@ def rays_of(shape, seed=0):
     ).astype(np.float32)
 
 
+@pytest.mark.ci
 def test_casts_agree_with_the_oracle():
     first, second = soup(40, seed=1), icosphere(1)
     scene = scene_of(first, second)

@@ -28,6 +28,7 @@ def moving(tmp_path) -> Path:
     return path
 
 
+@pytest.mark.ci
 def test_frames_are_the_librarys(run, moving) -> None:
     plain = (*SIZE, "--samples", 2, "--exposure", 1)
     result = run("render", moving, "-o", "f%03d.png", "--frames", "2:9:3", *plain, "--json")
@@ -43,6 +44,7 @@ def test_frames_are_the_librarys(run, moving) -> None:
     assert sorted(p.name for p in Path("folder").iterdir()) == ["0000.png", "0001.png"]
 
 
+@pytest.mark.ci
 def test_resume_renders_what_is_missing(run, moving) -> None:
     animation = ("render", moving, "-o", "f%d.png", "--frames", ":", *SIZE, "--samples", "2")
     assert run(*animation).code == 0
@@ -60,6 +62,7 @@ def test_resume_renders_what_is_missing(run, moving) -> None:
     assert "f0.png: is 16x12, not 8x6" in other.complaint
 
 
+@pytest.mark.ci
 def test_videos_go_on_after_an_interrupt(run, moving, monkeypatch) -> None:
     animation = ("render", moving, "-o", "animation.gif", "--size", "64x48")
     real, calls = render_frames_room.render, []

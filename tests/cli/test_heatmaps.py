@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 import raystream as rs
+from conftest import tier
 
 VIEW = ("--eye", 0.5, 0.5, 2, "--look-at", 0.5, 0.5, 0, "--fov", 53.13)
 PICTURE = ("-o", "heat.png", "--size", "40x40", *VIEW)
@@ -27,7 +28,13 @@ def expected(square, what, **options):
 
 
 @pytest.mark.parametrize("what", ["cells", "tests", "steps"])
-@pytest.mark.parametrize("structure", ["bvh", "kdtree", "grid", "brute"])
+@pytest.mark.parametrize(
+    "structure",
+    [
+        pytest.param(name, marks=tier(is_everyday=name == "bvh"))
+        for name in ("bvh", "kdtree", "grid", "brute")
+    ],
+)
 def test_picture_is_the_librarys(run, square, structure, what):
     result = run("render", square, *PICTURE, "--heatmap", what, "--structure", structure)
     assert (result.code, result.err) == (0, "")
@@ -60,6 +67,7 @@ def test_maximum_is_the_top_of_the_scale(run, square):
     assert pixels("6.png")[20, 20].sum() > pixels("12.png")[20, 20].sum() > 0
 
 
+@pytest.mark.ci
 def test_machines_draw_the_same_and_count_passes(run, square):
     pictures = []
     for machine in ("branching", "multipass"):
@@ -92,6 +100,7 @@ def test_contradictions_are_refused_in_one_line(run, square, arguments, complain
     assert complaint in run("render", square, *arguments).complaint
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("machine", ["branching", "multipass"])
 def test_saved_structure_counts_as_a_new_one_does(run, square, machine):
     rs.Tracer(rs.load(square), "kdtree").save("saved.npz")

@@ -109,6 +109,7 @@ def test_nothing_to_hit_has_no_bounds(run, tmp_path):
     assert "nothing can be hit" in run("info", "flat.obj").out
 
 
+@pytest.mark.ci
 def test_instances_are_counted(run, tmp_path):
     """A building above 500 million triangles has instances."""
     figures = run("info", "building:600000000", "--json").figures

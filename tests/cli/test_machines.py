@@ -122,6 +122,7 @@ def test_option_at_fault_is_named(run, command, arguments, complaint):
     assert run(*command, *arguments).complaint.startswith(complaint)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("arguments", "figures"),
     [
@@ -144,6 +145,7 @@ def test_json_names_the_machine(run, command, arguments, figures):
     assert {key: printed[key] for key in ("machine", "scheduler") if key in printed} == figures
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("structure", ["bvh", "kdtree", "grid", "brute"])
 def test_machines_find_the_same(run, square, rays, structure):
     found = []
@@ -206,6 +208,7 @@ def test_damaged_structure_is_blamed_whatever_the_machine(run, tmp_path):
     assert complaint.startswith("damaged.npz: ")
 
 
+@pytest.mark.ci
 def test_passes_of_an_image_are_counted(run):
     arguments = ("render", "cornell", "--size", "16x12", "--mode", "shadow", "--json")
     figures = run(*arguments, "--machine", "multipass", "--structure", "grid").figures

@@ -106,6 +106,7 @@ def deepest(hit, payload):
     payload[0] = hit.t
 
 
+@pytest.mark.ci
 def test_physics_and_programs_answer_in_the_library_of_their_rays(cupy, tracer, rays):
     given = rays[0], cupy.ndarray(rays[1])
     found, expected = rs.thickness(tracer, *given), rs.thickness(tracer, *rays)

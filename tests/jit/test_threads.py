@@ -225,6 +225,7 @@ print("still works", tracer.any_hit([0, 0, 0], [1, 1, 1]).shape)
 """
 
 
+@pytest.mark.ci
 def test_ctrl_c_ends_a_long_query():
     run = subprocess.run(
         [sys.executable, "-c", INTERRUPTED],

@@ -101,6 +101,7 @@ def in_a_list(prim_ids, corners, max_coordinate, origins, directions, t_min, sur
         counts[i] = search.hit_count
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("surfaces", [False, True])
 @pytest.mark.parametrize("mesh", [soup(11, 3), lattice_soup(30)], ids=["soup", "lattice"])
 def test_parts_of_a_ray_give_the_bits_of_a_list(mesh, surfaces, rng):

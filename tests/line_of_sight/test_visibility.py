@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
-from conftest import EVERY_TRACER, TRACERS
+from conftest import EVERY_QUERY, TRACERS
 from instanced import random_transforms
 from meshes import cube, dented_sphere, icosphere, soup
 from oracles import judge
@@ -54,7 +54,7 @@ def soup_tracer():
     return tracer_of(soup(60))
 
 
-@pytest.mark.parametrize("name", EVERY_TRACER)
+@pytest.mark.parametrize("name", EVERY_QUERY)
 def test_every_structure_sees_the_same(name, points, soup_tracer):
     a, b = points
     seen = rs.visibility(tracer_of(soup(60), **TRACERS[name]), a, b)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
-from conftest import EVERY_TRACER, TRACERS
+from conftest import EVERY_QUERY, TRACERS
 from meshes import cube, dented_sphere, icosphere, soup
 from oracles import judge
 from raystream.line_of_sight import visible_faces
@@ -28,7 +28,7 @@ CAMERAS = {
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-@pytest.mark.parametrize("tracer", EVERY_TRACER)
+@pytest.mark.parametrize("tracer", EVERY_QUERY)
 def test_no_face_at_a_pixel_s_centre_is_missed(camera, tracer):
     scene = rs.Scene.from_arrays(*soup(50))
     camera = CAMERAS[camera]

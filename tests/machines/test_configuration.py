@@ -16,6 +16,7 @@ SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 RAY = [0.25, 0.25, 1.0], [0.0, 0.0, -1.0]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("named", "typed"),
     [

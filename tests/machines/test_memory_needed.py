@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from conftest import TRACERS, every_tracer_but_usually
+from conftest import TRACERS, every_tracer
 from meshes import soup
 from raystream.core import memory
 from raystream.instances.streams import CALL_BYTES
@@ -87,7 +87,7 @@ def parallel(count, rng):
     return origins, np.broadcast_to(np.array([0, 0, -1], np.float32), origins.shape).copy()
 
 
-@pytest.mark.parametrize("name", every_tracer_but_usually(USUAL))
+@pytest.mark.parametrize("name", every_tracer(USUAL, everyday=("bvh, packets",)))
 @pytest.mark.parametrize("query", QUERIES)
 @pytest.mark.parametrize("rays", [scattered, parallel], ids=["scattered", "parallel"])
 def test_estimates_bound_what_is_used(name, query, rays, rng):
@@ -108,6 +108,7 @@ def test_estimates_bound_what_is_used(name, query, rays, rng):
         assert needed.total <= 2 * peak + spare
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("query", QUERIES)
 def test_instances_need_more(query, rng):
     transforms = np.tile(np.eye(3, 4), (2, 1, 1))

@@ -9,7 +9,7 @@ import pytest
 
 import raystream as rs
 from cases import CASES
-from conftest import TRACERS, assert_same_bits
+from conftest import TRACERS, assert_same_bits, tier
 from raystream.kernels.tally import COLUMNS
 from raystream.machines import MultipassBackend, Queues, own_options
 from raystream.machines.schedulers import SCHEDULERS
@@ -34,12 +34,15 @@ WAYS = [
     ("double", 4, 2, True),
 ]
 
-#: A default run has each structure in one way, and the grid in all; CI has all in all.
+#: A default run has three structures in one way; CI has each in one, and the grid in all.
 PAIRS = [
     pytest.param(
         name,
         way,
-        marks=[pytest.mark.exhaustive] * (name != "grid" and way != WAYS[i % len(WAYS)]),
+        marks=tier(
+            is_everyday=name in ("bvh", "grid", "kdtree, stack") and way == WAYS[i % len(WAYS)],
+            is_ci=name == "grid" or way == WAYS[i % len(WAYS)],
+        ),
         id=f"{name}-{way[0]}",
     )
     for i, name in enumerate(STRUCTURES_AND_OPTIONS)
@@ -106,7 +109,13 @@ def test_both_machines_meet_the_same(name, way):
         assert len(passes) >= passes.optimal_count > 0
 
 
-@pytest.mark.parametrize("name", STRUCTURES_AND_OPTIONS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=tier(is_everyday=name in ("bvh", "grid", "kdtree, stack")))
+        for name in STRUCTURES_AND_OPTIONS
+    ],
+)
 def test_passes_add_up(name):
     """Each kernel's runs over all passes equal the rays' tallies."""
     scene, rays = rays_of("random_soup")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from conftest import EVERY_TRACER, TRACERS, assert_same_bits
+from conftest import EVERY_QUERY, TRACERS, assert_same_bits
 from meshes import soup
 from raystream.physics import lidar
 from solid_meshes import tracer_of
@@ -127,7 +127,7 @@ def test_energy_is_kept(rng):
     assert (np.diff(found.ranges)[np.diff(found.ray_id) == 0] >= 0).all()
 
 
-@pytest.mark.parametrize("name", EVERY_TRACER)
+@pytest.mark.parametrize("name", EVERY_QUERY)
 def test_every_structure_gives_the_same_bits(name, rng):
     scene = rs.Scene.from_arrays(*soup(120))
     origins = rng.normal(size=(100, 3)) * 2

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
-from conftest import EVERY_TRACER, TRACERS, assert_same_bits
+from conftest import EVERY_QUERY, TRACERS, assert_same_bits
 from meshes import cube, dented_sphere, icosphere
 from raystream.physics import segments
 from raystream.physics.thickness import UnpairedKind
@@ -218,7 +218,7 @@ def test_rays_through_edges_and_vertices_are_complete(rng):
         assert (found.path_length >= 0).all()
 
 
-@pytest.mark.parametrize("name", EVERY_TRACER)
+@pytest.mark.parametrize("name", EVERY_QUERY)
 def test_every_structure_gives_the_same_bits(name, rng):
     meshes = (
         joined(sphere_mesh(level=1), sphere_mesh(radius=0.5, level=1, flipped=True)),

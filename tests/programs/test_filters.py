@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
-from conftest import assert_same_bits
+from conftest import EVERY_QUERY, assert_same_bits
 from programs.layers import layers_rays, layers_scene, ranks, sums
 from raystream.programs import Bound, rounds
 from raystream.programs.filters import Filter
@@ -84,6 +84,7 @@ def check(tracer, origins, directions, exists, arguments, crossings="triangles",
         assert_same_bits(tracer.any_hit(*rays, **limits, **arguments), hits.is_hit)
 
 
+@pytest.mark.parametrize("make_tracer", EVERY_QUERY, indirect=True)
 def test_every_tracer(make_tracer):
     tracer = make_tracer(layers_scene())
     check(

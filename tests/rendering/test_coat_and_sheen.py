@@ -139,6 +139,7 @@ STRIPS = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("mode", ["path", "whitted", "raycast"])
 def test_materials_side_by_side_in_a_vector(mode):
     """One ray at a time, as the multipass machine shades them, gives the same bits."""
@@ -181,6 +182,7 @@ def test_table_of_albedos():
             assert table[row, column] == pytest.approx(expected, rel=3e-3, abs=1e-6)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
 @pytest.mark.parametrize("layers", LAYERS)
 def test_light_samples_do_not_change_the_mean(layers, metallic):
@@ -212,6 +214,7 @@ def test_a_smooth_coat_on_white_metal_loses_nothing():
     np.testing.assert_allclose(image.pixels, 1.0, atol=1e-3)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("mode", ["path", "whitted"])
 def test_what_is_behind_a_coated_pane(mode):
     """A coat takes its share of the light that passes below it."""
@@ -258,6 +261,7 @@ def test_a_coat_has_normals_of_its_own():
         assert abs(expected / plain - 1).max() > 0.01
 
 
+@pytest.mark.ci
 def test_textures():
     texels = rs.Texture(np.array([[[51, 153, 7, 102]]], np.uint8))
     looks = {"diffuse": tuple(BASE), "roughness": 0.5, "metallic": 0.4}

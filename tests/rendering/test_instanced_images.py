@@ -148,6 +148,7 @@ def leaves(opacity: float, cutoff: float | None) -> rs.Scene:
     )
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("mode", ["raycast", "shadow", "whitted", "ao", "path"])
 def test_cut_outs_are_those_of_copies(mode) -> None:
     scene = leaves(1.0, 0.5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from conftest import assert_same_bits
+from conftest import assert_same_bits, tier
 from raystream.machines import MultipassBackend
 from raystream.machines.ray_streams import RayStreams
 from raystream.machines.records import RayState
@@ -33,14 +33,17 @@ MODES = {
 STRUCTURES = [*names_with("multipass")]
 TRAVERSALS = {"kdtree": ["stack", "restart", "backtrack", "short-stack"]}
 
-#: All modes on one structure and scheduler, and each structure and scheduler in one mode.
+#: All modes on one structure and scheduler, and each structure and scheduler in one mode; two modes
+#: in a default run.
 WAYS = list(itertools.product(STRUCTURES, SCHEDULERS))
 CASES = [
     pytest.param(
         mode,
         *way,
-        marks=[pytest.mark.exhaustive]
-        * (way != ("grid", "threshold") and WAYS.index(way) % len(MODES) != place),
+        marks=tier(
+            is_everyday=way == ("grid", "threshold") and mode in ("raycast", "whitted"),
+            is_ci=way == ("grid", "threshold") or WAYS.index(way) % len(MODES) == place,
+        ),
         id=f"{mode}-{way[0]}-{way[1]}",
     )
     for place, mode in enumerate(MODES)
@@ -100,6 +103,7 @@ def test_a_ray_caster_shades_once(scene):
     assert compact["shade"] > 1, "rays that have ended are shaded before they are dropped"
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("traversal", TRAVERSALS["kdtree"])
 def test_each_kd_traversal(scene, traversal):
     tracer = looped(scene, "kdtree", traversal=traversal)
@@ -108,6 +112,7 @@ def test_each_kd_traversal(scene, traversal):
     assert_same_bits(image.pixels, render(scene, "whitted").pixels)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("compaction", [False, True])
 @pytest.mark.parametrize("steps", [1, 4])
 def test_unrolling_and_compaction(scene, steps, compaction):
@@ -131,6 +136,7 @@ def test_rays_of_several_bounces_are_in_one_loop(scene, monkeypatch):
     assert max(map(len, bounces)) > 1
 
 
+@pytest.mark.ci
 def test_memory_does_not_grow_with_mirrors(monkeypatch):
     """Christen 2005, section 5.2.1: it is the same for any number of bounces."""
     rooms = []
@@ -148,6 +154,7 @@ def test_memory_does_not_grow_with_mirrors(monkeypatch):
     assert {room for _, room, _ in rooms} == {1}
 
 
+@pytest.mark.ci
 def test_glass_takes_more_room_in_parts(scene, monkeypatch):
     expected = render(scene, "whitted", min_weight=0.0)
     parts = []
@@ -169,6 +176,7 @@ def test_glass_takes_more_room_in_parts(scene, monkeypatch):
     assert_same_bits(image.pixels, expected.pixels)
 
 
+@pytest.mark.ci
 def test_bands_fit_in_memory(scene, monkeypatch):
     monkeypatch.setattr(ray_loops, "MAX_BYTES", 1 << 17)
     image = render(looped(scene), "whitted")

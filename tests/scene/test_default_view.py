@@ -409,6 +409,7 @@ def test_choosing_a_camera_keeps_no_copy_of_the_triangles():
     assert tracer.first_hit(*scene.camera.rays(8, 6)).is_hit.any()
 
 
+@pytest.mark.ci
 def test_all_renderers_use_the_same_camera():
     scene = room()
     image = rs.render(scene, "vis", (24, 18))

@@ -198,6 +198,7 @@ def test_a_kernel_that_gathers_from_what_it_writes_sees_the_old_values(values):
         np.testing.assert_array_equal(stream.array, np.roll(values, shift))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_rejected_and_masked_records_keep_their_value_in_both_buffers(rng, threads):
     set_thread_count(threads)
@@ -220,6 +221,7 @@ def test_rejected_and_masked_records_keep_their_value_in_both_buffers(rng, threa
         np.testing.assert_array_equal(stream.array, expected)
 
 
+@pytest.mark.ci
 def test_vectors_and_records_are_double_buffered_too():
     vectors = Stream(np.arange(6.0).reshape(3, 2))
     kernel = Kernel(
@@ -256,6 +258,7 @@ def test_a_streams_own_array_cannot_be_gathered_behind_its_back():
         )
 
 
+@pytest.mark.ci
 def test_gather_arrays_of_several_dimensions():
     table = np.arange(24.0).reshape(2, 3, 4)
     target = Stream.zeros(2)
@@ -298,6 +301,7 @@ def _sum_row(rows, i):
     return total
 
 
+@pytest.mark.ci
 def test_a_named_tuple_of_arrays_is_one_parameter():
     rows = Rows(np.array([0, 2, 2, 3]), np.array([[1.0], [2.0], [4.0]]), 10.0)
     target = Stream.zeros(3)
@@ -316,6 +320,7 @@ def test_a_named_tuple_of_arrays_is_one_parameter():
         )
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "change",
     [
@@ -355,6 +360,7 @@ def test_an_error_that_the_function_raises_arrives():
 # Constants
 
 
+@pytest.mark.ci
 def test_constants_change_without_a_new_compilation():
     stream = Stream.zeros(2)
     kernel = Kernel(
@@ -393,6 +399,7 @@ def _plus(number, more):
     return number if more is None else number + more
 
 
+@pytest.mark.ci
 def test_none_in_a_constant_is_left_out():
     for offset, expected in ((None, [0, 2]), (1.0, [1, 3])):
         stream = Stream(np.arange(2.0))
@@ -416,6 +423,7 @@ def test_none_in_a_constant_is_left_out():
         )
 
 
+@pytest.mark.ci
 def test_a_number_cannot_take_the_place_of_none():
     stream = Stream.zeros(1)
     line = Line(2.0, None)
@@ -445,6 +453,7 @@ def test_a_new_kernel_sees_what_names_stand_for_now(monkeypatch):
     assert stream.array.tolist() == [11]
 
 
+@pytest.mark.ci
 def test_equal_functions_and_types_share_compiled_code():
     loops = [
         Kernel(add_one, inputs={"x": stream}, outputs=stream)._loop()
@@ -518,6 +527,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.ci
 def test_ctrl_c_ends_calls_and_loops():
     run = subprocess.run(
         [sys.executable, "-c", INTERRUPTED],
@@ -537,6 +547,7 @@ def test_ctrl_c_ends_calls_and_loops():
 # The same for every number of threads
 
 
+@pytest.mark.ci
 def test_results_do_not_depend_on_the_number_of_threads(rng):
     count = 5 * CHUNK + 3
     values = rng.integers(0, 6, count).astype(np.int8)
@@ -561,6 +572,7 @@ def test_results_do_not_depend_on_the_number_of_threads(rng):
 # Counters
 
 
+@pytest.mark.ci
 @given(
     hnp.arrays(np.int8, st.integers(1, 30), elements=st.integers(0, 5)),
     st.integers(0, 5),
@@ -589,6 +601,7 @@ def test_counters_are_exact(values, most):
     assert one.words_written == {"output 0": 2 * one.written_count}
 
 
+@pytest.mark.ci
 def test_words_of_vectors_and_records():
     particles = Stream.zeros(4, PARTICLE, name="particles")
     vectors = Stream.zeros(4, ("f4", 3))
@@ -613,6 +626,7 @@ def test_words_of_vectors_and_records():
     assert counters.pass_count == 0
 
 
+@pytest.mark.ci
 def test_counted_passes_check_indices():
     target = Stream.zeros(3)
     kernel = Kernel(

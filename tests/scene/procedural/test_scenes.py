@@ -63,6 +63,7 @@ def test_counts_come_close_to_targets(name):
         assert_close(name, target, generate(name, target).triangle_count)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("target", [100_000, 1_000_000])
 @pytest.mark.parametrize("name", BUILTIN)
 def test_large_counts_come_close_to_targets(name, target):
@@ -94,6 +95,7 @@ def test_meshes_are_sound(name, target):
             assert mesh.colors.max() <= 1.0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", BUILTIN)
 def test_no_triangle_of_a_large_scene_is_degenerate(name):
     assert generate(name, 300_000).skipped_count == 0
