@@ -135,7 +135,7 @@ FRAGMENT_TRACERS = ("grid, multipass, graphics", "kdtree, backtrack, multipass, 
 
 
 def is_everyday(tracer: str, name: str) -> bool:
-    """Whether a default run has a case on a tracer: a third of them in turn, but for two of each."""
+    """Whether a default run has a case on a tracer: a third in turn, and two cases on all."""
     is_hard = name in ("random_soup", "exact_edges_on_a_lattice")
     return tracer in EVERYDAY and (is_hard or is_turn(tracer, list(CASES).index(name), 3))
 
