@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import signal
 import subprocess
 import sys
 import time
-from importlib.machinery import SourceFileLoader
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
+from ci_script import load
+
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPT = ROOT / ".ci" / "nightly"
-if not SCRIPT.is_file():
-    pytest.skip("CI is not in an installed package", allow_module_level=True)
 
-
-def load():
-    loader = SourceFileLoader("nightly", str(SCRIPT))
-    specification = importlib.util.spec_from_loader("nightly", loader)
-    module = importlib.util.module_from_spec(specification)
-    sys.modules["nightly"] = module  # dataclasses look there
-    sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
-    try:
-        loader.exec_module(module)
-    finally:
-        sys.dont_write_bytecode = kept
-    return module
-
-
-nightly = load()
+nightly = load("nightly")
 Outcome, Part = nightly.Outcome, nightly.Part
 
 
@@ -66,6 +51,30 @@ def test_hashes_are_of_sources_tests_and_names(tree):
     seen.append(nightly.digest(tree, ROOM))
     seen.append(nightly.digest(tree, Part("room", ["src/room"], ["tests/room"])))
     assert len(set(seen)) == len(seen)
+
+
+@pytest.mark.parametrize(
+    "same",
+    [
+        'def f(a):\n    """Docstring."""\n    return a + 1\n',
+        "def f(a):\n    # A comment.\n    return (\n        a + 1  # another\n    )\n",
+        '"""A module."""\ndef f(a): return a+1\n',
+    ],
+)
+@pytest.mark.parametrize("name", ["a.py", "script"])
+def test_hashes_of_python_are_of_code_alone(name, same):
+    start = "#!/usr/bin/env python3\n"
+    code = nightly.code_hash(name, f"{start}def f(a):\n    return a + 1\n".encode())
+    assert nightly.code_hash(name, (start + same).encode()) == code
+    for other in ("return a + 2", "return None", "return 'a' + 1", "'doc'; 'no doc'; return a + 1"):
+        changed = f"{start}def f(a):\n    {other}\n".encode()
+        assert nightly.code_hash(name, changed) != code
+
+
+@pytest.mark.parametrize("name", ["a.wgsl", "a.js", "a.toml", "a.html", "a.json", "broken.py"])
+def test_other_files_and_broken_python_count_whole(name):
+    one, other = b"let a = 1; // one\n", b"let a = 1; // other\n"
+    assert nightly.code_hash(name, one) != nightly.code_hash(name, other)
 
 
 def test_hashes_are_not_of_other_folders_and_compiled_files(tree):
@@ -129,6 +138,7 @@ def fake(monkeypatch, tmp_path):
     monkeypatch.setattr(nightly, "load_record", lambda: json.loads(record()))
     monkeypatch.setattr(nightly, "load_parts", lambda: [Part(name, ["src"]) for name in parts])
     monkeypatch.setattr(nightly, "digest", lambda root, part: f"hash of {part.name}")
+    monkeypatch.setattr(nightly, "head", lambda root: "abc")
     monkeypatch.setattr(nightly, "run_part", run_part)
 
     def record():
@@ -143,8 +153,9 @@ def test_only_green_parts_are_noted(fake, capsys):
     parts["b"], parts["c"] = nightly.FAILED, nightly.NOTHING
     assert nightly.main(["--without-faults"]) == 1
     assert ran == ["a", "b", "c"]
-    assert list(record()) == ["a"]
-    assert (record()["a"]["hash"], record()["a"]["seconds"]) == ("hash of a", 7)
+    today = datetime.now(UTC).date().isoformat()
+    noted = {"hash": "hash of a", "commit": "abc", "date": today, "seconds": 7}
+    assert record() == {"a": noted}
     assert re.search(r"^b +FAILED", capsys.readouterr().out, re.MULTILINE)
     parts["b"] = nightly.PASSED
     assert nightly.main(["b"]) == 0
@@ -162,7 +173,7 @@ def test_a_part_that_breaks_keeps_its_last_green_hash(fake, monkeypatch):
     assert record() == before
 
 
-def test_ci_runs_what_has_changed_and_notes_nothing(fake, monkeypatch, capsys):
+def test_what_has_changed_runs_and_is_noted(fake, monkeypatch, capsys):
     _, ran, record = fake
     nightly.main(["a", "b"])
     before = record()
@@ -170,12 +181,12 @@ def test_ci_runs_what_has_changed_and_notes_nothing(fake, monkeypatch, capsys):
     monkeypatch.setattr(
         nightly, "digest", lambda _, part: f"hash of {part.name}" + "!" * (part.name == "b")
     )
-    assert nightly.main(["--changed", "--minutes", "20"]) == 0
+    assert nightly.main(["--changed", "--no-record"]) == 0
     assert ran == ["b", "c"]
     assert record() == before
     assert re.search(r"^a +unchanged$", capsys.readouterr().out, re.MULTILINE)
     assert nightly.main(["--changed", "--record"]) == 0
-    assert sorted(record()) == ["a", "b", "c"]
+    assert [record()[name]["hash"] for name in "abc"] == ["hash of a", "hash of b!", "hash of c"]
     ran.clear()
     assert nightly.main(["--changed"]) == 0
     assert ran == []
@@ -191,14 +202,14 @@ def test_parts_without_time_are_listed_and_no_failure(fake, capsys):
 def test_a_part_that_is_ended_early_is_not_noted_and_no_failure(fake, capsys):
     parts, _, record = fake
     parts["b"] = nightly.ENDED
-    assert nightly.main(["--changed", "--record"]) == 0
+    assert nightly.main(["--changed"]) == 0
     assert sorted(record()) == ["a", "c"]
     shown = capsys.readouterr().out
     assert re.search(r"^b +ended early", shown, re.MULTILINE)
     assert "for want of time: b; run" in shown
 
 
-def test_seeded_faults_are_last_and_never_in_ci(fake, monkeypatch, tmp_path):
+def test_seeded_faults_run_last_and_only_with_all_parts(fake, monkeypatch, tmp_path):
     _, ran, record = fake
     monkeypatch.setattr(nightly, "FAULTS", tmp_path / "run.py")
     (tmp_path / "run.py").touch()
@@ -208,6 +219,82 @@ def test_seeded_faults_are_last_and_never_in_ci(fake, monkeypatch, tmp_path):
     nightly.main([])
     assert ran[-1] == "seeded faults"
     assert "seeded faults" not in record()
+
+
+# ---- What is stale.
+
+
+@pytest.fixture
+def history(tree, monkeypatch):
+    """The same folder under git, whose commits and record have dates of ours."""
+    (tree / "src/room/a.wgsl").write_text("let a = 1;\n")
+
+    def commit(date):
+        for name in ("AUTHOR", "COMMITTER"):
+            monkeypatch.setenv(f"GIT_{name}_DATE", f"{date}T12:00:00+00:00")
+        git = ["git", "-c", "user.name=A", "-c", "user.email=a@example.com"]
+        subprocess.run(["git", "add", "."], cwd=tree, check=True)
+        subprocess.run([*git, "commit", "--quiet", "-m", date], cwd=tree, check=True)
+
+    subprocess.run(["git", "init", "--quiet"], cwd=tree, check=True)
+    commit("2026-03-01")
+    return tree, commit, {"date": "2026-03-02", "commit": nightly.head(tree)}
+
+
+def since(tree, last):
+    return nightly.stale_since(tree, ROOM, last).isoformat()
+
+
+def test_a_part_is_stale_since_the_first_commit_that_changed_its_code(history):
+    tree, commit, last = history
+    (tree / "src/room/a.py").write_text("src/room/a.py  # a comment")
+    (tree / "src/other.py").write_text("another = 1")
+    commit("2026-03-03")
+    (tree / "src/room/a.wgsl").write_text("let a = 2;\n")
+    commit("2026-03-04")
+    assert since(tree, last) == "2026-03-04"
+    (tree / "src/room/a.py").write_text("changed")
+    (tree / "tests/room/test_b.py").write_text("new")
+    commit("2026-03-05")
+    assert since(tree, last) == "2026-03-04"
+    last["commit"] = "HEAD~1"
+    assert since(tree, last) == "2026-03-05"
+
+
+def test_without_such_a_commit_it_is_stale_since_it_was_green(history):
+    tree, _, last = history
+    (tree / "src/room/a.py").write_text("not committed")
+    assert since(tree, last) == "2026-03-02"
+    (tree / ".git").rename(tree / "git")
+    assert nightly.head(tree) is None
+    assert since(tree, last) == "2026-03-02"
+
+
+def test_a_commit_that_is_gone_counts_as_none(history):
+    tree, commit, last = history
+    (tree / "src/room/a.py").write_text("changed")
+    commit("2026-03-03")
+    assert since(tree, {**last, "commit": "0123456789ab"}) == "2026-03-02"
+
+
+def test_stale_parts_are_listed_and_no_failure(fake, monkeypatch, capsys):
+    parts, ran, _ = fake
+    parts["b"] = nightly.FAILED
+    nightly.main(["a", "b", "c"])
+    ran.clear()
+    monkeypatch.setattr(
+        nightly, "digest", lambda _, part: f"hash of {part.name}" + "!" * (part.name == "a")
+    )
+    today = datetime.now(UTC).date().isoformat()
+    capsys.readouterr()
+    assert nightly.main(["--stale"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"{'a':28} stale for 0 days, last green on {today}",
+        f"{'b':28} never green",
+    ]
+    assert nightly.main(["--stale", "c"]) == 0
+    assert capsys.readouterr().out == "no part is stale\n"
+    assert ran == []
 
 
 def test_unknown_parts_are_refused(fake, capsys):
