@@ -193,7 +193,7 @@ def test_each_structure_and_each_case_is_in_a_default_run():
     assert {TRACERS[one]["structure"] for one in EVERYDAY} == {*STRUCTURES}
     assert {*EVERYDAY} <= {*CODE_PATHS}
     for name in CASES:
-        assert sum(is_everyday(tracer, name) for tracer in TRACERS) >= len(EVERYDAY) // 3
+        assert sum(is_everyday(tracer, name) for tracer in TRACERS) >= 2
 
 
 def test_brute_force_agrees_with_float64(case):

@@ -93,6 +93,7 @@ def test_a_hundred_thousand_coplanar_layers(kernel):
     assert tracer.multi_hit(origins, directions, max_hits=3).prim_id.tolist() == [0, 1, 2] * 2
 
 
+@pytest.mark.ci
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_million_hits_on_one_ray(kernel, rng):

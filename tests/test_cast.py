@@ -189,6 +189,7 @@ def test_copied_tracers_read_their_own_arrays(structure):
         assert other.structure.options == tracer.structure.options
 
 
+@pytest.mark.ci
 def test_pickled_tracers_trace_in_another_process(tmp_path):
     tracer = rs.Tracer(rs.load("cornell"), kernel="wavefront")
     (tmp_path / "tracer").write_bytes(pickle.dumps(tracer))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +25,7 @@ def test_bvh_equals_brute_force(drawn):
     assert_same_answers(rs.Tracer(scene, max_leaf_size=1), rs.Tracer(scene, "brute"), rays)
 
 
+@pytest.mark.ci
 @quiet
 @given(
     scenes_and_rays(),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from conftest import EVERY_TRACER, TRACERS
+from conftest import EVERY_QUERY, TRACERS
 from meshes import icosphere
 from watertight import RAYS
 
@@ -24,7 +24,7 @@ def ray_count(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", EVERY_TRACER)
+@pytest.mark.parametrize("name", EVERY_QUERY)
 def test_a_sphere_is_crossed_twice(name):
     """Rays through vertices and midpoints: exactly twice. In the planes of faces: 0 or 2."""
     vertices, faces = icosphere(5)
@@ -50,7 +50,7 @@ def test_fifty_layers_a_millionth_apart(make_tracer_anywhere):
     assert (tracer.count_hits(origins, [0, 0, 1.0], crossings="surfaces") == [50, 0]).all()
 
 
-@pytest.mark.parametrize("name", EVERY_TRACER)
+@pytest.mark.parametrize("name", EVERY_QUERY)
 def test_coplanar_duplicates_all_come_back_in_order(name):
     count = 2_000 if "multipass" in name else 20_000  # a pass is one triangle for the grid
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])

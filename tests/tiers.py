@@ -37,10 +37,22 @@ CI = (
     "test_docstrings.py",
     "test_examples.py",
     "test_import_time.py",
+    "test_imports.py",
     "test_nightly.py",
     "test_packaging.py",
     "test_typing.py",
     "test_words.py",
+    # Vector types, which nearly all other tests use; and slabs, which agreement tests.
+    "jit/test_simd_arithmetic.py",
+    "jit/test_simd_errors.py",
+    "jit/test_simd_gathers.py",
+    "jit/test_simd_lanes.py",
+    "jit/test_simd_machines.py",
+    "jit/test_simd_memory.py",
+    "jit/test_simd_single_lane.py",
+    "test_slabs.py",
+    # Public models.
+    "scene/io/test_models.py",
     # Tests that start a process of Python for most of their cases.
     "bench/test_contenders.py",
     "bench/test_measures.py",

@@ -263,6 +263,7 @@ def test_bad_rays_miss():
     assert not scene.count_intersections(rays).any()
 
 
+@pytest.mark.ci
 def test_open3d_is_not_imported():
     code = (
         "import sys; from raystream.adapters.open3d import RaycastingScene as S; s = S(); "

@@ -161,6 +161,7 @@ def test_machines_find_the_same(run, square, rays, structure):
 # Saved structures.
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("arguments", "options"),
     [
@@ -179,6 +180,7 @@ def test_machine_reaches_a_saved_structure(run, on_saved, asked, arguments, opti
     assert result.figures["machine"] == options.get("machine", "branching")
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [

@@ -55,6 +55,7 @@ def test_without_arguments_help_is_shown(run):
     assert all(command in result.out for command in ("render", "info", "query"))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("command", [[], ["render"], ["info"], ["query"], ["compare"]])
 def test_help_is_quick(start, command):
     code = (
@@ -252,6 +253,7 @@ def test_interrupt_is_one_line(monkeypatch, run, square):
     assert result.err == "interrupted\n"
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs POSIX pipes")
 @pytest.mark.parametrize("arguments", [["info", "square.obj"], ["info", "square.obj", "--json"]])
 def test_closed_pipe_is_quiet(start, square, arguments):
@@ -263,6 +265,7 @@ def test_closed_pipe_is_quiet(start, square, arguments):
     assert result.stderr == ""
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_full_disk_behind_stdout_is_one_line(start, square):
     with open("/dev/full", "w") as full:

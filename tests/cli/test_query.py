@@ -162,6 +162,7 @@ def test_bad_option_is_refused_in_one_line(run, square, rays, arguments, named):
     assert rays.read_bytes() == before
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a terminal")
 def test_ctrl_c_ends_a_long_query_in_one_line(run, tmp_path, environment):
     """Billions of triangle tests; the bar on the terminal tells when they have begun."""

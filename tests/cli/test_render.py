@@ -95,6 +95,7 @@ def test_without_scene_a_built_in_one(run):
     assert pixels("out.png").std() > 10
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("structure", "options"),
     [
@@ -282,6 +283,7 @@ def test_a_model_without_a_camera_fits_a_picture_of_any_shape(run, square):
         assert not seen[:, [0, -1]].any()
 
 
+@pytest.mark.ci
 def test_the_image_goes_to_stdout(run, environment):
     """Its figures go to stderr."""
     wanted = ("render", "cornell", "--size", "16x12", "--samples", "2")

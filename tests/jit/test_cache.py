@@ -40,6 +40,7 @@ def test_kernels_are_compiled_once_and_again_after_an_edit(source, tmp_path):
     assert run(source, folder) == ["2", "1", "0"]  # the older code is still there
 
 
+@pytest.mark.ci
 def test_damaged_files_are_compiled_over(source, tmp_path):
     folder = tmp_path / "cache"
     run(source, folder)
@@ -57,6 +58,7 @@ def test_a_folder_that_cannot_be_written_is_no_error(source, tmp_path):
     assert run(source, blocked / "cache") == ["2", "0", "1"]
 
 
+@pytest.mark.ci
 def test_two_processes_at_once_share_one_folder(source, tmp_path):
     folder = tmp_path / "cache"
     both = [begin(source, folder) for _ in range(2)]
@@ -102,6 +104,7 @@ def test_code_for_another_processor_is_not_read(tmp_path, monkeypatch):
         assert not is_there((*own[:place], "another", *own[place + 1 :]))
 
 
+@pytest.mark.ci
 def test_files_that_are_read_count_as_used(source, tmp_path):
     folder = tmp_path / "cache"
     run(source, folder)

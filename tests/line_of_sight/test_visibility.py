@@ -223,6 +223,7 @@ def test_a_far_point_sees_the_near_half_of_a_sphere(rng):
                 assert not seen[height < -1e-4].any()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("distance", [5.0, 1e3, 1e6, 1e12])
 def test_a_shell_just_above_hides_a_sphere_from_afar(distance, rng):
     """However long a segment, its end stays below the shell, at 0.001 of the radius."""

@@ -36,6 +36,7 @@ def assert_same_hits(one, other):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
+@pytest.mark.ci
 def test_large_scenes_hits_and_tracers_are_pickled(rays):
     """Their triangles are made on all threads, and can be made again."""
     scene = rs.Scene.from_arrays(*soup(_FEW + 1))

@@ -87,7 +87,7 @@ def parallel(count, rng):
     return origins, np.broadcast_to(np.array([0, 0, -1], np.float32), origins.shape).copy()
 
 
-@pytest.mark.parametrize("name", every_tracer(USUAL, everyday=("bvh, packets",)))
+@pytest.mark.parametrize("name", every_tracer(USUAL, everyday=("kdtree, stack",)))
 @pytest.mark.parametrize("query", QUERIES)
 @pytest.mark.parametrize("rays", [scattered, parallel], ids=["scattered", "parallel"])
 def test_estimates_bound_what_is_used(name, query, rays, rng):

@@ -244,6 +244,7 @@ def test_lamps_in_instances_are_lights(lamps: rs.Scene, mode: str) -> None:
     assert images[0].mean() == pytest.approx(images[1].mean(), rel=5e-3)
 
 
+@pytest.mark.ci
 def test_samples_of_lamps_change_the_noise_and_not_the_mean(lamps: rs.Scene) -> None:
     means, noise = [], []
     for is_sampled in (True, False):

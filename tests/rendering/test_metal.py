@@ -106,6 +106,7 @@ def test_a_texture_has_roughness_in_green_and_metal_in_blue():
     np.testing.assert_allclose(*seen, rtol=1e-5)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("metallic", [0.0, 0.4])
 @pytest.mark.parametrize(
     ("normal", "grazing"), [((0.2, 0.1, 0.02), 1.0), ((0.02, 0.02, 0.02), 0.5), ((0, 0, 0), 0)]

@@ -157,6 +157,7 @@ def truth():
     return path(room(lights=SKY), 1024, (16, 16), max_bounces=3, seed=99)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("sampler", ["sobol", "stratified", "random"])
 def test_seeds_agree_and_spread_as_estimated(sampler, truth):
     """Means of blocks over seeds: chi-square about their own mean, and a Z-test of that.

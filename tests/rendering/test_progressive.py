@@ -199,6 +199,7 @@ def test_a_clock_that_stands_still_sets_no_bound():
     assert progressive._passes_at_once(7, PIXELS, np.inf, 10.0) == 1
 
 
+@pytest.mark.ci
 def test_checkpoints_do_not_count_as_time_of_samples(tracer, tmp_path, monkeypatch):
     seen, ask = [], progressive._passes_at_once
 

@@ -197,6 +197,7 @@ def test_progress_within_a_sample_can_end_it(scene):
     assert 0.0 < shown[-1] < 1.0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", ["layers", "camera", "opacity", "counters"])
 def test_what_is_no_loop_is_rendered_by_queries(scene, what):
     options = {}

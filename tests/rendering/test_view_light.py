@@ -72,7 +72,13 @@ def test_a_room_without_lights_gets_one_that_reaches_it():
 
 
 @pytest.mark.parametrize("mode", ADDED)
-@pytest.mark.parametrize("name", ["cornell", "robots", "spheres", "building"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cornell",
+        *(pytest.param(n, marks=pytest.mark.ci) for n in ("robots", "spheres", "building")),
+    ],
+)
 def test_views_that_are_lit_are_left_alone(name, mode):
     scene = rs.load(name)
     with warnings.catch_warnings():

@@ -102,6 +102,7 @@ def test_a_scene_of_nothing():
     assert statistics(BvhArrays(nodes, leaves))["nodes"] == 0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("quality", QUALITIES)
 @pytest.mark.parametrize("count", [20_000, 300_000])
 def test_the_tree_does_not_depend_on_the_number_of_threads(quality, count):
@@ -117,6 +118,7 @@ def test_the_tree_does_not_depend_on_the_number_of_threads(quality, count):
         assert_same_bits(a, b)
 
 
+@pytest.mark.ci
 def test_large_scenes_are_split_by_all_threads():
     triangles = triangles_of(*soup(150_000, 4, 0.01))
     walk(build_arrays(triangles), triangles)

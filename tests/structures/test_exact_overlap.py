@@ -145,6 +145,7 @@ def tracer_of(mesh, structure, **options):
     return rs.Tracer(rs.Scene.from_arrays(*mesh), structure, **options)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("mesh", MESHES)
 def test_cells_list_the_triangles_that_overlap_them(mesh, levels):
@@ -215,6 +216,7 @@ def leaves_of(structure):
         pending += [(number, low, below), (number + 1, above, high)]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("mesh", MESHES)
 def test_leaves_list_the_triangles_that_overlap_them(mesh):
     structure = tracer_of(MESHES[mesh], "kdtree", intersection_cost=20.0, overlap="exact").structure

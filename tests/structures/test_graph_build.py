@@ -122,6 +122,7 @@ def test_no_triangles():
     assert statistics(arrays, settings_with())["sectors"] == 0.0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("settings", [settings_with(), settings_with(0.01, 1.0, 0.003, 0.5)])
 def test_a_graph_does_not_depend_on_the_number_of_threads(settings):
     triangles = triangles_of(*soup(20_000, 1, 0.02))
@@ -292,6 +293,7 @@ class TestGraphlog:
         dump_graph(file, arrays, triangles.corners)
         return triangles, arrays, file.getvalue()
 
+    @pytest.mark.ci
     @pytest.mark.parametrize("mesh", [*MESHES.values(), (np.zeros((3, 3)), [[0, 1, 2]])])
     def test_what_is_read_is_what_was_written(self, mesh):
         triangles, arrays, text = self.dumped(mesh)
@@ -309,6 +311,7 @@ class TestGraphlog:
         assert len(lines) == 14 + view.count + len(view.nodes)
         assert lines[13].startswith("Sector 0 ; ")
 
+    @pytest.mark.ci
     def test_damaged_ones_are_refused(self):
         _, _, text = self.dumped(cube())
         lines = text.splitlines(keepends=True)

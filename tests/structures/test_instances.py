@@ -385,6 +385,7 @@ def test_rays_meet_the_instances_of_their_world() -> None:
             np.testing.assert_array_equal(many.instance_id[rows], chosen[all_of.instance_id])
 
 
+@pytest.mark.ci
 def test_many_small_worlds_are_built_at_once() -> None:
     rng = np.random.default_rng(23)
     worlds = np.repeat(np.arange(4000), 9)
@@ -506,6 +507,7 @@ def test_memory_grows_with_the_objects() -> None:
     assert tracer.structure.report.byte_count < alone + 300 * 1000
 
 
+@pytest.mark.ci
 def test_bad_instances_are_named() -> None:
     one = objects()[0]
     eye = np.eye(3, 4)

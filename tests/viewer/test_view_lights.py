@@ -76,6 +76,7 @@ def test_a_choice_is_made_once_without_warnings(scenes, monkeypatch):
     assert len(asked) == 1
 
 
+@pytest.mark.ci
 def test_choices_of_scenes_that_are_closed_are_forgotten():
     lights = ViewLights()
     one = prepared(wall(3.0))

@@ -127,6 +127,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("make", [tiny.gltf_document, tiny.moving_gltf])
 @settings(
     max_examples=300,
