@@ -14,6 +14,9 @@ from seeded_faults.runner import BROKEN, CRASHED, OUT_OF_TIME, STUCK, Innocence,
 #: that it needs is not installed; pytest could not run.
 NOTHING, NOT_RUN, ERROR = "nothing", "not run", "error"
 
+#: Part of the time for one test that those of further files get, once one has hung.
+KNOWN_TO_HANG = 0.2
+
 #: Where tests and examples of docstrings are.
 ALL_TESTS = ("tests", "src", "lab/src")
 
@@ -99,7 +102,10 @@ class _Attempt:
             "stop": self._stops_early,
             **plan,
         }
-        outcome = self._runner.run(arguments, environment, **plan)
+        patience = self._runner.patience
+        if self._fault.hangs and self.is_caught:
+            patience *= KNOWN_TO_HANG
+        outcome = self._runner.run(arguments, environment, patience, **plan)
         for file, one in outcome.files.items():
             for tier in (EVERYDAY, CI):
                 for test in one[tier]:

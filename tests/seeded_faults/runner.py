@@ -133,9 +133,23 @@ class Runner:
         os.utime(path, (moment, moment))
 
     def run(
-        self, arguments: Sequence[str], environment: Mapping[str, str], **plan: object
+        self,
+        arguments: Sequence[str],
+        environment: Mapping[str, str],
+        patience: float | None = None,
+        **plan: object,
     ) -> Outcome:
         """Run pytest in one process, by a plan as in by_file.py.
+
+        Parameters
+        ----------
+        arguments : list of str
+            Files of tests, and options.
+        environment : dict of str to str
+            Variables of the process.
+        patience : float, optional
+            Seconds for one test, in place of the runner's.
+        **plan
 
         Raises
         ------
@@ -161,7 +175,7 @@ class Runner:
                 start_new_session=True,
             )
             try:
-                ended = self._watch(process, record)
+                ended = self._watch(process, record, patience or self.patience)
             finally:
                 _end(process, mark)
         text = printed.read_text(encoding="utf-8", errors="replace")
@@ -186,7 +200,7 @@ class Runner:
         everyday = {test.partition("::")[0] for test in tiers if tiers[test] == EVERYDAY}
         return tiers | {file: EVERYDAY if file in everyday else CI for file in files}
 
-    def _watch(self, process: subprocess.Popen[bytes], record: Path) -> str:
+    def _watch(self, process: subprocess.Popen[bytes], record: Path, patience: float) -> str:
         """Wait for the end, or say why it will not be awaited."""
         started = last = time.monotonic()
         size = 0
@@ -199,7 +213,7 @@ class Runner:
             now, found = time.monotonic(), record.stat().st_size
             if found != size:
                 size, last = found, now
-            if now - last > self.patience:
+            if now - last > patience:
                 return STUCK
             if now - started > self.limit:
                 return OUT_OF_TIME
