@@ -48,7 +48,7 @@ def test_options_reach_the_renderer(run, arguments, wanted):
     result = run("render", "cornell", *SIZE, "--samples", 2, *arguments)
     assert (result.code, result.err) == (0, "")
     image = rs.render(scene, size=(16, 12), samples=2, **wanted)
-    np.testing.assert_array_equal(pixels("out.png"), image.to_bytes())
+    np.testing.assert_array_equal(pixels("cornell.png"), image.to_bytes())
     without = rs.render(scene, wanted["mode"], size=(16, 12), samples=2)
     assert (without.pixels != image.pixels).any()
 
@@ -67,7 +67,7 @@ def test_options_of_the_tracer_go_with_those_of_the_mode(run):
     figures = run("render", "cornell", *SIZE, "--mode", "ao", *chosen, "--json").figures
     assert figures["structure"] == "grid"
     image = rs.render(rs.load("cornell"), "ao", (16, 12), 4, rays=2)
-    np.testing.assert_array_equal(pixels("out.png"), image.to_bytes())
+    np.testing.assert_array_equal(pixels("cornell.png"), image.to_bytes())
 
 
 def test_seed_moves_the_rays_of_a_heat_map(run):
