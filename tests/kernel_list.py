@@ -64,10 +64,10 @@ def render(what: str) -> None:
     if kind:
         write_hills()
     scene = "hills.obj" if kind else "robots"
-    # As a preview, but without a limit of time: it decides whether tiles get samples.
+    # As a preview, but without a limit of time: it decides how many samples are traced at once.
     usual: tuple[str, ...] = ()
     if mode in ("kajiya", "path"):
-        usual = "--samples", "16", "--noise", "1e-6", "--denoise"
+        usual = "--samples", "16", "--denoise"
     sys.modules["pyoidn"] = None  # type: ignore[assignment]  # the filter of a plain installation
     for name, more in (("a.png", usual), ("b.png", ("--samples", "2"))):
         with contextlib.suppress(SystemExit):

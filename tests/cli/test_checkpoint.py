@@ -97,7 +97,7 @@ def interrupted(output: str, **options) -> None:
         )
 
 
-ASKED = ("render", "cornell", "--mode", "path", "--size", "32x24", "--samples", 5)
+ASKED = ("render", "cornell", "--mode", "path", "--size", "32x24", "--samples", 5, "-o", "out.png")
 
 
 def test_without_samples_resume_begins(run):

@@ -85,7 +85,7 @@ def test_a_first_image_shows_the_model(run, tmp_path, make, mode):
     model = tmp_path / f"{make.__name__}.obj"
     make(model)
     assert run("render", model, "--mode", mode, "--size", f"{WIDTH}x{HEIGHT}").code == 0
-    with Image.open("out.png") as image:
+    with Image.open(model.with_suffix(".png")) as image:
         values = np.asarray(image.convert("RGB"))
     assert (values.max(axis=2) < 25.5).mean() <= MOST_EXTREME
     assert (values.min(axis=2) > 229.5).mean() <= MOST_EXTREME

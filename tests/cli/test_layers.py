@@ -67,7 +67,7 @@ def test_denoised_png_is_the_librarys(run):
     steps = [step for step in result.figures["seconds"] if step != "compile"]
     assert steps == ["load", "build", "trace", "denoise", "save"]
     smooth = library(layers=GUIDES).denoise()
-    with Picture.open("out.png") as picture:
+    with Picture.open("cornell.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture), smooth.to_bytes())
 
 

@@ -52,7 +52,7 @@ def test_the_sky_is_replaced(run, sky):
     assert kinds == [rs.DirectionalLight, rs.EnvironmentLight]
     scene = scene.replace(lights=(scene.lights[0], light), background=(0.0, 0.0, 0.0))
     expected = rs.render(scene, "whitted", (16, 12)).to_bytes()
-    with Image.open("out.png") as image:
+    with Image.open("robots.png") as image:
         np.testing.assert_array_equal(np.asarray(image), expected)
 
 
@@ -86,8 +86,8 @@ def weak(tmp_path):
     return "weak.obj"
 
 
-def pixels():
-    with Image.open("out.png") as image:
+def pixels(name="weak.png"):
+    with Image.open(name) as image:
         return np.asarray(image)
 
 
@@ -155,7 +155,7 @@ def test_a_sun_and_a_clear_sky_replace_the_scene_s(run):
     assert (result.code, result.err) == (0, "")
     scene = rs.load("robots")
     scene = scene.replace(lights=rs.daylight(200, 35, up=scene.up), background=(0.0, 0.0, 0.0))
-    with Image.open("out.png") as image:
+    with Image.open("robots.png") as image:
         expected = rs.render(scene, "whitted", (16, 12)).to_bytes("auto")
         np.testing.assert_array_equal(np.asarray(image), expected)
 
@@ -164,7 +164,7 @@ def test_modes_without_light_are_exposed_by_1_under_a_sun(run):
     assert (
         run("render", "robots", *SIZE, "--mode", "vis", "--samples", 1, "--sun", 200, 35).code == 0
     )
-    shown = pixels()
+    shown = pixels("robots.png")
     expected = rs.render(rs.load("robots").replace(background=(0, 0, 0)), "vis", (16, 12))
     covered = expected.pixels.any(axis=2)
     np.testing.assert_array_equal(shown[covered], expected.to_bytes()[covered])

@@ -153,7 +153,7 @@ def test_bad_model_is_refused_in_one_line(run, tmp_path, command, name):
         (tmp_path / name).write_bytes(BAD_MODELS[name])
     complaint = run(*command, name).complaint
     assert complaint.startswith(f"{name}: ")
-    assert not (tmp_path / "out.png").exists()
+    assert not list(tmp_path.glob("*.png"))
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_error_while_rendering_that_is_no_bug(monkeypatch, run, square, error, c
 
     monkeypatch.setattr("raystream.tracer.Tracer.first_hit", fail)
     assert run("render", "square.obj").complaint == complaint
-    assert not Path("out.png").exists()
+    assert not Path("square.png").exists()
 
 
 @pytest.mark.parametrize("how", ["option", "environment"])

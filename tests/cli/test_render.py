@@ -68,11 +68,11 @@ def test_one_line_of_figures(run):
     result = run("render", "cornell", "--size", "32x24", "--samples", 1)
     number = r"[\d.e+-]+"
     assert re.fullmatch(
-        rf"out\.png: 32x24, 36 triangles; 1 sample; load {number} s, build {number} s, "
+        rf"cornell\.png: 32x24, 36 triangles; 1 sample; load {number} s, build {number} s, "
         rf"trace {number} s, save {number} s; {number} Mpaths/s\n",
         re.sub(rf"compile {number} s, |, compile {number} s", "", result.out),
     )
-    assert Path("out.png").exists()
+    assert Path("cornell.png").exists()
 
 
 def test_figures_as_json(run):
@@ -82,7 +82,7 @@ def test_figures_as_json(run):
     assert figures["rays"] == 32 * 24 * 3
     assert (figures["width"], figures["height"], figures["samples"]) == (32, 24, 3)
     assert (figures["structure"], figures["mode"]) == ("bvh", "path")
-    assert (figures["output"], figures["triangles"]) == ("out.png", 36)
+    assert (figures["output"], figures["triangles"]) == ("cornell.png", 36)
     assert figures["mrays_per_second"] == pytest.approx(
         32 * 24 * 3 / figures["seconds"]["trace"] / 1e6, rel=1e-2
     )
@@ -92,7 +92,7 @@ def test_without_scene_a_built_in_one(run):
     figures = run("render", "--size", "16x12", "--triangles", 1000, "--json").figures
     assert figures["scene"] == DEFAULT_SCENE
     assert 500 < figures["triangles"] < 1500
-    assert pixels("out.png").std() > 10
+    assert pixels(f"{DEFAULT_SCENE}.png").std() > 10
 
 
 @pytest.mark.ci
@@ -179,20 +179,20 @@ def test_camera_takes_projections_and_lenses(run):
         (278, 273, -800), (278, 273, 0), fov=39.3, projection="orthographic", height=550
     )
     seen = rs.render(rs.load("cornell"), "vis", (24, 16), 1, camera=camera).pixels.any(axis=2)
-    np.testing.assert_array_equal(pixels("out.png").any(axis=2), seen)
+    np.testing.assert_array_equal(pixels("cornell.png").any(axis=2), seen)
     assert seen.any()
     assert not seen.all()
     lens = ("--aperture", 90, "--focus", 900)
     assert run("render", "cornell", *size, "--samples", "3", *lens).code == 0
-    lensed = pixels("out.png")
+    lensed = pixels("cornell.png")
     assert run("render", "cornell", *size, "--samples", "3").code == 0
-    assert (pixels("out.png") != lensed).any()
+    assert (pixels("cornell.png") != lensed).any()
 
 
 def test_scene_with_nothing_to_hit_is_legal(run, tmp_path):
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
     assert run("render", "flat.obj", "--size", "8x8", "--mode", "raycast").code == 0
-    assert pixels("out.png").max() == 0
+    assert pixels("flat.png").max() == 0
 
 
 @pytest.mark.parametrize(
@@ -267,11 +267,11 @@ def test_disk_that_fills_up_leaves_the_old_picture(run, tmp_path, monkeypatch):
     def fill_up(*_, **__):
         raise OSError(28, "No space left on device")
 
-    (tmp_path / "out.png").write_bytes(b"the old one")
+    (tmp_path / "cornell.png").write_bytes(b"the old one")
     monkeypatch.setattr(Picture, "save", fill_up)
-    result = run("render", "cornell", "--size", "8x8")
-    assert result.complaint == "out.png: No space left on device"
-    assert (tmp_path / "out.png").read_bytes() == b"the old one"
+    result = run("render", "cornell", "--size", "8x8", "--force")
+    assert result.complaint == "cornell.png: No space left on device"
+    assert (tmp_path / "cornell.png").read_bytes() == b"the old one"
 
 
 def test_a_model_without_a_camera_fits_a_picture_of_any_shape(run, square):
@@ -315,6 +315,7 @@ def test_exposure_is_automatic_for_scenes_without_lights(run, square):
     """The square is lit by what is added; the Cornell box has a lamp."""
     for scene, is_lit in ((square, False), ("cornell", True)):
         wanted = ("render", scene, "--size", "16x12", "--mode", "raycast", "--samples", 1)
+        wanted += ("-o", "out.png")
         assert run(*wanted).code == 0
         usual = pixels("out.png")
         for asked, is_equal in (("auto", not is_lit), (1, is_lit)):

@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 import raystream as rs
-from extras import need
 from raystream.cli import options
 from raystream.cli.sampling import MAX_SAMPLES
 from raystream.rendering.integrator import MOST_SAMPLES
@@ -49,7 +48,7 @@ def test_options_reach_the_renderer(run, arguments, wanted):
     result = run("render", "cornell", *SIZE, "--samples", 2, *arguments)
     assert (result.code, result.err) == (0, "")
     image = rs.render(scene, size=(16, 12), samples=2, **wanted)
-    np.testing.assert_array_equal(pixels("out.png"), image.to_bytes())
+    np.testing.assert_array_equal(pixels("cornell.png"), image.to_bytes())
     without = rs.render(scene, wanted["mode"], size=(16, 12), samples=2)
     assert (without.pixels != image.pixels).any()
 
@@ -68,7 +67,7 @@ def test_options_of_the_tracer_go_with_those_of_the_mode(run):
     figures = run("render", "cornell", *SIZE, "--mode", "ao", *chosen, "--json").figures
     assert figures["structure"] == "grid"
     image = rs.render(rs.load("cornell"), "ao", (16, 12), 4, rays=2)
-    np.testing.assert_array_equal(pixels("out.png"), image.to_bytes())
+    np.testing.assert_array_equal(pixels("cornell.png"), image.to_bytes())
 
 
 def test_seed_moves_the_rays_of_a_heat_map(run):
@@ -101,18 +100,7 @@ def test_noise_ends_a_picture(run):
     figures = run("render", "cornell", *SIZE, "--mode", "ao", "--noise", 0.05, "--json").figures
     assert figures["error"] <= 0.05
     assert 8 <= figures["samples_taken"] < figures["samples"] == MAX_SAMPLES
-    assert figures["rays"] == pytest.approx(16 * 12 * figures["samples_taken"])
-
-
-def test_noise_of_some_tiles_gives_a_mean_number_of_samples(run):
-    need("OpenEXR")
-    asked = ("render", "cornell", "--size", "48x32", "--mode", "path", "--noise", 0.3)
-    figures = run(*asked, "-o", "out.exr", "--json").figures
-    counts = rs.Image.load("out.exr").layers["samples"]
-    assert counts.min() < counts.max()
-    assert figures["rays"] == counts.sum()
-    assert figures["samples_taken"] == pytest.approx(counts.mean())
-    assert f"; {counts.mean():.1f} samples, error " in run(*asked).out
+    assert figures["rays"] == 16 * 12 * figures["samples_taken"]
 
 
 def test_time_ends_a_picture(run):

@@ -72,9 +72,7 @@ def test_workers_take_the_choice_of_lights(client):
 def test_a_noise_limit_ends_with_the_same_sample(client, room, machine):
     asked = {"mode": "path", "size": SIZE, "samples": 999, "noise": 0.4, "machine": machine}
     expected = rs.render(room, **asked)
-    counts = expected.layers["samples"]
-    assert 8 <= counts.mean() < 999
-    assert (counts.min() < counts.max()) == (machine == "branching")
+    assert 8 <= expected.figures["samples"] < 999
     found = rs.cluster.render(room, **asked, client=client)
     for image in (found, expected):
         image.figures.pop("passes", None)  # of this process
@@ -86,8 +84,7 @@ def test_a_time_limit_ends_after_whole_samples(client, room):
     found = rs.cluster.render(room, **asked, samples=4096, time_limit=0.3, client=client)
     taken = found.figures["samples"]
     assert 1 <= taken < 4096
-    assert found.layers["samples"].mean() == pytest.approx(taken)
-    assert found.layers["samples"].min() >= 1
+    assert (found.layers["samples"] == taken).all()
 
 
 def test_a_picture_goes_on_from_a_checkpoint_with_or_without_a_cluster(

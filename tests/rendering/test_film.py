@@ -151,7 +151,7 @@ def test_image_has_the_layers():
         ("colour", np.zeros(3), "layer"),
         ("depth", np.zeros((3, 3)), "depth"),
         ("normal", np.zeros(3), "normal"),
-        ("depth", np.zeros(PIXELS + 1), "pixels"),
+        ("depth", np.zeros(PIXELS + 1), "first_pixel"),
     ],
 )
 def test_bad_layer_is_refused(name, values, named):
@@ -161,14 +161,8 @@ def test_bad_layer_is_refused(name, values, named):
 
 @pytest.mark.parametrize("first", [-1, 1, PIXELS])
 def test_pixels_outside_are_refused(first):
-    with pytest.raises(ValueError, match=r"^pixels: "):
+    with pytest.raises(ValueError, match=r"^first_pixel: "):
         Film(WIDTH, HEIGHT).add_samples(first, np.zeros((PIXELS, 3), np.float32))
-
-
-@pytest.mark.parametrize("pixel", [-1, PIXELS])
-def test_chosen_pixels_outside_are_refused(pixel):
-    with pytest.raises(ValueError, match=r"^pixels: "):
-        Film(WIDTH, HEIGHT).add_samples(np.array([3, pixel]), np.zeros((2, 3), np.float32))
 
 
 def test_shape_and_size_are_checked():
@@ -176,31 +170,6 @@ def test_shape_and_size_are_checked():
         Film(WIDTH, HEIGHT).add_samples(0, np.zeros(3, np.float32))
     with pytest.raises(ValueError, match="size"):
         Film(0, 4)
-
-
-def test_chosen_pixels_get_samples_of_light_and_layers():
-    samples = samples_of(4)
-    first, chosen = filled(samples[:1]), np.array([20, 3, 7])
-    for k in range(1, 4):
-        first.add_samples(chosen, samples[k][chosen])
-        first.set_layer("normal", chosen, samples[k][chosen])
-        first.set_layer("prim_id", chosen, np.full(3, k, np.int32))
-    others = np.setdiff1d(np.arange(PIXELS), chosen)
-    for pixels, count in ((chosen, 4), (others, 1)):
-        expected = filled(samples[:count])
-        for name in ("mean", "variance"):
-            found = getattr(first, name)().reshape(PIXELS, 3)[pixels]
-            np.testing.assert_array_equal(
-                found, getattr(expected, name)().reshape(PIXELS, 3)[pixels]
-            )
-        assert (first.counts[pixels] == count).all()
-    layers = first.layers()
-    normals = layers["normal"].reshape(PIXELS, 3)
-    np.testing.assert_allclose(normals[chosen], samples[1:, chosen].mean(axis=0), rtol=1e-6)
-    assert not normals[others].any()
-    assert layers["prim_id"].ravel()[chosen].tolist() == [1, 1, 1]
-    with pytest.raises(ValueError, match=r"^pixels: "):
-        first.add_samples(chosen, samples[0][:2])
 
 
 # Threads.

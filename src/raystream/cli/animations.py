@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.brightness import Exposure
 from raystream.cli.console import (
@@ -37,7 +38,7 @@ def render_animation(job: RenderJob, json: bool) -> None:
     """Render frames to files, and encode a video from them if requested."""
     asked, (width, height) = job.image, job.size
     wanted = asked.animation.parse_frames()
-    files = FrameFiles.of(asked.output, job.scene, isinstance(wanted, int))
+    files = FrameFiles.of(job.output, job.scene, isinstance(wanted, int))
     watch = Stopwatch()
     with Bars() as bars:
         with watch.measure("load"), bars.step("loading"):
@@ -57,6 +58,8 @@ def render_animation(job: RenderJob, json: bool) -> None:
                 missing = tuple(n for n in numbers if not files.is_whole(n, job.size))
             if len(missing) < len(numbers):
                 write_note(f"{len(numbers) - len(missing)} of {len(numbers)} frames exist already")
+        for number in missing:
+            options.check_replaced(files.path(number), asked.force)
         with _reporting_progress(files, numbers, missing):
             with watch.measure("frames"):
                 _render(job, scene, camera, timeline.fps, missing, files, bars)
@@ -65,7 +68,7 @@ def render_animation(job: RenderJob, json: bool) -> None:
                     _write_video(files, numbers, timeline.fps)
                 files.remove(numbers)
     figures = {
-        "output": str(asked.output),
+        "output": str(job.output),
         "scene": job.scene,
         "mode": job.mode,
         "width": width,
@@ -83,7 +86,7 @@ def render_animation(job: RenderJob, json: bool) -> None:
         write_json(figures)
     else:
         write_line(
-            f"{one_line(str(asked.output))}: {len(numbers):,} frames of "
+            f"{one_line(str(job.output))}: {len(numbers):,} frames of "
             f"{width}x{height}, {timeline.fps:g} fps, "
             f"{triangle_text(scene)}; {watch.text()}"
         )

@@ -110,14 +110,14 @@ class PathProgress:
 
     Attributes
     ----------
-    samples_before : int or float
-        Samples per pixel loaded from the checkpoint, on average.
+    samples_before : int
+        Samples per pixel loaded from the checkpoint.
     """
 
     def __init__(
         self, output: Path, pixel_count: int, shown: Step | None, tells_error: bool
     ) -> None:
-        self.samples_before: int | float = 0
+        self.samples_before = 0
         self._output = output
         self._pixel_count = pixel_count
         self._shown = shown
@@ -128,11 +128,9 @@ class PathProgress:
         """Report progress: paths done, and paths in total."""
         if self._is_first:
             self._is_first = False
-            whole, rest = divmod(done, self._pixel_count)
-            self.samples_before = done / self._pixel_count if rest else whole
+            self.samples_before = done // self._pixel_count
             if self.samples_before:
-                count = _count_text(self.samples_before)
-                write_note(f"{self._output}: resumed from {count} samples")
+                write_note(f"{self._output}: resumed from {self.samples_before:,} samples")
         if self._shown is not None:
             self._shown(done, total)
 
@@ -144,8 +142,8 @@ class PathProgress:
 
     def count(self, image: Image) -> int:
         """Return the number of paths traced in this run."""
-        samples: float = image.figures["samples"] - self.samples_before
-        return round(samples * self._pixel_count)
+        samples: int = image.figures["samples"] - self.samples_before
+        return samples * self._pixel_count
 
     def figures(self, image: Image) -> dict[str, Any]:
         """Return samples, error and passes, if there are any, for ``--json``.
@@ -164,15 +162,10 @@ class PathProgress:
     def text(self, image: Image) -> str:
         """Format samples and error for the console."""
         taken = image.figures["samples"]
-        counts = f"{_count_text(taken)} sample{'s' if taken > 1 else ''}"
+        counts = f"{taken:,} sample{'s' if taken > 1 else ''}"
         return ", ".join(filter(None, (counts, self._error_text(image))))
 
     def _error_text(self, image: Image) -> str:
         """The error, or nothing if it is unknown or not to be told."""
         error = image.figures["error"]
         return f"error {error:.2%}" if self._tells_error and math.isfinite(error) else ""
-
-
-def _count_text(samples: int | float) -> str:
-    """Format a number of samples, which is a mean if it is not an int."""
-    return f"{samples:,}" if isinstance(samples, int) else f"{samples:,.1f}"

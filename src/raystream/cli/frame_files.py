@@ -46,8 +46,10 @@ class AnimationOptions:
         ),
     ] = None
 
-    def is_animation(self, output: Path) -> bool:
+    def is_animation(self, output: Path | None) -> bool:
         """Whether an animation is requested: by ``--frames``, a pattern or a video."""
+        if output is None:
+            return self.frames is not None
         return (
             self.frames is not None
             or output.suffix.lower() in VIDEOS

@@ -39,7 +39,7 @@ class HeatmapOptions:
     maximum: Annotated[
         float | None,
         typer.Option(
-            help="With --heatmap: the top of the scale [default: the largest count]",
+            help="With --heatmap: top of the scale [default: the largest count]",
             metavar="COUNT",
             callback=options.positive,
         ),

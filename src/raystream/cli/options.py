@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 import typer
 
-from raystream.cli.console import BadInputError
+from raystream.cli.console import BadInputError, refuse
 
 __all__ = [
     "DEFAULT_MACHINES",
@@ -35,6 +35,7 @@ __all__ = [
     "SceneOptions",
     "Threads",
     "check_output",
+    "check_replaced",
     "check_suffix",
     "choice",
     "complete",
@@ -196,6 +197,33 @@ def check_output(path: Path, suffixes: Sequence[str], inputs: Sequence[str] = ()
         raise BadInputError(f"{path}: the folder {folder} is not writable")
     if path.exists() and any(os.path.exists(name) and path.samefile(name) for name in inputs):
         raise BadInputError(f"{path}: is an input and would be overwritten")
+
+
+def check_replaced(path: Path, force: bool) -> None:
+    """Check that an image or a video may be written, where there may be another file.
+
+    Parameters
+    ----------
+    path : Path
+    force : bool
+        Whether any file is replaced.
+
+    Raises
+    ------
+    BadInputError
+        If there is a file, not empty, that raystream did not write.
+    """
+    if force or not path.is_file():
+        return
+    from raystream.rendering.software_tag import is_tagged
+
+    with refuse(OSError, where=str(path)):
+        if path.stat().st_size == 0 or is_tagged(path):
+            return
+    raise BadInputError(
+        f"{path}: exists, and was not written by raystream; choose another --output, or pass "
+        "--force to replace it"
+    )
 
 
 def check_suffix(path: Path, suffixes: Sequence[str], purpose: str) -> None:

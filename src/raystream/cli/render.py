@@ -69,7 +69,7 @@ def render(
 
 def _render_image(job: RenderJob, json: bool) -> None:
     """Render one image or heat map, and print its figures."""
-    asked, output, (width, height) = job.image, job.image.output, job.size
+    asked, output, (width, height) = job.image, job.output, job.size
     what = asked.heat.heatmap
     has_file = what is None and output != STDOUT
     checkpoint = checkpoint_path(output, asked.resume) if has_file else None

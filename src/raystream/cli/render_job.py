@@ -44,15 +44,19 @@ class ImageOptions:
     """Options of an image or of the frames of an animation."""
 
     output: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="FILE",
             help="Output file: .png, .exr or .hdr, or - for a PNG on stdout; frames and videos "
-            "with --frames.",
+            "with --frames. [default: SCENE.png]",
         ),
-    ] = Path("out.png")
+    ] = None
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Replace an output file that raystream did not write."),
+    ] = False
     mode: Annotated[
         str | None,
         options.choice(
@@ -116,6 +120,7 @@ class RenderJob:
     ----------
     scene : str
     image : ImageOptions
+    output : Path
     loading : SceneOptions
     workers : ClusterOptions
     chosen : TracerArguments
@@ -128,6 +133,7 @@ class RenderJob:
 
     scene: str
     image: ImageOptions
+    output: Path
     loading: options.SceneOptions
     workers: ClusterOptions
     chosen: TracerArguments
@@ -158,14 +164,17 @@ class RenderJob:
             If options are invalid or contradict each other.
         """
         size = width, height = options.parse_size(image.size)
-        if not (image.is_animation or image.output == STDOUT):
-            inputs = [scene, str(image.lighting.environment or scene)]
-            options.check_output(image.output, IMAGES, inputs)
+        output = image.output or _default_output(scene)
+        if output != STDOUT:
+            if not image.is_animation:
+                inputs = [scene, str(image.lighting.environment or scene)]
+                options.check_output(output, IMAGES, inputs)
+            options.check_replaced(output, image.force)
         chosen = tracing.arguments()
         mode = image.mode or options.DEFAULT_MODE
         is_image = image.heat.heatmap is None
         layers = image.layers.select(
-            image.output, is_image and is_denoised(mode, image.sampling), is_preview(image.sampling)
+            output, is_image and is_denoised(mode, image.sampling), is_preview(image.sampling)
         )
         image.lighting.check()
         if image.is_animation:
@@ -184,12 +193,18 @@ class RenderJob:
             arguments = mode_arguments(mode, image.sampling, chosen.options)
             arguments["lights"] = image.lighting.lights or options.LIGHTS[0]
             arguments["layers"] = layers.rendered
-        return cls(scene, image, loading, workers, chosen, mode, size, layers, arguments)
+        return cls(scene, image, output, loading, workers, chosen, mode, size, layers, arguments)
 
     def view(self, scene: Scene) -> tuple[Scene, Camera]:
         """Return a scene with the chosen one of its cameras, and that camera as changed."""
         width, height = self.size
         return self.image.view.of(scene, width / height)
+
+
+def _default_output(scene: str) -> Path:
+    """The name of a scene with ``.png``: of ``city:1000`` and ``a/city.obj.gz``, ``city.png``."""
+    name = Path(scene).name.partition(":")[0].removesuffix(".gz")
+    return Path(f"{Path(name).stem or 'image'}.png")
 
 
 def _refuse_beside_frames(given: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from raystream.cluster.errors import ClusterError
 from raystream.cluster.samples import Samples, image_spec
 from raystream.cluster.tracer_bundles import pack_tracer
 from raystream.cluster.uploader import uploader_of
-from raystream.core.choices import Cpu, DeviceOptions
+from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_size
 from raystream.rendering.image import Image
@@ -118,11 +118,8 @@ def render(
     own = renderer.complete({name: options.pop(name) for name in given})
     chosen = renderer.check(own)
     numbers = Sampler.of(sampler, seed, limits.samples)
-    if isinstance(scene, Scene) and (device == "cpu" or isinstance(device, Cpu)):
-        scene, structure, options = Tracer(scene, structure, **options), "bvh", {}
     bundle = pack_tracer(scene, structure, device, options, for_rendering=True)
-    # Nothing is traced in this process. Other devices than the CPU render all pixels alike.
-    is_uniform = isinstance(scene, Scene)
+    # Nothing is traced in this process.
     here = Tracer(scene, "brute") if isinstance(scene, Scene) else scene
     view = camera or here.scene.camera_for(width / height)
     context = make_context(here, view, (width, height), numbers, chosen, wanted, lights)
@@ -131,7 +128,7 @@ def render(
     with open_client(client) as found:
         uploader = uploader_of(found)
         digest = uploader.send(bundle)
-        taken = Samples(found, digest, spec, context, is_uniform)
+        taken = Samples(found, digest, spec, context, limits.samples)
         try:
             return render_samples(
                 renderer,

@@ -1,4 +1,4 @@
-"""Samples: images in tasks, each one sample of some rows or tiles."""
+"""Samples: images in tasks, each one sample of some rows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import itertools
 import json
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +19,9 @@ from raystream.cluster.tasks import OrderedTasks
 from raystream.cluster.thread_budget import shared_threads
 from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
-from raystream.rendering.adaptive import Tiles, Unit
 from raystream.rendering.integrator import RenderContext, make_context
 from raystream.rendering.render import RENDERERS
-from raystream.rendering.sample_bands import Sampled, trace_sample, trace_tiles
+from raystream.rendering.sample_bands import Sampled, trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers
 from raystream.rendering.view_light import lit
@@ -31,7 +30,7 @@ from raystream.scene.camera import Camera
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Samples", "image_spec", "trace_part"]
+__all__ = ["Samples", "image_spec", "trace_rows"]
 
 #: Maximum pixels per task: some megabytes of light, and a few seconds of work at most.
 TASK_PIXELS = 1 << 19
@@ -46,10 +45,7 @@ MIN_TASKS_PER_THREAD = 4
 #: Cached contexts per process.
 _contexts = OnceCache(2)
 
-PartSamples = tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]
-
-#: Rows, or tiles.
-Part = range | NDArray[np.int64]
+RowSamples = tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]
 
 
 def image_spec(
@@ -85,8 +81,8 @@ def image_spec(
     )
 
 
-def trace_part(digest: str, image_spec: str, samples: NDArray[np.int64], part: Part) -> PartSamples:
-    """Trace one sample of the pixels of some rows or tiles, on a worker.
+def trace_rows(digest: str, image_spec: str, sample: int, first: int, end: int) -> RowSamples:
+    """Trace one sample of the pixels of some rows, on a worker.
 
     Parameters
     ----------
@@ -94,24 +90,21 @@ def trace_part(digest: str, image_spec: str, samples: NDArray[np.int64], part: P
         Bundle of a tracer with its scene.
     image_spec : str
         See `image_spec`.
-    samples : ndarray of int64
-        Its number in the rows, or in each of the tiles.
-    part : range or ndarray of int64
-        Rows, or tiles.
+    sample : int
+        Its number.
+    first, end : int
+        Rows.
 
     Returns
     -------
-    light : ndarray of shape (P, 3), float32
+    light : ndarray of shape (R * W, 3), float32
     seen : tuple of ndarray, or None
         As `AovBuffers`.
     """
     with shared_threads():
         context = _contexts.get((digest, image_spec), lambda: _context(digest, image_spec))
         renderer = RENDERERS[json.loads(image_spec)["mode"]]
-        if isinstance(part, range):
-            light, seen = trace_sample(renderer, context, int(samples[0]), rows=part)
-        else:
-            ((light, seen),) = trace_tiles(renderer, context, [Unit(samples, part)])
+        light, seen = trace_sample(renderer, context, sample, rows=range(first, end))
     return light, None if seen is None else tuple(seen)
 
 
@@ -134,7 +127,7 @@ def _context(digest: str, image_spec: str) -> RenderContext:
 
 
 class Samples:
-    """Samples of an image in order, assembled from the parts that workers trace.
+    """Samples of an image in order, assembled from the rows that workers trace.
 
     A `SampleSource` of `render_samples`.
 
@@ -142,11 +135,11 @@ class Samples:
     ----------
     client : distributed.Client
     digest, image_spec : str
-        See `trace_part`.
+        See `trace_rows`.
     context : RenderContext
         Determines the size and the layers.
-    is_uniform : bool
-        See `SampleSource`.
+    sample_count : int
+        Samples per pixel, at most.
     """
 
     def __init__(
@@ -155,49 +148,30 @@ class Samples:
         digest: str,
         image_spec: str,
         context: RenderContext,
-        is_uniform: bool,
+        sample_count: int,
     ) -> None:
-        self.is_uniform = is_uniform
         self._client = client
         self._of = digest, image_spec
         self._width, self._height = context.width, context.height
-        self._tiles = Tiles(context.width, context.height)
         self._has_layers = bool(context.layers)
-        self._units: Iterator[Unit] = iter(())
+        self._sample_count = sample_count
         self._tasks: OrderedTasks | None = None
-        self._parts_per_pixel = 0.0
+        self._bands: list[range] = []
 
-    def begin(self, units: Iterable[Unit], path_count: int) -> None:
-        """Trace units next, in their order; see `SampleSource`."""
-        self.close()
-        threads = thread_total(self._client)
-        least = MIN_TASKS_PER_THREAD * threads / path_count
-        self._parts_per_pixel = max(1 / TASK_PIXELS, least)
-        self._units, announced = itertools.tee(units)
-        self._tasks = OrderedTasks(
-            self._client,
-            trace_part,
-            ((*self._of, *part) for unit in announced for part in self._parts(unit)),
-            TASKS_PER_THREAD * threads,
-            "samples",
-        )
-
-    def take(self, progress: Progress | None) -> Sampled:
-        """Return the next unit; see `SampleSource`."""
-        assert self._tasks is not None, "begin comes first"
-        unit = next(self._units)
-        count = self._pixels_of(unit)
+    def take(self, sample: int, progress: Progress | None) -> Sampled:
+        """Return the next sample of the image; see `SampleSource`."""
+        if self._tasks is None:
+            self._tasks = self._begin(sample)
+        count = self._width * self._height
         light = np.empty((count, 3), np.float32)
         seen = AovBuffers.empty(count) if self._has_layers else None
-        first = 0
-        for _ in self._parts(unit):
+        for band in self._bands:
             own, own_seen = next(self._tasks)
-            end = first + len(own)
+            first, end = band.start * self._width, band.stop * self._width
             light[first:end] = own
             if seen is not None and own_seen is not None:
                 for to, values in zip(seen.part(first, end), own_seen, strict=True):
                     to[:] = values
-            first = end
             if progress is not None:
                 progress(end, count)
         return light, seen
@@ -207,15 +181,21 @@ class Samples:
         if self._tasks is not None:
             self._tasks.close()
 
-    def _pixels_of(self, unit: Unit) -> int:
-        return self._tiles.size_of(unit) if len(unit.tiles) else self._width * self._height
+    def _begin(self, first: int) -> OrderedTasks:
+        """Divide the image into bands, and trace samples from the first one on."""
+        threads = thread_total(self._client)
+        left = self._sample_count - first
+        count = max(
+            math.ceil(self._width * self._height / TASK_PIXELS),
+            math.ceil(MIN_TASKS_PER_THREAD * threads / left),
+        )
+        count = min(count, self._height)
+        ends = [self._height * i // count for i in range(count + 1)]
+        self._bands = [range(a, b) for a, b in itertools.pairwise(ends)]
+        window = TASKS_PER_THREAD * threads
+        return OrderedTasks(self._client, trace_rows, self._calls(first), window, "samples")
 
-    def _parts(self, unit: Unit) -> list[tuple[NDArray[np.int64], Part]]:
-        """A unit's samples with its rows or tiles, in parts for one task each."""
-        count = math.ceil(self._pixels_of(unit) * self._parts_per_pixel)
-        length = len(unit.tiles) or self._height
-        count = min(count, length)
-        ends = [length * i // count for i in range(count + 1)]
-        if len(unit.tiles):
-            return [(unit.samples[a:b], unit.tiles[a:b]) for a, b in itertools.pairwise(ends)]
-        return [(unit.samples, range(a, b)) for a, b in itertools.pairwise(ends)]
+    def _calls(self, first: int) -> Iterator[tuple[Any, ...]]:
+        for sample in range(first, self._sample_count):
+            for band in self._bands:
+                yield (*self._of, sample, band.start, band.stop)

@@ -14,6 +14,7 @@ from raystream.core.errors import FileFormatError
 from raystream.core.memory import check_memory
 from raystream.rendering.arguments import MAX_PIXELS
 from raystream.rendering.layers import channels_of, layers_of
+from raystream.rendering.software_tag import SOFTWARE
 
 __all__ = ["read_exr", "write_exr"]
 
@@ -50,7 +51,11 @@ def write_exr(path: str, pixels: NDArray[np.float32], layers: Mapping[str, NDArr
             raise ValueError(f"layers: two have the channel {name!r}")
         plane = np.ascontiguousarray(plane)
         channels[name] = plane.view(np.uint32) if plane.dtype == np.int32 else plane
-    header = {"compression": openexr.ZIP_COMPRESSION, "type": openexr.scanlineimage}
+    header = {
+        "compression": openexr.ZIP_COMPRESSION,
+        "type": openexr.scanlineimage,
+        "software": SOFTWARE,
+    }
     with openexr.File(header, channels) as file:
         file.write(path)
 

@@ -33,10 +33,7 @@ _BYTES_PER_PIXEL = 56
 _ADDED_PIXELS = 1 << 14
 
 #: Names of a checkpoint's arrays, apart from those of layers.
-_SUM, _SQUARES, _COUNTS, _TARGETS = "sum", "squares", "counts", "targets"
-
-#: The first of consecutive pixels, or each of some.
-Pixels = int | NDArray[np.int64]
+_SUM, _SQUARES, _COUNTS = "sum", "squares", "counts"
 
 
 class Film:
@@ -57,8 +54,6 @@ class Film:
         Samples of each pixel.
     dropped : int
         Number of samples that were not finite; they count as black.
-    targets : ndarray of shape (T,), int64, optional
-        Target numbers of samples of the tiles in the current round, see `adaptive.Rounds`.
 
     Raises
     ------
@@ -76,18 +71,16 @@ class Film:
         self._squares = np.zeros((pixel_count, 3))
         self.counts: NDArray[np.int64] = np.zeros(pixel_count, np.int64)
         self.dropped = 0
-        self.targets: NDArray[np.int64] | None = None
         self._layers: dict[str, _Layer] = {}
         self._lock = threading.Lock()
 
-    def add_samples(self, pixels: Pixels, radiance: NDArray[Any]) -> None:
-        """Add a sample, or several, to each of N pixels, on all threads.
+    def add_samples(self, first_pixel: int, radiance: NDArray[Any]) -> None:
+        """Add a sample, or several, to each of N consecutive pixels, on all threads.
 
         Parameters
         ----------
-        pixels : int or ndarray of shape (N,), int64
-            Row times width plus column: the first of consecutive pixels, which may continue in
-            the next rows, or N different pixels.
+        first_pixel : int
+            Row times width plus column. Pixels may continue in the next rows.
         radiance : ndarray of shape (N, 3) or (S, N, 3), float32
             Linear RGB. A sample that is not finite in all channels counts as black.
 
@@ -99,29 +92,25 @@ class Film:
         if radiance.ndim not in (2, 3) or radiance.shape[-1] != 3:
             raise ValueError(f"radiance: expected shape (N, 3) or (S, N, 3), got {radiance.shape}")
         count = radiance.shape[-2]
-        chosen = self._chosen(pixels, count)
+        pixels = self._pixels(first_pixel, count)
         light = np.ascontiguousarray(radiance, np.float32).reshape(-1, count, 3)
-        sums = self._sum, self._squares, self.counts
+        sums = self._sum[pixels], self._squares[pixels], self.counts[pixels]
 
         def add(begin: int, end: int) -> None:
-            if isinstance(chosen, slice):
-                numbers = np.arange(chosen.start + begin, chosen.start + end)
-            else:
-                numbers = chosen[begin:end]
-            dropped = add_light(begin, numbers, light, *sums)
+            dropped = add_light(begin, end, light, *sums)
             if dropped:
                 with self._lock:
                     self.dropped += dropped
 
         parallel_for(add, count, _ADDED_PIXELS)
 
-    def set_layer(self, name: str, pixels: Pixels, values: NDArray[Any]) -> None:
-        """Add one sample of a layer to each of N pixels.
+    def set_layer(self, name: str, first_pixel: int, values: NDArray[Any]) -> None:
+        """Add one sample of a layer to each of N consecutive pixels.
 
         Parameters
         ----------
         name : {"depth", "normal", "albedo", "prim_id", "emission"}
-        pixels : int or ndarray of shape (N,), int64
+        first_pixel : int
             As in `add_samples`.
         values : ndarray of shape (N,), or (N, 3) for normal, albedo and emission
             The layer is their mean over samples, or the first one for prim_id. Other values
@@ -139,11 +128,11 @@ class Film:
         if values.ndim < 1 or values.shape[1:] != kind.shape:
             expected = "(N,)" if kind.width == 1 else "(N, 3)"
             raise ValueError(f"{name}: expected shape {expected}, got {values.shape}")
-        chosen = self._chosen(pixels, len(values))
+        pixels = self._pixels(first_pixel, len(values))
         with self._lock:
             if name not in self._layers:
                 self._layers[name] = _Layer(kind, len(self.counts))
-        self._layers[name].add(chosen, values)
+        self._layers[name].add(pixels, values)
 
     def mean(self) -> NDArray[np.float32]:
         """The mean of the samples: shape (H, W, 3), float32; black without samples."""
@@ -171,11 +160,6 @@ class Film:
         np.maximum(variance, 0.0, out=variance)  # rounding
         variance[self.counts < 2] = np.inf
         return variance
-
-    def deviation(self) -> NDArray[np.float64]:
-        """Standard deviation of a pixel's samples, over all channels: shape (H * W,)."""
-        variance: NDArray[np.float64] = self._variance().mean(axis=1) * self.counts
-        return np.sqrt(variance)
 
     def error(self) -> float:
         """Estimate of the image's relative error.
@@ -238,8 +222,6 @@ class Film:
         for name, layer in self._layers.items():
             arrays[f"{name}_{_SUM}"] = layer.sum
             arrays[f"{name}_{_COUNTS}"] = layer.counts
-        if self.targets is not None:
-            arrays[_TARGETS] = self.targets
         write_npz(path, arrays)
 
     @classmethod
@@ -271,9 +253,6 @@ class Film:
         sums._sum = file.take(_SUM, (pixel_count, 3), np.float64)
         sums._squares = file.take(_SQUARES, (pixel_count, 3), np.float64, least=0)
         sums.dropped = int(file.take("dropped", (1,), np.int64, least=0).item())
-        if _TARGETS in file.arrays:
-            length = file.arrays[_TARGETS].size
-            sums.targets = file.take(_TARGETS, (length,), np.int64, least=0)
         for name, kind in LAYERS.items():
             if f"{name}_{_SUM}" in file.arrays:
                 layer = sums._layers[name] = _Layer(kind, pixel_count)
@@ -281,19 +260,11 @@ class Film:
                 layer.counts = file.take(f"{name}_{_COUNTS}", (pixel_count,), np.int64, least=0)
         return sums
 
-    def _chosen(self, pixels: Pixels, count: int) -> slice | NDArray[np.int64]:
-        if not isinstance(pixels, np.ndarray):
-            first, end = pixels, pixels + count
-        elif pixels.shape != (count,):
-            raise ValueError(f"pixels: expected shape ({count},), got {pixels.shape}")
-        elif count == 0:
-            first = end = 0
-        else:
-            first, end = int(pixels.min()), int(pixels.max()) + 1
-        if first < 0 or end > len(self.counts):
+    def _pixels(self, first: int, count: int) -> slice:
+        if first < 0 or first + count > len(self.counts):
             total = len(self.counts)
-            raise ValueError(f"pixels: {first} to {end} is outside 0 to {total}")
-        return pixels if isinstance(pixels, np.ndarray) else slice(first, end)
+            raise ValueError(f"first_pixel: {first} to {first + count} is outside 0 to {total}")
+        return slice(first, first + count)
 
     def __repr__(self) -> str:
         fewest, most = int(self.counts.min()), int(self.counts.max())
@@ -314,7 +285,7 @@ class _Layer:
         )
         self.counts = np.zeros(pixel_count, np.int64)
 
-    def add(self, pixels: slice | NDArray[np.int64], values: NDArray[Any]) -> None:
+    def add(self, pixels: slice, values: NDArray[Any]) -> None:
         sums, counts = self.sum[pixels], self.counts[pixels]
         if self.kind.fold == "first":
             sums[counts == 0] = values[counts == 0]
@@ -324,8 +295,6 @@ class _Layer:
             where = is_known if values.ndim == 1 else is_known[:, None]
             np.add(sums, values, out=sums, where=where)
             counts += is_known
-        if not isinstance(pixels, slice):  # these are copies
-            self.sum[pixels], self.counts[pixels] = sums, counts
 
     def values(self) -> NDArray[Any]:
         """The layer, a row per pixel."""

@@ -12,20 +12,17 @@ __all__ = ["add_light"]
 
 
 @kernel
-def add_light(begin, pixels, light, sums, squares, counts):
-    """Add samples to some pixels, in order, in an eighth of NumPy's time.
+def add_light(begin, end, light, sums, squares, counts):
+    """Add samples to pixels begin to end, in order, in an eighth of NumPy's time.
 
     Parameters
     ----------
-    begin : int
-        The column of `light` of the first pixel; the others follow.
-    pixels : ndarray of shape (K,), int64
-        All different.
+    begin, end : int
     light : ndarray of shape (S, N, 3), float32
         A sample that is not finite in all channels counts as black.
-    sums, squares : ndarray of shape (P, 3), float64
+    sums, squares : ndarray of shape (N, 3), float64
         Changed.
-    counts : ndarray of shape (P,), int64
+    counts : ndarray of shape (N,), int64
         Changed.
 
     Returns
@@ -34,11 +31,9 @@ def add_light(begin, pixels, light, sums, squares, counts):
         Number of samples that were not finite.
     """
     dropped = 0
-    for i in range(begin, begin + len(pixels)):
-        # Unsigned: Numba need not test for indices from the end.
-        pixel = np.uint64(pixels[i - begin])
-        red, green, blue = sums[pixel, 0], sums[pixel, 1], sums[pixel, 2]
-        reds, greens, blues = squares[pixel, 0], squares[pixel, 1], squares[pixel, 2]
+    for i in range(begin, end):
+        red, green, blue = sums[i, 0], sums[i, 1], sums[i, 2]
+        reds, greens, blues = squares[i, 0], squares[i, 1], squares[i, 2]
         for k in range(len(light)):
             r, g, b = (
                 np.float64(light[k, i, 0]),
@@ -54,7 +49,7 @@ def add_light(begin, pixels, light, sums, squares, counts):
             reds += r * r
             greens += g * g
             blues += b * b
-        sums[pixel, 0], sums[pixel, 1], sums[pixel, 2] = red, green, blue
-        squares[pixel, 0], squares[pixel, 1], squares[pixel, 2] = reds, greens, blues
-        counts[pixel] += len(light)
+        sums[i, 0], sums[i, 1], sums[i, 2] = red, green, blue
+        squares[i, 0], squares[i, 1], squares[i, 2] = reds, greens, blues
+        counts[i] += len(light)
     return dropped

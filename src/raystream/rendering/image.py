@@ -110,7 +110,7 @@ class Image:
         exposure: float | Literal["auto"] = 1.0,
         tone: str = "linear",
     ) -> None:
-        """Write the image to a file, atomically.
+        """Write the image to a file, atomically. The file names raystream as its software.
 
         Parameters
         ----------

@@ -216,10 +216,6 @@ class Band:
     first_pixel: int
     radiance: NDArray[np.float32]
 
-    def rows_of(self, pixels: NDArray[np.int64]) -> NDArray[np.int32]:
-        """The rows of light of pixels as in `Paths`: without the numbers of samples."""
-        return (pixels - self.first_pixel).astype(np.int32)
-
 
 @dataclass(frozen=True)
 class PathStream:
@@ -361,33 +357,6 @@ class Integrator:
             return bands.trace(self.stages, rows, sample, progress)
         size = context.width, context.height
         paths = camera_paths(context.camera, size, context.sampler, rows, sample)
-        return self.trace_paths(context, rows, sample, paths, aovs)
-
-    def trace_paths(
-        self,
-        context: RenderContext,
-        rows: range,
-        sample: int,
-        paths: Paths,
-        aovs: AovBuffers | None = None,
-    ) -> NDArray[np.float32]:
-        """Find the light of camera rays, at most one for each pixel of some rows, by queries.
-
-        Parameters
-        ----------
-        context : RenderContext
-        rows : range
-        sample : int
-            Added to the numbers that the paths have, see `Paths`.
-        paths : Paths
-        aovs : AovBuffers, optional
-            See `trace`; written where there are paths.
-
-        Returns
-        -------
-        ndarray of shape (rows * width, 3), float32
-            Linear RGB; black where there are no paths.
-        """
         radiance = np.zeros((len(rows) * context.width, 3), np.float32)
         band = Band(context, sample, rows.start * context.width, radiance)
         stream = PathStream(paths)
@@ -396,7 +365,7 @@ class Integrator:
             surfaces = surfaces_of(stream, band)
             write_aovs(surfaces.batch, surfaces.tables, aovs)
             if context.objects is not None and stream.hits is not None:  # tables of the hits
-                aovs.prim_id[band.rows_of(stream.paths.pixels)] = stream.hits.prim_id
+                aovs.prim_id[stream.paths.pixels - band.first_pixel] = stream.hits.prim_id
         while len(stream):
             for stage in self.stages:
                 stream = stage(stream, band)
@@ -420,13 +389,13 @@ def sectors_of(stream: PathStream, band: Band) -> NDArray[np.int32] | None:
     if hits is None or hits.sectors is None:
         return None
     sectors = np.full(len(band.radiance), -1, np.int32)
-    sectors[band.rows_of(stream.paths.pixels)] = hits.sectors
+    sectors[stream.paths.pixels - band.first_pixel] = hits.sectors
     return sectors
 
 
 def _starts(stream: PathStream, pixels: NDArray[np.int64], band: Band) -> NDArray[np.int32] | None:
     """The sectors in which rays of some pixels begin, as far as they are known."""
-    return None if stream.sectors is None else stream.sectors[band.rows_of(pixels)]
+    return None if stream.sectors is None else stream.sectors[pixels - band.first_pixel]
 
 
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:
@@ -435,7 +404,7 @@ def find_surfaces(stream: PathStream, band: Band) -> PathStream:
         return stream
     context, rays = band.context, (stream.paths.origins, stream.paths.directions)
     near, filter_ = _starts(stream, stream.paths.pixels, band), context.filter(*rays)
-    if stream.bounce == 0 and _is_rows(stream.paths.pixels, context.width):
+    if stream.bounce == 0:  # all pixels of some rows
         # Nothing need look for the rows: two kernels less for a first image to compile.
         shape = -1, context.width, 3
         rows = (values.reshape(shape) for values in rays)
@@ -443,15 +412,6 @@ def find_surfaces(stream: PathStream, band: Band) -> PathStream:
         return replace(stream, hits=hits.ravel())
     hits = context.tracer.first_hit(*rays, on_hit=filter_, near=near)
     return replace(stream, hits=hits)
-
-
-def _is_rows(pixels: NDArray[np.int64], width: int) -> bool:
-    """Whether these are all pixels of some rows of an image; a wrong answer costs time only."""
-    count = len(pixels)
-    if count == 0 or count % width or pixels[0] % width:
-        return False
-    # Those of tiles are as many, but not one after another.
-    return bool(pixels[-1] - pixels[0] == count - 1 and pixels[width - 1] == pixels[0] + width - 1)
 
 
 def trace_shadow_rays(stream: PathStream, band: Band) -> PathStream:

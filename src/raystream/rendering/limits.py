@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from raystream.rendering.adaptive import FIRST_SAMPLES
 from raystream.rendering.film import Film
 
-__all__ = ["Limits", "Pace"]
+__all__ = ["FIRST_SAMPLES", "Limits", "Pace"]
+
+#: Samples of every pixel before their variance is meaningful.
+FIRST_SAMPLES = 8
 
 
 class Pace(NamedTuple):
@@ -34,7 +34,7 @@ class Pace(NamedTuple):
 
 @dataclass(frozen=True)
 class Limits:
-    """When rendering stops: at the first limit reached.
+    """When rendering stops: at the first limit reached, with equal samples for all pixels.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class Limits:
     noise : float, optional
         Relative error of the image, see `Film.error`; tested from 8 samples on.
     seconds : float, optional
-        Whole samples of the image are traced, or passes of tiles, which take about as long: at
-        least one in all, and as many as end nearest to the limit. Samples of a cluster or of a
-        multipass machine that have begun are finished. Time before an interruption does not count.
+        Whole samples of the image are traced: at least one, and as many as end nearest to the
+        limit. Samples of a cluster or of a multipass machine that have begun are finished. Time
+        before an interruption does not count.
     """
 
     samples: int
@@ -71,24 +71,24 @@ class Limits:
         pace : Pace, optional
             None while time does not matter: only the other limits are tested.
         """
-        done, fewest = int(sums.counts.sum()), int(sums.counts.min())
-        if fewest >= self.samples:
+        pixel_count, taken = len(sums.counts), int(sums.counts.min())
+        done, most = taken * pixel_count, self.samples * pixel_count
+        if taken >= self.samples:
             return done
-        most = int(np.maximum(sums.counts, self.samples).sum())
         expected = float(most)
         if self.seconds is not None and pace is not None and done > 0:
             left = self.seconds - pace.seconds
             is_known = math.isfinite(pace.seconds_per_path)
-            if left <= (0.5 * pace.seconds_per_path * len(sums.counts) if is_known else 0.0):
+            if left <= (0.5 * pace.seconds_per_path * pixel_count if is_known else 0.0):
                 return done
             if done > pace.first:
                 mean = pace.seconds / (done - pace.first)
                 rate = pace.seconds_per_path if is_known else mean
                 expected = min(expected, done + left / max(rate, 1e-12))
-        if self.noise is not None and fewest >= FIRST_SAMPLES:
+        if self.noise is not None and taken >= FIRST_SAMPLES:
             error = sums.error()
             if error <= self.noise:
                 return done
             ratio = error / self.noise
             expected = min(expected, done * ratio * ratio)  # 4x the samples halve the error
-        return min(most, max(math.ceil(expected), done + len(sums.counts)))
+        return min(most, max(math.ceil(expected), done + pixel_count))

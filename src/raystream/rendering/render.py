@@ -101,9 +101,8 @@ def render(
         Seed of the samples: the same seed gives the same image, on any number of threads.
     noise, time_limit : float, optional
         Stop early once the image's estimated relative error is below `noise`, or after
-        `time_limit` seconds; see `limits.Limits`. Until then, noisy tiles of the image get more
-        samples than others, at most `samples` per pixel; see `adaptive.Rounds`. Devices other
-        than the CPU, and the multipass machine, give all pixels the same number of samples.
+        `time_limit` seconds; see `limits.Limits`. All pixels get the same number of samples, at
+        most `samples`.
     sampler : {"sobol", "stratified", "random"}
         The random number generator of samples. With `noise` or `time_limit`, "stratified" also
         needs `samples`.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import check_memory
 from raystream.rendering.rgbe_rows import BAD_RUN, BAD_WIDTH, TRUNCATED, WHOLE, unpack_rows
+from raystream.rendering.software_tag import SOFTWARE
 
 __all__ = ["read_rgbe", "write_rgbe"]
 
@@ -141,5 +142,6 @@ def write_rgbe(path: str, pixels: NDArray[np.float32]) -> None:
     encoded[:, :, 3:] = np.maximum(exponents + 128, 0)
     encoded[(most[:, :, 0] == 0.0) | (encoded[:, :, 3] == 0)] = 0
     with open(path, "wb") as file:
-        file.write(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (height, width))
+        file.write(b"#?RADIANCE\nSOFTWARE=%s\nFORMAT=32-bit_rle_rgbe\n\n" % SOFTWARE.encode())
+        file.write(b"-Y %d +X %d\n" % (height, width))
         file.write(encoded.tobytes())

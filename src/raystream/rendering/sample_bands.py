@@ -1,19 +1,18 @@
-"""Samples of an image's rows and tiles, traced in bands on all threads."""
+"""Samples of an image's rows, traced in bands on all threads."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
-from raystream.rendering.adaptive import Tiles, Unit
 from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.shading.aovs import AovBuffers
-from raystream.rendering.tile_samples import Sampled, trace_units
 
-__all__ = ["Sampled", "rows_per_band", "trace_sample", "trace_samples", "trace_tiles"]
+__all__ = ["Sampled", "rows_per_band", "trace_sample", "trace_samples"]
+
+#: A sample of some rows: its light, and its AOVs.
+Sampled = tuple[NDArray[np.float32], AovBuffers | None]
 
 #: Pixels of a band: enough for streams of rays to be worth sorting, few enough for the threads
 #: to finish together. Memory is about 300 bytes per pixel.
@@ -118,31 +117,13 @@ def trace_samples(
     return light, aovs
 
 
-def trace_tiles(
-    renderer: Integrator,
-    context: RenderContext,
-    units: Sequence[Unit],
-    progress: Progress | None = None,
-) -> list[Sampled]:
-    """Trace samples of tiles on all threads; see `trace_units`."""
-    tiles = Tiles(context.width, context.height)
-    path_count = sum(tiles.size_of(unit) for unit in units)
-    at_once = _pixels_per_band(renderer, context, path_count)
-    return trace_units(renderer, context, units, at_once, progress)
-
-
 def rows_per_band(renderer: Integrator, context: RenderContext, rows: int, samples: int = 1) -> int:
     """Number of rows in a band, for some samples of an image of `rows` rows."""
     bands = renderer.bands_of(context)
-    if bands is not None:
-        pixels = bands.pixels_at_once(renderer.stages, max(renderer.rays_per_pixel(context), 1))
-    else:
-        pixels = _pixels_per_band(renderer, context, context.width * rows * samples)
-    return max(1, pixels // context.width)
-
-
-def _pixels_per_band(renderer: Integrator, context: RenderContext, paths: int) -> int:
-    """Number of pixels that a thread traces at once on the host, of `paths` in total."""
-    share = -(-paths // (4 * thread_count()))
     per_pixel = max(renderer.rays_per_pixel(context), 1)
-    return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+    if bands is not None:
+        pixels = bands.pixels_at_once(renderer.stages, per_pixel)
+    else:
+        share = -(-context.width * rows * samples // (4 * thread_count()))
+        pixels = min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+    return max(1, pixels // context.width)

@@ -57,12 +57,18 @@ class SampleFile(PathLike[str]):
         Raises
         ------
         FileFormatError
-            If the file is corrupt, or of another image.
+            If the file is corrupt, of another image, or has unequal numbers of samples, as files
+            of earlier versions may.
         """
         self._identity = cache(lambda: identity(renderer, context))
         if not Path(self._path).exists():
             return None
-        return Film.load(self._path, self._identity())
+        film = Film.load(self._path, self._identity())
+        is_whole = (film.width, film.height) == (context.width, context.height)
+        if not is_whole or film.counts.min() < film.counts.max():
+            reason = "does not hold the same number of samples for every pixel of the image"
+            raise FileFormatError(self._path, reason)
+        return film
 
     def save(self, sums: Film) -> None:
         """Write a film; raises OSError on failure."""

@@ -17,6 +17,8 @@ from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import RaystreamError
 from raystream.core.memory import check_memory
 from raystream.rendering.image import Image
+from raystream.rendering.png import png_tag
+from raystream.rendering.software_tag import SOFTWARE
 
 __all__ = ["VIDEO_SUFFIXES", "check_video", "write_video"]
 
@@ -128,6 +130,7 @@ def _encoded(images: Iterable[Image | Bytes], exposure: float, tone: str) -> Ite
 
 
 def _write_with_pillow(target: Path, arrays: Iterator[Bytes], fps: float) -> None:
+    from PIL import ExifTags
     from PIL import Image as Pillow
 
     kind, _ = _BY_PILLOW[target.suffix.lower()]
@@ -139,10 +142,16 @@ def _write_with_pillow(target: Path, arrays: Iterator[Bytes], fps: float) -> Non
         lengths = [end - begin for begin, end in zip([0, *ends], ends, strict=False)]
         options["duration"] = [10 * max(_MIN_GIF_FRAME, length) for length in lengths]
         options["disposal"] = 1
-    else:
-        options["duration"] = 1000.0 / fps if kind == "PNG" else max(1, round(1000.0 / fps))
-    if kind == "WEBP":
+        options["comment"] = SOFTWARE.encode()
+    elif kind == "WEBP":
+        options["duration"] = max(1, round(1000.0 / fps))
         options["quality"] = 90
+        exif = Pillow.Exif()
+        exif[ExifTags.Base.Software] = SOFTWARE
+        options["exif"] = exif.tobytes()
+    else:
+        options["duration"] = 1000.0 / fps
+        options["pnginfo"] = png_tag()
     images[0].save(target, format=kind, save_all=True, append_images=images[1:], loop=0, **options)
 
 
@@ -166,7 +175,7 @@ def _write_with_ffmpeg(name: Path, target: Path, arrays: Iterator[Bytes], fps: f
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-video_size", f"{width}x{height}"]
     command += ["-framerate", f"{fps:.6f}", "-i", "pipe:0"]
     command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]
-    command += [f"file:{target.absolute()}"]
+    command += ["-metadata", f"comment={SOFTWARE}", f"file:{target.absolute()}"]
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors

@@ -67,7 +67,7 @@ def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         found = thickness(context.tracer, paths.origins, directions)
         passed = attenuation(found, context.options["absorption"], incomplete="ignore")
-        band.radiance[band.rows_of(paths.pixels)] += passed[:, None].astype(np.float32)
+        band.radiance[paths.pixels - band.first_pixel] += passed[:, None].astype(np.float32)
     return PathStream(paths.first(0))
 
 

@@ -28,7 +28,6 @@ from raystream.rendering.shading.streams import (
     append_rows,
     batch_addresses,
     direction_of,
-    sample_of,
     weights_of,
 )
 from raystream.rendering.shading.surface_points import surface_point, world_position
@@ -98,7 +97,7 @@ def spawn_path_ao_rays(i, batch, tables, sample, options, rays):
         point.z + point.offset * point.gz,
     )
     lanes = lane_numbers(i32x16)
-    first_sample = as_uint32(np.int64(sample_of(pixel_id, sample.number)) * count)
+    first_sample = as_uint32(sample.number * count)
     for first in range(0, count, lane_count(lanes)):
         j = lanes + as_int32(first)
         samples = as_uint32(j) + first_sample

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import as_uint32
 from raystream.rendering.shading.bsdf import diffuse_albedo, glossy_albedo, lobes_at
 from raystream.rendering.shading.streams import addresses_of, direction_of
 from raystream.rendering.shading.surface_points import surface_point
@@ -71,7 +70,7 @@ def write_aovs(batch, tables, aovs):
     ts, us, vs, prim_ids = batch.hits
     pixels, paths = batch.paths.pixels, addresses_of(batch.paths)
     for i in range(np.uint64(batch.path_count)):
-        pixel = np.uint64(as_uint32(pixels[i] - batch.first_pixel))
+        pixel = np.uint64(pixels[i] - batch.first_pixel)
         aovs.prim_id[pixel] = prim_ids[i]
         if prim_ids[i] < 0:
             aovs.depth[pixel] = np.float32(np.inf)

@@ -25,18 +25,15 @@ from raystream.jit.simd import (
 from raystream.rendering.sampling.sampler import draw_pair_lanes
 from raystream.rendering.sampling.warp import disk
 from raystream.rendering.shading.rows import put_vectors
-from raystream.rendering.shading.streams import PIXEL_BITS, StreamAddresses, addresses_of
+from raystream.rendering.shading.streams import addresses_of
 from raystream.scene.camera import Camera
 
-__all__ = ["View", "camera_ray_block", "generate_camera_rays", "generate_tile_rays", "view_of"]
+__all__ = ["View", "camera_ray_block", "generate_camera_rays", "view_of"]
 
 _HALF, _WHOLE, _INF = np.float32(0.5), np.float32(1.0), np.float32(np.inf)
 
 #: Of vectors.
 _LANES = 16
-
-# Bytes of a row of int64, of three float64, of three float32, and of one.
-_LONG, _POSITION, _VECTOR, _WORD = np.uint64(8), np.uint64(24), np.uint64(12), np.uint64(4)
 
 Vector = tuple[float, float, float]
 
@@ -160,48 +157,3 @@ def generate_camera_rays(view, first_row, row_count, sampler, sample, paths):
     for row in range(row_count):
         for first in range(0, view.width, _LANES):
             camera_ray_block(view, first_row, row, first, sampler, sample, addresses_of(paths))
-
-
-@kernel
-def generate_tile_rays(view, tiles, samples, sampler, paths):
-    """Generate a camera ray for each pixel of some tiles, with the bits of `generate_camera_rays`.
-
-    Parameters
-    ----------
-    view : View
-    tiles : ndarray of shape (T, 4), int64
-        First column and row of each, its width and its height.
-    samples : ndarray of shape (T,), int64
-        Their numbers.
-    sampler : Sampler
-    paths : Paths
-        One for each pixel, tile by tile and row by row; written, with the numbers of samples.
-    """
-    for i in range(len(paths.pixels)):
-        paths.weights[i, 0] = paths.weights[i, 1] = paths.weights[i, 2] = _WHOLE
-        paths.pdfs[i] = _INF
-    columns, end = addresses_of(paths), 0
-    for k in range(len(tiles)):
-        x, y, width, height = tiles[k, 0], tiles[k, 1], tiles[k, 2], tiles[k, 3]
-        first = end
-        for row in range(y, y + height):
-            for column in range(0, width, _LANES):
-                # Lanes beyond the tile write rows that the next ones overwrite, or the slack.
-                at = end + column
-                shifted = _rows_from(columns, np.uint64(at - (x + column)))
-                camera_ray_block(view, row, 0, x + column, sampler, samples[k], shifted)
-            end += width
-        for i in range(first, end):
-            paths.pixels[i] |= samples[k] << PIXEL_BITS
-
-
-@device
-def _rows_from(columns, first):
-    """The addresses of a stream's columns from a row on, which may be before the first."""
-    return StreamAddresses(
-        columns.pixels + first * _LONG,
-        columns.origins + first * _POSITION,
-        columns.directions + first * _VECTOR,
-        columns.colors + first * _VECTOR,
-        columns.numbers + first * _WORD,
-    )

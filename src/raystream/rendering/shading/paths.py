@@ -28,6 +28,7 @@ from raystream.jit.simd import (
     minimum,
     select,
     square_root,
+    u32x16,
     widen,
 )
 from raystream.rendering.sampling.sampler import draw_lanes, draw_pair_lanes
@@ -46,7 +47,6 @@ from raystream.rendering.shading.streams import (
     append_rows,
     batch_addresses,
     block_rows,
-    sample_of,
 )
 from raystream.rendering.shading.surface_points import spawn_origin, surface_points
 from raystream.rendering.shading.tables import ABSORBS
@@ -164,13 +164,13 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, options, onwa
     """
     paths, hits, radiance = batch.paths, batch.hits, batch.radiance
     sampler, dimension = sample.sampler, _FIRST_DIMENSION + _DIMENSIONS * bounce
+    samples = u32x16(as_uint32(sample.number))
     # The first surface's light is what it emits, samples, or finds with the next ray.
     most_found = options.clamp if bounce > _1 else _INF
     most_sampled = options.clamp if bounce > _0 else _INF
     row, is_path = block_rows(first, batch)
     pixels = gather(np.int64, paths.pixels, row)
     pixel, key = as_int32(pixels - batch.first_pixel), as_uint32(pixels)
-    samples = sample_of(pixels, sample.number)
     weights = vector_at(paths.colors, row)
     dx, dy, dz = vector_at(paths.directions, row)
     pdf = gather(np.float32, paths.numbers, row)

@@ -12,7 +12,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import (
     address,
     as_int32,
-    as_uint32,
     i32x16,
     lane_numbers,
     mask_bits,
@@ -31,7 +30,6 @@ from raystream.rendering.shading.rows import (
 )
 
 __all__ = [
-    "PIXEL_BITS",
     "SLACK",
     "Paths",
     "ShadingBatch",
@@ -46,14 +44,10 @@ __all__ = [
     "direction_of",
     "empty_columns",
     "put_row",
-    "sample_of",
     "weights_of",
 ]
 
 _1, _ONE = np.int32(1), np.uint64(1)
-
-#: Bits of `Paths.pixels` below those of the sample.
-PIXEL_BITS = np.int64(32)
 
 #: Rows behind the last one of arrays that kernels write to, since they write whole vectors.
 SLACK = 16
@@ -65,7 +59,6 @@ class Paths(NamedTuple):
     Attributes
     ----------
     pixels : ndarray of shape (N,), int64
-        The lower 32 bits are the pixel, the upper ones are added to the number of its sample.
     origins : ndarray of shape (N, 3), float64
         World space.
     directions : ndarray of shape (N, 3), float32
@@ -154,12 +147,6 @@ def empty_columns(count: int) -> list[NDArray[Any]]:
     directions, colors = (np.empty((rows, 3), np.float32) for _ in range(2))
     numbers = np.empty(rows, np.float32)
     return [array[:count] for array in (pixels, origins, directions, colors, numbers)]
-
-
-@device
-def sample_of(pixels, number):
-    """Numbers of paths' samples, from `Paths.pixels` and the number of their band."""
-    return as_uint32((pixels >> PIXEL_BITS) + np.int64(number))
 
 
 @device
