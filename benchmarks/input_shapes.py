@@ -76,7 +76,7 @@ def measure(scene, width, height, rounds):
     ]
     contenders = [(name, group, tracer, rays) for name, group, *rays in batches]
     unordered = next(rays for name, _, *rays in batches if name == "random order")
-    for kernel in ("stream", "wavefront"):
+    for kernel in ("groups", "wavefront"):
         other = rs.Tracer(scene, kernel=kernel)
         contenders.append((f"random order, {kernel}", "random", other, unordered))
     seconds = [[] for _ in contenders]

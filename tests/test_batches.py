@@ -12,17 +12,15 @@ from batches import BATCHES
 from conftest import TRACERS, assert_same_bits, is_turn, tier
 from meshes import soup
 from raystream.jit.threads import parallel_for, thread_count
-from raystream.structures.bvh import stream_batch
 from test_agreement import Answers, answers_of, assert_expected
 
-#: Tracers that read rays differently: one by one, by eights, as packets, as streams, in passes.
+#: Tracers that read rays differently: one by one, by eights, as packets, as groups, in passes.
 READERS = (
     "brute",
     "bvh",
     "bvh, wavefront",
     "bvh, packets",
     "bvh, groups",
-    "bvh, streams",
     "bvh, single rays",
     "bvh, multipass",
 )
@@ -43,7 +41,7 @@ PAIRS = [
     for tracer in TRACERS
 ]
 
-KERNELS = ("auto", "wavefront", "packet", "groups", "stream", "single")
+KERNELS = ("auto", "wavefront", "packet", "groups", "single")
 
 
 @cache
@@ -161,29 +159,6 @@ def test_batches_in_a_loop_that_keeps_all_threads_busy(make_tracer):
     assert len(found) == thread_count()
     for answers in found:
         assert_expected(answers, expected)
-
-
-def test_rays_are_sorted_in_parts(monkeypatch, rng):
-    """Rays that are sorted together end where the next ones begin, and so does progress."""
-    scene = rs.Scene.from_arrays(*soup(40, 2))
-    tracer, oracle = rs.Tracer(scene, kernel="stream"), rs.Tracer(scene, "brute")
-    count = 5_003
-    origins = rng.random((count, 3)) * 3 - 1
-    rays = {"origins": origins, "directions": rng.random((count, 3)) - origins}
-    rays["directions"][::777] = 0.0  # invalid
-    rays["origins"][5::777] *= 1e9  # taken the long way
-    expected = oracle.first_hit(**rays)
-    for together in (1, 1024, 1500, count):
-        monkeypatch.setattr(stream_batch, "SORTED_RAYS", together)
-        seen = []
-        part = slice(0, 40) if together == 1 else slice(None)
-        some = {name: array[part] for name, array in rays.items()}
-        hits = tracer.first_hit(**some, progress=lambda done, total, seen=seen: seen.append(done))
-        for column in ("t", "u", "v", "prim_id", "status"):
-            assert_same_bits(getattr(hits, column), getattr(expected, column)[part])
-        assert_same_bits(tracer.any_hit(**some), expected.is_hit[part])
-        assert seen == sorted(seen)
-        assert seen[-1] == len(some["origins"])
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

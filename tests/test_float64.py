@@ -343,7 +343,7 @@ def _interrupt(done: int, total: int) -> None:
         ({"structure": "kdtree"}, "'kdtree' is not supported .* 'bvh' and 'brute'"),
         ({"machine": "multipass"}, "machine='multipass': not supported with precision='float64'"),
         ({"counters": True}, "counters=True: not supported with precision='float64'"),
-        ({"kernel": "stream"}, "kernel: 'stream' is not supported .* 'packet'"),
+        ({"kernel": "wavefront"}, "kernel: 'wavefront' is not supported .* 'packet'"),
     ],
 )
 def test_what_is_not_supported_is_named(options, message):

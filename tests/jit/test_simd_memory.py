@@ -16,7 +16,6 @@ from raystream.jit.simd import (
     f64x8,
     f64x16,
     load,
-    load_records,
     load_triples,
     scratch,
     select,
@@ -162,36 +161,33 @@ def test_load_triples():
     assert to.tolist() == points.T.tolist()
 
 
-@kernel
-def _take_records_apart(source, to):
-    vectors = load_records(f32x8, 4, address(source))
-    at = address(to)
-    store(at, vectors[0])
-    store(at + np.uint64(32), vectors[1])
-    store(at + np.uint64(64), vectors[2])
-    store(at + np.uint64(96), vectors[3])
+@device
+def _load_four(vector, rows, step):
+    at = address(rows)
+    return (
+        load(vector, at),
+        load(vector, at + step),
+        load(vector, at + step + step),
+        load(vector, at + step + step + step),
+    )
 
 
 @kernel
-def _copy_records(source, short, to):
-    store_records(address(to), load_records(f64x16, 8, address(source)))
-    store_records(address(to) + np.uint64(1024), load_records(f32x16, 16, address(short)))
-
-
-def test_load_records():
-    records = np.random.default_rng(2).random((8, 4), np.float32)
-    to = np.empty((4, 8), np.float32)
-    _take_records_apart(records, to)
-    assert to.tolist() == records.T.tolist()
+def _store_records(wide, short, to):
+    store_records(address(to), _load_four(f64x16, wide, np.uint64(128)))
+    step = np.uint64(64)
+    first, second = _load_four(f32x16, short, step), _load_four(f32x16, short[4:], step)
+    third, fourth = _load_four(f32x16, short[8:], step), _load_four(f32x16, short[12:], step)
+    store_records(address(to) + np.uint64(512), first + second + third + fourth)
 
 
 def test_store_records():
     rng = np.random.default_rng(3)
-    long, short = rng.random((16, 8)), rng.random((16, 16), np.float32)
-    to = np.empty(256)
-    _copy_records(long, short, to)
-    assert to[:128].tolist() == long.ravel().tolist()
-    assert to[128:].view(np.float32).tolist() == short.ravel().tolist()
+    wide, short = rng.random((4, 16)), rng.random((16, 16), np.float32)
+    to = np.empty(192)
+    _store_records(wide, short, to)
+    assert to[:64].tolist() == wide.T.ravel().tolist()
+    assert to[64:].view(np.float32).tolist() == short.T.ravel().tolist()
 
 
 @kernel

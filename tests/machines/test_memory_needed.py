@@ -26,7 +26,6 @@ USUAL = (
     "bvh",
     "bvh, packets",
     "bvh, groups",
-    "bvh, streams",
     "kdtree, stack",
     "graph",
     "bvh, multipass, compacting",

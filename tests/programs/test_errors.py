@@ -141,7 +141,7 @@ def raises_in_front(hit):
     return False
 
 
-@pytest.mark.parametrize("kernel", ["wavefront", "packet", "stream", "single"])
+@pytest.mark.parametrize("kernel", ["wavefront", "packet", "groups", "single"])
 def test_a_filter_raises_only_at_the_nearest_hits(kernel):
     """Whatever other hits a traversal finds, and in what order."""
     tracer = rs.Tracer(rs.Scene.from_arrays(*cube()), kernel=kernel)
@@ -159,7 +159,7 @@ def test_a_filter_raises_only_at_the_nearest_hits(kernel):
                 query(origins, toward, on_hit=raises_in_front)
 
 
-@pytest.mark.parametrize("kernel", ["wavefront", "packet", "stream", "single"])
+@pytest.mark.parametrize("kernel", ["wavefront", "packet", "groups", "single"])
 @pytest.mark.parametrize("query", ["first_hit", "any_hit"])
 def test_progress_never_decreases_when_a_filter_raises(kernel, query, monkeypatch):
     """Though the rays are traced again then, over their nearest hits."""

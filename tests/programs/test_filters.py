@@ -120,7 +120,7 @@ def by_all_numbers(hit):
     return (np.int64(key) + hit.ray) % 3 != 0
 
 
-@pytest.mark.parametrize("kernel", ["wavefront", "packet", "stream", "single"])
+@pytest.mark.parametrize("kernel", ["wavefront", "packet", "groups", "single"])
 @pytest.mark.parametrize("shape", ["image", "list"])
 def test_every_kernel_gives_filters_the_numbers_of_the_hits(kernel, shape, rng):
     """Also in tiles that are not full, and for rays from far away, at any scale."""

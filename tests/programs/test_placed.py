@@ -116,7 +116,7 @@ def test_the_front_is_outside_of_mirrored_instances(structure, rng) -> None:
     assert_queries(tracer, rays, rows_of(splits, columns, keep), on_hit=entering)
 
 
-@pytest.mark.parametrize("kernel", ["auto", "packet", "stream", "single"])
+@pytest.mark.parametrize("kernel", ["auto", "packet", "groups", "single"])
 def test_large_batches_are_filtered(kernel, rng) -> None:
     """As many rays of an image as kernels for many rays take."""
     scene = random_scene(rng, 40)

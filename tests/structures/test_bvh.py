@@ -23,11 +23,12 @@ def test_leaf_sizes_are_checked(value):
         build(*soup(2), max_leaf_size=2.5)
 
 
-@pytest.mark.parametrize("value", ["best", "high", "", None, 3])
+@pytest.mark.parametrize("value", ["best", "high", "stream", "", None, 3])
 def test_names_are_checked(value):
     with pytest.raises(ValueError, match="quality: expected one of 'fast', 'balanced', got"):
         build(*soup(2), quality=value)
-    with pytest.raises(ValueError, match="kernel: expected one of 'auto', 'wavefront', 'packet'"):
+    kernels = "'auto', 'wavefront', 'packet', 'groups', 'single'"
+    with pytest.raises(ValueError, match=f"kernel: expected one of {kernels}, got {value!r}"):
         build(*soup(2), kernel=value)
 
 

@@ -61,7 +61,9 @@ def test_what_is_close_depends_on_the_size_of_triangles(frame, rng):
         (Coherence(1.0, 1.0, 0.0, 0.0), 10**6, 10**8, "groups"),
         (Coherence(0.0, 1.0, 1.0, 0.0), 10**6, 10**8, "groups"),
         (Coherence(0.0, 1.0, 1.0, 0.0), 2_000, 10**8, "wavefront"),
-        (Coherence(0.0, 0.0, 0.0, 0.0), 10**6, 10**8, "stream"),
+        (Coherence(0.0, 0.0, 0.0, 0.0), 10**6, 2**26, "groups"),
+        (Coherence(0.0, 0.0, 0.0, 0.0), 10**6, 2**26 + 1, "wavefront"),
+        (Coherence(0.0, 0.0, 0.0, 0.0), 10**6, 10**8, "wavefront"),
         (Coherence(0.0, 0.0, 0.0, 0.0), 10**5, 10**8, "wavefront"),
         (Coherence(1.0, 0.0, 0.0, 0.0), 10**5, 10**6, "groups"),
     ],
@@ -77,7 +79,6 @@ def test_choice(coherence, count, byte_count, kernel):
         (Coherence(1.0, 1.0, 1.0, 0.0), "packet", ("groups",)),
         (Coherence(1.0, 1.0, 0.0, 0.0), "groups", ("packet",)),
         (Coherence(0.0, 1.0, 1.0, 0.0), "groups", ("wavefront",)),
-        (Coherence(0.0, 1.0, 1.0, 0.0), "stream", ("wavefront",)),
         (Coherence(0.0, 0.0, 0.0, 0.0), "wavefront", ("groups",)),
     ],
 )

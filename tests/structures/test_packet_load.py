@@ -38,7 +38,7 @@ def test_the_first_rays_of_a_batch():
     del kept
 
 
-@pytest.mark.parametrize("kernel", ["packet", "groups", "stream"])
+@pytest.mark.parametrize("kernel", ["packet", "groups"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_columns_of_records(dtype, kernel):
     """Vectors that are not adjacent are read where they are, in either order."""

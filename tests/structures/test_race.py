@@ -117,7 +117,7 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
     scene = rs.load("spheres")
     origins = rng.uniform(-2, 2, (LEAST_RACE + 5000, 3)).astype(np.float32)
     directions = rng.normal(size=origins.shape).astype(np.float32)
-    want = rs.Tracer(scene, kernel="stream").first_hit(origins, directions)
+    want = rs.Tracer(scene, kernel="single").first_hit(origins, directions)
     for fastest in ("groups", "wavefront"):
         tracer, now, used = rs.Tracer(scene), [0.0], set()
 

@@ -103,7 +103,7 @@ def trace_batch(
     )
     runs = _runs(tree, source, order, wants_any, out)
     if kernel != "auto":
-        runs[kernel if kernel in runs else "groups"](0, count, progress)
+        runs[kernel](0, count, progress)
         return True
     found = probe(source, order.packets, tree.frame, tree.byte_count)
     names = _candidates(found)

@@ -2,7 +2,7 @@
 
 The leaves of the BVH, the kd-tree and the graph are rows of blocks. Single rays are
 tested against them here and nowhere else, on the CPU and on CUDA, on both machines. Packets and
-streams (`structures.bvh`) read the same blocks with code of their own: their lanes are 16 rays
+groups (`structures.bvh`) read the same blocks with code of their own: their lanes are 16 rays
 against one triangle, or a block is tested against many rays at once.
 """
 

@@ -14,8 +14,8 @@ __all__ = ["Sampled", "rows_per_band", "trace_sample", "trace_samples"]
 #: A sample of some rows: its light, and its AOVs.
 Sampled = tuple[NDArray[np.float32], AovBuffers | None]
 
-#: Pixels of a band: enough for streams of rays to be worth sorting, few enough for the threads
-#: to finish together. Memory is about 300 bytes per pixel.
+#: Pixels of a band: enough that rays share nodes, few enough for the threads to finish together.
+#: Memory is about 300 bytes per pixel.
 LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
 
 #: Most rays that a band of more than one row may spawn at once: 110 MB.

@@ -42,7 +42,6 @@ from raystream.jit.simd.elementary import (
 )
 from raystream.jit.simd.gathers import gather, scatter
 from raystream.jit.simd.interleaved import (
-    load_records,
     load_triples,
     store_records,
     store_triples,
@@ -134,7 +133,6 @@ __all__ = [
     "lanes_from_bits",
     "load",
     "load_constant",
-    "load_records",
     "load_triples",
     "logarithm",
     "mask4",

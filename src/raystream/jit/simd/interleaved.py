@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import ELEMENTS, VectorClass, VectorType, refuse
 
-__all__ = ["load_records", "load_triples", "store_records", "store_triples"]
+__all__ = ["load_triples", "store_records", "store_triples"]
 _I32 = ir.IntType(32)
 
 
@@ -25,46 +25,11 @@ def _is_power_of_two(number: int) -> bool:
     return number >= 1 and number & (number - 1) == 0
 
 
-@intrinsic(prefer_literal=True)
-def load_records(typing_context: Any, type_: Any, size: Any, at: Any) -> Any:
-    """Read as many adjacent records as a vector type has lanes; returns a vector per field.
-
-    `size` is the number of fields of a record, a constant power of two: 2, 4, 8 or 16.
-    """
-    vector = type_.instance_type if isinstance(type_, VectorClass) else None
-    if vector is None or vector.kind == "mask":
-        refuse("load_records", "a vector type", type_)
-    if not isinstance(size, types.IntegerLiteral) or not _is_power_of_two(size.literal_value):
-        refuse("load_records", "a constant power of two", size)
-    count, lanes = size.literal_value, vector.lane_count
-    result = types.UniTuple(vector, count)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        element = ELEMENTS[vector.kind][1]
-        pointer = pointer_to(builder, arguments[2], ir.VectorType(element, lanes))
-        parts = []
-        for k in range(count):
-            part = builder.load(builder.gep(pointer, [ir.Constant(_I32, k)]))
-            part.align = int(vector.element.bitwidth) // 8
-            parts.append(part)
-        # Each round separates even from odd places; after the last one, each vector is one field.
-        even = [2 * k for k in range(lanes)]
-        odd = [2 * k + 1 for k in range(lanes)]
-        rounds = count.bit_length() - 1
-        for _ in range(rounds):
-            pairs = list(zip(parts[::2], parts[1::2], strict=True))
-            parts = [_shuffle(builder, a, b, even) for a, b in pairs]
-            parts += [_shuffle(builder, a, b, odd) for a, b in pairs]
-        return cgutils.pack_array(builder, parts)
-
-    return result(type_, size, at), generate
-
-
 @intrinsic
 def store_records(typing_context: Any, at: Any, numbers: Any) -> Any:
     """Write adjacent records, one per lane, given a tuple of a vector per field.
 
-    The tuple's length is a power of two, as for `load_records`.
+    The tuple's length is a power of two.
     """
     if at != types.uint64:
         refuse("store_records", "a uint64 as address", at)

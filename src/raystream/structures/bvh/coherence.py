@@ -26,21 +26,21 @@ _NEAR = np.float32(0.1)
 
 #: A group is close if, besides, its origins differ by less than this many triangle sizes: a packet
 #: of rays that are further apart enters boxes that few of its rays enter. (Shadow rays in a forest
-#: of a million triangles, 14 triangles apart: streams are 1.8 times as fast as packets. In six
+#: of a million triangles, 14 triangles apart: groups are 1.6 times as fast as packets. In six
 #: other scenes, 0.1 to 2.5 triangles apart, packets are, or nearly.)
 _CLOSE = 4.0
 
 #: Approximate bytes of a tree per triangle.
 _TRIANGLE_BYTES = 110
 
-#: Streams pay off where many rays share a node: up to this many bytes of the tree per ray, if rays
+#: Lists of rays pay off where many share a node: up to this many bytes of the tree per ray, if rays
 #: start near each other and if they start anywhere. Beyond, hiding memory latency pays more.
 #: (Measured with 1,500 to 786,432 rays on trees of 8 MB and 110 MB.)
 _NEAR_BYTES = 8192
 _FAR_BYTES = 200
 
-#: Rays that start anywhere are not worth sorting for a tree of at most this many bytes. (Random
-#: rays on trees of 8 to 35 MB: groups are 1.1 to 2 times as fast as streams; on 110 MB, 0.9.)
+#: Rays that start anywhere share few nodes of a tree of more bytes, however many they are. (Random
+#: rays on a tree of 110 MB: the wavefront is 1.7 times as fast as groups.)
 _GROUP_BYTES = 1 << 26
 
 _U1 = np.uint64(1)
@@ -92,7 +92,7 @@ def probe(source: RaySource, order: PacketOrder, frame: SceneFrame, byte_count: 
 
 def choose_kernel(
     coherence: Coherence, count: int, byte_count: int
-) -> Literal["packet", "groups", "stream", "wavefront"]:
+) -> Literal["packet", "groups", "wavefront"]:
     """The kernel for rays of a coherence.
 
     Parameters
@@ -103,12 +103,11 @@ def choose_kernel(
     byte_count : int
         Size of the tree.
     """
-    is_near = coherence.near >= 0.5
     if coherence.narrow >= 0.5 and coherence.close >= 0.5:
         return "packet"
-    if byte_count <= count * (_NEAR_BYTES if is_near else _FAR_BYTES):
-        return "groups" if is_near or byte_count <= _GROUP_BYTES else "stream"
-    return "wavefront"
+    is_near = coherence.near >= 0.5
+    most = count * _NEAR_BYTES if is_near else min(count * _FAR_BYTES, _GROUP_BYTES)
+    return "groups" if byte_count <= most else "wavefront"
 
 
 def rivals(coherence: Coherence, guess: str) -> tuple[str, ...]:

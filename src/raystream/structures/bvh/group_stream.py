@@ -3,8 +3,9 @@
 Rays in the order of the batch are loaded as groups of 16, one vector per number. A list of groups
 descends the tree, from the root, with the rays of each group that are in a box as bits: a box is
 tested against 16 rays at once, in any direction. Where few rays of a group are left, the list is
-expanded to a list of single rays; each of these is tested against the eight boxes of a node, as in
-`stream`. Nothing is sorted, and results are written 16 at a time.
+expanded to a list of single rays; each of these is tested against the eight boxes of a node, and
+appended to the lists of the children that it enters, which are visited from the nearest to the
+farthest. Nothing is sorted, and results are written 16 at a time.
 
 References
 ----------

@@ -23,8 +23,6 @@ from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
 from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
-from raystream.structures.bvh.stream import CALL_BYTES
-from raystream.structures.bvh.stream_batch import sorted_bytes, trace_sorted
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 __all__ = [
@@ -40,7 +38,7 @@ __all__ = [
 ]
 
 #: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of groups of
-#: rays, in the order of the batch; streams of rays of one octant, sorted; one ray after another.
+#: rays, in the order of the batch; one ray after another.
 KERNELS = Bvh.choices("kernel")
 
 #: Batches of at most this many rays are traced by the calling thread: waking others takes longer.
@@ -119,7 +117,7 @@ def trace_batch(
     results : ResultAddresses
     progress : callable, optional
         Called with (rays done, rays).
-    kernel : {"auto", "wavefront", "packet", "groups", "stream"}
+    kernel : {"auto", "wavefront", "packet", "groups"}
         "auto" takes the wavefront for at most `SMALL_BATCH` rays; for more, the kernel that suits
         a sample of them, or is the fastest of those that may.
     races : Races, optional
@@ -189,17 +187,12 @@ def packet_order(order: BatchOrder, source: RaySource, frame: SceneFrame) -> Bat
     return find_order(source, count, frame)
 
 
-def kernel_bytes(kernel: str, wants_any: bool, ray_count: int) -> int:
+def kernel_bytes(kernel: str, ray_count: int) -> int:
     """Most bytes that `trace_batch` needs: of the kernel, or of those that "auto" chooses from."""
     if kernel == "wavefront" or (kernel == "auto" and ray_count <= SMALL_BATCH):
         return 0
-    threads = thread_count()
     order = 2 * ray_count  # the tables of rows and packets
-    needed = {
-        "packet": order,
-        "groups": threads * MEMORY_BYTES,
-        "stream": threads * CALL_BYTES + sorted_bytes(ray_count, wants_any),
-    }
+    needed = {"packet": order, "groups": thread_count() * MEMORY_BYTES}
     return order + max(needed.values()) if kernel == "auto" else needed[kernel]
 
 
@@ -298,12 +291,6 @@ def _trace_wavefront(work: _Batch, first: int, end: int, progress: Progress | No
         parallel_for(body, count, chunk, progress, joins_chunks=True)
 
 
-def _trace_streams(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
-    tree, wants_any, filter_ = work.tree, work.wants_any, work.filter_
-    addresses, frame, source = tree.addresses, tree.frame, work.source
-    trace_sorted(addresses, frame, first, end, source, wants_any, filter_, work.results, progress)
-
-
 def _trace_packets(work: _Batch, first: int, end: int, progress: Progress | None) -> None:
     """Trace rays between two cuts of the batch's order."""
     addresses, wants_any, results = work.tree.addresses, work.wants_any, work.results
@@ -359,7 +346,6 @@ class _Tracer(Protocol):
 _TRACERS: dict[str, _Tracer] = {
     "packet": _trace_packets,
     "groups": _trace_groups,
-    "stream": _trace_streams,
     "wavefront": _trace_wavefront,
 }
 

@@ -25,7 +25,7 @@ class Bvh(StructureOptions):
         Time spent on the build, for faster traversal.
     max_leaf_size : int
         Maximum number of triangles in a leaf, 1 to 32.
-    kernel : {"auto", "wavefront", "packet", "groups", "stream", "single"}
+    kernel : {"auto", "wavefront", "packet", "groups", "single"}
         How the CPU traces rays; ``"auto"`` chooses for each batch. All give the same bits; the
         others are for measurements. Queries that a kernel does not support use another one, and
         those with ray counters use ``"single"``.
@@ -51,4 +51,4 @@ class Bvh(StructureOptions):
 
     quality: Literal["fast", "balanced"] = "balanced"
     max_leaf_size: Annotated[int, Range(1, MAX_LEAF_SIZE)] = 4
-    kernel: Literal["auto", "wavefront", "packet", "groups", "stream", "single"] = "auto"
+    kernel: Literal["auto", "wavefront", "packet", "groups", "single"] = "auto"

@@ -54,7 +54,6 @@ __all__ = [
     "load_group",
     "load_origins",
     "load_packet",
-    "load_rays",
     "prefetch_group",
     "prepare_group",
     "set_slow",
@@ -155,16 +154,10 @@ def _patch(lanes, lane, status, source, i, frame):
 @device
 def _load_group(group, source, first, frame, status):
     """Load 16 rays and make them local; returns whether one of them took the slow path."""
-    rays = load_origins(source, first) + load_directions(source, first)
+    wx, wy, wz = load_origins(source, first)
+    dx, dy, dz = load_directions(source, first)
     t_min = _numbers(source.t_min, source.t_min_step, first)
     t_max = _numbers(source.t_max, source.t_max_step, first)
-    return _group_to_local(group, rays, t_min, t_max, source, first, frame, status)
-
-
-@device
-def _group_to_local(group, rays, t_min, t_max, source, first, frame, status):
-    """Make 16 rays local; returns whether one of them took the slow path."""
-    wx, wy, wz, dx, dy, dz = rays
     ox = narrow((wx - frame.center[0]) * frame.scale)
     oy = narrow((wy - frame.center[1]) * frame.scale)
     oz = narrow((wz - frame.center[2]) * frame.scale)
@@ -282,27 +275,6 @@ def load_group(group, first, count, source, frame, status):
         is_slow = False
     else:
         _load_few(GroupLanes(address_of(group)), source, first, count, frame, status)
-    prepare_group(group, frame.max_coordinate)
-    return is_slow
-
-
-@device
-def load_rays(group, rays, t_min, t_max, source, frame, status):
-    """Prepare 16 rays that have been read, like `load_group`.
-
-    Parameters
-    ----------
-    group : Group
-    rays : tuple of six f64x16
-        Origins and directions, world space.
-    t_min, t_max : f32x16
-    source : RaySource
-        Begins with these rays, for those that take the slow path.
-    frame : SceneFrame
-    status : uint64
-        Address of 16 statuses.
-    """
-    is_slow = _group_to_local(group, rays, t_min, t_max, source, _U0, frame, status)
     prepare_group(group, frame.max_coordinate)
     return is_slow
 

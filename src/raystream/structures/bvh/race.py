@@ -3,7 +3,7 @@
 All kernels give the same bits, so no ray is traced twice. The kernel that is thought the fastest
 traces two pieces of an eighth of the batch; its rivals trace smaller ones between them, so that a
 rival of half the speed costs a few percent. A rival that was not much slower traces a larger piece:
-streams of few rays share few nodes. Times are kept for later batches of the same kind, which race
+lists of few rays share few nodes. Times are kept for later batches of the same kind, which race
 again after twice as many batches each time.
 """
 

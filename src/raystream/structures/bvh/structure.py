@@ -199,7 +199,7 @@ class BvhStructure(Structure):
             return 8 * ray_count if self.kernel in ("auto", "packet") else 0
         if self._is_traced_singly():
             return 0
-        return kernel_bytes(self.kernel, kind is Kind.ANY_HIT, ray_count)
+        return kernel_bytes(self.kernel, ray_count)
 
     def _may_collect(self, batch: RayBatch, limit: int) -> bool:
         """Whether packets may trace a batch: they find all hits."""
