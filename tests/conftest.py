@@ -335,14 +335,6 @@ CUDA_TRACERS = {
         **CUDA,
     },
     "graph": {"structure": "graph", **CUDA},
-    "bvh, multipass": {
-        "structure": "bvh",
-        **CUDA,
-        **MULTIPASS,
-        "traversal_steps": 8,
-        "intersections": 8,
-        "compaction": True,
-    },
 }
 
 BUILT = {"build": "device", **CUDA}

@@ -51,9 +51,9 @@ class Tracer(MemoryEstimator, PointQueries):
         How the structure is traversed, by name or as `Branching`, `Multipass` or `Compute` with
         its options: each thread traces one ray from start to end; or all rays advance step by
         step, in passes (Purcell 2002, section 2.2). All return the same bits on one device;
-        ``"multipass"`` is slower, and reports its passes. On ``"graphics"`` these two are fragment
-        programs, and ``"compute"`` is faster [default: ``"compute"`` on ``"graphics"``, else
-        ``"branching"``].
+        ``"multipass"`` is slower, reports its passes, and is not supported on ``"cuda"``. On
+        ``"graphics"`` these two are fragment programs, and ``"compute"`` is faster [default:
+        ``"compute"`` on ``"graphics"``, else ``"branching"``].
     precision : {"float32", "float64"}
         Precision of triangles, rays and results: ``"float64"`` is for scenes where float32
         distances are too coarse; supported by ``"bvh"`` and ``"brute"`` on the CPU and CUDA.

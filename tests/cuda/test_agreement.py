@@ -67,9 +67,7 @@ def test_structures_equal_brute_force(gpu, tracer, name):
 )
 def test_the_cpus_layout_equals_brute_force(gpu, monkeypatch, name):
     """That of trees built on the device, here of one that was not."""
-    from raystream.cuda.backend import CudaBackend
-
-    monkeypatch.setattr(CudaBackend, "reads_own_layout", True)
+    monkeypatch.setattr("raystream.cuda.backend.has_binary_layout", lambda _: False)
     case = few_of(case_of(name))
     answers = answers_of(
         rs.Tracer(case.scene, "bvh", "cuda"), rays_of(case), is_brief=is_simulated()
@@ -119,7 +117,6 @@ def test_float64_from_a_planet_away(gpu):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"machine": "multipass"}, "machine='multipass': not supported with precision='float64'"),
         ({"build": "device"}, "build='device': not supported with precision='float64'"),
         ({"structure": "grid"}, "'grid' is not supported with precision='float64'"),
         ({"counters": True}, "counters=True: not supported with precision='float64'"),

@@ -14,7 +14,8 @@ need("numba_cuda", "raystream_lab")
 import raystream as rs
 from raystream.cuda.rendering import CudaBands
 from raystream_lab import EXPERIMENTS, Result, Runner, Store
-from raystream_lab.devices import open_facts
+from raystream_lab.christen import image_times
+from raystream_lab.devices import CUDA_PASSES, open_facts
 from raystream_lab.rayforce import build_on_device, hidden_triangles, layers, render_modes
 from raystream_lab.views import View
 
@@ -54,26 +55,18 @@ def assert_equal(result: Result, name: str) -> None:
     assert result.claims[-1].verdict == "holds"
 
 
-def test_purcells_statistics_and_passes(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
-    options = "raystream_lab.purcell.{}.{}"
-    for module in ("statistics_on_device", "on_device"):
-        monkeypatch.setattr(options.format(module, "PURCELL_VIEWS"), ("bunny",))
-        monkeypatch.setattr(options.format(module, "grid_options"), lambda *_: {"resolution": 2})
+def test_purcells_statistics(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = "raystream_lab.purcell.statistics_on_device"
+    monkeypatch.setattr(f"{module}.PURCELL_VIEWS", ("bunny",))
+    monkeypatch.setattr(f"{module}.grid_options", lambda *_: {"resolution": 2})
     assert_equal(run(runner, "purcell-statistics"), "purcell-statistics")
-    result = run(runner, "purcell-machines")
-    rows = {row["machine"]: row for row in result.tables[0].records()}
-    assert rows["cuda, multipass"]["passes"] == rows["cpu, multipass"]["passes"] > 0
-    assert all(row["rays with other triangles"] == 0 for row in rows.values())
-    assert all(row["largest difference in t, of t"] == 0.0 for row in rows.values())
-    assert "cuda, branching" in rows
 
 
-def test_foleys_tables(runner: Runner) -> None:
-    assert_equal(run(runner, "foley-counts"), "foley-device-states")
+def test_foleys_times(runner: Runner) -> None:
     result = run(runner, "foley-times")
     assert_equal(result, "foley-device-counts")
-    machines = {row["machine"] for row in result.tables[0].records()}
-    assert machines == {"branching", "multipass"}
+    assert {row["machine"] for row in result.tables[0].records()} == {"branching"}
+    assert CUDA_PASSES in result.tables[0].notes
 
 
 def test_the_posters_counts(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,16 +101,13 @@ def test_the_device_builds_the_same(runner: Runner, monkeypatch: pytest.MonkeyPa
     assert_equal(run(runner, "rayforce-build"), "rayforce-build-agreement")
 
 
-def test_loops_are_compared_or_refused(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = "raystream_lab.christen.loops_on_device"
-    monkeypatch.setattr(f"{module}.SCENES", ("A",))
-    monkeypatch.setattr(f"{module}._QUICK_GRIDS", (2,))
-    monkeypatch.setattr(f"{module}.ITERATIONS", 1)
-    result = run(runner, "christen-loops")
-    assert_equal(result, "christen-loop-passes")
-    loops = {row["loop"] for row in result.tables[0].records()}
-    assert {"batches", "cpu"} <= loops
-    assert ("graph" in loops) != any("loop graph" in note for note in result.notes)
+def test_images_are_timed_without_passes(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    timed = {"size": SIZE, "seconds": [1.0] * image_times.ITERATIONS}
+    monkeypatch.setattr(image_times, "LETTERS", ("A",))
+    monkeypatch.setattr(image_times, "_fast", lambda *_: timed)
+    result = run(runner, "christen-times")
+    assert {row["machine"] for row in result.tables[1].records()} == {"branching"}
+    assert CUDA_PASSES in result.notes
 
 
 def test_the_device_is_described(gpu: Any) -> None:

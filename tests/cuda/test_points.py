@@ -100,7 +100,7 @@ def test_a_tree_that_was_built_on_the_device_is_searched_there(device):
 
 def test_what_finds_no_points_says_what_does(gpu):
     scene = rs.load("cornell")
-    for options in ({"structure": "grid"}, {"machine": "multipass", "structure": "kdtree"}):
-        tracer = rs.Tracer(scene, device="cuda", **options)
+    for structure in ("grid", "kdtree"):
+        tracer = rs.Tracer(scene, structure, "cuda")
         with pytest.raises(ValueError, match="device='cpu' or 'cuda' and machine='branching'"):
             tracer.closest_point([0.0, 0.0, 0.0])

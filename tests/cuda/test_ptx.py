@@ -38,7 +38,7 @@ NUMBER = 7
 #: Rays of a case, spread over all of them: a ray is some thousand instructions.
 RAY_COUNT = 10
 
-#: Cases for machines that take long: passes begin many kernels.
+#: Cases for float64 by brute force, which takes long.
 FEW_CASES = ("exact_edges_on_a_lattice", "limits_at_the_hits_themselves", "random_soup")
 
 
@@ -62,8 +62,6 @@ def few_of(case):
 
 def assert_brute_force(name, **options):
     case = few_of(case_of(name))
-    if "machine" in options:  # the interpreter has no graphs
-        options = {**options, "loop": "batches"}
     tracer = rs.Tracer(case.scene, gpu=NUMBER, **options)
     answers = answers_of(tracer, rays_of(case), is_brief=True)
     assert_expected(answers, answers_of(rs.Tracer(case.scene, "brute"), rays_of(case)))
@@ -82,12 +80,7 @@ def test_a_bvh_equals_brute_force(driver):
 @pytest.mark.exhaustive
 @pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize(
-    ("tracer", "name"),
-    [
-        (tracer, name)
-        for tracer, options in CUDA_TRACERS.items()
-        for name in (FEW_CASES if "machine" in options else CASES)
-    ],
+    ("tracer", "name"), [(tracer, name) for tracer in CUDA_TRACERS for name in CASES]
 )
 def test_structures_equal_brute_force(tracer, name):
     assert_brute_force(name, **CUDA_TRACERS[tracer])

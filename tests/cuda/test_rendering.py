@@ -292,13 +292,11 @@ def test_numbers_become_numpy_s():
     assert type(plain((True,))[0]) is bool
 
 
-def test_other_machines_shade_on_the_host(gpu):
+def test_other_tracers_shade_on_the_host(gpu):
     scene = room()
     usual = Sampler.of("sobol")
-    for options in ({"device": "cpu"}, {"device": "cuda", "machine": "multipass"}):
-        tracer = rs.Tracer(scene, "brute", **options)
-        assert make_context(tracer, scene.camera, (2, 2), usual, {}).bands is None
+    on_cpu = rs.Tracer(scene, "brute")
     counting = rs.Tracer(scene, "brute", "cuda", counters=True)
     noting = RecordingTracer(scene, "brute", device="cuda")
-    for tracer in (counting, noting):
+    for tracer in (on_cpu, counting, noting):
         assert make_context(tracer, scene.camera, (2, 2), usual, {}).bands is None

@@ -190,8 +190,6 @@ def test_what_is_not_supported_says_so(gpu) -> None:
     placed = rs.Scene.instances(rs.Scene.from_arrays(*cube()), [np.eye(3, 4)])
     ball = rs.Scene.spheres([[0, 0, 0]], 1.0)
     for scene, says in ((placed, "instances"), (ball, "spheres or height fields")):
-        with pytest.raises(ValueError, match=f"machine='multipass'.*{says}"):
-            rs.Tracer(scene, device="cuda", machine="multipass")
         with pytest.raises(rs.RaystreamError, match=f"build='device'.*{says}"):
             rs.Tracer(scene, device="cuda", build="device")
         with pytest.raises(ValueError, match="'bvh' and 'brute'"):

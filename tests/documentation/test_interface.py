@@ -18,7 +18,6 @@ MODULES = (
     "adapters.open3d",
     "adapters.trimesh",
     "cluster",
-    "cuda.streams",
     "graphics",
     "graphics.streams",
     "jax",

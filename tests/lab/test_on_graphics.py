@@ -245,7 +245,10 @@ def test_experiments_are_chosen_by_device() -> None:
     assert "christen-graphics" in names["graphics"]
     assert "christen-graphics" not in names["cuda"] + names["cpu"]
     assert "rayforce-build" in names["cuda"]
-    assert not {"purcell-machines", "christen-loops"} & {*names["cpu"]}
+    of_passes = {"purcell-machines", "christen-loops"}
+    assert of_passes < {*names["graphics"]}
+    assert not of_passes & {*names["cpu"], *names["cuda"]}
+    assert "foley-counts" not in names["cuda"]
     with pytest.raises(ValueError, match="no experiment 'cache'"):
         choose(["purcell"], ["cache"], device="graphics")
     with pytest.raises(ValueError, match="one of cpu, graphics, cuda, got 'abacus'"):

@@ -118,11 +118,20 @@ def test_a_device_may_have_options_of_its_own(monkeypatch):
     assert asked == [(rs.Grid(), Slow(patience=3))] * 2
 
 
-def test_options_of_cuda_are_those_of_its_kernels():
-    need("numba_cuda")
-    from raystream.cuda.multipass.loops import LOOPS
-
-    assert rs.Cuda.choices("loop") == tuple(LOOPS)
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"machine": "multipass"}, ValueError, "'multipass', which runs on device='cpu' and"),
+        ({"machine": rs.Multipass()}, ValueError, "'multipass', which runs on device='cpu' and"),
+        ({"machine": "compute"}, ValueError, "'branching' on device 'cuda', got 'compute'$"),
+        ({"scheduler": "naive"}, TypeError, "option of machine='multipass', on device='cpu' and"),
+    ],
+)
+@pytest.mark.parametrize("device", ["cuda", rs.Cuda()])
+def test_cuda_has_no_passes(device, given, error, words):
+    """Said before a GPU is looked for."""
+    with pytest.raises(error, match=words):
+        rs.Tracer(SCENE, device=device, **given)
 
 
 def test_options_of_graphics_are_those_of_its_machines():

@@ -20,8 +20,6 @@ __all__ = ["EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"
 #: Papers by their name on the command line, in the order of the report.
 PAPERS = ("purcell", "foley", "rayforce", "christen")
 
-_GPUS = ("graphics", "cuda")
-
 
 @dataclass(frozen=True)
 class Experiment:
@@ -104,7 +102,7 @@ EXPERIMENTS = (
         "purcell-machines",
         "Ray casting in passes and by programs with loops",
         "purcell.on_device",
-        _GPUS,
+        ("graphics",),
     ),
     Experiment(
         "foley-times",
@@ -117,7 +115,7 @@ EXPERIMENTS = (
         "foley-counts",
         "The cost of having no stack: ray states",
         "foley.state_counts",
-        DEVICES,
+        ("cpu", "graphics"),
         "foley.counts_on_device",
     ),
     Experiment(
@@ -171,7 +169,7 @@ EXPERIMENTS = (
         "christen-loops",
         "Who chooses the next kernel: the host or the device",
         "christen.loops_on_device",
-        _GPUS,
+        ("graphics",),
     ),
     Experiment("christen-memory", "Memory per pixel against iterations", "christen.pixel_memory"),
     Experiment(

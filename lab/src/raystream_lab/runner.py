@@ -12,7 +12,7 @@ from typing import Any
 
 from raystream.jit.threads import Progress
 from raystream.tracer import Tracer
-from raystream_lab.devices import FAST_MACHINE, DeviceFacts, open_facts
+from raystream_lab.devices import MACHINES, DeviceFacts, open_facts
 from raystream_lab.results import Result
 from raystream_lab.store import Store
 from raystream_lab.views import View, view
@@ -123,7 +123,12 @@ class Runner:
     @property
     def fast_machine(self) -> str:
         """The device's machine that traces a ray from start to end in one run."""
-        return FAST_MACHINE[self.device]
+        return self.machines[0]
+
+    @property
+    def machines(self) -> tuple[str, ...]:
+        """The device's machines, `fast_machine` first; see `devices.MACHINES`."""
+        return MACHINES[self.device]
 
     def measure(self, name: str, function: Callable[[], Any], *, shared: bool = False) -> Any:
         """Run a measurement, unless its result is already stored.

@@ -85,8 +85,8 @@ class TracerOptions:
         choice(
             MACHINES,
             "Execution model: branching runs each ray from start to end; multipass advances all "
-            "rays one step per pass; compute runs each ray in a compute shader (--device graphics "
-            "only) [default: branching; on graphics, compute]",
+            "rays one step per pass (not on cuda); compute runs each ray in a compute shader "
+            "(--device graphics only) [default: branching; on graphics, compute]",
         ),
     ] = None
     scheduler: Annotated[

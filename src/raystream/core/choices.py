@@ -53,11 +53,6 @@ class Cuda(DeviceOptions):
         Its CUDA device number.
     build : {"host", "device"}
         Where structures are built.
-    loop : {"graph", "batches"}
-        With the multipass machine, what ends the loop of passes: the device, in a CUDA graph; or,
-        for drivers older than CUDA 12.4, the host, after a batch of passes.
-    max_passes : int, optional
-        With the multipass machine, the maximum number of passes of a query.
     rays_at_once : int, optional
         Maximum number of rays traced together.
 
@@ -72,8 +67,6 @@ class Cuda(DeviceOptions):
     name = "cuda"
     gpu: Annotated[int, Range(0)] = 0
     build: Literal["host", "device"] = "host"
-    loop: Literal["graph", "batches"] = "graph"
-    max_passes: _AtLeastOne = None
     rays_at_once: _AtLeastOne = None
 
 
@@ -128,7 +121,7 @@ class Compute(MachineOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Multipass(MachineOptions):
-    """All rays advance step by step, in passes (Purcell 2002, section 2.2).
+    """All rays advance step by step, in passes (Purcell 2002, section 2.2); not on `Cuda`.
 
     Parameters
     ----------

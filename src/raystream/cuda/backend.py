@@ -63,9 +63,6 @@ class CudaBackend(Backend):
 
     capabilities = Capabilities(device_arrays=True, shading=True, points=True)
 
-    #: Whether a BVH has the CPU's layout, instead of binary nodes, for all queries.
-    reads_own_layout = False
-
     def __init__(
         self,
         structure: Structure,
@@ -78,8 +75,7 @@ class CudaBackend(Backend):
         self.rays_at_once = operator.index(rays_at_once)
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
-        is_own = self.reads_own_layout or is_built_there(structure, gpu)
-        is_own = is_own or not has_binary_layout(traced_as(structure))
+        is_own = is_built_there(structure, gpu) or not has_binary_layout(traced_as(structure))
         self._scene = DeviceScene(
             gpu,
             kernels_of(traced_as(structure), is_own=is_own),

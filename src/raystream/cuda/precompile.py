@@ -11,7 +11,6 @@ import numpy as np
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
 from raystream.cuda.bvh.kernels import has_binary_layout, lay_out, traced_as
 from raystream.cuda.hit_ids import HALVE, SPLIT, InstanceIds
-from raystream.cuda.multipass.precompile import multipass_kernels
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.point_kernels import nearest_kernel
 from raystream.cuda.programs.precompile import program_kernels
@@ -116,7 +115,7 @@ def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]
 
 
 def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
-    """All kernels: queries, passes, points, programs, device arrays, builders and renderers.
+    """All kernels: queries, points, programs, device arrays, builders and renderers.
 
     Parameters
     ----------
@@ -126,8 +125,7 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
     Returns
     -------
     dict
-        By group and name: functions that compile a kernel for a compute capability. Kernels that
-        have to be linked are left out.
+        By group and name: functions that compile a kernel for a compute capability.
     """
     ways: list[tuple[str, str, dict[str, Any]]] = [
         *((name, name, {}) for name in STRUCTURES),
@@ -147,11 +145,6 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
         for name in ("bvh", "brute"):
             made_of = structure_kernels(name, held)
             listed |= {(f"{name}, {kind}", query): one for query, one in made_of.items()}
-    for name in names_with("multipass"):
-        for kernel, one in multipass_kernels(name, scene).items():
-            group = f"{name}, passes" if kernel.endswith("pass") else "passes"
-            listed[group, kernel] = one
-    del listed["passes", "decide in loop"]
     listed |= {("points", name): one for name, one in point_kernels(scene).items()}
     listed |= {("arrays", name): one for name, one in ARRAY_KERNELS.items()}
     programs = program_kernels(scene.triangles)

@@ -98,7 +98,7 @@ def place_rays(
     batch : RayBatch
     rows : slice
     upload : callable
-        ``upload(name, array)`` copies an array, such as `Gpu.upload`.
+        ``upload(name, array)`` copies an array, such as `StreamScope.placed`.
 
     Raises
     ------

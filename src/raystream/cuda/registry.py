@@ -1,4 +1,4 @@
-"""The machines of the CUDA device, by name."""
+"""The machine of the CUDA device."""
 
 from __future__ import annotations
 
@@ -6,43 +6,47 @@ from collections.abc import Mapping
 from typing import Any
 
 from raystream.cuda.devices import open_device
-from raystream.cuda.options import OPTIONS
+from raystream.machines import MULTIPASS_OPTIONS
 from raystream.machines.backend import Backend
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
 
 __all__ = ["CUDA_MACHINES"]
 
+#: Options of the machine.
+_OPTIONS = ("gpu", "rays_at_once")
+
+#: Where the machine runs that CUDA does not have.
+_MULTIPASS = "device='cpu' and device='graphics'"
+
 
 class _CudaMachines:
-    names: tuple[str, ...] = tuple(OPTIONS)
+    names: tuple[str, ...] = ("branching",)
 
     def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Select and check the options of a machine.
+        """Select and check the options of the machine.
 
         Opens the GPU, so that a missing one is reported before a structure is built.
         """
-        if machine not in OPTIONS:
-            known = ", ".join(map(repr, OPTIONS))
-            raise ValueError(f"machine: expected one of {known} on device 'cuda', got {machine!r}")
-        own = {name: value for name, value in options.items() if name in OPTIONS[machine]}
+        if machine != "branching":
+            hint = f", which runs on {_MULTIPASS}" if machine == "multipass" else ""
+            raise ValueError(
+                f"machine: expected 'branching' on device 'cuda', got {machine!r}{hint}"
+            )
         for name in options:
-            homes = [one for one, names in OPTIONS.items() if name in names]
-            if homes and machine not in homes:
+            if name in MULTIPASS_OPTIONS:
                 raise TypeError(
-                    f"{machine}: has no option {name!r}; it is an option of machine={homes[0]!r}"
+                    f"{machine}: has no option {name!r}; it is an option of machine='multipass', "
+                    f"on {_MULTIPASS}"
                 )
+        own = {name: value for name, value in options.items() if name in _OPTIONS}
         open_device(own.get("gpu", 0))
         return own
 
-    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
+    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:  # noqa: ARG002
         """Make a backend for a structure."""
         rest = dict(options)
         gpu = open_device(rest.pop("gpu", 0))
-        if machine == "multipass":
-            from raystream.cuda.multipass import Multipass
-
-            return Multipass(structure, gpu, **rest)
         if structure.precision == "float64":
             from raystream.cuda.float64.backend import Float64CudaBackend
 

@@ -1,4 +1,4 @@
-"""Functions generated as Python source, and compiled like any other."""
+"""Kernels generated as Python source, and compiled like any other."""
 
 from __future__ import annotations
 
@@ -8,25 +8,15 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import kernel
 
-__all__ = ["device_from_source", "function_from_source", "kernel_from_source"]
+__all__ = ["kernel_from_source"]
 
 _NAME = re.compile(r"^def (\w+)\(", re.MULTILINE)
 
 
 def kernel_from_source(text: str, names: Mapping[str, Any], module: str) -> Callable[..., Any]:
-    """Make a kernel from source; see `function_from_source`."""
-    return kernel(function_from_source(text, names, module))
-
-
-def device_from_source(text: str, names: Mapping[str, Any], module: str) -> Callable[..., Any]:
-    """Make a device function from source; see `function_from_source`."""
-    return device(function_from_source(text, names, module))
-
-
-def function_from_source(text: str, names: Mapping[str, Any], module: str) -> Callable[..., Any]:
-    """Make a Python function from source that defines it alone.
+    """Make a kernel from source that defines a function alone.
 
     Parameters
     ----------
@@ -43,5 +33,4 @@ def function_from_source(text: str, names: Mapping[str, Any], module: str) -> Ca
     linecache.cache[file] = (len(text), None, text.splitlines(True), file)  # for error messages
     namespace = {"__name__": module, **names}
     exec(compile(text, file, "exec"), namespace)
-    function: Callable[..., Any] = namespace[name]
-    return function
+    return kernel(namespace[name])

@@ -33,7 +33,7 @@ __all__ = [
 MACHINES: dict[str, tuple[str, ...]] = {
     "cpu": ("branching", "multipass"),
     "graphics": ("compute", "branching", "multipass"),
-    "cuda": ("branching", "multipass"),
+    "cuda": ("branching",),
 }
 
 #: Maximum samples per pixel that can be requested.

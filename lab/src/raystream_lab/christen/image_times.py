@@ -18,6 +18,7 @@ from raystream_lab.christen.scenes import (
     teapot_model,
     timed_iterations,
 )
+from raystream_lab.devices import CUDA_PASSES
 from raystream_lab.frame_timing import affordable_size, render_context, report_image
 from raystream_lab.published import published
 from raystream_lab.results import Cell, Plot, Result, Series, Table, comparison
@@ -58,8 +59,9 @@ def image_times(runner: Runner) -> Result:
         triangles[letter] = scene.triangle_count
         for grid in grids:
             found[letter, grid, runner.fast_machine] = _fast(runner, scene, letter, grid)
-        for grid in grids:
-            found[letter, grid, "multipass"] = _multipass(runner, scene, letter, grid)
+        if "multipass" in runner.machines:
+            for grid in grids:
+                found[letter, grid, "multipass"] = _multipass(runner, scene, letter, grid)
         if runner.device != "cpu":
             continue
         title = f"{_title(letter)}, {ITERATIONS} iterations"
@@ -83,6 +85,8 @@ def image_times(runner: Runner) -> Result:
     ]
     if runner.device != "cpu":
         result.notes.append(runner.facts.note)
+    if "multipass" not in runner.machines:
+        result.notes.append(CUDA_PASSES)
     return result
 
 

@@ -27,7 +27,7 @@ from raystream_lab.views import View
 
 __all__ = ["count_kernel_runs", "counts_on_device"]
 
-#: Traversals without a stack, which the multipass machine of every device steps through.
+#: Traversals without a stack, which multipass machines step through.
 _STACKLESS = ("restart", "backtrack")
 
 #: Titles of the figures of Table 2.

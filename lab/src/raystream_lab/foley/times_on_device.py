@@ -10,6 +10,7 @@ from raystream.core.errors import RaystreamError
 from raystream.structures import Structure
 from raystream.tracer import Tracer
 from raystream_lab.agreement import Row, agreement_claim, agreement_table
+from raystream_lab.devices import CUDA_PASSES
 from raystream_lab.foley.other_views import lead
 from raystream_lab.foley.scenes import (
     PATIENCE,
@@ -28,13 +29,19 @@ from raystream_lab.views import View
 
 __all__ = ["times_on_device"]
 
-#: Structures that the multipass machine of every device steps through.
+#: Structures that multipass machines step through.
 _MULTIPASS = ("brute", "grid", "restart", "backtrack")
 
 #: Divisor of the image size for brute force in large scenes, and the triangles that make one.
 _BRUTE_SHARE, _LARGE = 8, 1000
 
 _ROUNDS = 3
+
+#: What tables say of passes.
+_PASSES = (
+    "The machine multipass has Foley's scheduler. Brute force runs in passes only in scenes of up "
+    f"to {_LARGE:,} triangles, since it takes a pass over all rays for each triangle."
+)
 
 #: Scenes with details of many sizes, where kd-trees are ahead.
 _COMPLEX = ("robots", "kitchen")
@@ -82,7 +89,7 @@ class _Scene:
     def figures(self) -> dict[str, _Figures]:
         """Times, counts and passes, by machine and then by structure."""
         built = foley_structures(self.view.scene, self.name, self.runner.progress)
-        return {machine: self._of(machine, built) for machine in _machines(self.runner)}
+        return {machine: self._of(machine, built) for machine in self.runner.machines}
 
     def _of(self, machine: str, built: Mapping[str, Structure]) -> _Figures:
         figures: _Figures = {}
@@ -129,10 +136,6 @@ class _Scene:
         return Tracer.of_structure(
             structure, self.view.scene, device, machine=machine, counters=counters, **options
         )
-
-
-def _machines(runner: Runner) -> tuple[str, str]:
-    return runner.fast_machine, "multipass"
 
 
 def _count_rows(name: str, each: Mapping[str, _Figures]) -> list[Row]:
@@ -190,10 +193,8 @@ def _table_1(runner: Runner, found: Mapping[str, dict[str, _Figures]], size: int
         runner.facts.note,
         f"Times are scaled to 512 x 512 rays; {size} x {size} were traced, by brute force in large "
         f"scenes {_BRUTE_SHARE} times fewer along each side. They are the best of up to {_ROUNDS} "
-        "rounds in which structures take turns, and include the transfer of rays and hits. The "
-        "machine multipass has Foley's scheduler.",
-        f"In passes, brute force runs only in scenes of up to {_LARGE:,} triangles, since it takes "
-        "a pass over all rays for each triangle.",
+        "rounds in which structures take turns, and include the transfer of rays and hits.",
+        _PASSES if "multipass" in runner.machines else CUDA_PASSES,
     )
 
 
@@ -246,7 +247,7 @@ def _plot(runner: Runner, found: Mapping[str, dict[str, _Figures]]) -> Plot:
             [theirs[name]["grid"] / theirs[name]["backtrack"] for name in found],
         )
     ]
-    for machine in _machines(runner):
+    for machine in runner.machines:
         heights: list[float | None] = []
         for each in found.values():
             grid, tree = (_milliseconds(each[machine].get(one)) for one in ("grid", "backtrack"))
@@ -268,7 +269,7 @@ def _claims(runner: Runner, found: Mapping[str, dict[str, _Figures]]) -> list[Cl
     """Foley's comparisons of the grid with the kd-trees, by the device's times."""
     leads: dict[str, dict[str, float]] = {}
     for name, each in found.items():
-        for machine in _machines(runner):
+        for machine in runner.machines:
             times = {
                 one: _milliseconds(each[machine].get(one))
                 for one in ("grid", "restart", "backtrack")

@@ -12,6 +12,7 @@ import numpy as np
 
 from raystream.core.hits import Hits
 from raystream.tracer import Tracer
+from raystream_lab.devices import CUDA_PASSES
 from raystream_lab.published import published
 from raystream_lab.purcell.image_counts import SIZE, grid_options
 from raystream_lab.purcell.scene_statistics import paper_view
@@ -119,6 +120,7 @@ def _machines_table(runner: Runner, found: dict[str, _Found], size: int) -> Tabl
         "are empty. Seconds: medians of rounds in which all machines take turns, including the "
         "transfer of rays and hits. Unrolled: steps and tests per pass as in section 4.2.",
         "Other triangles and differences in t: compared with the CPU's multipass machine.",
+        CUDA_PASSES,
     )
 
 

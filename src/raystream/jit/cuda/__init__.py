@@ -14,9 +14,7 @@ from raystream.jit.cuda.devices import (
     gpu_facts,
     open_gpu,
 )
-from raystream.jit.cuda.gather_table import MAX_DIMENSIONS, gather_table_at
 from raystream.jit.cuda.gpu import CudaError, Gpu
-from raystream.jit.cuda.graph_loop import DeviceLoop, Launch, set_condition
 from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.stream_scope import StreamScope
@@ -25,27 +23,22 @@ from raystream.jit.cuda.user_kernel import UserKernel
 
 __all__ = [
     "CAPABILITIES",
-    "MAX_DIMENSIONS",
     "Compiled",
     "CudaError",
     "CudaStream",
     "DeviceArray",
-    "DeviceLoop",
     "DeviceView",
     "Gpu",
     "GpuFacts",
-    "Launch",
     "RangeKernel",
     "StreamScope",
     "UserKernel",
     "compile_function",
     "driver_version",
-    "gather_table_at",
     "gpu_count",
     "gpu_facts",
     "is_simulated",
     "open_gpu",
-    "set_condition",
     "stream_of",
     "view_of",
 ]

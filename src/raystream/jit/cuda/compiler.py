@@ -21,23 +21,13 @@ from raystream.jit.cuda.ptx_cache import cached_text, path_of
 from raystream.jit.cuda.user_checks import check_calls, check_raises, with_extremes
 from raystream.jit.simd.types import VectorClass, VectorType
 
-__all__ = [
-    "CAPABILITIES",
-    "SET_CONDITION",
-    "Capability",
-    "Compiled",
-    "compile_function",
-    "link",
-]
+__all__ = ["CAPABILITIES", "Capability", "Compiled", "compile_function"]
 
 #: Major and minor compute capability of a GPU.
 Capability = tuple[int, int]
 
 #: Capabilities that kernels are checked for: Turing, Ampere, Hopper.
 CAPABILITIES: tuple[Capability, ...] = ((7, 5), (8, 0), (9, 0))
-
-#: A function of CUDA's device runtime, which kernels that call it are linked with.
-SET_CONDITION = "cudaGraphSetConditional"
 
 #: A kernel's entry in PTX.
 _ENTRY = re.compile(r"^\.visible \.entry (\S+)\(", re.MULTILINE)
@@ -94,16 +84,6 @@ def compile_function(
     ptx = cached_text(path, lambda: make(function, tuple(arguments), capability))
     (entry,) = _ENTRY.findall(ptx)
     return Compiled(entry, ptx)
-
-
-def link(code: Any, capability: Capability) -> Any:
-    """Link PTX with CUDA's device runtime; needs no device."""
-    from cuda.core import Linker, LinkerOptions, ObjectCode
-    from cuda.pathfinder import find_static_lib
-
-    library = ObjectCode.from_library(find_static_lib("cudadevrt"), name="cudadevrt")
-    major, minor = capability
-    return Linker(code, library, options=LinkerOptions(arch=f"sm_{major}{minor}")).link("cubin")
 
 
 def _ptx_of(function: Callable[..., Any], arguments: tuple[Any, ...], capability: Any) -> str:

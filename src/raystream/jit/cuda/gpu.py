@@ -17,7 +17,7 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
-from raystream.jit.cuda.compiler import CAPABILITIES, SET_CONDITION, Capability, Compiled, link
+from raystream.jit.cuda.compiler import CAPABILITIES, Capability, Compiled
 from raystream.jit.cuda.device_array import DeviceArray, host_memory
 from raystream.jit.cuda.driver_errors import driver_code, explain
 from raystream.jit.cuda.keep_alive import KeepAlive
@@ -259,8 +259,6 @@ class Gpu:
 
         with self.doing(f"loading {compiled.entry}"):
             code = ObjectCode.from_ptx(compiled.ptx.encode(), name=compiled.entry)
-            if SET_CONDITION in compiled.ptx:
-                code = link(code, self.capability)
             return code.get_kernel(compiled.entry)
 
     def launch(
@@ -305,17 +303,6 @@ class Gpu:
         with self.doing("querying its occupancy"):
             each = kernel.occupancy.max_active_blocks_per_multiprocessor(block_size, 0)
             return max(1, int(each) * int(self._device.properties.multiprocessor_count))
-
-    def launch_graph(self, graph: Any) -> None:
-        """Launch a `cuda.core.graph.Graph` asynchronously.
-
-        Raises
-        ------
-        CudaError
-            If it cannot be launched.
-        """
-        with self.doing("launching a graph"):
-            graph.launch(self._legacy.native)
 
     def wait(self, stream: Any = None) -> None:
         """Wait until all launches in a stream are done.

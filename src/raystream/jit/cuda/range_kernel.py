@@ -89,47 +89,19 @@ class RangeKernel:
         CudaError
             If it does not compile, or cannot be launched.
         """
-        self.prepared(gpu, count, arguments, stream)()
-
-    def prepared(
-        self, gpu: Gpu, count: int, arguments: tuple[Any, ...], stream: Any = None
-    ) -> Callable[[], None]:
-        """A function that launches it, for repeated launches with the same arguments.
-
-        Raises
-        ------
-        CudaError
-            If it does not compile.
-        """
         if count == 0:
-            return lambda: None
+            return
         if is_simulated():
             # Idle threads take as long as others.
             block_size = min(count, _BLOCK_SIZE)
             block_count = -(-count // block_size)
-
-            def simulate() -> None:
-                with simulating:
-                    cuda.jit(self._run)[block_count, block_size](np.uint64(count), arguments)
-
-            return simulate
-        loaded, block_count, block_size, values = self.loaded(gpu, count, arguments)
-        return lambda: gpu.launch(loaded, block_count, block_size, values, stream)
-
-    def loaded(
-        self, gpu: Gpu, count: int, arguments: tuple[Any, ...]
-    ) -> tuple[Any, int, int, list[Any]]:
-        """Kernel, blocks, threads per block, and flat arguments for `Gpu.launch`.
-
-        Raises
-        ------
-        CudaError
-            If it does not compile.
-        """
+            with simulating:
+                cuda.jit(self._run)[block_count, block_size](np.uint64(count), arguments)
+            return
         key = gpu.number, kind_of(arguments)
         if key not in self._loaded:
             with gpu.doing(f"compiling {self.name}"):
                 compiled = self.compiled(arguments, gpu.target)
             self._loaded[key] = gpu.load(compiled)
         values = [np.uint64(count), *flat(arguments)]
-        return self._loaded[key], -(-count // _BLOCK_SIZE), _BLOCK_SIZE, values
+        gpu.launch(self._loaded[key], -(-count // _BLOCK_SIZE), _BLOCK_SIZE, values, stream)

@@ -1,1 +1,0 @@
-"""Kernels of the multipass machine besides the passes: scheduling, setup, compaction."""
