@@ -48,7 +48,7 @@ html_theme = "furo"
 html_title = "raystream"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_extra_path = ["extra"]  # a ray's walk, as the lab wrote it
+html_extra_path = ["extra"]  # llms.txt
 
 # Classes for them are described where they are missing, too: PyTorch is not in [dev].
 autodoc_mock_imports = [name for name in ("jax", "torch") if not find_spec(name)]

@@ -46,7 +46,7 @@ MODULES = (
 )
 
 #: Those of the lab.
-LAB_MODULES = ("caches", "cost_model", "walk_page", "walks")
+LAB_MODULES = ("caches", "cost_model", "walks")
 
 #: Names of those modules that the package's own rooms share.
 FOR_ROOMS = {

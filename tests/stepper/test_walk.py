@@ -7,52 +7,36 @@ import itertools
 import numpy as np
 import pytest
 
-from extras import need
-
-need("raystream_lab")
-
 import raystream as rs
 from meshes import soup
 from raystream.kernels.tally import COLUMNS
 from raystream.machines.records import RayState
 from raystream.stepper import walk
 from raystream.stepper.maps import map_of
-from raystream_lab.walk_page import FlatScene, Outline, prisms, teaching_scene
-from raystream_lab.walk_page.descriptions import sentence
-from raystream_lab.walk_page.panels import make_panels
-from raystream_lab.walk_page.teaching_rays import FAN_ORIGIN, fan, teaching_rays
+from raystream.structures.kdtree.traversals.short_stack import PLACES
+from stepper import stadium
 
-RAYS = [*teaching_rays(), *fan(FAN_ORIGIN, 11), *fan((4.0, 6.2), 7), *fan((12.0, 4.1), 5)]
+RAYS = stadium.rays()
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return teaching_scene()
+    return stadium.stadium()
 
 
 @pytest.fixture(scope="module")
-def panels(plan):
-    return {panel.key: panel for panel in make_panels(plan)}
-
-
-@pytest.fixture(scope="module")
-def tracers(plan, panels):
-    """Those of the panels, by their keys, and one of a structure that none draws."""
-    bvh = rs.Tracer(plan.scene, "bvh", counters=True)
-    return {**{key: panel.tracer for key, panel in panels.items()}, "bvh": bvh}
+def tracers(plan):
+    return stadium.tracers(plan)
 
 
 @pytest.fixture(scope="module")
 def walks(plan, tracers):
     """The walk of each ray through each structure, by the tracer's key."""
-    return {
-        key: [walk(tracer, *plan.ray(ray.origin, ray.direction)) for ray in RAYS]
-        for key, tracer in tracers.items()
-    }
+    return {key: [walk(tracer, *plan.ray(*ray)) for ray in RAYS] for key, tracer in tracers.items()}
 
 
-PANELS = ("grid", "kdtree-stack", "kdtree-restart", "kdtree-backtrack", "graph")
-WALKED = (*PANELS, "bvh")
+FLAT = ("grid", "kdtree-stack", "kdtree-restart", "kdtree-backtrack", "graph")
+WALKED = (*FLAT, "bvh")
 
 
 @pytest.mark.parametrize("key", WALKED)
@@ -60,7 +44,7 @@ def test_a_walk_is_what_the_tracer_does(plan, tracers, walks, key):
     """The hit's bits and all counts are those of the branching machine, which has no steps."""
     tracer = tracers[key]
     assert tracer.machine == "branching"
-    rays = [plan.ray(ray.origin, ray.direction) for ray in RAYS]
+    rays = [plan.ray(*ray) for ray in RAYS]
     origins, directions = (np.array(column) for column in zip(*rays, strict=True))
     hits = tracer.first_hit(origins, directions)
     counters = tracer.counters
@@ -145,8 +129,8 @@ def test_the_nearest_hit_was_tested(walks, key):
                 seen = step.prim_id
 
 
-def test_grid_cells_are_neighbors(panels, walks):
-    nx, ny, _ = panels["grid"].chart.counts
+def test_grid_cells_are_neighbors(tracers, walks):
+    nx, ny, _ = tracers["grid"].structure.lattice.counts
     longest = 0
     for walked in walks["grid"]:
         cells = np.array([(cell % nx, cell // nx % ny) for cell in walked.cells]).reshape(-1, 2)
@@ -212,21 +196,34 @@ def test_a_bvh_puts_children_aside_the_nearest_on_top(walks):
     assert put > 10
 
 
-@pytest.mark.parametrize("key", [*PANELS, "bvh"])
+@pytest.mark.parametrize("key", WALKED)
 def test_a_walk_can_end_early(plan, tracers, walks, key):
     ray, longest = max(zip(RAYS, walks[key], strict=True), key=lambda pair: len(pair[1].steps))
-    short = walk(tracers[key], *plan.ray(ray.origin, ray.direction), max_steps=3)
+    short = walk(tracers[key], *plan.ray(*ray), max_steps=3)
     assert (short.is_whole, longest.is_whole) == (False, True)
     assert short.steps == longest.steps[:3]
     assert sum(short.counts.values()) <= sum(longest.counts.values())
 
 
-@pytest.mark.parametrize("key", ["grid", "kdtree-stack", "graph"])
-def test_one_box_is_that_of_all_boxes(panels, key):
-    chart = panels[key].chart
-    assert len(chart.boxes) > 20
-    for number, box in enumerate(chart.boxes):
-        assert chart.box(number).tolist() == box.tolist()
+@pytest.mark.parametrize("key", FLAT)
+def test_boxes_fill_the_space_and_reach_from_the_floor_to_the_top(plan, tracers, key):
+    """Cells, leaves or sectors lie side by side: a ray in between walks in two dimensions."""
+    structure = tracers[key].structure
+    chart = map_of(structure)
+    counts = {
+        "grid": lambda: structure.lattice.cell_count,
+        "kdtree": lambda: len(structure.tree.nodes),
+        "graph": lambda: structure.graph.sector_count,
+    }
+    numbers = range(counts[structure.name]())
+    boxes = np.array([chart.box(n) for n in numbers if chart.kind(n) != "split"])
+    assert len(boxes) > 20
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    areas = np.prod(boxes[:, 1, :2] - boxes[:, 0, :2], axis=1)
+    assert areas.min() >= 0.0
+    assert areas.sum() == pytest.approx(np.prod((high - low)[:2]), rel=1e-5)
+    assert boxes[:, 0, 2].max() < 0.01 * plan.z
+    assert boxes[:, 1, 2].min() > 1.99 * plan.z
 
 
 def test_sectors_are_left_through_the_face_that_is_named(walks):
@@ -248,39 +245,38 @@ def test_sectors_are_left_through_the_face_that_is_named(walks):
     assert crossings > 20
 
 
-@pytest.mark.parametrize("key", PANELS)
-def test_walls_stand_in_columns(plan, panels, key):
-    """Every box reaches from the floor to the top: a ray in between walks in two dimensions."""
-    boxes = panels[key].chart.boxes
-    low, high = boxes[:, 0, 2], boxes[:, 1, 2]
-    assert low.max() < 0.01 * plan.z
-    assert high.min() > 1.99 * plan.z
-
-
 def test_foleys_layout_gives_the_same_walk(plan, walks):
     """Nodes are numbered by their rows in the tree, whatever a search calls them."""
-    options = {"traversal_cost": 2.0, "max_depth": 11, "max_leaf_size": 2}
     for traversal in ("stack", "backtrack"):
-        tracer = rs.Tracer(plan.scene, "kdtree", layout="foley", traversal=traversal, **options)
+        tree = rs.KdTree(layout="foley", traversal=traversal, **stadium.TREE)
+        tracer = rs.Tracer(plan.scene, tree)
         for ray, same in zip(RAYS[:6], walks[f"kdtree-{traversal}"], strict=False):
-            assert walk(tracer, *plan.ray(ray.origin, ray.direction)) == same
+            assert walk(tracer, *plan.ray(*ray)) == same
 
 
 def test_a_short_stack_forgets_and_begins_again(rng):
     scene = rs.Scene.from_arrays(*soup(300, 1))
     options = {"traversal": "short-stack", "intersection_cost": 12.0}
     tracer = rs.Tracer(scene, "kdtree", **options)
-    chart, said = map_of(tracer.structure), []
+    dropped = popped = restarted = 0
     for origin, toward in rng.uniform(-1.0, 1.0, (20, 2, 3)):
-        walked = walk(tracer, 2.0 * origin, toward - 2.0 * origin)
-        for step in walked.steps:
-            said.append(sentence(walked, step, chart))
+        stack = ()
+        for step in walk(tracer, 2.0 * origin, toward - 2.0 * origin).steps:
             ends = [spot.t_out for spot in step.stack]
             assert ends == sorted(ends)
-            assert len(ends) <= 4
-    assert any("pop" in line for line in said)
-    assert any("drop the oldest of more than 4" in line for line in said)
-    assert any("was dropped; restart at" in line for line in said)
+            assert len(ends) <= PLACES
+            if step.kernel == "down" and len(stack) == PLACES and step.stack != stack:
+                assert step.stack[1:] == stack[:-1]
+                dropped += 1
+            if step.counts.get("restarts"):
+                assert not stack
+                restarted += 1
+            elif step.kernel == "continue" and stack:
+                popped += step.stack == stack[1:]
+            stack = step.stack
+    assert dropped > 0
+    assert popped > 0
+    assert restarted > 0
 
 
 def test_two_levels_of_a_grid(plan):
@@ -289,27 +285,31 @@ def test_two_levels_of_a_grid(plan):
     first_fine = tracer.structure.lattice.cell_count
     chart, deepest = map_of(tracer.structure), 0
     for ray in RAYS[:8]:
-        ray = plan.ray(ray.origin, ray.direction)
+        ray = plan.ray(*ray)
         walked = walk(tracer, *ray)
         assert walked.t == tracer.first_hit(*ray).t
         assert walked.counts["tests"] == tracer.counters.tests
         for step in walked.steps:
             for prim_id in step.tested:
                 wall = plan.walls[prim_id // 2]
-                low, high = chart.boxes[step.at.number, :, :2]
+                low, high = chart.box(step.at.number)[:, :2]
                 assert (wall.max(axis=0) >= low - 0.01).all()
                 assert (wall.min(axis=0) <= high + 0.01).all()
             deepest = max(deepest, step.at.number if step.at else 0)
     assert deepest >= first_fine
-    for number in (0, first_fine - 1, first_fine, len(chart.boxes) - 1, deepest):
-        assert chart.box(number) == pytest.approx(chart.boxes[number])
+    fine = tracer.structure.fine
+    sizes = np.prod(fine.counts, axis=1)
+    firsts = first_fine + np.cumsum(sizes) - sizes
+    for cell, first, last in zip(fine.cells, firsts, firsts + sizes - 1, strict=True):
+        corners = [chart.box(int(first))[0], chart.box(int(last))[1]]
+        assert chart.box(int(cell)) == pytest.approx(np.array(corners))
 
 
 def test_a_scene_far_away_walks_the_same():
     """The machine works in its local frame; walks are in world space."""
     square = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
-    near = prisms([Outline("room", square)])
-    far = prisms([Outline("room", square + 1e6)])
+    near = stadium.prisms(square)
+    far = stadium.prisms(square + 1e6)
     for structure in ("grid", "kdtree", "graph"):
         ways = []
         for plan, shift in ((near, 0.0), (far, 1e6)):
@@ -324,7 +324,7 @@ def test_a_scene_far_away_walks_the_same():
 
 
 def test_what_is_no_walk_is_said():
-    plan = prisms([Outline("wall", np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]))])
+    plan = stadium.prisms([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     tracer = rs.Tracer(plan.scene, "grid")
     with pytest.raises(ValueError, match="expected one ray, got 2"):
         walk(tracer, np.zeros((2, 3)), [1.0, 0.0, 0.0])
@@ -332,34 +332,3 @@ def test_what_is_no_walk_is_said():
         walk(tracer, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="grid, kdtree, graph or bvh, got one of 'brute'"):
         walk(rs.Tracer(plan.scene, "brute"), [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
-
-
-def test_walls_are_the_sides_of_outlines():
-    outlines = [
-        Outline("triangle", np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0]])),
-        Outline("square", np.array([[5.0, 5.0], [6.0, 5.0], [6.0, 6.0], [5.0, 6.0]])),
-    ]
-    plan = prisms(outlines)
-    assert isinstance(plan, FlatScene)
-    assert plan.owners.tolist() == [0, 0, 0, 1, 1, 1, 1]
-    assert len(plan.scene.triangles) == 14
-    assert plan.walls[2].tolist() == [[0.0, 1.0], [0.0, 0.0]]
-    hits = rs.Tracer(plan.scene, "grid").first_hit(
-        *plan.ray([[1.0, 9.0], [5.5, 0.5]], [[0, -1], [0, 1]])
-    )
-    assert (hits.prim_id // 2).tolist() == [1, 3]
-    assert hits.t.tolist() == [8.5, 4.5]
-
-
-@pytest.mark.parametrize(
-    ("outlines", "fault"),
-    [
-        ([], "at least one"),
-        ([Outline("line", np.zeros((2, 2)))], "'line' has points of shape"),
-        ([Outline("solid", np.zeros((4, 3)))], "'solid' has points of shape"),
-        ([Outline("nowhere", np.full((3, 2), np.nan))], "'nowhere' has a corner"),
-    ],
-)
-def test_what_is_no_outline_is_said(outlines, fault):
-    with pytest.raises(ValueError, match=fault):
-        prisms(outlines)

@@ -119,7 +119,6 @@ def lab(
     from raystream_lab import Runner, Store, run_all
     from raystream_lab.report import build_html, write_report
     from raystream_lab.store import FILE_NAME
-    from raystream_lab.walk_page import write_page
 
     settings: dict[str, Any] = {"quick": run.quick, "size": run.size}
     if run.device != "cpu":
@@ -146,12 +145,8 @@ def lab(
     about = _about(papers or ["all"], only or [], output, settings, store.foreign_count)
     about = about._replace(adapter=facts.text)
     with refuse(OSError, where=str(output)):
-        walk = None
-        if run.device == "cpu" and not only and "all" in (papers or ["all"]):
-            walk = output / "walk.html"
-            write_page(walk)
-        write_report(output, outcomes, about, walk)
-        page = build_html(output, walk)
+        write_report(output, outcomes, about)
+        page = build_html(output)
     _show(outcomes, about, json)
     write_note(f"wrote {output / 'index.md'}, {page} and {output / 'report.json'}")
 

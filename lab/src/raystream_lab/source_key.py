@@ -64,7 +64,6 @@ _LAB_OUT = (
     "runner.py",
     "source_key.py",
     "store.py",
-    "walk_page",
 )
 
 

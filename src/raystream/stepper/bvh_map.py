@@ -14,8 +14,10 @@ from raystream.structures.bvh.structure import BvhStructure
 
 __all__ = ["BvhMap"]
 
-#: Low bits of a leaf's link with its number of blocks, and of a key with its lane.
-_BLOCK_BITS = _LANE_BITS = 7
+#: Low bits of a key, with its lane.
+_LANE_BITS = 7
+
+#: Above a leaf's number of blocks, its link has its first block.
 _BLOCK_SHIFT = 3
 
 
@@ -44,18 +46,6 @@ class BvhMap(BlockMap):
     def kind(self, number: int) -> str:
         """See `StructureMap.kind`."""
         return "node" if number < self._node_count else "leaf"
-
-    def label(self, number: int) -> str:
-        """See `StructureMap.label`."""
-        return f"{self.kind(number)} {number}"
-
-    def list_size(self, number: int) -> int:
-        """See `StructureMap.list_size`."""
-        if number < self._node_count:
-            return 0
-        link = int(self._tree.children.ravel()[self._slots[number]])
-        first, count = ~link >> _BLOCK_SHIFT, (~link & _BLOCK_BITS) + 1
-        return int(np.count_nonzero(self._block_rows[first : first + count] >= 0))
 
     def box(self, number: int) -> NDArray[np.float64]:
         """See `StructureMap.box`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,21 +50,10 @@ class GridMap(StructureMap):
     def __init__(self, grid: GridStructure) -> None:
         self._grid = grid
         lattice, fine = grid.lattice, grid.fine
-        self.counts = lattice.counts
         # The first cell of each fine lattice.
         sizes = np.prod(fine.counts, axis=1, dtype=np.int64)
         self._firsts = lattice.cell_count + np.cumsum(sizes) - sizes
         self._row_of = {cell: row for row, cell in enumerate(fine.cells.tolist())}
-
-    @cached_property
-    def boxes(self) -> NDArray[np.float64]:
-        """Boxes of all cells by number, of shape (M, 2, 3), float64, world space."""
-        lattice, fine = self._grid.lattice, self._grid.fine
-        parts = [_cell_boxes(np.array(lattice.low), np.array(lattice.size), lattice.counts)]
-        for cell, counts in zip(fine.cells.tolist(), fine.counts.tolist(), strict=True):
-            low, high = parts[0][cell]
-            parts.append(_cell_boxes(low, (high - low) / counts, counts))
-        return to_world(self._grid, np.concatenate(parts))
 
     def box(self, number: int) -> NDArray[np.float64]:
         """See `StructureMap.box`."""
@@ -83,20 +71,6 @@ class GridMap(StructureMap):
         del number
         return "cell"
 
-    def label(self, number: int) -> str:
-        """See `StructureMap.label`."""
-        nx, ny, _ = self.counts
-        if number >= self._grid.lattice.cell_count:
-            return f"inner cell {number}"
-        return f"cell ({number % nx}, {number // nx % ny})"
-
-    def list_size(self, number: int) -> int:
-        """See `StructureMap.list_size`."""
-        count = self._grid.lattice.cell_count
-        lists = self._grid.lists if number < count else self._grid.fine.lists
-        row = number if number < count else number - count
-        return int(lists.splits[row + 1]) - int(lists.splits[row])
-
     def spot(self, records: Records) -> LocalSpot:
         """See `StructureMap.spot`."""
         place = records.place
@@ -110,13 +84,6 @@ class GridMap(StructureMap):
         lists = self._grid.lists if place["outer"] < 0 else self._grid.fine.lists
         row = int(place["row"])
         return tuple(lists.references[row : row + count].tolist())
-
-
-def _cell_boxes(low: Any, size: Any, counts: Any) -> NDArray[np.float64]:
-    """Boxes of a lattice's cells by number, of shape (C, 2, 3)."""
-    k, j, i = np.indices(tuple(counts)[::-1]).reshape(3, -1)
-    corner = np.stack([i, j, k], axis=1)
-    return np.stack([low + corner * size, low + (corner + 1) * size], axis=1)
 
 
 def _cell_box(low: Any, size: Any, counts: Any, number: int) -> NDArray[np.float64]:
@@ -153,25 +120,6 @@ class KdMap(BlockMap):
         self._parents = np.full(len(nodes), -1)
         self._parents[self.children[splits]] = self._parents[self.children[splits] + 1] = splits
 
-    @cached_property
-    def boxes(self) -> NDArray[np.float64]:
-        """Boxes of all nodes by row, of shape (M, 2, 3), float64, world space."""
-        boxes = np.zeros((len(self.axes), 2, 3))
-        if len(boxes):
-            boxes[0] = self._tree.triangles.bounds
-        for node in np.flatnonzero(self.axes != LEAF_AXIS).tolist():
-            axis, child = self.axes[node], self.children[node]
-            boxes[child : child + 2] = boxes[node]
-            boxes[child, 1, axis] = boxes[child + 1, 0, axis] = self._planes[node]
-        return to_world(self._tree, boxes)
-
-    @cached_property
-    def planes(self) -> NDArray[np.float64]:
-        """Positions of splits, of shape (M,), float64, world space; 0 for leaves."""
-        centers = np.append(self._tree.triangles.center, 0.0)[self.axes]
-        world = self._planes / self._tree.triangles.scale + centers
-        return np.where(self.axes == LEAF_AXIS, 0.0, world)
-
     def box(self, number: int) -> NDArray[np.float64]:
         """See `StructureMap.box`."""
         box: NDArray[np.float64] = self._tree.triangles.bounds.astype(np.float64)
@@ -187,14 +135,6 @@ class KdMap(BlockMap):
     def kind(self, number: int) -> str:
         """See `StructureMap.kind`."""
         return "leaf" if self.axes[number] == LEAF_AXIS else "split"
-
-    def label(self, number: int) -> str:
-        """See `StructureMap.label`."""
-        return f"{self.kind(number)} {number}"
-
-    def list_size(self, number: int) -> int:
-        """See `StructureMap.list_size`."""
-        return int(self.children[number]) if self.kind(number) == "leaf" else 0
 
     def _row(self, node: int) -> int:
         if node >> LEAF_BIT:
@@ -242,12 +182,7 @@ class GraphMap(BlockMap):
         links = sectors[:, 8:14]
         self._opened[:, 0][links[:, 0::2] == VOID] = -np.inf
         self._opened[:, 1][links[:, 1::2] == VOID] = np.inf
-        self._sizes, self._links = sectors[:, 7], links
-
-    @cached_property
-    def neighbors(self) -> list[list[list[int]]]:
-        """The sectors behind each face of each sector, faces in the order of `FACES`."""
-        return [[self._behind(link) for link in row] for row in self._links.tolist()]
+        self._links = links
 
     def box(self, number: int) -> NDArray[np.float64]:
         """See `StructureMap.box`."""
@@ -272,14 +207,6 @@ class GraphMap(BlockMap):
         """See `StructureMap.kind`."""
         del number
         return "sector"
-
-    def label(self, number: int) -> str:
-        """See `StructureMap.label`."""
-        return f"sector {number}"
-
-    def list_size(self, number: int) -> int:
-        """See `StructureMap.list_size`."""
-        return int(self._sizes[number])
 
     def spot(self, records: Records) -> LocalSpot:
         """See `StructureMap.spot`."""

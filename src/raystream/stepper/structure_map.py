@@ -53,14 +53,6 @@ class StructureMap(ABC):
         """``"cell"``, ``"split"``, ``"node"``, ``"leaf"`` or ``"sector"``."""
 
     @abstractmethod
-    def label(self, number: int) -> str:
-        """Its name in a sentence."""
-
-    @abstractmethod
-    def list_size(self, number: int) -> int:
-        """Number of triangles that it lists."""
-
-    @abstractmethod
     def spot(self, records: Records) -> LocalSpot | None:
         """The position of a ray; None if it has nothing left to search."""
 

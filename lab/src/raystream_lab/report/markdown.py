@@ -36,9 +36,7 @@ class Page(NamedTuple):
     text: str
 
 
-def as_pages(
-    outcomes: Sequence[Outcome], about: About, plots: Collection[str] = (), walk: str | None = None
-) -> list[Page]:
+def as_pages(outcomes: Sequence[Outcome], about: About, plots: Collection[str] = ()) -> list[Page]:
     """Make the pages.
 
     Parameters
@@ -47,8 +45,6 @@ def as_pages(
     about : About
     plots : collection of str
         Names of the plots saved as ``plots/NAME.png`` beside the pages.
-    walk : str, optional
-        Name of a page beside them that shows a ray's walk.
 
     Returns
     -------
@@ -73,11 +69,6 @@ def as_pages(
     parts[-len(papers) :] = ["\n".join(parts[-len(papers) :])] if papers else []
     if any(claims.values()):
         parts += ["## The papers' claims and our verdicts", table_text(_summary(claims))]
-    if walk is not None:
-        parts.append(
-            f'<a href="{walk}">One ray, step by step</a>: through a grid, kd-trees and a graph of '
-            "sectors."
-        )
     parts.append("\n".join(["```{toctree}", ":hidden:", "", *(p for p, _ in papers), "```"]))
     return [Page("index", _joined(parts)), *pages]
 

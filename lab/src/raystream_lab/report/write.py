@@ -38,9 +38,7 @@ def as_json(outcomes: Sequence[Outcome], about: About) -> dict[str, Any]:
     }
 
 
-def write_report(
-    folder: Path, outcomes: Sequence[Outcome], about: About, walk: Path | None = None
-) -> list[Path]:
+def write_report(folder: Path, outcomes: Sequence[Outcome], about: About) -> list[Path]:
     """Write a report.
 
     Parameters
@@ -49,8 +47,6 @@ def write_report(
         An existing folder.
     outcomes : sequence of Outcome
     about : About
-    walk : Path, optional
-        A page in the folder that shows a ray's walk.
 
     Returns
     -------
@@ -68,7 +64,7 @@ def write_report(
     for plot in plots:
         draw(plot, folder / "plots" / f"{plot.name}.png")
     names = {plot.name for plot in plots}
-    pages = as_pages(outcomes, about, names, walk.name if walk else None)
+    pages = as_pages(outcomes, about, names)
     texts = {f"{page.name}.md": page.text for page in pages}
     texts["report.json"] = _as_text(as_json(outcomes, about))
     texts["about.json"] = _as_text(about._asdict())
@@ -82,15 +78,13 @@ def _as_text(value: Mapping[str, Any]) -> str:
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
 
 
-def build_html(folder: Path, walk: Path | None = None) -> Path:
+def build_html(folder: Path) -> Path:
     """Build the pages of a report as HTML, with Sphinx.
 
     Parameters
     ----------
     folder : Path
         Of a report.
-    walk : Path, optional
-        A page in the folder that is copied along.
 
     Returns
     -------
@@ -104,9 +98,8 @@ def build_html(folder: Path, walk: Path | None = None) -> Path:
     """
     to = folder / "html"
     shutil.rmtree(to, ignore_errors=True)
-    options = dict(_SPHINX) | ({"html_extra_path": walk.name} if walk else {})
     command = [sys.executable, "-m", "sphinx", "--builder", "html", "--isolated", "--quiet"]
-    for name, value in options.items():
+    for name, value in _SPHINX.items():
         command += ["--define", f"{name}={value}"]
     result = subprocess.run(
         [*command, str(folder), str(to)], capture_output=True, text=True, encoding="utf-8"
