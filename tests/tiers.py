@@ -26,12 +26,12 @@ CI = (
     "cuda",
     "graphics",
     "lab",
-    "stepper",
     "test_jax.py",
     "viewer/test_browser_device.py",
     "viewer/server",
     # The repository's own tools, texts and examples.
     "documentation",
+    "examples",
     "seeded_faults",
     "test_budget.py",
     "test_docstrings.py",

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from conftest import tier
 from meshes import cube, soup
 from raystream.jit import threads
 from raystream.machines.backend import Capabilities
@@ -12,6 +13,13 @@ from raystream.programs.program import Program
 
 RAY = ([0.3, 0.4, -2.0], [0.0, 0.0, 1.0])
 GLOBAL = {"a": 1}
+
+
+#: Those of the BVH; a default run has the one that most rays are traced by.
+KERNELS = [
+    pytest.param(kernel, marks=tier(is_everyday=kernel == "wavefront"))
+    for kernel in ("wavefront", "packet", "groups", "single")
+]
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +149,7 @@ def raises_in_front(hit):
     return False
 
 
-@pytest.mark.parametrize("kernel", ["wavefront", "packet", "groups", "single"])
+@pytest.mark.parametrize("kernel", KERNELS)
 def test_a_filter_raises_only_at_the_nearest_hits(kernel):
     """Whatever other hits a traversal finds, and in what order."""
     tracer = rs.Tracer(rs.Scene.from_arrays(*cube()), kernel=kernel)
@@ -159,7 +167,7 @@ def test_a_filter_raises_only_at_the_nearest_hits(kernel):
                 query(origins, toward, on_hit=raises_in_front)
 
 
-@pytest.mark.parametrize("kernel", ["wavefront", "packet", "groups", "single"])
+@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("query", ["first_hit", "any_hit"])
 def test_progress_never_decreases_when_a_filter_raises(kernel, query, monkeypatch):
     """Though the rays are traced again then, over their nearest hits."""
