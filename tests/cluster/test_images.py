@@ -87,12 +87,13 @@ def test_a_time_limit_ends_after_whole_samples(client, room):
     assert (found.layers["samples"] == taken).all()
 
 
+@pytest.mark.parametrize("mode", ["ao", "path"])  # without lights, and with those of the room
 def test_a_picture_goes_on_from_a_checkpoint_with_or_without_a_cluster(
-    client, room, tmp_path, monkeypatch
+    client, room, tmp_path, monkeypatch, mode
 ):
     monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
     checkpoint = tmp_path / "samples.npz"
-    asked = {"mode": "ao", "size": SIZE, "checkpoint": checkpoint}
+    asked = {"mode": mode, "size": SIZE, "checkpoint": checkpoint}
 
     def interrupt(done, total):
         if done >= 3 * SIZE[0] * SIZE[1]:
@@ -106,7 +107,7 @@ def test_a_picture_goes_on_from_a_checkpoint_with_or_without_a_cluster(
     found = rs.cluster.render(
         room, **asked, samples=7, client=client, progress=lambda done, total: seen.append(done)
     )
-    assert_same_image(found, rs.render(room, "ao", SIZE, 7))
+    assert_same_image(found, rs.render(room, mode, SIZE, 7))
     assert seen[0] == 5 * SIZE[0] * SIZE[1]
     assert seen == sorted(seen)
     assert seen[-1] == 7 * SIZE[0] * SIZE[1]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from raystream.graphics.streams.wgsl_text import Function, Member, WgslText
+from raystream.graphics.streams.wgsl_text import Function, Member, Structure, WgslText
 
 
 def test_functions_with_parameters_and_results():
@@ -55,10 +55,21 @@ def test_structures_by_name():
     assert text.structure("C") is None
 
 
-@pytest.mark.parametrize("text", ["", "fn", "fn a(", "fn a(x: f32", "struct A {", "/*", "fn a)("])
-def test_incomplete_sources_are_no_error(text):
-    WgslText(text).functions()
-    WgslText(text).structure("A")
+@pytest.mark.parametrize(
+    ("text", "functions", "structure"),
+    [
+        ("", [], None),
+        ("fn", [], None),
+        ("fn a(", [Function("a", 1, (), "")], None),
+        ("fn a(x: f32", [Function("a", 1, (Member("x", "f32"),), "")], None),
+        ("struct A {", [], Structure("A", ())),
+        ("/*", [], None),
+        ("fn a)(", [], None),
+    ],
+)
+def test_incomplete_sources_are_read_as_far_as_they_go(text, functions, structure):
+    assert WgslText(text).functions() == functions
+    assert WgslText(text).structure("A") == structure
 
 
 @given(st.text(alphabet="fn ab/*\n(){}<>,:->;@é", max_size=200))

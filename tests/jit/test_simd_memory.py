@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numba
 import numpy as np
 import pytest
@@ -99,13 +101,16 @@ def test_scratch():
     assert sums == [276, 276, 276]
 
 
-def test_prefetch_takes_any_address():
+def test_prefetch_is_an_instruction_that_takes_any_address():
     @numba.njit
     def run(at):
         simd.prefetch(at)
 
     for place in (0, 1, 2**63, 2**64 - 1, np.zeros(1).ctypes.data):
         run(np.uint64(place))
+    (code,) = run.inspect_llvm().values()
+    (call, *_) = re.findall(r"call void @llvm\.prefetch\.p0[^\n]*", code)
+    assert call.endswith("i32 0, i32 3, i32 1)")  # to read, in all caches, data
 
 
 @device_call

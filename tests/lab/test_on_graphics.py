@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 
@@ -255,7 +255,9 @@ def test_experiments_are_chosen_by_device() -> None:
         choose(["all"], device="abacus")
 
 
-def test_every_device_has_a_function_for_its_experiments() -> None:
-    for device in DEVICES:
-        for one in choose(["all"], device=device):
-            assert callable(one.function(device)), (one.name, device)
+@pytest.mark.parametrize("device", DEVICES)
+def test_every_experiment_of_a_device_is_a_function_of_its_own(device: str) -> None:
+    functions = [one.function(device) for one in choose(["all"], device=device)]
+    assert len(set(functions)) == len(functions)
+    for function in functions:
+        assert get_type_hints(function) == {"runner": Runner, "return": Result}, function

@@ -218,13 +218,29 @@ def test_png_comes_back_as_it_is_shown(tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGBA", "I;16"])
-def test_png_of_every_mode(tmp_path, mode):
-    white = {"1": 1, "I;16": 65535, "LA": (255, 9), "RGBA": (255, 255, 255, 9), "P": 0}
-    picture = PillowImage.new(mode, (2, 1), white.get(mode, 255))
-    if mode == "P":
-        picture.putpalette([255, 255, 255])
-    picture.save(tmp_path / "x.png")
-    assert (rs.Image.load(tmp_path / "x.png").pixels == 1.0).all()
+def test_every_level_of_png_of_every_mode(tmp_path, mode):
+    """Alpha is dropped, and 16 bits are rounded to 8."""
+    levels = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    ramp = PillowImage.fromarray(levels)
+    alpha = PillowImage.new("L", ramp.size, 9)
+    if mode == "1":
+        levels = np.where(levels > 127, 255, 0)
+        ramp = PillowImage.fromarray(levels > 127)
+    elif mode == "LA":
+        ramp = PillowImage.merge(mode, [ramp, alpha])
+    elif mode == "RGBA":
+        ramp = PillowImage.merge(mode, [ramp, ramp, ramp, alpha])
+    elif mode == "P":
+        ramp.putpalette(np.repeat(255 - levels, 3).tolist())
+        levels = 255 - levels
+    elif mode == "I;16":
+        words = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+        levels = (words.astype(int) + 128) // 257
+        ramp = PillowImage.fromarray(words)
+    assert ramp.mode == mode
+    ramp.save(tmp_path / "x.png")
+    expected = decode_srgb(np.repeat(levels.astype(np.uint8)[:, :, None], 3, axis=2))
+    np.testing.assert_array_equal(rs.Image.load(tmp_path / "x.png").pixels, expected)
 
 
 def test_light_of_any_strength_is_white_in_a_png(tmp_path):

@@ -416,7 +416,14 @@ FIELDS = ("number", "eye", "look_at", "up", "fov", "moving", "width", "height", 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(KINDS), st.dictionaries(st.sampled_from(FIELDS), JSON, max_size=8))
 def test_no_message_does_harm(page: Page, kind: str, fields: dict[str, Any]) -> None:
+    """It is followed or refused, and the page is served as before."""
+    page.forget()
     page.client.handle({"type": kind, **fields})
+    page.client.handle({"type": "dance"})
+    page.message("error", about="dance")
+    told = [one["about"] for one in page.received if isinstance(one, dict) and "about" in one]
+    assert told in (["dance"], [kind, "dance"])
+    assert not page.client.has_left
 
 
 def test_a_studio_begins_as_it_is_told() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.ray_files.blocks import Block
 
-__all__ = ["BlockColumn", "ColumnType", "RowColumn", "create_array"]
+__all__ = ["BlockColumn", "ColumnType", "RowColumn", "chunk_files", "create_array"]
 
 
 class ColumnType(NamedTuple):
@@ -39,7 +39,7 @@ def create_array(
     )
 
 
-def _chunk_files(array: Any, box: tuple[slice, ...]) -> Iterator[Path]:
+def chunk_files(array: Any, box: tuple[slice, ...]) -> Iterator[Path]:
     """Iterate over the files of the chunks that a box overlaps."""
     folder = Path(array.store.root, array.path)
     spans = [
@@ -70,7 +70,7 @@ class BlockColumn:
     def write(self, block: Block, values: NDArray[Any]) -> None:
         """Write the values of a block."""
         self._array[block.box] = values
-        self.changed.extend(_chunk_files(self._array, block.box))
+        self.changed.extend(chunk_files(self._array, block.box))
 
 
 class RowColumn:
@@ -119,4 +119,4 @@ class RowColumn:
             self._array.resize((end,))
         box = (slice(self._written, end),)
         self._array[box] = rows
-        self.changed.extend(_chunk_files(self._array, box))
+        self.changed.extend(chunk_files(self._array, box))

@@ -17,7 +17,6 @@ from raystream.core.hits import MultiHits
 from raystream.ray_files.blocks import Block, Blocks
 from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, create_array
 from raystream.ray_files.durable import synchronize
-from raystream.ray_files.open_store import MAX_METADATA_BYTES
 
 __all__ = [
     "COLUMNS",
@@ -222,8 +221,6 @@ def store_attributes(path: Path) -> dict[str, Any]:
     """
     file = path / "zarr.json"
     try:
-        if os.path.getsize(file) > MAX_METADATA_BYTES:
-            return {}
         found = json.loads(file.read_bytes())["attributes"][_KEY]
     except (ValueError, KeyError, TypeError, RecursionError, FileNotFoundError):
         return {}

@@ -1,4 +1,4 @@
-"""Stores from anywhere: one clear error each, and nothing evaluated."""
+"""Stores that are damaged or hold no rays: one clear error each, and nothing unpickled."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from extras import need
 
 need("zarr")
 
+import numcodecs
 import zarr
 
 import raystream as rs
@@ -102,38 +103,29 @@ class Bomb:
         return Path.touch, (self.path,)
 
 
-@pytest.mark.parametrize("place", ["compressor", "filters"])
-def test_nothing_is_unpickled(tmp_path, old_store, place):
+PICKLE, TEXT = {"id": "pickle", "protocol": 5}, {"id": "vlen-utf8"}
+
+
+@pytest.mark.parametrize("dtype", ["<f4", "|O"])
+@pytest.mark.parametrize(
+    "codecs",
+    [
+        {"compressor": PICKLE, "filters": None},
+        {"compressor": None, "filters": [PICKLE]},
+        {"compressor": PICKLE, "filters": [TEXT]},
+        {"compressor": None, "filters": [TEXT, PICKLE]},
+    ],
+    ids=str,
+)
+def test_nothing_is_unpickled(tmp_path, old_store, codecs, dtype):
+    """Zarr knows pickles as objects alone, and arrays of rays are numbers."""
     import pickle
 
-    codec = {"id": "pickle", "protocol": 5}
-    edit(
-        old_store / "origins" / ".zarray",
-        **{place: codec if place == "compressor" else [codec], "dtype": "|O", "fill_value": None},
-    )
-    (old_store / "origins" / "0.0").write_bytes(pickle.dumps(Bomb(tmp_path / "gone off")))
-    assert "array 'origins' uses the codec 'pickle', which is not supported" in refusal(old_store)
+    edit(old_store / "origins" / ".zarray", dtype=dtype, fill_value=None, **codecs)
+    for chunk in ("0.0", "1.0"):
+        (old_store / "origins" / chunk).write_bytes(pickle.dumps(Bomb(tmp_path / "gone off")))
+    refusal(old_store)
     assert not (tmp_path / "gone off").exists()
-
-
-def test_pickles_behind_a_harmless_description(tmp_path, old_store, store):
-    """Zarr chooses between two descriptions, so both are checked."""
-    edit(old_store / "origins" / ".zarray", filters=[{"id": "pickle"}], dtype="|O")
-    (old_store / "origins" / "zarr.json").write_bytes(
-        (store / "origins" / "zarr.json").read_bytes()
-    )
-    assert "'pickle'" in refusal(old_store)
-
-
-@pytest.mark.parametrize("name", ["vlen-utf8", "numcodecs.pickle", "numcodecs.json2", "bytes2"])
-@pytest.mark.parametrize("in_shards", [False, True])
-def test_codecs_that_are_not_on_the_list(store, name, in_shards):
-    codecs = [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": name}]
-    if in_shards:
-        inside = {"chunk_shape": [5, 3], "codecs": codecs, "index_codecs": codecs[:1]}
-        codecs = [{"name": "sharding_indexed", "configuration": inside}]
-    edit(store / "origins" / "zarr.json", codecs=codecs)
-    assert f"codec {name!r}" in refusal(store)
 
 
 @pytest.mark.parametrize(
@@ -141,24 +133,14 @@ def test_codecs_that_are_not_on_the_list(store, name, in_shards):
     [
         {"shape": [-20, 3]},
         {"shape": [2**62, 3]},
-        {"shape": [2**45, 3]},
         {"shape": []},
-        {"shape": None},
         {"shape": [20.5, 3]},
         {"data_type": "string"},
-        {"data_type": "r16"},
-        {"data_type": 7},
         {"codecs": []},
-        {"codecs": None},
-        {"codecs": [7]},
-        {"codecs": [{"name": "sharding_indexed"}]},
         {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [0, 3]}}},
         {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [2**40, 3]}}},
-        {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [-1, 3]}}},
-        {"fill_value": {}},
         {"zarr_format": 9},
         {"node_type": "group"},
-        {"node_type": 3},
     ],
     ids=str,
 )
@@ -169,18 +151,11 @@ def test_damaged_description(store, changes):
     refusal(store)
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"7", b"[" * 100_000, b"\xff\xfe"])
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe"])
 @pytest.mark.parametrize("file", ["zarr.json", "origins/zarr.json"])
 def test_description_that_is_none(store, file, content):
     (store / file).write_bytes(content)
     refusal(store)
-
-
-@pytest.mark.parametrize("file", ["zarr.json", "origins/zarr.json"])
-def test_endless_description(store, file):
-    with (store / file).open("r+b") as stream:
-        stream.truncate(2**34)
-    assert "too long" in refusal(store)
 
 
 def test_huge_chunk_is_refused_before_it_is_read(store):
@@ -199,14 +174,20 @@ def test_tiny_chunks_make_small_blocks(tmp_path, monkeypatch):
     assert store.divide(1000).lengths == (16,)
 
 
+@pytest.mark.parametrize("content", ["half", b"no chunk", b""])
 @pytest.mark.parametrize(
-    ("zarr_format", "content"), [(2, "half"), (2, b"no chunk"), (3, "half"), (3, b"")]
+    ("zarr_format", "codec"), [(2, None), (2, "blosc"), (3, None), (3, "blosc"), (3, "zstd")]
 )
 def test_damaged_chunk_is_one_error_and_what_is_done_is_kept(
-    tracer, tmp_path, zarr_format, content
+    tracer, tmp_path, zarr_format, codec, content
 ):
     rays = cornell_rays((400,))
-    store = write_store(tmp_path / "rays.zarr", rays, (100,), zarr_format)
+    compressors = {
+        (2, "blosc"): numcodecs.Blosc(),
+        (3, "blosc"): zarr.codecs.BloscCodec(),
+        (3, "zstd"): zarr.codecs.ZstdCodec(),
+    }.get((zarr_format, codec))
+    store = write_store(tmp_path / "rays.zarr", rays, (100,), zarr_format, compressors=compressors)
     chunk = store / ("directions/c/2/0" if zarr_format == 3 else "directions/2.0")
     whole = chunk.read_bytes()
     output = tmp_path / "hits.zarr"
@@ -222,38 +203,6 @@ def test_damaged_chunk_is_one_error_and_what_is_done_is_kept(
         rs.query_zarr(tracer, store, output, block_rays=100, progress=damage)
     chunk.write_bytes(whole)
     assert ask(resume=True).rays_before == 200
-
-
-@pytest.mark.parametrize("codec", ["blosc", "zstd", "gzip", "lz4"])
-def test_small_chunk_that_becomes_huge_is_not_unpacked(tmp_path, codec):
-    """Its stated size is forged where possible, otherwise counted."""
-    import numcodecs
-
-    compressor = {
-        "blosc": numcodecs.Blosc(),
-        "zstd": numcodecs.Zstd(),
-        "gzip": numcodecs.GZip(),
-        "lz4": numcodecs.LZ4(),
-    }[codec]
-    store = write_store(
-        tmp_path / "rays.zarr", cornell_rays((20,)), zarr_format=2, compressors=compressor
-    )
-    bomb = compressor.encode(np.zeros(50_000_000, np.uint8))
-    assert len(bomb) < 3_000_000
-    (store / "origins" / "0.0").write_bytes(bomb)
-    rays = RayStore(store)
-    (block,) = rays.divide(100).after(0)
-    with pytest.raises(rs.FileFormatError, match=r"cannot be read \(a chunk (claims|has)"):
-        rays.read(block)
-
-
-def test_chunk_of_endless_length_is_not_read(store):
-    with (store / "origins" / "c" / "0" / "0").open("r+b") as stream:
-        stream.truncate(2**36)
-    rays = RayStore(store)
-    (block,) = rays.divide(100).after(0)
-    with pytest.raises(rs.FileFormatError, match=r"has 68,719,476,736 bytes"):
-        rays.read(block)
 
 
 @pytest.mark.parametrize("output", ["rays.zarr", "rays.zarr/hits.zarr", "."])
