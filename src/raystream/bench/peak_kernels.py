@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import mask_bits, maximum, minimum, popcount, scratch
 from raystream.kernels.leaf_block import BLOCK, block_ray, test_block
@@ -14,7 +15,6 @@ from raystream.structures.bvh.node_layout import Node, plane_row
 
 __all__ = ["test_blocks", "test_nodes"]
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 
 
@@ -39,7 +39,7 @@ def test_nodes(begin, end, nodes, count, times, source, frame, found):
     found : ndarray of uint64
         The boxes entered are added to element 0.
     """
-    entered_count = _U0
+    entered_count = ZERO_U64
     for i in range(np.uint64(begin), np.uint64(end)):
         start, ray = _prepared(source, i, frame)
         inv = ray.inv_x, ray.inv_y, ray.inv_z
@@ -53,9 +53,9 @@ def test_nodes(begin, end, nodes, count, times, source, frame, found):
                     planes[x],
                     planes[y],
                     planes[z],
-                    planes[x ^ _U1],
-                    planes[y ^ _U1],
-                    planes[z ^ _U1],
+                    planes[x ^ ONE_U64],
+                    planes[y ^ ONE_U64],
+                    planes[z ^ ONE_U64],
                     inv,
                     near,
                     far,
@@ -81,7 +81,7 @@ def test_blocks(begin, end, blocks, count, times, source, frame, found):
         The triangles hit are added to element 0.
     """
     lanes = scratch(64)
-    hit_count = _U0
+    hit_count = ZERO_U64
     for i in range(np.uint64(begin), np.uint64(end)):
         start, ray = _prepared(source, i, frame)
         line = block_ray(ray)

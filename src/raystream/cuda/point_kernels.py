@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from raystream.core.rays import RayStatus
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import scratch
@@ -17,7 +18,6 @@ from raystream.structures import form_of
 
 __all__ = ["nearest_kernel", "point_kernel"]
 
-_NONE = np.uint64(0)
 _ROW_BYTES = np.uint64(ROW.itemsize)
 _VALID = np.uint8(RayStatus.VALID)
 
@@ -39,7 +39,7 @@ def point_kernel(search: PointSearch) -> Callable[..., None]:
         stack = scratch(stack_bytes)
         own = rows + i * capacity * _ROW_BYTES
         query = read_point(source, i, frame)
-        found = _NONE
+        found = ZERO_U64
         if query.status == _VALID:
             nearest = begin_point(query, frame, own, capacity)
             nearest = find(arrays, frame, query.moved, nearest, stack)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -32,9 +33,6 @@ __all__ = [
     "make_kernels",
 ]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _LONG = np.uint64(3)  # one of eight
 
 
@@ -114,42 +112,42 @@ def make_kernels(
     @kernel
     def first_hit(i, source, frame, tree, tallies, out):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         tally = _tally_at(tallies, i)
         hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
         scene = RayScene(source, frame, tree, stack, out.status, None)
-        search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, tally))
+        search, ray = search_ray(i, scene, Goal(ONE_U64, hits, i, False, tally))
         add_to(tally, SHADINGS, search.hit_count)
         finish_first(out, i, search.hit_count, ray)
 
     @kernel
     def any_hit(i, source, frame, tree, tallies, out):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         tally = _tally_at(tallies, i)
         scene = RayScene(source, frame, tree, stack, out.status, None)
-        search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, tally))
+        search, _ = search_ray(i, scene, Goal(ONE_U64, None, ZERO_U64, False, tally))
         add_to(tally, SHADINGS, search.hit_count)
-        store(out.seen + i, np.uint8(search.hit_count != _NONE))
+        store(out.seen + i, np.uint8(search.hit_count != ZERO_U64))
 
     @kernel
     def count_hits(i, source, frame, tree, tallies, surfaces, limit, out):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         scene = RayScene(source, frame, tree, stack, out.status, None)
-        goal = Goal(limit, None, _NONE, surfaces, _tally_at(tallies, i))
+        goal = Goal(limit, None, ZERO_U64, surfaces, _tally_at(tallies, i))
         search, _ = search_ray(i, scene, goal)
         store(out.counts + (i << _LONG), np.int64(search.hit_count))
 
     @kernel
     def multi_hit(i, source, frame, tree, tallies, surfaces, out):
         first = np.uint64(load(np.int64, out.splits + (i << _LONG)))
-        capacity = np.uint64(load(np.int64, out.splits + ((i + _ONE) << _LONG))) - first
+        capacity = np.uint64(load(np.int64, out.splits + ((i + ONE_U64) << _LONG))) - first
         store(out.found + (i << _LONG), np.int64(0))
-        if capacity == _NONE:
+        if capacity == ZERO_U64:
             return
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         tally = _tally_at(tallies, i)
         scene = RayScene(source, frame, tree, stack, None, None)
         goal = Goal(capacity, out.hits, first, surfaces, tally)

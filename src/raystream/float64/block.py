@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
@@ -75,8 +76,6 @@ _RATIO_ERROR = np.float64(4.0 * _UNIT)
 #: The divisor is known well enough for a distance if it is this many times its bound.
 _CLEAR = np.float64(4.0)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _ZERO = np.float64(0.0)
 _INF = np.float64(np.inf)
 _BLOCK_BITS = np.int32(7)
@@ -85,7 +84,7 @@ _BLOCK_BITS = np.int32(7)
 @device
 def leaf_end(first, child):
     """Address after the last block of a leaf, the first of which is at `first`."""
-    return first + (np.uint64(np.int32(~child) & _BLOCK_BITS) + _ONE) * BLOCK
+    return first + (np.uint64(np.int32(~child) & _BLOCK_BITS) + ONE_U64) * BLOCK
 
 
 @device
@@ -204,7 +203,7 @@ def test_block(block, line, t_min, t_far, lanes):
     low, high, error, base, corner, reach = sides_of(a, edges, line.origin, line.direction)
     found = (low >= -error) | (high <= error)
     if not any_lane(found):
-        return _NONE, _NONE
+        return ZERO_U64, ZERO_U64
     is_clear, least, most = interval_of(corner, reach, edges, base, error)
     least, most = select(is_clear, least, f64x4(-_INF)), select(is_clear, most, f64x4(_INF))
     found = found & (least <= t_far) & (most >= t_min)

@@ -16,14 +16,13 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.float64.double_numbers import two_product, two_sum
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import bits_as_float, float_as_bits, load, scratch, store
 
 __all__ = ["determinant", "determinant_value", "rounded_ratio"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _SHIFT = np.uint64(3)  # a number's eight bytes
 _BIT = np.int64(1)
 
@@ -46,15 +45,15 @@ _STEPS = 8
 def _grow(at, count, x):
     """Add a number to an expansion; returns the number of its components."""
     no_inline()
-    total, kept = x, _NONE
+    total, kept = x, ZERO_U64
     for k in range(count):
         total, rest = two_sum(total, load(np.float64, at + (k << _SHIFT)))
         if rest != 0.0:
             store(at + (kept << _SHIFT), rest)
-            kept += _ONE
+            kept += ONE_U64
     if total != 0.0:
         store(at + (kept << _SHIFT), total)
-        kept += _ONE
+        kept += ONE_U64
     return kept
 
 
@@ -107,7 +106,7 @@ def determinant(at, x, y, z):
         Number of components.
     """
     no_inline()
-    count = _add_term(at, _NONE, x[0], y[1], z[2])
+    count = _add_term(at, ZERO_U64, x[0], y[1], z[2])
     count = _add_term(at, count, x[1], y[2], z[0])
     count = _add_term(at, count, x[2], y[0], z[1])
     count = _add_term(at, count, _negative(x[0]), y[2], z[1])
@@ -127,9 +126,9 @@ def _value(at, count):
 @device
 def _sign(at, count):
     """A number with the sign of an expansion."""
-    if count == _NONE:
+    if count == ZERO_U64:
         return 0.0
-    return load(np.float64, at + ((count - _ONE) << _SHIFT))
+    return load(np.float64, at + ((count - ONE_U64) << _SHIFT))
 
 
 @device_call
@@ -176,7 +175,7 @@ def rounded_ratio(a, p, q, d):
     no_inline()
     top, base = scratch(_MOST_BYTES), scratch(_MOST_BYTES)
     top_count = determinant(top, a, p, q)
-    if top_count == _NONE:
+    if top_count == ZERO_U64:
         return 0.0
     base_count = determinant(base, d, p, q)
     ratio = _value(top, top_count) / _value(base, base_count)

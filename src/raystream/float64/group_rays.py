@@ -30,6 +30,7 @@ from raystream.float64.ray import (
     ray_of_line,
 )
 from raystream.float64.search import NO_PRIM, Nearest, is_counted, offer, within
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -124,8 +125,6 @@ _STEPS, _LEAST_STEP = np.float32(2.0**-22), np.float32(2.0**-126)
 
 _nearest, _anything = tree_searches.nearest, tree_searches.anything
 
-_NONE, _ONE, _TWO = np.uint64(0), np.uint64(1), np.uint64(2)
-_WORD, _DOUBLE = np.uint64(2), np.uint64(3)
 _LANES = np.uint64(16)
 _ALL = np.uint64(0xFFFF)
 _MOST_AT = np.uint64(128)
@@ -162,8 +161,8 @@ def _best_of(lanes, k):
 def _load_one(lanes, k, source, i, frame):
     """Load ray i as lane k."""
     no_inline()
-    t_min = source.t_min[i if len(source.t_min) > 1 else _NONE]
-    t_max = source.t_max[i if len(source.t_max) > 1 else _NONE]
+    t_min = source.t_min[i if len(source.t_min) > 1 else ZERO_U64]
+    t_max = source.t_max[i if len(source.t_max) > 1 else ZERO_U64]
     given, way = load_origin(source.rays, i), load_direction(source.rays, i)
     line, half, rest, status = make_line(given, way, t_min, t_max)
     origin, direction = lanes.origin, lanes.direction
@@ -180,8 +179,8 @@ def _load_one(lanes, k, source, i, frame):
 @device
 def _limits(array, first):
     if len(array) > 1:
-        return load(f64x16, address(array) + (first << _DOUBLE))
-    return f64x16(array[_NONE])
+        return load(f64x16, address(array) + (first << SHIFT_64))
+    return f64x16(array[ZERO_U64])
 
 
 @device
@@ -248,7 +247,7 @@ def load_rays(at, source, first, count, frame, is_slow, local):
     group, lanes = Float64Group(at), Float64Lanes(at)
     if count != _LANES or not _load_all(group, source, first, frame):
         for k in range(_LANES):
-            _load_one(lanes, k, source, first + min(k, count - _ONE), frame)
+            _load_one(lanes, k, source, first + min(k, count - ONE_U64), frame)
             if k >= count:
                 lanes.far[k] = -_INF
     group.low, group.high = f64x16(_INF), f64x16(_INF)
@@ -343,12 +342,12 @@ def intersect_rays(group, allowed, a, edges, place, prim_id, wants_any, spans):
     low, high, error, base, corner, reach = sides_of(a, edges, origin, direction)
     found = allowed & ((low >= -error) | (high <= error))
     if not any_lane(found):
-        return found, f32x16(_ZERO32), _NONE
+        return found, f32x16(_ZERO32), ZERO_U64
     is_clear, least, most = interval_of(corner, reach, edges, base, error)
     least, most = select(is_clear, least, f64x16(-_INF)), select(is_clear, most, f64x16(_INF))
     found = found & (least <= group.far) & (most >= group.t_min)
     if not any_lane(found):
-        return found, f32x16(_ZERO32), _NONE
+        return found, f32x16(_ZERO32), ZERO_U64
     best = group.low
     is_sure = is_clear & ((low > error) | (high < -error))
     taken = found & is_sure & (least >= group.t_min) & (most <= group.t_max) & (most < best)
@@ -363,7 +362,7 @@ def intersect_rays(group, allowed, a, edges, place, prim_id, wants_any, spans):
             group.far = select(taken, most, group.far)
             far = _short(most, group)
     doubtful = mask_bits(found & ~taken)
-    if doubtful != _NONE:
+    if doubtful != ZERO_U64:
         store(spans, least)
         store(spans + _MOST_AT, select(is_sure, most, f64x16(_INF)))
     return taken, far, doubtful
@@ -386,19 +385,19 @@ def _vertex(leaves, index, at):
 @device
 def _finish_all(group, first, tree, rows):
     """Write the nearest hits of 16 rays; returns bits of those that are unsettled."""
-    place, at = group.place, first << _DOUBLE
+    place, at = group.place, first << SHIFT_64
     is_hit, zero = place != _NO_PLACE, f64x16(_ZERO)
     t_at, u_at, v_at = address(rows.t) + at, address(rows.u) + at, address(rows.v) + at
     prim_id = select(is_hit, group.prim_id, i32x16(_MISS))
-    store(address(rows.prim_id) + (first << _WORD), prim_id)
+    store(address(rows.prim_id) + (first << SHIFT_32), prim_id)
     if not any_lane(is_hit):
         store(t_at, f64x16(_INF))
         store(u_at, zero)
         store(v_at, zero)
-        return _NONE
+        return ZERO_U64
     index = select(is_hit, (place - np.int64(tree.leaves)) >> _SHIFT64, i64x16(_NO_PLACE))
     is_settled, t, u, v = settle(
-        _vertex(tree.leaves, index, _NONE),
+        _vertex(tree.leaves, index, ZERO_U64),
         _vertex(tree.leaves, index, SECOND),
         _vertex(tree.leaves, index, THIRD),
         three(group.origin),
@@ -457,14 +456,14 @@ def finish_rays(at, first, count, tree, frame, wants_any, status, rows, memory):
     if is_usual and wants_any:
         bits, to = mask_bits(group.prim_id != NO_PRIM), address(rows.prim_id) + first
         for k in range(_LANES):
-            store(to + k, np.uint8((bits >> k) & _ONE))
+            store(to + k, np.uint8((bits >> k) & ONE_U64))
         return
     if not is_usual:
         for k in range(count):
             _finish_one(lanes, k, first + k, tree, frame, wants_any, status, rows, memory)
         return
     left = _finish_all(group, first, tree, rows)
-    while left != _NONE:
+    while left != ZERO_U64:
         k = count_trailing_zeros(left)
-        left &= left - _ONE
+        left &= left - ONE_U64
         _finish_one(lanes, k, first + k, tree, frame, False, status, rows, memory)

@@ -33,6 +33,7 @@ from raystream.float64.group_rays import (
 )
 from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
@@ -75,8 +76,6 @@ _P, _Q, _N, _H = (np.uint64(32 * k) for k in (3, 6, 9, 12))
 _SPAN_BYTES = 256
 _MOST_AT = np.uint64(128)
 
-_NONE, _ONE = np.uint64(0), np.uint64(1)
-_WORD, _DOUBLE = np.uint64(2), np.uint64(3)
 _LANES, _BLOCK_LANES = np.uint64(16), np.uint64(4)
 _INF = np.float64(np.inf)
 _INF32 = np.float32(np.inf)
@@ -114,19 +113,19 @@ def _offer(packet, lanes, g, k, low, high, is_sure, place, prim_id, wants_any):
 def _test_rays(packet, at, g, bits, block, wants_any, spans):
     """Test a block against some rays of a group; returns whether one of them has a nearer hit."""
     lanes, has_hit = Float64Lanes(at), False
-    while bits != _NONE:
+    while bits != ZERO_U64:
         k = count_trailing_zeros(bits)
-        bits &= bits - _ONE
+        bits &= bits - ONE_U64
         line = line_of(lanes, k)
         found, sure = test_block(block, line, line.t_min, lanes.far[k], spans)
-        while found != _NONE:
+        while found != ZERO_U64:
             lane = count_trailing_zeros(found)
-            found &= found - _ONE
-            low = load(np.float64, spans + (lane << _DOUBLE))
-            high = load(np.float64, spans + HIGH + (lane << _DOUBLE))
-            is_sure = (sure >> lane) & _ONE != _NONE
-            prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
-            place = block + (lane << _DOUBLE)
+            found &= found - ONE_U64
+            low = load(np.float64, spans + (lane << SHIFT_64))
+            high = load(np.float64, spans + HIGH + (lane << SHIFT_64))
+            is_sure = (sure >> lane) & ONE_U64 != ZERO_U64
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+            place = block + (lane << SHIFT_64)
             if _offer(packet, lanes, g, k, low, high, is_sure, place, prim_id, wants_any):
                 has_hit = True
                 if wants_any:
@@ -137,7 +136,7 @@ def _test_rays(packet, at, g, bits, block, wants_any, spans):
 @device
 def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
     """Test rays of a group against a triangle; returns whether one of them has a nearer hit."""
-    place, own = block + (lane << _DOUBLE), edges + (lane << _DOUBLE)
+    place, own = block + (lane << SHIFT_64), edges + (lane << SHIFT_64)
     sides = (
         load_corner(own + _P),
         load_corner(own + _Q),
@@ -145,7 +144,7 @@ def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
         load(np.float64, own + _H),
     )
     has_hit, lanes = False, Float64Lanes(at)
-    prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
+    prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
     taken, far, doubtful = intersect_rays(
         Float64Group(at),
         lanes_from_bits(mask16, bits),
@@ -160,11 +159,11 @@ def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
         group = Group(packet, g)
         group.t_active = select(taken, far, group.t_active)
         has_hit = True
-    while doubtful != _NONE:
+    while doubtful != ZERO_U64:
         k = count_trailing_zeros(doubtful)
-        doubtful &= doubtful - _ONE
-        low = load(np.float64, spans + (k << _DOUBLE))
-        high = load(np.float64, spans + _MOST_AT + (k << _DOUBLE))
+        doubtful &= doubtful - ONE_U64
+        low = load(np.float64, spans + (k << SHIFT_64))
+        high = load(np.float64, spans + _MOST_AT + (k << SHIFT_64))
         is_sure = high < _INF
         if _offer(packet, lanes, g, k, low, high, is_sure, place, prim_id, wants_any):
             has_hit = True
@@ -184,9 +183,9 @@ def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, float64_gr
     end = leaf_end(block, child)
     while block != end:
         _write_edges(block, edges)
-        for g in range(groups.first, groups.last + _ONE):
+        for g in range(groups.first, groups.last + ONE_U64):
             bits = entering_rays(packet, g, box, rays)
-            if bits == _NONE:
+            if bits == ZERO_U64:
                 continue
             at = float64_groups + g * _GROUP_BYTES
             if popcount(bits) <= _FEW:
@@ -194,7 +193,7 @@ def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, float64_gr
                     has_hit = True
                 continue
             for lane in range(_BLOCK_LANES):
-                if load(np.int32, block + PRIM_IDS + (lane << _WORD)) < np.int32(0):
+                if load(np.int32, block + PRIM_IDS + (lane << SHIFT_32)) < np.int32(0):
                     break
                 if _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
                     has_hit = True
@@ -210,10 +209,10 @@ def _load(packet, float64_groups, number, source, order, frame, slow_groups):
     """Load the rays of a packet in float64, after `load_packet`."""
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        if count == _NONE:
+        if count == ZERO_U64:
             continue
         at, local = float64_groups + g * _GROUP_BYTES, GroupLanes(packet, g)
-        is_slow = (slow_groups >> g) & _ONE != _NONE
+        is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
         load_rays(at, source, first, count, frame, is_slow, local)
         lanes = Float64Lanes(at)
         if is_slow:
@@ -237,6 +236,6 @@ def trace_float64_packets(begin, end, tree, frame, source, order, wants_any, sta
         )
         for g in range(GROUPS):
             first, count = group_rows(order, number, g)
-            if count != _NONE:
+            if count != ZERO_U64:
                 at = float64_groups + g * _GROUP_BYTES
                 finish_rays(at, first, count, tree, frame, wants_any, status, rows, own)

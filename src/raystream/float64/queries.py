@@ -15,6 +15,7 @@ from raystream.float64.ray import prepare_float64, reported
 from raystream.float64.rows import keep_row, put_row, row_t, sort_rows
 from raystream.float64.search import is_counted, no_hit, offer, within
 from raystream.float64.traversal import STACK_BYTES, all_blocks, tree_blocks
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import count_trailing_zeros, load, scratch, store
 from raystream.kernels.hits import HitAddresses, hit_addresses
@@ -33,10 +34,6 @@ __all__ = [
     "write_nearest",
 ]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # four bytes, as a shift
-_DOUBLE = np.uint64(3)  # eight bytes, as a shift
 _MISS = np.int32(-1)
 _INVALID = np.uint8(RayStatus.INVALID)
 _INF = np.float64(np.inf)
@@ -88,8 +85,8 @@ class Float64Queries(NamedTuple):
 @device
 def load_float64(source, i, frame, status):
     """Ray i, prepared; its status is written if it is invalid."""
-    t_min = source.t_min[i if len(source.t_min) > 1 else _NONE]
-    t_max = source.t_max[i if len(source.t_max) > 1 else _NONE]
+    t_min = source.t_min[i if len(source.t_min) > 1 else ZERO_U64]
+    t_max = source.t_max[i if len(source.t_max) > 1 else ZERO_U64]
     origin, direction = load_origin(source.rays, i), load_direction(source.rays, i)
     ray = prepare_float64(origin, direction, t_min, t_max, frame)
     if ray.status == _INVALID:
@@ -100,7 +97,7 @@ def load_float64(source, i, frame, status):
 @device
 def write_nearest(to, i, best, ray):
     """Write the nearest hit of a ray, or a miss, to row i; `to` has the names of `HitAddresses`."""
-    if best.place == _NONE:
+    if best.place == ZERO_U64:
         put_row(to, i, _INF, _ZERO, _ZERO, _MISS)
         return
     _, t, u, v = resolve(ray.line, best.place, False)
@@ -110,14 +107,14 @@ def write_nearest(to, i, best, ray):
 @device
 def _visit_nearest(block, ray, best, lanes):
     found, sure = test_block(block, ray.line, ray.line.t_min, best.high, lanes)
-    while found != _NONE:
+    while found != ZERO_U64:
         lane = count_trailing_zeros(found)
-        found &= found - _ONE
-        low = load(np.float64, lanes + (lane << _DOUBLE))
-        high = load(np.float64, lanes + HIGH + (lane << _DOUBLE))
-        is_sure = (sure >> lane) & _ONE != _NONE
-        prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
-        best = offer(ray.line, best, low, high, is_sure, block + (lane << _DOUBLE), prim_id)
+        found &= found - ONE_U64
+        low = load(np.float64, lanes + (lane << SHIFT_64))
+        high = load(np.float64, lanes + HIGH + (lane << SHIFT_64))
+        is_sure = (sure >> lane) & ONE_U64 != ZERO_U64
+        prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+        best = offer(ray.line, best, low, high, is_sure, block + (lane << SHIFT_64), prim_id)
     return best, False
 
 
@@ -129,21 +126,21 @@ def _far_of_nearest(ray, best):
 @device
 def _is_hit(ray, lane, sure, block, lanes, surfaces):
     """Whether a triangle that may be hit is hit within the interval."""
-    low = load(np.float64, lanes + (lane << _DOUBLE))
-    high = load(np.float64, lanes + HIGH + (lane << _DOUBLE))
-    if (sure >> lane) & _ONE != _NONE and within(ray.line, low, high):
+    low = load(np.float64, lanes + (lane << SHIFT_64))
+    high = load(np.float64, lanes + HIGH + (lane << SHIFT_64))
+    if (sure >> lane) & ONE_U64 != ZERO_U64 and within(ray.line, low, high):
         return True
-    return is_counted(ray.line, block + (lane << _DOUBLE), surfaces)
+    return is_counted(ray.line, block + (lane << SHIFT_64), surfaces)
 
 
 @device
 def _visit_any(block, ray, count, lanes):
     found, sure = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
-    while found != _NONE:
+    while found != ZERO_U64:
         lane = count_trailing_zeros(found)
-        found &= found - _ONE
+        found &= found - ONE_U64
         if _is_hit(ray, lane, sure, block, lanes, False):
-            return _ONE, True
+            return ONE_U64, True
     return count, False
 
 
@@ -162,11 +159,11 @@ class _Counting(NamedTuple):
 def _visit_count(block, ray, search, lanes):
     found, sure = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
     total, limit, surfaces = search
-    while found != _NONE:
+    while found != ZERO_U64:
         lane = count_trailing_zeros(found)
-        found &= found - _ONE
+        found &= found - ONE_U64
         if _is_hit(ray, lane, sure, block, lanes, surfaces):
-            total += _ONE
+            total += ONE_U64
             if total == limit:
                 return _Counting(total, limit, surfaces), True
     return _Counting(total, limit, surfaces), False
@@ -185,12 +182,12 @@ class _Keeping(NamedTuple):
 def _visit_keep(block, ray, search, lanes):
     count, far, capacity, rows, first, surfaces = search
     found, _ = test_block(block, ray.line, ray.line.t_min, far, lanes)
-    while found != _NONE:
+    while found != ZERO_U64:
         lane = count_trailing_zeros(found)
-        found &= found - _ONE
-        is_hit, t, u, v = resolve(ray.line, block + (lane << _DOUBLE), surfaces)
+        found &= found - ONE_U64
+        is_hit, t, u, v = resolve(ray.line, block + (lane << SHIFT_64), surfaces)
         if is_hit and t >= ray.line.t_min and t <= far:
-            prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
             count, far = keep_row(rows, first, count, capacity, t, u, v, prim_id, far)
     return _Keeping(count, far, capacity, rows, first, surfaces), False
 
@@ -238,21 +235,21 @@ def _searches(blocks: Callable[..., Any]) -> Searches:
 
     @device
     def anything(tree, ray, memory):
-        return walk_any(tree, ray, _NONE, memory[0], memory[1], True) != _NONE
+        return walk_any(tree, ray, ZERO_U64, memory[0], memory[1], True) != ZERO_U64
 
     @device
     def count(tree, ray, limit, surfaces, memory):
-        search = _Counting(_NONE, limit, surfaces)
+        search = _Counting(ZERO_U64, limit, surfaces)
         return walk_count(tree, ray, search, memory[0], memory[1], False).total
 
     @device
     def keep(tree, ray, capacity, rows, first, surfaces, memory):
-        search = _Keeping(_NONE, ray.line.t_max, capacity, rows, first, surfaces)
+        search = _Keeping(ZERO_U64, ray.line.t_max, capacity, rows, first, surfaces)
         kept = walk_keep(tree, ray, search, memory[0], memory[1], False).kept
         sort_rows(rows, first, kept)
         # Distances in lengths of the given direction, last: they may underflow to equal ones.
         for row in range(first, first + kept):
-            store(rows.t + (row << _DOUBLE), reported(row_t(rows, row), ray))
+            store(rows.t + (row << SHIFT_64), reported(row_t(rows, row), ray))
         return kept
 
     return Searches(nearest, anything, count, keep)
@@ -292,8 +289,8 @@ def _queries(searches: Searches) -> Float64Queries:
         memory, to = (scratch(STACK_BYTES), scratch(LANES_BYTES)), hit_addresses(rows)
         for i in range(np.uint64(begin), np.uint64(end)):
             first = np.uint64(splits[i])
-            capacity = np.uint64(splits[i + _ONE]) - first
-            if capacity != _NONE:
+            capacity = np.uint64(splits[i + ONE_U64]) - first
+            if capacity != ZERO_U64:
                 ray = load_float64(source, i, frame, status)
                 keep(tree, ray, capacity, to, first, surfaces, memory)
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.rays import RayStatus
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import bits_as_float, copy_sign, float_as_bits
@@ -59,7 +60,6 @@ LEAST_EXPONENT, MOST_EXPONENT = np.int64(1023 - 900), np.int64(1023 + 900)
 _LARGEST = np.float64(np.finfo(np.float64).max)
 _VALID = np.uint8(RayStatus.VALID)
 _INVALID = np.uint8(RayStatus.INVALID)
-_NONE = np.uint64(0)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _ZERO = np.float64(0.0)
 _ONE = np.float64(1.0)
@@ -141,7 +141,7 @@ def _kept(x):
 @device
 def _first_planes(axis, inv):
     """Offset of the planes of an axis that a ray enters by; see `node_layout.plane_offset`."""
-    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else _NONE)
+    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else ZERO_U64)
 
 
 @device

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.copies import Copies
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
@@ -11,35 +12,32 @@ from raystream.kernels import search
 
 __all__ = ["get_row", "keep_row", "put_row", "row_t", "sort_rows"]
 
-_WORD = np.uint64(2)  # four bytes, as a shift
-_DOUBLE = np.uint64(3)  # eight bytes, as a shift
-
 
 @device
 def row_t(out, row):
     """Read the t of a row's hit."""
-    return load(np.float64, out.t + (row << _DOUBLE))
+    return load(np.float64, out.t + (row << SHIFT_64))
 
 
 @device
 def put_row(out, row, t, u, v, prim_id):
     """Write a hit to a row of `kernels.hits.HitAddresses`."""
-    at = row << _DOUBLE
+    at = row << SHIFT_64
     store(out.t + at, t)
     store(out.u + at, u)
     store(out.v + at, v)
-    store(out.prim_id + (row << _WORD), prim_id)
+    store(out.prim_id + (row << SHIFT_32), prim_id)
 
 
 @device
 def get_row(out, row):
     """Read the hit of a row: t, u, v, prim_id."""
-    at = row << _DOUBLE
+    at = row << SHIFT_64
     return (
         load(np.float64, out.t + at),
         load(np.float64, out.u + at),
         load(np.float64, out.v + at),
-        load(np.int32, out.prim_id + (row << _WORD)),
+        load(np.int32, out.prim_id + (row << SHIFT_32)),
     )
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.float64.exact import resolve
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 
@@ -19,7 +20,6 @@ __all__ = ["NO_PRIM", "Nearest", "is_counted", "no_hit", "offer", "within"]
 #: prim_id of a ray without a hit: the greatest number.
 NO_PRIM = np.int32(2**31 - 1)
 
-_NONE = np.uint64(0)
 _INF = np.float64(np.inf)
 
 
@@ -44,7 +44,7 @@ class Nearest(NamedTuple):
 @device
 def no_hit():
     """No hit yet."""
-    return Nearest(_INF, _INF, _NONE, NO_PRIM)
+    return Nearest(_INF, _INF, ZERO_U64, NO_PRIM)
 
 
 @device

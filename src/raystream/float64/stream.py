@@ -32,6 +32,7 @@ from raystream.float64.group_rays import (
 )
 from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
@@ -77,8 +78,6 @@ _GROUP_BYTES = np.uint64(FLOAT64_GROUP.itemsize)
 #: Bytes of memory of a call, of which most are never touched.
 WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * FLOAT64_GROUP.itemsize + 64
 
-_NONE, _ONE = np.uint64(0), np.uint64(1)
-_WORD, _DOUBLE = np.uint64(2), np.uint64(3)
 _BLOCK_LANES, _LAST_LANE = np.uint64(4), np.uint64(15)
 _LANES = np.uint64(16)
 _ALL = np.uint64(0xFFFF)
@@ -96,11 +95,11 @@ def _group_at(memory, g):
 @device
 def _load(memory, first, last, source, order, frame):
     """Load the rays of packets in float64, after `load_block`."""
-    g = _NONE
+    g = ZERO_U64
     for packet in range(first, last):
         for row in range(GROUPS):
             ray, length = group_rows(order, packet, row)
-            if length == _NONE:
+            if length == ZERO_U64:
                 continue
             local = GroupLanes(memory, g)
             is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
@@ -111,7 +110,7 @@ def _load(memory, first, last, source, order, frame):
                     if lanes.far[k] == -_INF:
                         local.t[k] = -_INF32
                         Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = -_INF32
-            g += _ONE
+            g += ONE_U64
 
 
 @device
@@ -134,12 +133,12 @@ def _all_rays():
 @device
 def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
     """Test a block's triangles against the groups of a list; returns the number of hits."""
-    hit_count = _NONE
+    hit_count = ZERO_U64
     for lane in range(_BLOCK_LANES):
-        prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
+        prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
         if prim_id < np.int32(0):
             break
-        place = block + (lane << _DOUBLE)
+        place = block + (lane << SHIFT_64)
         a = load_corner(place)
         edges = triangle_edges(a, load_corner(place + SECOND), load_corner(place + THIRD))
         for j in range(count):
@@ -149,20 +148,20 @@ def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
                 group, _all_rays(), a, edges, place, prim_id, wants_any, spans
             )
             bits = mask_bits(taken)
-            if bits != _NONE:
-                hit_count += _ONE
+            if bits != ZERO_U64:
+                hit_count += ONE_U64
                 local = Group(memory, g)
                 local.t = select(taken, far, local.t)
                 lanes = GroupLanes(memory, g)
-                while bits != _NONE:
+                while bits != ZERO_U64:
                     k = count_trailing_zeros(bits)
-                    bits &= bits - _ONE
+                    bits &= bits - ONE_U64
                     Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = lanes.t[k]
-            while doubtful != _NONE:
+            while doubtful != ZERO_U64:
                 k = count_trailing_zeros(doubtful)
-                doubtful &= doubtful - _ONE
-                low = load(np.float64, spans + (k << _DOUBLE))
-                high = load(np.float64, spans + _MOST_AT + (k << _DOUBLE))
+                doubtful &= doubtful - ONE_U64
+                low = load(np.float64, spans + (k << SHIFT_64))
+                high = load(np.float64, spans + _MOST_AT + (k << SHIFT_64))
                 is_sure = high < _INF
                 hit_count += np.uint64(
                     _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any)
@@ -173,21 +172,21 @@ def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
 @device
 def _leaf_with_rays(block, rays, count, memory, wants_any, spans):
     """Test a block's triangles against the rays of a list; returns the number of hits."""
-    hit_count = _NONE
+    hit_count = ZERO_U64
     for j in range(count):
         number = np.uint64(load(np.uint32, rays + j * LANE))
         g, k = number >> LANE_SHIFT, number & _LAST_LANE
         lanes = Float64Lanes(_group_at(memory, g))
         line = line_of(lanes, k)
         found, sure = test_block(block, line, line.t_min, lanes.far[k], spans)
-        while found != _NONE:
+        while found != ZERO_U64:
             lane = count_trailing_zeros(found)
-            found &= found - _ONE
-            low = load(np.float64, spans + (lane << _DOUBLE))
-            high = load(np.float64, spans + HIGH + (lane << _DOUBLE))
-            is_sure = (sure >> lane) & _ONE != _NONE
-            prim_id = load(np.int32, block + PRIM_IDS + (lane << _WORD))
-            place = block + (lane << _DOUBLE)
+            found &= found - ONE_U64
+            low = load(np.float64, spans + (lane << SHIFT_64))
+            high = load(np.float64, spans + HIGH + (lane << SHIFT_64))
+            is_sure = (sure >> lane) & ONE_U64 != ZERO_U64
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+            place = block + (lane << SHIFT_64)
             is_kept = _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any)
             hit_count += np.uint64(is_kept)
             if wants_any and is_kept:
@@ -198,7 +197,7 @@ def _leaf_with_rays(block, rays, count, memory, wants_any, spans):
 @device
 def _visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
     """Test a leaf in float64; see `group_stream.block_trace`."""
-    spans, hit_count = scratch(_SPAN_BYTES), _NONE
+    spans, hit_count = scratch(_SPAN_BYTES), ZERO_U64
     block = leaf_address(tree.leaves, child)
     end = leaf_end(block, child)
     while block != end:
@@ -241,13 +240,13 @@ def trace_float64_groups(begin, end, tree, frame, source, order, wants_any, stat
         count, ray_count = load_block(memory, packets, first, last, groups, False)
         _load(memory, first, last, source, order, frame)
         _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, None)
-        g = _NONE
+        g = ZERO_U64
         for packet in range(first, last):
             for row in range(GROUPS):
                 ray, length = group_rows(order, packet, row)
-                if length != _NONE:
+                if length != ZERO_U64:
                     at = _group_at(memory, g)
                     finish_rays(at, ray, length, tree, frame, wants_any, status, rows, own)
-                    g += _ONE
+                    g += ONE_U64
     # The memory must outlive its addresses.
     array[0] = np.uint8(0)

@@ -12,6 +12,7 @@ import numpy as np
 
 from raystream.float64.block import BLOCK, leaf_end
 from raystream.float64.ray import widened_far, widened_near
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -41,9 +42,6 @@ from raystream.structures.bvh.steps import begin, is_leaf, next_entry, push
 
 __all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # four bytes, as a shift
 _ZERO = np.float64(0.0)
 _ZERO32 = np.float32(0.0)
 _KEY_BITS = np.int32(~7)
@@ -145,15 +143,15 @@ def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callab
                 node = tree.nodes + np.uint64(child) * NODE
                 keys, entered = _enter(node, ray, t_min, t_far)
                 bits = mask_bits(entered)
-                if bits != _NONE:
-                    if bits & (bits - _ONE) == _NONE:
-                        at = node + CHILDREN + (count_trailing_zeros(bits) << _WORD)
+                if bits != ZERO_U64:
+                    if bits & (bits - ONE_U64) == ZERO_U64:
+                        at = node + CHILDREN + (count_trailing_zeros(bits) << SHIFT_32)
                         child = load(np.int32, at)
                         continue
                     top = push(node, keys, entered, wants_any, stack, _HALF, top)
                     top -= LANE  # the last one is within the interval
                     child = load(np.int32, stack + _HALF + top)
-                    if top != _NONE:
+                    if top != ZERO_U64:
                         below = load(np.int32, stack + _HALF + top - LANE)
                         prefetch_child(below, tree.nodes, tree.leaves)
                     continue

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
 
@@ -19,8 +20,6 @@ _BYTES_OF_FEW, _BYTES_OF_MANY = 48, 4
 
 #: Numbers of a call of the kernel.
 _CHUNK = 1 << 15
-
-_U1 = np.uint64(1)
 
 
 def split_numbers(
@@ -57,10 +56,10 @@ def _split(begin, end, first_ids, object_ids, first_prims, numbers, prim_id, ins
         if number < low or number >= high:
             # The last instance that begins at the number or before.
             found, size = np.uint64(0), np.uint64(len(object_ids))
-            while size > _U1:
-                half = size >> _U1
+            while size > ONE_U64:
+                half = size >> ONE_U64
                 found += half * np.uint64(first_ids[found + half] <= number)
                 size -= half
-            low, high = first_ids[found], first_ids[found + _U1]
+            low, high = first_ids[found], first_ids[found + ONE_U64]
             shift = first_prims[np.uint64(object_ids[found])] - low
         prim_id[i], instance_id[i] = number + shift, found

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
@@ -46,7 +47,6 @@ __all__ = [
     "visit_object_leaf",
 ]
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)
 _FOUND = np.int32(1)
@@ -122,7 +122,7 @@ def _keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):  # n
     best_t, best, prim_ids = group.best_t, group.prim_id, i32x16(prim_id)
     taken = taken & _are_nearer(world, prim_ids, best_t, best)
     bits = mask_bits(taken)
-    if bits == _U0:
+    if bits == ZERO_U64:
         return False
     nearest = group.t
     far = f32x16(-_INF) if wants_any else minimum(far_limits(world, t_scale, t_offset), nearest)
@@ -131,9 +131,9 @@ def _keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):  # n
     group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
     group.found = select(taken, i32x16(_FOUND), group.found)
     lanes = MergedLanes(memory, g)
-    while bits != _U0:
+    while bits != ZERO_U64:
         k = count_trailing_zeros(bits)
-        bits &= bits - _U1
+        bits &= bits - ONE_U64
         Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = lanes.t[k]
     return True
 
@@ -145,9 +145,9 @@ def _keep_of_ray(memory, number, block, bits, found, wants_any, filter_):  # noq
     best_t, best = lanes.best_t[k], lanes.prim_id[k]
     t_scale, t_offset = lanes.t_scale[k], lanes.t_offset[k]
     has_hit = False
-    while bits != _U0:
+    while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
-        bits &= bits - _U1
+        bits &= bits - ONE_U64
         t, prim_id = world_t(found.t[lane], t_scale, t_offset), prim_ids[lane]
         if is_before(t, prim_id, best_t, best):
             best_t, best, has_hit = t, prim_id, True
@@ -184,9 +184,9 @@ def _keep_of_packet_ray(lanes, k, hit, prim_ids, found, is_any, filter_):  # noq
     own = _PacketLanes(address_of(lanes))
     best_t, best, has_hit = own.best_t[k], own.prim_id[k], False
     t_scale, t_offset = own.t_scale[k], own.t_offset[k]
-    while hit != _U0:
+    while hit != ZERO_U64:
         lane = count_trailing_zeros(hit)
-        hit &= hit - _U1
+        hit &= hit - ONE_U64
         t, prim_id = world_t(found.t[lane], t_scale, t_offset), prim_ids[lane]
         if is_before(t, prim_id, best_t, best):
             best_t, best, has_hit = t, prim_id, True
@@ -249,17 +249,17 @@ def keep_hits(scene, inside, rays, count, first_id, wants_any):
         See `InstanceRay`.
     wants_any : bool
     """
-    hit_count = _U0
+    hit_count = ZERO_U64
     for g in range((count + LAST_LANE) >> LANE_SHIFT):
         bits = mask_bits(MergedGroup(inside, g).found != np.int32(0))
         lanes = MergedLanes(inside, g)
-        while bits != _U0:
+        while bits != ZERO_U64:
             k = count_trailing_zeros(bits)
-            bits &= bits - _U1
+            bits &= bits - ONE_U64
             at = (g << LANE_SHIFT) | k
             if at >= count:  # a copy of the last ray
                 break
-            hit_count += _U1
+            hit_count += ONE_U64
             number = np.uint64(load(np.uint32, rays + at * LANE))
             to, own = MergedLanes(scene, number >> LANE_SHIFT), number & LAST_LANE
             hot = Hot(scene + HOT_AT, number)

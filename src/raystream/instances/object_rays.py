@@ -9,6 +9,7 @@ import numpy as np
 
 from raystream.instances.merged_hits import MergedGroup, MergedLanes, far_limits
 from raystream.instances.records import InstanceRecord, ObjectRecord
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -56,7 +57,6 @@ from raystream.structures.bvh.packet_rays import NO_PRIM, Group, GroupPlaces, fi
 
 __all__ = ["WORLD_BYTES", "World", "WorldLanes", "load_group", "load_rays"]
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL = np.uint64(0xFFFF)
@@ -88,7 +88,7 @@ WorldLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in WORLD])
 @device
 def _read_rays(world, rays, first, last, scene, source, first_id):
     """Read 16 rays of a list from `first` on; the last one is repeated."""
-    places = GroupPlaces(scene + PLACES_AT, _U0, _U0)
+    places = GroupPlaces(scene + PLACES_AT, ZERO_U64, ZERO_U64)
     origin, direction = world.origin, world.direction
     for lane in range(_LANES):
         number = np.uint64(load(np.uint32, rays + min(first + lane, last) * LANE))
@@ -249,9 +249,9 @@ def load_group(group, world, instance, object_):
     bits = mask_bits(is_usual & is_exact) ^ _ALL
     lanes = MergedLanes(address_of(group))
     own = WorldLanes(address_of(world))
-    while bits != _U0:
+    while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
-        bits &= bits - _U1
+        bits &= bits - ONE_U64
         _load_singly(lanes, lane, own, instance, object_)
 
 
@@ -286,8 +286,8 @@ def load_rays(scene, inside, rays, count, source, leaves, index, objects):
     object_ = ObjectRecord(objects, np.uint64(instance.object_id))
     at = scratch(WORLD_BYTES)
     own, world = WorldLanes(at), World(at)
-    groups, group_count, ray_count = inside + LISTS_AT, _U0, _U0
-    first, last = _U0, count - _U1
+    groups, group_count, ray_count = inside + LISTS_AT, ZERO_U64, ZERO_U64
+    first, last = ZERO_U64, count - ONE_U64
     while first < count:
         g = first >> LANE_SHIFT
         _read_rays(own, rays, first, last, scene, source, instance.first_id)
@@ -299,7 +299,7 @@ def load_rays(scene, inside, rays, count, source, leaves, index, objects):
         bits = mask_bits(group.t_min <= group.t)
         bits &= _ALL >> (_LANES - min(count - first, _LANES))
         store(groups + group_count * LANE, np.uint32((g << GROUP_SHIFT) | bits))
-        group_count += np.uint64(bits != _U0)
+        group_count += np.uint64(bits != ZERO_U64)
         ray_count += popcount(bits)
         first += _LANES
     return group_count, ray_count

@@ -22,6 +22,7 @@ from raystream.instances.object_rays import WORLD_BYTES, World, WorldLanes, load
 from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import is_usual, ray_numbers
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -51,7 +52,6 @@ from raystream.structures.bvh.packet_rays import (
 
 __all__ = ["trace_instance_packets"]
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
@@ -87,10 +87,10 @@ _trace_object = packet_trace(visit_object_leaf, prefetch_child)
 @device
 def _load_groups(packet, inside, box, rays, groups, instance, object_):
     """Load the groups that enter an instance's box in object space; returns their number."""
-    count = _U0
-    for g in range(groups.first, groups.last + _U1):
+    count = ZERO_U64
+    for g in range(groups.first, groups.last + ONE_U64):
         bits = entering_rays(packet, g, box, rays)
-        if bits == _U0:
+        if bits == ZERO_U64:
             continue
         scene, world = PacketGroup(packet, g), World(inside.worlds, g)
         world.best_t = scene.best_t
@@ -102,7 +102,7 @@ def _load_groups(packet, inside, box, rays, groups, instance, object_):
         prepare_group(group, object_.max_coordinate)
         own.prim_id, own.best_t = world.best, world.best_t
         store(inside.groups + count, np.uint8(g))
-        count += np.uint64(mask_bits(group.direction_class != NO_CLASS) != _U0)
+        count += np.uint64(mask_bits(group.direction_class != NO_CLASS) != ZERO_U64)
     return count
 
 
@@ -112,14 +112,14 @@ def _search_instance(packet, index, leaves, box, rays, groups, goal, inside):
     no_inline()
     instance = InstanceRecord(leaves, index)
     object_ = ObjectRecord(inside.objects, np.uint64(instance.object_id))
-    if object_.nodes == _U0:
+    if object_.nodes == ZERO_U64:
         return False
     count = _load_groups(packet, inside, box, rays, groups, instance, object_)
-    if count == _U0:
+    if count == ZERO_U64:
         return False
     tree = TreeAddresses(object_.nodes, object_.leaves)
     most = object_.max_coordinate
-    _trace_object(inside.packet, count, tree, most, inside.memory, goal, _U0, None)
+    _trace_object(inside.packet, count, tree, most, inside.memory, goal, ZERO_U64, None)
     has_hit = False
     for k in range(count):
         scene = PacketGroup(packet, np.uint64(load(np.uint8, inside.groups + k)))
@@ -143,21 +143,21 @@ def _read_rays(packet, number, worlds, slow_groups, source):
     """Read a packet's rays in world space, and refuse directions that are too long or short."""
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
-        is_slow = (slow_groups >> g) & _U1 != _U0
+        is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
         group, world = Group(packet, g), WorldLanes(worlds, g)
         if not is_slow:
             set_slow(group)
         own, lanes = PacketGroup(packet, g), GroupLanes(packet, g)
         own.best_t = f32x16(_INF)
-        if count == _U0:
+        if count == ZERO_U64:
             continue
         origin, direction = world.origin, world.direction
         for k in range(_LANES):
             ox, oy, oz, dx, dy, dz, t_min, t_max = ray_numbers(
-                source.rays, first + min(k, count - _U1)
+                source.rays, first + min(k, count - ONE_U64)
             )
-            origin[_U0, k], origin[_U1, k], origin[np.uint64(2), k] = ox, oy, oz
-            direction[_U0, k], direction[_U1, k], direction[np.uint64(2), k] = dx, dy, dz
+            origin[ZERO_U64, k], origin[ONE_U64, k], origin[np.uint64(2), k] = ox, oy, oz
+            direction[ZERO_U64, k], direction[ONE_U64, k], direction[np.uint64(2), k] = dx, dy, dz
             world.t_min[k], world.best_t[k] = t_min, t_max
             if is_slow and k < count and not is_usual(dx, dy, dz):
                 store(source.status + first + k, _INVALID)
@@ -196,7 +196,7 @@ def trace_instance_packets(begin, end, top, source, wants_any, out):
     tree = TreeAddresses(record.nodes, record.leaves)
     goal = ANY if wants_any else FIRST
     for number in range(np.uint64(begin), np.uint64(end)):
-        _, padded = padded_source(source, top, number, number + _U1)
+        _, padded = padded_source(source, top, number, number + ONE_U64)
         slow_groups = load_packet(packet, number, padded)
         _read_rays(packet, number, worlds, slow_groups, padded)
         most = padded.frame.max_coordinate

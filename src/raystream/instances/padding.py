@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.instances.traversal import MOST_FAR
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_origin
 from raystream.structures.bvh.packet_rays import GROUPS, PacketSource, group_rows
 
 __all__ = ["padded_source"]
-
-_U0 = np.uint64(0)
 
 
 @device
@@ -40,11 +39,11 @@ def padded_source(source, top, first, last):
 @device
 def _look(source, first, last):
     """Groups of some packets, and the largest coordinate of their origins."""
-    count, reach = _U0, np.float64(0.0)
+    count, reach = ZERO_U64, np.float64(0.0)
     for packet in range(first, last):
         for row in range(GROUPS):
             ray, length = group_rows(source.order, packet, row)
-            count += np.uint64(length != _U0)
+            count += np.uint64(length != ZERO_U64)
             for i in range(ray, ray + length):
                 x, y, z = load_origin(source.rays, i)
                 farthest = max(abs(x), abs(y), abs(z))

@@ -18,6 +18,7 @@ from raystream.instances.object_rays import load_rays
 from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import is_usual
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import f32x16, load, scratch, store
@@ -59,7 +60,6 @@ BLOCK_PACKETS = 8
 CALL_BYTES = 2 * -(-MEMORY_BYTES // 64) * 64
 
 _PACKETS = np.uint64(BLOCK_PACKETS)
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
 _INSIDE_AT = np.uint64(CALL_BYTES // 2)
@@ -98,14 +98,14 @@ def _search_instance(tree, index, rays, count, scene, wants_any):
     no_inline()
     instance = InstanceRecord(tree.leaves, index)
     object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
-    if object_.nodes == _U0:
-        return _U0
+    if object_.nodes == ZERO_U64:
+        return ZERO_U64
     inside = tree.inside
     group_count, ray_count = load_rays(
         scene, inside, rays, count, tree.source, tree.leaves, index, tree.objects
     )
-    if group_count == _U0:
-        return _U0
+    if group_count == ZERO_U64:
+        return ZERO_U64
     nodes = TreeAddresses(object_.nodes, object_.leaves)
     _trace_object(
         inside,
@@ -126,8 +126,8 @@ def _visit_instance(tree, child, rays, memory, small, wants_any, filter_):  # no
     at, count = rays.at, rays.length
     if rays.is_grouped:
         at, count = rays.room, list_rays(at, count, memory, rays.t_in, rays.room)
-        if count == _U0:
-            return _U0
+        if count == ZERO_U64:
+            return ZERO_U64
     index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
     return _search_instance(tree, index, at, count, memory, wants_any)
 
@@ -138,7 +138,7 @@ _trace_scene = device(block_trace(_visit_instance))
 @device
 def _refuse(memory, groups, count, source):
     """Take rays whose directions are too long or too short out of a list; returns its length."""
-    kept = _U0
+    kept = ZERO_U64
     for j in range(count):
         packed = np.uint64(load(np.uint32, groups + j * np.uint64(4)))
         g = packed >> GROUP_SHIFT
@@ -146,7 +146,7 @@ def _refuse(memory, groups, count, source):
         if load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0):
             bits &= _sound(memory, g, bits, source)
         store(groups + kept * np.uint64(4), np.uint32((g << GROUP_SHIFT) | bits))
-        kept += np.uint64(bits != _U0)
+        kept += np.uint64(bits != ZERO_U64)
     return kept
 
 
@@ -154,14 +154,14 @@ def _refuse(memory, groups, count, source):
 def _sound(memory, g, bits, source):
     """The rays of a group whose directions have lengths within bounds."""
     no_inline()
-    lanes, sound = MergedLanes(memory, g), _U0
-    first = first_ray(GroupPlaces(memory + PLACES_AT, _U0, _U0), g)
+    lanes, sound = MergedLanes(memory, g), ZERO_U64
+    first = first_ray(GroupPlaces(memory + PLACES_AT, ZERO_U64, ZERO_U64), g)
     for k in range(_LANES):
-        if (bits >> k) & _U1 == _U0:
+        if (bits >> k) & ONE_U64 == ZERO_U64:
             continue
         x, y, z = load_direction(source.rays, first + k)
         if is_usual(x, y, z):
-            sound |= _U1 << k
+            sound |= ONE_U64 << k
             continue
         store(source.status + first + k, _INVALID)
         hot = Hot(memory + HOT_AT, (g << LANE_SHIFT) | k)

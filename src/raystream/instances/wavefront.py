@@ -12,6 +12,7 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import WorldRay, object_ray, ray_numbers, scene_ray
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -63,7 +64,6 @@ _SLOTS_BYTES = int(_SLOTS) * _SLOT.itemsize
 _STACK_BYTES = int(_SLOTS * STACK)
 _HITS_BYTES = HITS.itemsize
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _WORD, _WORD_SHIFT = np.uint64(8), np.uint64(3)
 _LEAF_SHIFT = np.int32(3)
 _INF = np.float32(np.inf)
@@ -96,7 +96,7 @@ def _enter(slot, inner, keys, children, source, objects):
     far = ray.t_max
     if slot.prim_id != NO_PRIM:
         far = min(far, local_limit(slot.best_t, ray.t_scale, ray.t_offset))
-    if not (ray.t_min <= far) or object_.nodes == _U0:
+    if not (ray.t_min <= far) or object_.nodes == ZERO_U64:
         return False
     start_ray(inner, keys, children, i, ray, object_.max_coordinate)
     inner.t, inner.t_key = far, t_key(far)
@@ -112,7 +112,7 @@ def _visit_leaf(inner, slot, lanes_at, wants_any):
     end = leaf_end(at, inner.child)
     while at != end:
         bits = test_block(at, slot_ray(inner), inner.t_min, inner.t, False, lanes_at)
-        if bits != _U0:
+        if bits != ZERO_U64:
             if wants_any:
                 slot.prim_id = _FOUND
                 return True
@@ -125,9 +125,9 @@ def _visit_leaf(inner, slot, lanes_at, wants_any):
 def _keep_nearest(inner, slot, block, bits, lanes):
     """Keep the nearest of a ray's hit and of those of some lanes; see `kernels.search.offer`."""
     best_t, best = slot.best_t, slot.prim_id
-    while bits != _U0:
+    while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
-        bits &= bits - _U1
+        bits &= bits - ONE_U64
         t = world_t(lanes.t[lane], inner.t_scale, inner.t_offset)
         number = np.int32(block.prim_ids[lane] + inner.first_id)
         if is_before(t, number, best_t, best):
@@ -183,8 +183,8 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
     numbers = lane_numbers(i32x8)
     ray_next, ray_end = np.uint64(begin), np.uint64(end)
     # Lengths of the queues, in bytes.
-    node_size, leaf_size, instance_size = _U0, _U0, _U0
-    left_size, done_size = _U0, _U0
+    node_size, leaf_size, instance_size = ZERO_U64, ZERO_U64, ZERO_U64
+    left_size, done_size = ZERO_U64, ZERO_U64
     tree = TreeRecord(top.trees)
     for k in range(IN_FLIGHT):
         store(done + done_size, k)
@@ -194,7 +194,7 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
 
     while True:
         # Step 1: write the results of finished rays and start new ones in their slots.
-        at = _U0
+        at = ZERO_U64
         while at != done_size:
             k = load(np.uint64, done + at)
             at += _WORD
@@ -203,15 +203,15 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
             if ray_next < ray_end:
                 keys, children = all_keys + k * STACK, all_children + k * STACK
                 _start(slot, keys, children, ray_next, source, frame, top, out.status)
-                ray_next += _U1
+                ray_next += ONE_U64
                 store(node + node_size, k)
                 node_size += _WORD
-        done_size = _U0
-        if node_size | leaf_size | instance_size == _U0:
+        done_size = ZERO_U64
+        if node_size | leaf_size | instance_size == ZERO_U64:
             break
 
         # Step 2: visit a node of either tree for each ray that waits for one.
-        next_size, at = _U0, _U0
+        next_size, at = ZERO_U64, ZERO_U64
         while at != node_size:
             k = load(np.uint64, node + at)
             at += _WORD
@@ -230,7 +230,7 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
             store(instance + instance_size, k)
             store(left + left_size, k)
             store(done + done_size, k)
-            next_size += ((is_leaf | is_end) ^ _U1) << _WORD_SHIFT
+            next_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
             leaf_size += (is_leaf & is_inside) << _WORD_SHIFT
             instance_size += (is_leaf & ~is_inside) << _WORD_SHIFT
             left_size += (is_end & is_inside) << _WORD_SHIFT
@@ -239,7 +239,7 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
         node_size = next_size
 
         # Step 3: test a leaf of an object for each ray that waits for one.
-        next_size, at = _U0, _U0
+        next_size, at = ZERO_U64, ZERO_U64
         while at != leaf_size:
             k = load(np.uint64, leaf + at)
             at += _WORD
@@ -254,14 +254,14 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
             store(node + node_size, k)
             store(leaf_next + next_size, k)
             store(left + left_size, k)
-            node_size += ((is_leaf | is_end) ^ _U1) << _WORD_SHIFT
+            node_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
             next_size += is_leaf << _WORD_SHIFT
             left_size += is_end << _WORD_SHIFT
         leaf, leaf_next = leaf_next, leaf
         leaf_size = next_size
 
         # Step 4: continue in the tree over the instances with the rays that left an object.
-        at = _U0
+        at = ZERO_U64
         while at != left_size:
             k = load(np.uint64, left + at) - IN_FLIGHT
             at += _WORD
@@ -273,13 +273,13 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
             store(node + node_size, k)
             store(instance + instance_size, k)
             store(done + done_size, k)
-            node_size += ((is_leaf | is_end) ^ _U1) << _WORD_SHIFT
+            node_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
             instance_size += is_leaf << _WORD_SHIFT
             done_size += is_end << _WORD_SHIFT
-        left_size = _U0
+        left_size = ZERO_U64
 
         # Step 5: enter an instance with each ray that has found one.
-        next_size, at = _U0, _U0
+        next_size, at = ZERO_U64, ZERO_U64
         while at != instance_size:
             k = load(np.uint64, instance + at)
             at += _WORD
@@ -303,7 +303,7 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
             store(node + node_size, k)
             store(instance_next + next_size, k)
             store(done + done_size, k)
-            node_size += ((is_leaf | is_end) ^ _U1) << _WORD_SHIFT
+            node_size += ((is_leaf | is_end) ^ ONE_U64) << _WORD_SHIFT
             next_size += is_leaf << _WORD_SHIFT
             done_size += is_end << _WORD_SHIFT
         instance, instance_next = instance_next, instance

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import call_filter, no_inline
 from raystream.jit.simd import count_trailing_zeros, load, scratch, store
@@ -30,9 +31,6 @@ __all__ = [
 #: Bytes of 16 hits as filters read them, and where their u and v are.
 FILTERED_BYTES = 192
 U_AT, V_AT = np.uint64(64), np.uint64(128)
-
-_NONE, _ONE = np.uint64(0), np.uint64(1)
-_WORD = np.uint64(4)
 
 
 class HitFilter(NamedTuple):
@@ -76,12 +74,12 @@ class RayFilter(NamedTuple):
 
 @device
 def _skips(filter_, ray, prim_id):
-    at = filter_.skipped + ray * filter_.skip_count * _WORD
-    end = at + filter_.skip_count * _WORD
+    at = filter_.skipped + ray * filter_.skip_count * BYTES_32
+    end = at + filter_.skip_count * BYTES_32
     while at != end:
         if load(np.int32, at) == prim_id:
             return True
-        at += _WORD
+        at += BYTES_32
     return False
 
 
@@ -105,7 +103,7 @@ def kept_hits(filter_, bits, hits, prim_id, first):
     uint64
         Bits of the hits that exist.
     """
-    if filter_.function == _NONE:
+    if filter_.function == ZERO_U64:
         return bits
     return call_filter(filter_.function, (filter_.context, bits, hits, prim_id, first))
 
@@ -119,7 +117,7 @@ def _keeps(filter_, t, u, v, prim_id):
     store(hits, world_t(t, filter_.t_scale, filter_.t_offset))
     store(hits + U_AT, u)
     store(hits + V_AT, v)
-    return kept_hits(filter_.filter, _ONE, hits, prim_id, filter_.ray) != _NONE
+    return kept_hits(filter_.filter, ONE_U64, hits, prim_id, filter_.ray) != ZERO_U64
 
 
 @device
@@ -144,9 +142,9 @@ def any_kept(filter_, block, bits, lanes):
     """
     if filter_ is None:
         return True
-    while bits != _NONE:
+    while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
-        bits &= bits - _ONE
+        bits &= bits - ONE_U64
         if keeps(filter_, lanes.t[lane], lanes.u[lane], lanes.v[lane], block.prim_ids[lane]):
             return True
     return False

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.core.query import Kind, Query
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for, thread_count
@@ -43,9 +44,6 @@ _NO_IDS = np.empty(0, np.int64)
 
 #: NumPy converts a type to it at each use.
 _INT32 = np.dtype(np.int32)
-
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 
 
 class HitArrays(NamedTuple):
@@ -155,8 +153,8 @@ def copy_rows(begin, end, rows, firsts, counts, starts, out):
             out.u[to] = rows.u[row]
             out.v[to] = rows.v[row]
             out.prim_id[to] = rows.prim_id[row]
-            row += _ONE
-            to += _ONE
+            row += ONE_U64
+            to += ONE_U64
 
 
 @kernel
@@ -176,7 +174,7 @@ def count_rows(splits, ids, first, counts):
     """
     for i in range(np.uint64(len(splits) - 1)):
         ray = np.uint64(ids[i]) if len(ids) else np.uint64(first) + i
-        counts[ray] += splits[i + _ONE] - splits[i]
+        counts[ray] += splits[i + ONE_U64] - splits[i]
 
 
 @kernel
@@ -194,12 +192,12 @@ def place_rows(rows, splits, ids, first, nexts, out):
     for i in range(np.uint64(len(splits) - 1)):
         ray = np.uint64(ids[i]) if len(ids) else np.uint64(first) + i
         to = np.uint64(nexts[ray])
-        for row in range(np.uint64(splits[i]), np.uint64(splits[i + _ONE])):
+        for row in range(np.uint64(splits[i]), np.uint64(splits[i + ONE_U64])):
             out.t[to] = rows.t[row]
             out.u[to] = rows.u[row]
             out.v[to] = rows.v[row]
             out.prim_id[to] = rows.prim_id[row]
-            to += _ONE
+            to += ONE_U64
         nexts[ray] = np.int64(to)
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, SHIFT_32, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
@@ -103,10 +104,6 @@ TRIANGLE_BYTES = np.uint64(36)
 #: Blocks that one call of `_fill_blocks` writes.
 _CHUNK = 1 << 14
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _ZERO = np.float32(0.0)
 _NAN = np.float32(np.nan)
 _LANES = np.uint64(BLOCK_SIZE)
@@ -130,9 +127,9 @@ def clear_block(block):
 @device
 def write_corners(block, lane, prim_id, corners):
     """Copy the corners of a triangle to a lane of a block."""
-    at, corner = block + (lane << _WORD), corners + np.uint64(prim_id) * TRIANGLE_BYTES
+    at, corner = block + (lane << SHIFT_32), corners + np.uint64(prim_id) * TRIANGLE_BYTES
     for k in range(np.uint64(9)):
-        store(at + k * AXIS, load(np.float32, corner + (k << _WORD)))
+        store(at + k * AXIS, load(np.float32, corner + (k << SHIFT_32)))
 
 
 @device
@@ -150,7 +147,7 @@ def write_triangle(block, lane, prim_id, corners):
         Address of the corners of all triangles, `TRIANGLE_BYTES` each.
     """
     write_corners(block, lane, prim_id, corners)
-    store(block + PRIM_IDS + (lane << _WORD), prim_id)
+    store(block + PRIM_IDS + (lane << SHIFT_32), prim_id)
 
 
 @device
@@ -158,7 +155,7 @@ def write_block(block, prim_ids, corners):
     """Write the triangles whose four prim_ids are at an address; -1 for an unused lane."""
     clear_block(block)
     for lane in range(_LANES):
-        prim_id = load(np.int32, prim_ids + (lane << _WORD))
+        prim_id = load(np.int32, prim_ids + (lane << SHIFT_32))
         if prim_id >= np.int32(0):
             write_triangle(block, lane, prim_id, corners)
 
@@ -209,7 +206,7 @@ def filled_blocks(prim_ids: NDArray[np.int32], corners: NDArray[np.float32]) -> 
 @device
 def blocks_end(block, count):
     """Address after the blocks of `count` triangles that begin at `block`."""
-    return block + ((count + _LANES - _ONE) >> _TWO) * BLOCK
+    return block + ((count + _LANES - ONE_U64) >> TWO_U64) * BLOCK
 
 
 @device
@@ -295,7 +292,7 @@ def test_block(block, ray, t_min, t_far, surfaces, lanes):
     sheared = shear_vertices(a, b, c, o, (s[0], s[1]))
     candidates = signs_agree(sheared)
     if not any_lane(candidates):
-        return _NONE
+        return ZERO_U64
     low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
     low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
     low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
@@ -313,7 +310,7 @@ def test_block(block, ray, t_min, t_far, surfaces, lanes):
     )
     candidates = candidates & (t_in <= t_out) & (t_in <= t_far) & (t_out >= t_min)
     if not any_lane(candidates):
-        return _NONE
+        return ZERO_U64
     # The distance before the barycentrics, which a ray that leaves a surface does not need: it
     # meets the surface's triangle behind its origin. (Single bounce, ambient occlusion and shadow
     # rays on the bunny and conference, one thread of a Zen 5: 1.03 to 1.05 times as fast; primary
@@ -322,7 +319,7 @@ def test_block(block, ray, t_min, t_far, surfaces, lanes):
     t = minimum(maximum(t, t_in), t_out) + _ZERO
     candidates = candidates & (t >= t_min) & (t <= t_far)
     if not any_lane(candidates):
-        return _NONE
+        return ZERO_U64
     hit, u, v = barycentrics(sheared, surfaces)
     store(lanes, t)
     store(lanes + _U, u)
@@ -350,9 +347,9 @@ def intersect_block(block, ray, search, t_in, t_out):
     """
     lanes = scratch(64)
     bits = test_block(block, ray, t_in, min(search.t_far, t_out), search.surfaces, lanes)
-    while bits != _NONE:
-        at = count_trailing_zeros(bits) << _WORD
-        bits &= bits - _ONE
+    while bits != ZERO_U64:
+        at = count_trailing_zeros(bits) << SHIFT_32
+        bits &= bits - ONE_U64
         t = load(np.float32, lanes + at)
         if t < t_out:  # else the next leaf's
             u, v = load(np.float32, lanes + (_U + at)), load(np.float32, lanes + (_V + at))

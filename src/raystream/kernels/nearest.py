@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.jit.views import view
@@ -27,8 +28,6 @@ __all__ = [
 ROW = np.dtype([("squared", "f8"), ("place", "u8"), ("prim_id", "i4"), ("stride", "i4")])
 NearestRow = view(ROW)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 
 #: prim_id after all others, for a limit without a triangle.
 _LAST = np.int32(2**31 - 1)
@@ -61,7 +60,7 @@ class NearestSearch(NamedTuple):
 @device
 def begin_nearest(rows, capacity, limit):
     """Begin a search for up to `capacity` triangles within a squared distance, inclusive."""
-    return NearestSearch(rows, capacity, _NONE, min(limit, _MOST), _LAST)
+    return NearestSearch(rows, capacity, ZERO_U64, min(limit, _MOST), _LAST)
 
 
 @device
@@ -93,22 +92,24 @@ def offer_nearest(search, squared, prim_id, place, stride):
     NearestSearch
     """
     at = search.found_count
-    while at != _NONE and not _is_before(NearestRow(search.rows, at - _ONE), squared, prim_id):
-        at -= _ONE
+    while at != ZERO_U64 and not _is_before(
+        NearestRow(search.rows, at - ONE_U64), squared, prim_id
+    ):
+        at -= ONE_U64
     if at != search.found_count and NearestRow(search.rows, at).prim_id == prim_id:
         return search
-    count = min(search.found_count + _ONE, search.capacity)
-    move = count - _ONE
+    count = min(search.found_count + ONE_U64, search.capacity)
+    move = count - ONE_U64
     while move != at:
-        source, target = NearestRow(search.rows, move - _ONE), NearestRow(search.rows, move)
+        source, target = NearestRow(search.rows, move - ONE_U64), NearestRow(search.rows, move)
         target.squared, target.place = source.squared, source.place
         target.prim_id, target.stride = source.prim_id, source.stride
-        move -= _ONE
+        move -= ONE_U64
     row = NearestRow(search.rows, at)
     row.squared, row.place, row.prim_id, row.stride = squared, place, prim_id, stride
     limit, limit_id = search.limit, search.limit_id
     if count == search.capacity:
-        last = NearestRow(search.rows, count - _ONE)
+        last = NearestRow(search.rows, count - ONE_U64)
         limit, limit_id = last.squared, last.prim_id
     return NearestSearch(search.rows, search.capacity, count, limit, limit_id)
 

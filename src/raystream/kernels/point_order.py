@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
@@ -23,9 +24,6 @@ _DIGIT_MASK = np.uint64((1 << 11) - 1)
 WORDS_PER_POINT = 3
 ORDER_WORDS = 2 * (1 << 11)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # four bytes, as a shift
 _DOUBLE, _VECTOR = np.uint64(8), np.uint64(24)  # bytes
 _LAST_CELL = 2.0**_SIDE_BITS - 1.0
 
@@ -46,7 +44,7 @@ def _spread(cell):
 def _cell(x, low, scale):
     inside = (x - low) * scale
     # NaN becomes 0.
-    return np.uint64(min(inside, _LAST_CELL)) if inside > 0.0 else _NONE
+    return np.uint64(min(inside, _LAST_CELL)) if inside > 0.0 else ZERO_U64
 
 
 @device
@@ -98,38 +96,38 @@ def order_points(points, begin, end, words):
         Address of ``end - begin`` uint32: the points less `begin`, in order.
     """
     count = end - begin
-    keys, numbers = words, words + (count << _WORD)
-    sorted_ = numbers + (count << _WORD)
-    places = sorted_ + (count << _WORD)
-    seconds = places + (_DIGITS << _WORD)
+    keys, numbers = words, words + (count << SHIFT_32)
+    sorted_ = numbers + (count << SHIFT_32)
+    places = sorted_ + (count << SHIFT_32)
+    seconds = places + (_DIGITS << SHIFT_32)
     for k in range(_DIGITS + _DIGITS):
-        store(places + (k << _WORD), np.uint32(0))
+        store(places + (k << SHIFT_32), np.uint32(0))
     low, scale = _bounds(points, begin, end)
     for k in range(count):
         x, y, z = _point(points, begin + k)
         key = (
             _spread(_cell(x, low[0], scale))
-            | (_spread(_cell(y, low[1], scale)) << _ONE)
-            | (_spread(_cell(z, low[2], scale)) << (_ONE + _ONE))
+            | (_spread(_cell(y, low[1], scale)) << ONE_U64)
+            | (_spread(_cell(z, low[2], scale)) << (ONE_U64 + ONE_U64))
         )
-        store(keys + (k << _WORD), np.uint32(key))
+        store(keys + (k << SHIFT_32), np.uint32(key))
         _count(places, key & _DIGIT_MASK)
         _count(seconds, key >> _DIGIT_BITS)
     _add_up(places)
     _add_up(seconds)
     for k in range(count):
-        key = np.uint64(load(np.uint32, keys + (k << _WORD)))
-        store(numbers + (_take(places, key & _DIGIT_MASK) << _WORD), np.uint32(k))
+        key = np.uint64(load(np.uint32, keys + (k << SHIFT_32)))
+        store(numbers + (_take(places, key & _DIGIT_MASK) << SHIFT_32), np.uint32(k))
     for k in range(count):
-        number = load(np.uint32, numbers + (k << _WORD))
-        key = np.uint64(load(np.uint32, keys + (np.uint64(number) << _WORD)))
-        store(sorted_ + (_take(seconds, key >> _DIGIT_BITS) << _WORD), number)
+        number = load(np.uint32, numbers + (k << SHIFT_32))
+        key = np.uint64(load(np.uint32, keys + (np.uint64(number) << SHIFT_32)))
+        store(sorted_ + (_take(seconds, key >> _DIGIT_BITS) << SHIFT_32), number)
     return sorted_
 
 
 @device
 def _count(counts, digit):
-    at = counts + (digit << _WORD)
+    at = counts + (digit << SHIFT_32)
     store(at, np.uint32(load(np.uint32, at) + np.uint32(1)))
 
 
@@ -138,7 +136,7 @@ def _add_up(counts):
     """Replace the number of points of each digit by the place of its first one."""
     place = np.uint32(0)
     for k in range(_DIGITS):
-        at = counts + (k << _WORD)
+        at = counts + (k << SHIFT_32)
         here = load(np.uint32, at)
         store(at, place)
         place = np.uint32(place + here)
@@ -147,7 +145,7 @@ def _add_up(counts):
 @device
 def _take(places, digit):
     """The next place of a digit."""
-    at = places + (digit << _WORD)
+    at = places + (digit << SHIFT_32)
     place = load(np.uint32, at)
     store(at, np.uint32(place + np.uint32(1)))
     return np.uint64(place)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayStatus
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, prefetch, scratch, store
 from raystream.kernels.nearest import (
@@ -35,9 +36,6 @@ __all__ = [
     "write_nearest",
 ]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # four bytes, as a shift
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
 _VALID = np.uint8(RayStatus.VALID)
@@ -336,7 +334,7 @@ def write_nearest(out, i, query, rows, found_count, capacity, frame):
 @device
 def _sorted_point(order, number, first):
     """The point that comes as this number in the order, see `kernels.point_order`."""
-    return first + np.uint64(load(np.uint32, order + (number << _WORD)))
+    return first + np.uint64(load(np.uint32, order + (number << SHIFT_32)))
 
 
 def point_queries(search: PointSearch) -> Callable[..., None]:
@@ -361,19 +359,19 @@ def point_queries(search: PointSearch) -> Callable[..., None]:
         count = last - first
         stack = scratch(stack_bytes)
         rows, others = work, work + capacity * _ROW_BYTES
-        known = _NONE  # rows of the previous point
+        known = ZERO_U64  # rows of the previous point
         is_sorted = count >= _LEAST_SORTED
-        order = _NONE
+        order = ZERO_U64
         if is_sorted:
             order = order_points(source.points, first, last, others + capacity * _ROW_BYTES)
         for number in range(count):
             i = first + number
             if is_sorted:
                 i = _sorted_point(order, number, first)
-                ahead = _sorted_point(order, min(number + _AHEAD, count - _ONE), first)
+                ahead = _sorted_point(order, min(number + _AHEAD, count - ONE_U64), first)
                 prefetch(source.points + ahead * _VECTOR)
             query = read_point(source, i, frame)
-            found = _NONE
+            found = ZERO_U64
             if query.status == _VALID:
                 nearest = begin_point(query, frame, rows, capacity)
                 nearest = offer_again(nearest, query.moved, others, known)

@@ -13,6 +13,7 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayStatus
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.hit_filter import HitFilter, RayFilter
@@ -37,9 +38,6 @@ __all__ = [
     "searches",
 ]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
 _MISS = np.int32(-1)
@@ -161,8 +159,8 @@ def finish_first(out, i, count, ray):
         Hits found.
     ray : LocalRay
     """
-    at = i << _WORD
-    if count == _NONE:
+    at = i << SHIFT_32
+    if count == ZERO_U64:
         store(out.t + at, _INF)
         store(out.u + at, _ZERO)
         store(out.v + at, _ZERO)
@@ -177,7 +175,7 @@ def finish_rows(hits, first, count, ray, sorts):
     if sorts:
         sort_hits(hits, first, count)
     for row in range(first, first + count):
-        at = hits.t + (row << _WORD)
+        at = hits.t + (row << SHIFT_32)
         store(at, world_t(load(np.float32, at), ray.t_scale, ray.t_offset))
 
 
@@ -286,47 +284,47 @@ def ray_queries(
     @kernel
     def first_hit(begin, end, source, frame, arrays, tallies, filter_, out):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         scene = RayScene(source, frame, arrays, stack, out.status, filter_)
         hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
-            search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, tally))
+            search, ray = search_ray(i, scene, Goal(ONE_U64, hits, i, False, tally))
             add_to(tally, SHADINGS, search.hit_count)
             finish_first(out, i, search.hit_count, ray)
 
     @kernel
     def any_hit(begin, end, source, frame, arrays, tallies, filter_, out):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         scene = RayScene(source, frame, arrays, stack, out.status, filter_)
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
-            search, _ = search_ray(i, scene, Goal(_ONE, None, i, False, tally))
+            search, _ = search_ray(i, scene, Goal(ONE_U64, None, i, False, tally))
             add_to(tally, SHADINGS, search.hit_count)
-            store(out.seen + i, np.uint8(search.hit_count != _NONE))
+            store(out.seen + i, np.uint8(search.hit_count != ZERO_U64))
 
     @kernel
     def count_hits(begin, end, source, frame, arrays, tallies, status, wanted, counts):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         scene = RayScene(source, frame, arrays, stack, status, None)
         surfaces, most = wanted.surfaces, wanted.limit
         for i in range(np.uint64(begin), np.uint64(end)):
-            goal = Goal(most, None, _NONE, surfaces, tally_of(tallies, i))
+            goal = Goal(most, None, ZERO_U64, surfaces, tally_of(tallies, i))
             search, _ = search_ray(i, scene, goal)
             counts[i] = search.hit_count
 
     @kernel
     def multi_hit(begin, end, source, frame, arrays, tallies, wanted, splits, hits):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         scene = RayScene(source, frame, arrays, stack, None, None)
         surfaces, to = wanted.surfaces, hit_addresses(hits)
         for i in range(np.uint64(begin), np.uint64(end)):
             first = np.uint64(splits[i])
-            capacity = np.uint64(splits[i + _ONE]) - first
-            if capacity == _NONE:
+            capacity = np.uint64(splits[i + ONE_U64]) - first
+            if capacity == ZERO_U64:
                 continue
             tally = tally_of(tallies, i)
             search, ray = search_ray(i, scene, Goal(capacity, to, first, surfaces, tally))
@@ -336,33 +334,33 @@ def ray_queries(
     @kernel
     def collect_hits(begin, end, source, frame, arrays, status, wanted, splits, hits):
         stack = scratch(stack_bytes)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         scene = RayScene(source, frame, arrays, stack, status, None)
         surfaces, to = wanted.surfaces, hit_addresses(hits)
-        most, room, row = wanted.limit, np.uint64(len(hits.t)), _NONE
+        most, room, row = wanted.limit, np.uint64(len(hits.t)), ZERO_U64
         splits[0] = 0
         for i in range(np.uint64(begin), np.uint64(end)):
             capacity = min(most, room - row)
-            if capacity == _NONE:
+            if capacity == ZERO_U64:
                 return np.int64(i)
             search, ray = search_ray(i, scene, Goal(capacity, to, row, surfaces, None))
             if search.hit_count == capacity and capacity != most:
                 return np.int64(i)
             finish_rows(to, row, search.hit_count, ray, wanted.sorts)
             row += search.hit_count
-            splits[i + _ONE - np.uint64(begin)] = row
+            splits[i + ONE_U64 - np.uint64(begin)] = row
         return np.int64(end)
 
     @kernel
     def cast(frame, arrays, ox, oy, oz, dx, dy, dz, t_min, t_max):
         stack, row = scratch(stack_bytes), scratch(16)
-        store(stack, _NONE)
+        store(stack, ZERO_U64)
         scene = RayScene(None, frame, arrays, stack, None, None)
         hits = HitAddresses(row, row + np.uint64(4), row + np.uint64(8), row + np.uint64(12))
         wanted = ox, oy, oz, dx, dy, dz, np.float32(t_min), np.float32(t_max)
-        search, ray = search_numbers(wanted, scene, Goal(_ONE, hits, _NONE, False, None))
-        finish_first(hits, _NONE, search.hit_count, ray)
-        t, u, v, prim_id = get_hit(hits, _NONE)
+        search, ray = search_numbers(wanted, scene, Goal(ONE_U64, hits, ZERO_U64, False, None))
+        finish_first(hits, ZERO_U64, search.hit_count, ray)
+        t, u, v, prim_id = get_hit(hits, ZERO_U64)
         numbers = np.float64(t), np.float64(u), np.float64(v), np.int64(prim_id)
         return numbers, np.int64(ray.status)
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 from raystream.kernels.hit_filter import RayFilter, keeps
@@ -41,10 +42,6 @@ __all__ = [
     "wants_any",
 ]
 
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-
 
 # The nearest hits
 
@@ -52,18 +49,18 @@ _ONE = np.uint64(1)
 @device
 def t_of(out, row):
     """Read the t of a row's hit."""
-    return load(np.float32, out.t + (row << _WORD))
+    return load(np.float32, out.t + (row << SHIFT_32))
 
 
 @device
 def _prim_id_of(out, row):
-    return load(np.int32, out.prim_id + (row << _WORD))
+    return load(np.int32, out.prim_id + (row << SHIFT_32))
 
 
 @device
 def put_hit(out, row, t, u, v, prim_id):
     """Write a hit to a row."""
-    at = row << _WORD
+    at = row << SHIFT_32
     store(out.t + at, t)
     store(out.u + at, u)
     store(out.v + at, v)
@@ -73,7 +70,7 @@ def put_hit(out, row, t, u, v, prim_id):
 @device
 def get_hit(out, row):
     """Read the hit of a row: t, u, v, prim_id."""
-    at = row << _WORD
+    at = row << SHIFT_32
     return (
         load(np.float32, out.t + at),
         load(np.float32, out.u + at),
@@ -92,15 +89,18 @@ def is_before(t, prim_id, other_t, other_prim_id):
 def _sift_down(out, first, count, hole, t, u, v, prim_id):
     """Insert a hit into a max-heap, starting at an empty node."""
     while True:
-        child = hole + hole + _ONE
+        child = hole + hole + ONE_U64
         if child >= count:
             break
         at = first + child
-        if child + _ONE < count and is_before(
-            t_of(out, at), _prim_id_of(out, at), t_of(out, at + _ONE), _prim_id_of(out, at + _ONE)
+        if child + ONE_U64 < count and is_before(
+            t_of(out, at),
+            _prim_id_of(out, at),
+            t_of(out, at + ONE_U64),
+            _prim_id_of(out, at + ONE_U64),
         ):
-            child += _ONE
-            at += _ONE
+            child += ONE_U64
+            at += ONE_U64
         if not is_before(t, prim_id, t_of(out, at), _prim_id_of(out, at)):
             break
         t_, u_, v_, prim_id_ = get_hit(out, at)
@@ -137,7 +137,7 @@ def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
             _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
         return count, t_of(out, first)
     put_hit(out, first + count, t, u, v, prim_id)
-    count += _ONE
+    count += ONE_U64
     if count == capacity:
         _make_heap(out, first, count)
         t_far = t_of(out, first)
@@ -146,9 +146,9 @@ def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
 
 @device
 def _make_heap(out, first, count):
-    hole = count >> _ONE
+    hole = count >> ONE_U64
     while hole != np.uint64(0):
-        hole -= _ONE
+        hole -= ONE_U64
         t, u, v, prim_id = get_hit(out, first + hole)
         _sift_down(out, first, count, hole, t, u, v, prim_id)
 
@@ -158,8 +158,8 @@ def sort_hits(out, first, count):
     """Sort rows first to first + count, in any order, by t, then prim_id."""
     _make_heap(out, first, count)
     last = count
-    while last > _ONE:
-        last -= _ONE
+    while last > ONE_U64:
+        last -= ONE_U64
         t, u, v, prim_id = get_hit(out, first + last)
         t_, u_, v_, prim_id_ = get_hit(out, first)
         put_hit(out, first + last, t_, u_, v_, prim_id_)
@@ -231,7 +231,7 @@ def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, counters, fi
     return Search(
         t_min,
         t_max,
-        _NONE,
+        ZERO_U64,
         capacity,
         hits,
         first_row,
@@ -262,15 +262,17 @@ def _changed(search, count, t_far):
 @device
 def _offer_to(hits, search, t, u, v, prim_id):
     if hits is None:
-        return _changed(search, search.hit_count + _ONE, search.t_far)
+        return _changed(search, search.hit_count + ONE_U64, search.t_far)
     row = search.first_row
-    if search.capacity == _ONE:  # without a call: known when a query of the nearest hit is compiled
-        if search.hit_count == _NONE or is_before(
+    if (
+        search.capacity == ONE_U64
+    ):  # without a call: known when a query of the nearest hit is compiled
+        if search.hit_count == ZERO_U64 or is_before(
             t, prim_id, t_of(hits, row), _prim_id_of(hits, row)
         ):
             put_hit(hits, row, t, u, v, prim_id)
-            return _changed(search, _ONE, t)
-        return _changed(search, _ONE, search.t_far)
+            return _changed(search, ONE_U64, t)
+        return _changed(search, ONE_U64, search.t_far)
     count, t_far = keep_hit(
         hits,
         row,
@@ -403,4 +405,4 @@ def is_over(search, t_out):
 @device
 def wants_any(search):
     """Whether this is an any-hit search."""
-    return search.capacity == _ONE and _is_counted(search.hits)
+    return search.capacity == ONE_U64 and _is_counted(search.hits)

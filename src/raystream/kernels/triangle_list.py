@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.intrinsics import corners_at
 from raystream.jit.simd import load
@@ -12,9 +13,6 @@ from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle import intersect
 
 __all__ = ["intersect_list"]
-
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 
 
 @device
@@ -37,10 +35,10 @@ def intersect_list(references, corners, begin, end, ray, search, t_in, t_out):
     -------
     Search
     """
-    at, stop = references + (begin << _WORD), references + (end << _WORD)
+    at, stop = references + (begin << SHIFT_32), references + (end << SHIFT_32)
     triangles = corners_at(corners)
     while at != stop:
-        add_to(search.counters, TESTS, _ONE)
+        add_to(search.counters, TESTS, ONE_U64)
         prim_id = load(np.int32, at)
         at += np.uint64(4)
         hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), search.surfaces)

@@ -19,6 +19,7 @@ import math
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import absolute, f64x8, load, scratch, select, square_root, store
 
@@ -28,8 +29,6 @@ __all__ = ["LANES", "half_angle", "to_corner", "turned", "winding_numbers"]
 LANES = 8
 
 _U8 = np.uint64(LANES)
-_ONE = np.uint64(1)
-_DOUBLE = np.uint64(3)  # eight bytes, as a shift
 _0, _1, _MINUS_1 = np.float64(0.0), np.float64(1.0), np.float64(-1.0)
 _X, _Y, _Z = np.uint64(0), np.uint64(64), np.uint64(128)
 
@@ -104,8 +103,8 @@ def winding_numbers(begin, end, points, corners, prim_ids, numbers):
     first, last = np.uint64(begin), np.uint64(end)
     while first < last:
         for k in range(_U8):
-            i = min(first + k, last - _ONE)
-            at = lanes + (k << _DOUBLE)
+            i = min(first + k, last - ONE_U64)
+            at = lanes + (k << SHIFT_64)
             store(at + _X, points[i, 0])
             store(at + _Y, points[i, 1])
             store(at + _Z, points[i, 2])
@@ -121,7 +120,7 @@ def winding_numbers(begin, end, points, corners, prim_ids, numbers):
         store(lanes + _Y, angle[1])
         store(lanes + _Z, angle[2])
         for k in range(min(_U8, last - first)):
-            at = lanes + (k << _DOUBLE)
+            at = lanes + (k << SHIFT_64)
             # Adding zero turns -0 into 0: the argument of a negative number is pi.
             imaginary = load(np.float64, at + _Y) + _0
             part = math.atan2(imaginary, load(np.float64, at + _X)) / (2.0 * math.pi)

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, all_lanes, f64x8, load, scratch, square_root, store
 from raystream.jit.threads import parallel_for
@@ -55,9 +56,6 @@ _ROUNDING = 2.0**-44
 _ROUNDING_EACH = 2.0**-50
 
 _U8 = np.uint64(LANES)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # four bytes, as a shift
-_DOUBLE = np.uint64(3)  # eight bytes, as a shift
 _X, _Y, _Z, _E = np.uint64(0), np.uint64(64), np.uint64(128), np.uint64(192)
 _0, _1 = np.float64(0.0), np.float64(1.0)
 
@@ -325,9 +323,9 @@ def tree_winding_numbers(begin, end, points, tree, opening, work, numbers, error
     at = first
     while at < last:
         for k in range(_U8):
-            number = min(at + k, last - _ONE) - first
-            i = first + np.uint64(load(np.uint32, order + (number << _WORD)))
-            to = lanes + (k << _DOUBLE)
+            number = min(at + k, last - ONE_U64) - first
+            i = first + np.uint64(load(np.uint32, order + (number << SHIFT_32)))
+            to = lanes + (k << SHIFT_64)
             store(to + _X, points[i, 0])
             store(to + _Y, points[i, 1])
             store(to + _Z, points[i, 2])
@@ -351,8 +349,8 @@ def tree_winding_numbers(begin, end, points, tree, opening, work, numbers, error
         store(lanes + _Z, angle[2] + total / np.float64(4.0 * math.pi))
         store(lanes + _E, error / np.float64(4.0 * math.pi))
         for k in range(min(_U8, last - at)):
-            i = first + np.uint64(load(np.uint32, order + ((at + k - first) << _WORD)))
-            to = lanes + (k << _DOUBLE)
+            i = first + np.uint64(load(np.uint32, order + ((at + k - first) << SHIFT_32)))
+            to = lanes + (k << SHIFT_64)
             # Adding zero turns -0 into 0: the argument of a negative number is pi.
             imaginary = load(np.float64, to + _Y) + _0
             part = math.atan2(imaginary, load(np.float64, to + _X)) / (2.0 * math.pi)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import to_local, world_t
@@ -28,7 +29,6 @@ __all__ = ["NextRay", "RayLoop", "eye_ray_steps", "loop_arrays", "loop_steps"]
 SPAN = np.dtype([("scale", np.float64), ("offset", np.float64)])
 
 _STARTING = np.uint8(RayState.STARTING)
-_ONE = np.uint64(1)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _MISS = np.int32(-1)
@@ -119,7 +119,7 @@ def _start(new, ray, wanted, span, frame, hits):
     origin, direction = (local.ox, local.oy, local.oz), (local.dx, local.dy, local.dz)
     return (
         (origin, direction, local.t_min, local.t_max),
-        (new.row, _ONE, wanted.number),
+        (new.row, ONE_U64, wanted.number),
         (local.t_scale, local.t_offset),
         _STARTING,
     )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.hits import HitAddresses
@@ -96,7 +97,6 @@ NO_ROOM = np.uint8(RayState.NO_ROOM)
 SHADE_ALL, SHADE_HITS, SHADE_NONE = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
 
 _NOWHERE = np.uint64(0)
-_WORD = np.uint64(2)  # log2 of the bytes of a count
 
 
 class StepArguments(NamedTuple):
@@ -164,7 +164,7 @@ def end_state(count, query):
 def count_step(query, wanted, kernel, column, more):
     """Count a run of kernel number `kernel` on a ray, and add `more` to a column of its tally."""
     if query.runs != _NOWHERE:
-        at = query.runs + np.uint64(wanted.number) * ROW + (np.uint64(kernel) << _WORD)
+        at = query.runs + np.uint64(wanted.number) * ROW + (np.uint64(kernel) << SHIFT_32)
         store(at, np.uint32(load(np.uint32, at) + np.uint32(1)))
         add_count(query, wanted, column, more)
 

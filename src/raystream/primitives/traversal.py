@@ -23,7 +23,6 @@ from raystream.structures.bvh.traversal import tree_traversal
 
 __all__ = ["STACK_BYTES", "primitive_searches", "traverse_all", "traverse_trees"]
 
-_NONE = np.uint64(0)
 _LEAF_SHIFT = np.int32(3)
 _TREE = np.uint64(TREE_BYTES)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.hit_filter import U_AT, V_AT
@@ -29,7 +30,6 @@ __all__ = [
 SCENE, DIRECTIONS, CONSTANTS = 1, 5, 8
 
 _ZERO, _1, _2, _3, _4, _5, _6 = (np.uint64(8 * k) for k in range(7))
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * SCENE), np.uint64(8 * DIRECTIONS)
 
 
@@ -79,7 +79,7 @@ def rays_of(context):
 @device
 def filtered_hit(hits, lane, prim_id, first, rays, scene):
     """The `Hit` of a lane; see `kernels.hit_filter.kept_hits` for the arguments."""
-    at, ray = hits + (lane << _WORD), first + lane
+    at, ray = hits + (lane << SHIFT_32), first + lane
     t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
     return hit_of(ray, t, u, v, prim_id, rays, ray, scene)
 
@@ -87,6 +87,6 @@ def filtered_hit(hits, lane, prim_id, first, rays, scene):
 @device
 def placed_filtered_hit(hits, lane, prim_id, first, rays, scene):
     """The same in a scene with instances, where `prim_id` is a number among all instances."""
-    at, ray = hits + (lane << _WORD), first + lane
+    at, ray = hits + (lane << SHIFT_32), first + lane
     t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
     return placed_hit_of(ray, t, u, v, prim_id, rays, ray, scene)

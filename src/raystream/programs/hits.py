@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.jit.constants import BYTES_32, ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.hits import HitArrays
@@ -32,8 +33,6 @@ __all__ = [
 
 _NOWHERE = np.uint64(0)
 _ENDED = np.uint8(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(4)
 _LONG = np.uint64(8)
 _VECTOR = np.uint64(12)
 _TRIANGLE = np.uint64(36)
@@ -205,7 +204,7 @@ def position_at(rays, i):
     if rays.positions == _NOWHERE:
         return rays.start + i
     if rays.positions_are_short:
-        return np.uint64(load(np.int32, rays.positions + i * _WORD))
+        return np.uint64(load(np.int32, rays.positions + i * BYTES_32))
     return np.uint64(load(np.int64, rays.positions + i * _LONG))
 
 
@@ -233,9 +232,9 @@ def close_ray(open_rays, position):
 def row_range(rows, i):
     """The new rows of entry i: first and end."""
     if rows.splits == _NOWHERE:
-        if load(np.int32, rows.prim_id + i * _WORD) < 0:
+        if load(np.int32, rows.prim_id + i * BYTES_32) < 0:
             return i, i
-        return i, i + _ONE
+        return i, i + ONE_U64
     at = rows.splits + i * _LONG
     first, end = np.uint64(load(np.int64, at)), np.uint64(load(np.int64, at + _LONG))
     if rows.counts != _NOWHERE:
@@ -246,7 +245,7 @@ def row_range(rows, i):
 @device
 def hit_at(rows, row, rays, position, ray, scene):
     """The hit in a row, of the ray at a position among those traced; `ray` is its batch index."""
-    at = row * _WORD
+    at = row * BYTES_32
     t, u, v = (
         load(np.float32, rows.t + at),
         load(np.float32, rows.u + at),
@@ -284,7 +283,7 @@ def interval_of(splits, count, halvings, number):
     """
     low, high = _NOWHERE, count
     for _ in range(halvings):
-        middle = (low + high) >> _ONE
+        middle = (low + high) >> ONE_U64
         is_above = load(np.int64, splits + middle * _LONG) <= number
         low = middle if is_above else low
         high = high if is_above else middle
@@ -295,7 +294,7 @@ def interval_of(splits, count, halvings, number):
 def _number(at, k, is_double):
     if is_double:
         return load(np.float64, at + k * _LONG)
-    return np.float64(load(np.float32, at + k * _WORD))
+    return np.float64(load(np.float32, at + k * BYTES_32))
 
 
 @device
@@ -304,7 +303,7 @@ def direction_at(rays, position):
     at = rays.directions + position * rays.direction_step
     is_double = rays.directions_are_double
     x = _number(at, _NOWHERE, is_double)
-    y = _number(at, _ONE, is_double)
+    y = _number(at, ONE_U64, is_double)
     z = _number(at, np.uint64(2), is_double)
     if is_double:
         most = max(abs(x), abs(y), abs(z))
@@ -316,7 +315,7 @@ def direction_at(rays, position):
 def _corner(at):
     return (
         np.float64(load(np.float32, at)),
-        np.float64(load(np.float32, at + _WORD)),
+        np.float64(load(np.float32, at + BYTES_32)),
         np.float64(load(np.float32, at + _LONG)),
     )
 

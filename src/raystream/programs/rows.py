@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import as_host_array
+from raystream.jit.constants import BYTES_32, ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
 __all__ = ["SkipsAt", "add_one", "as_skips", "is_skipped", "keep_row", "move_row", "put_row"]
 
 _NOWHERE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(4)
 _LONG = np.uint64(8)
 
 
@@ -68,19 +67,19 @@ def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArra
 @device
 def is_skipped(skips, ray, rows, row):
     """Whether a ray skips the triangle of a row."""
-    prim_id = load(np.int32, rows.prim_id + row * _WORD)
-    at = skips.prim_ids + ray * skips.width * _WORD
-    end = at + skips.width * _WORD
+    prim_id = load(np.int32, rows.prim_id + row * BYTES_32)
+    at = skips.prim_ids + ray * skips.width * BYTES_32
+    end = at + skips.width * BYTES_32
     while at != end:
         if load(np.int32, at) == prim_id:
             return True
-        at += _WORD
+        at += BYTES_32
     return False
 
 
 @device
 def _copy_row(rows, row, out, to):
-    at, target = row * _WORD, to * _WORD
+    at, target = row * BYTES_32, to * BYTES_32
     store(out.t + target, load(np.float32, rows.t + at))
     store(out.u + target, load(np.float32, rows.u + at))
     store(out.v + target, load(np.float32, rows.v + at))
@@ -90,7 +89,7 @@ def _copy_row(rows, row, out, to):
 @device
 def put_row(out, ray, rows, row):
     """Copy a row to its ray's row of `HitAddresses`, unless it is that row."""
-    if rows.prim_id + row * _WORD != out.prim_id + ray * _WORD:
+    if rows.prim_id + row * BYTES_32 != out.prim_id + ray * BYTES_32:
         _copy_row(rows, row, out, ray)
 
 
@@ -129,5 +128,5 @@ def keep_row(out, splits, found, ray, rows, row):
     """
     count = add_one(found, ray)
     if splits != _NOWHERE:
-        _copy_row(rows, row, out, np.uint64(load(np.int64, splits + ray * _LONG) + count) - _ONE)
+        _copy_row(rows, row, out, np.uint64(load(np.int64, splits + ray * _LONG) + count) - ONE_U64)
     return count

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.search import put_hit
@@ -39,7 +40,6 @@ WALK = np.dtype(
 
 _TRIANGLE = np.uint64(36)
 _SECOND, _THIRD = np.uint64(12), np.uint64(24)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _ZERO, _ONE, _INF = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
 _NOWHERE = np.uint32(0)
 _MISS = np.int32(-1)
@@ -153,7 +153,7 @@ def intersect(ray, place, tree):
     """Test one triangle of a ray's voxel."""
     cell, t_next, delta = place.cell, place.t_next, place.t_delta
     o, d, hit = ray.origin, ray.direction, place.hit
-    tri_id = load(np.int32, tree.references + (np.uint64(place.list_pos) << _WORD))
+    tri_id = load(np.int32, tree.references + (np.uint64(place.list_pos) << SHIFT_32))
     at = tree.corners + np.uint64(tri_id) * _TRIANGLE
     v0, v1, v2 = vertex_at(at), vertex_at(at + _SECOND), vertex_at(at + _THIRD)
     h = PrintedHit(hit[0], hit[1], hit[2], place.prim_id)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from raystream.jit.constants import BYTES_32, ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, load, mask_bits
 from raystream.kernels.leaf_block import BLOCK, SECOND, THIRD
@@ -25,11 +26,7 @@ __all__ = ["FETCH_ONLY", "fetch_only"]
 _TRAVERSING = np.uint8(RayState.TRAVERSING)
 _INTERSECTING = np.uint8(RayState.INTERSECTING)
 _BACKTRACKING = np.uint8(RayState.BACKTRACKING)
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
 _ZERO = np.float32(0.0)
-_WORD = np.uint64(4)
 _NODE = np.uint64(8)
 _CORNERS = np.uint64(36)
 _AXIS = np.uint64(16)
@@ -62,10 +59,10 @@ def _word(at):
 @device
 def _sum_of_corners(tree, row):
     """Sum a reference's triangle: nine numbers."""
-    at = tree.corners + np.uint64(load(np.int32, tree.references + row * _WORD)) * _CORNERS
+    at = tree.corners + np.uint64(load(np.int32, tree.references + row * BYTES_32)) * _CORNERS
     total = load(np.float32, at)
-    for k in range(_ONE, np.uint64(9)):
-        total += load(np.float32, at + k * _WORD)
+    for k in range(ONE_U64, np.uint64(9)):
+        total += load(np.float32, at + k * BYTES_32)
     return total
 
 
@@ -81,7 +78,7 @@ def brute_intersect(ray, wanted, found, place, tree):
     """Replaces `machines.steps.brute.intersect`."""
     row = np.uint64(place.row)
     total = (_sum_of_ray(ray) + ray.t_min) + _sum_of_corners(tree, row)
-    return _found(wanted, found, total), (np.uint32(row + _ONE),), _INTERSECTING
+    return _found(wanted, found, total), (np.uint32(row + ONE_U64),), _INTERSECTING
 
 
 @device
@@ -102,9 +99,9 @@ def _same_place(place, t_in, row, end):
 @device
 def grid_traverse(ray, found, place, tree):
     """Replaces `machines.steps.grid.traverse` in a one-level grid."""
-    at = tree.splits + np.uint64(place.cell) * _WORD
+    at = tree.splits + np.uint64(place.cell) * BYTES_32
     row = found.count ^ place.row ^ np.uint32(_word(at))
-    end = place.end ^ np.uint32(_word(at + _WORD))
+    end = place.end ^ np.uint32(_word(at + BYTES_32))
     t_in = place.t_in + (_sum_of_ray(ray) + found.t_far)
     return _same_place(place, t_in, row, end), _TRAVERSING
 
@@ -119,7 +116,7 @@ def grid_intersect(ray, wanted, found, place, tree):
 
 @device
 def _same_search(place, node, t_in, t_out, left):
-    return np.uint32(node), t_in, t_out, place.t_end, place.top, _NONE, np.uint32(left)
+    return np.uint32(node), t_in, t_out, place.t_end, place.top, ZERO_U64, np.uint32(left)
 
 
 @device
@@ -127,10 +124,10 @@ def _split(leaves, tree, node):
     """Position of a split, and the words of its children."""
     if leaves is not None:
         at = tree.nodes + node * _RECORD
-        return load(np.float32, at), _word(at + _WORD) ^ _word(at + _NODE)
+        return load(np.float32, at), _word(at + BYTES_32) ^ _word(at + _NODE)
     at = tree.nodes + node * _NODE
-    child = _word(at + _WORD) >> _TWO
-    return load(np.float32, at), _word(tree.nodes + child * _NODE + _WORD)
+    child = _word(at + BYTES_32) >> TWO_U64
+    return load(np.float32, at), _word(tree.nodes + child * _NODE + BYTES_32)
 
 
 @device
@@ -140,9 +137,9 @@ def _parent(leaves, tree, node):
         leaf = leaves + (node & _ROW) * _RECORD + _NODE
         node = _word(leaf if node >= _LEAF else tree.extended + node * _EXTENDED + _LINK)
         return node, tree.extended + node * _EXTENDED
-    row = tree.extended + ((node - _ONE) >> _ONE) * _EXTENDED
+    row = tree.extended + ((node - ONE_U64) >> ONE_U64) * _EXTENDED
     node = _word(row + _LINK)
-    return node ^ _word(tree.nodes + node * _NODE + _WORD), row
+    return node ^ _word(tree.nodes + node * _NODE + BYTES_32), row
 
 
 @device
@@ -160,7 +157,7 @@ def kdtree_up(ray, place, tree):
     node, row = _parent(tree.leaves, tree, np.uint64(place.node))
     high = row + _HIGH
     x = load(np.float32, high if d[0] > _ZERO else row)
-    y = load(np.float32, (high if d[1] > _ZERO else row) + _WORD)
+    y = load(np.float32, (high if d[1] > _ZERO else row) + BYTES_32)
     z = load(np.float32, (high if d[2] > _ZERO else row) + _NODE)
     t_out = ((o[0] + x) + (o[1] + y)) + ((o[2] + z) + (d[0] + (d[1] + d[2])))
     return _same_search(place, node, place.t_in, t_out, 0), _BACKTRACKING

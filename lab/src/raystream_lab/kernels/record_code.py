@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.inspect import Code, assume, compile_code
 from raystream.kernels.hits import HitAddresses
 from raystream.machines.ray_streams import declared_as
@@ -20,7 +21,6 @@ __all__ = ["RecordCode", "compile_steps", "first_hit_query", "make_streams"]
 _QUERY_CHOICES = {"surfaces", "shaded_hits", "tallies", "runs", "steps", "tests"}
 
 _NOWHERE = np.uint64(0)
-_ONE = np.uint64(1)
 
 
 class RecordCode(NamedTuple):
@@ -64,8 +64,8 @@ def first_hit_query(
         _NOWHERE,
         np.uint64(stacks),
         np.uint64(stack_bytes),
-        _ONE,
-        _ONE,
+        ONE_U64,
+        ONE_U64,
     )
 
 

@@ -11,6 +11,7 @@ from raystream.cuda.query_kernels import QueryKernels
 from raystream.float64.queries import LANES_BYTES, Searches, write_nearest
 from raystream.float64.ray import prepare_float64
 from raystream.float64.traversal import STACK_BYTES
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -19,8 +20,6 @@ from raystream.kernels.ray_source import load_direction, load_origin
 
 __all__ = ["make_float64_kernels"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LONG = np.uint64(3)  # eight bytes, as a shift
 
 
@@ -73,9 +72,9 @@ def make_float64_kernels(searches: Searches) -> QueryKernels:
     @kernel
     def multi_hit(i, source, frame, tree, _tallies, surfaces, out):
         first = np.uint64(load(np.int64, out.splits + (i << _LONG)))
-        capacity = np.uint64(load(np.int64, out.splits + ((i + _ONE) << _LONG))) - first
+        capacity = np.uint64(load(np.int64, out.splits + ((i + ONE_U64) << _LONG))) - first
         store(out.found + (i << _LONG), np.int64(0))
-        if capacity == _NONE:
+        if capacity == ZERO_U64:
             return
         memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
         ray = _ray(source, i, frame, None)

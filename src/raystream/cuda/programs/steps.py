@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.core.rays import RayStatus
+from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, store
@@ -13,7 +14,6 @@ from raystream.kernels.ray_source import load_ray
 __all__ = ["CLEAR_IGNORED", "IS_HIT", "NARROW", "NOTE_INVALID", "OPEN", "WANT"]
 
 _NOWHERE = np.uint64(0)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _LONG = np.uint64(3)
 _OPEN = np.uint8(1)
 _MISS = np.int32(-1)
@@ -38,7 +38,7 @@ def _want(i, open_rays, found, latest, room, wanted):
 def _clear_ignored(i, open_rays, out):
     """Reset the hit of a ray that is still open to a miss."""
     if load(np.uint8, open_rays + i) == _OPEN:
-        at = i << _WORD
+        at = i << SHIFT_32
         store(out.t + at, np.float32(np.inf))
         store(out.u + at, np.float32(0.0))
         store(out.v + at, np.float32(0.0))
@@ -47,7 +47,7 @@ def _clear_ignored(i, open_rays, out):
 
 @kernel
 def _is_hit(i, prim_ids, seen):
-    store(seen + i, np.uint8(load(np.int32, prim_ids + (i << _WORD)) != _MISS))
+    store(seen + i, np.uint8(load(np.int32, prim_ids + (i << SHIFT_32)) != _MISS))
 
 
 @kernel
@@ -62,7 +62,7 @@ def _narrow(i, given, narrowed):
     """Convert int64 to int32; values outside its range become -1, which matches no triangle."""
     value = load(np.int64, given + (i << _LONG))
     short = np.int32(value)
-    store(narrowed + (i << _WORD), short if np.int64(short) == value else _MISS)
+    store(narrowed + (i << SHIFT_32), short if np.int64(short) == value else _MISS)
 
 
 OPEN = RangeKernel(_open)

@@ -7,14 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device
 from raystream.kernels.search import Search, sort_hits
 from raystream.kernels.tally import SHADINGS
 from raystream.machines.records import DONE, RayState, count_step
 
 __all__ = ["StepKernel", "Steps", "resume_search", "traversal_kernels", "with_shade"]
-
-_ONE = np.uint64(1)
 
 
 class StepKernel(NamedTuple):
@@ -99,8 +98,8 @@ def resume_search(hits, ray, wanted, found, query):
 def _sort_kept(hits, wanted, count):
     """Sort a ray's hits, where several may have been kept; returns the number of hits shaded."""
     if hits is None:
-        return _ONE
-    if wanted.capacity != _ONE:
+        return ONE_U64
+    if wanted.capacity != ONE_U64:
         sort_hits(hits, wanted.first, count)
     return count
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full
 from raystream.kernels.tally import TESTS
@@ -24,16 +25,14 @@ __all__ = ["steps"]
 #: The next triangle.
 PLACE = np.dtype([("row", np.uint32)])
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _INF = np.float32(np.inf)
 
 
 def set_up(ray, wanted, tree, query, kernel):
     """Begin with the first triangle."""
-    count_step(query, wanted, kernel, TESTS, _NONE)
-    is_active = tree.triangle_count != _NONE and ray.t_min <= ray.t_max
-    state = INTERSECTING if is_active else end_state(_NONE, query)
+    count_step(query, wanted, kernel, TESTS, ZERO_U64)
+    is_active = tree.triangle_count != ZERO_U64 and ray.t_min <= ray.t_max
+    state = INTERSECTING if is_active else end_state(ZERO_U64, query)
     return (np.uint32(0), ray.t_max), (np.uint32(0),), state
 
 
@@ -43,11 +42,11 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
     search = resume_search(query.hits, ray, wanted, found, query)
     row, state = np.uint64(place.row), INTERSECTING
     for _ in range(query.tests):
-        count_step(query, wanted, kernel, TESTS, _ONE)
+        count_step(query, wanted, kernel, TESTS, ONE_U64)
         search = intersect_list(
-            tree.references, tree.corners, row, row + _ONE, line, search, search.t_min, _INF
+            tree.references, tree.corners, row, row + ONE_U64, line, search, search.t_min, _INF
         )
-        row += _ONE
+        row += ONE_U64
         if row == tree.triangle_count or is_full(search):
             state = end_state(search.hit_count, query)
             break

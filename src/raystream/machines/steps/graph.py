@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full, is_over
@@ -42,8 +43,6 @@ PLACE = np.dtype(
     ]
 )
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LANES = np.uint64(4)
 
 
@@ -61,14 +60,14 @@ def _leave_sector(tree, line, sector, t_end, search, wanted, query):
 
 def set_up(ray, wanted, tree, query, kernel):
     """Find the sector in which a ray begins."""
-    count_step(query, wanted, kernel, STEPS, _NONE)
+    count_step(query, wanted, kernel, STEPS, ZERO_U64)
     line = prepared_ray(ray, query)
     is_active, t_in, t_end = clip_to_scene(tree, line, ray.t_min, ray.t_max)
-    state, sector = end_state(_NONE, query), tree.rows
+    state, sector = end_state(ZERO_U64, query), tree.rows
     if is_active:
         state = TRAVERSING
         sector, _ = start_sector(tree, sector_ray(line), line, t_in)
-    place = sector, t_in, t_end, _NONE, np.uint32(0)
+    place = sector, t_in, t_end, ZERO_U64, np.uint32(0)
     return (np.uint32(0), ray.t_max), place, state
 
 
@@ -78,10 +77,10 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
     search, state = resume_search(None, ray, wanted, found, query), TRAVERSING
     for _ in range(query.steps):
-        count_step(query, wanted, kernel, STEPS, _ONE)
+        count_step(query, wanted, kernel, STEPS, ONE_U64)
         block, end, left = sector_blocks(tree, sector)
         if block != end:
-            add_count(query, wanted, LEAVES, _ONE)
+            add_count(query, wanted, LEAVES, ONE_U64)
             state = INTERSECTING
             break
         state, sector, t_in = _leave_sector(tree, line, sector, place.t_end, search, wanted, query)
@@ -106,7 +105,7 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
         if is_full(search):
             state = end_state(search.hit_count, query)
             break
-        if left == _NONE:
+        if left == ZERO_U64:
             state, sector, t_in = _leave_sector(
                 tree, line, sector, place.t_end, search, wanted, query
             )

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
@@ -58,8 +59,6 @@ PLACE = np.dtype(
     ]
 )
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _INF = np.float32(np.inf)
 _COARSE = np.int32(-1)
 
@@ -126,27 +125,29 @@ def _next_cell(tree, ray, place):
     t_out = min(cell_end(place.walk), place.t_end)
     if t_out < place.t_end or place.outer == _COARSE:
         walk = prepare_walk(_lattice(tree, place.outer), ray)
-        return _Place(step_walk(walk, place.walk), place.outer, t_out, place.t_end, _NONE, _NONE)
+        return _Place(
+            step_walk(walk, place.walk), place.outer, t_out, place.t_end, ZERO_U64, ZERO_U64
+        )
     # Leave the lattice of a coarse cell for the next coarse cell.
     coarse = coarse_cells(tree)
     walk = prepare_walk(coarse, ray)
     i, j, k = cell_numbers(tree, place.outer)
     state = step_walk(walk, state_at(coarse, walk, i, j, k))
-    return _Place(state, _COARSE, t_out, _INF, _NONE, _NONE)
+    return _Place(state, _COARSE, t_out, _INF, ZERO_U64, ZERO_U64)
 
 
 def set_up(ray, wanted, tree, query, kernel):
     """Find the cell in which a ray begins."""
-    count_step(query, wanted, kernel, STEPS, _NONE)
+    count_step(query, wanted, kernel, STEPS, ZERO_U64)
     line = prepared_ray(ray, query)
     t_in, t_far = clip_to_grid(tree, line, ray.t_min, ray.t_max)
-    is_active = tree.splits != _NONE and t_in <= t_far
+    is_active = tree.splits != ZERO_U64 and t_in <= t_far
     if not is_active:
         t_in = t_far = np.float32(0.0)
     coarse = coarse_cells(tree)
     _, walk = begin_walk(coarse, line, t_in)
-    place = _Place(walk, _COARSE, t_in, _INF, _NONE, _NONE)
-    state = TRAVERSING if is_active else end_state(_NONE, query)
+    place = _Place(walk, _COARSE, t_in, _INF, ZERO_U64, ZERO_U64)
+    state = TRAVERSING if is_active else end_state(ZERO_U64, query)
     return (np.uint32(0), t_far), _record(place), state
 
 
@@ -156,20 +157,20 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
     line = prepared_ray(ray, query)
     state = TRAVERSING
     for _ in range(query.steps):
-        count_step(query, wanted, kernel, STEPS, _ONE)
+        count_step(query, wanted, kernel, STEPS, ONE_U64)
         lattice = _lattice(tree, at.outer)
         row, end = cell_list(lattice.splits, at.walk.cell)
         if row != end:
             child = child_of(tree, at.walk.cell) if at.outer == _COARSE else NO_CHILD
             if child == NO_CHILD:
-                add_count(query, wanted, LEAVES, _ONE)
+                add_count(query, wanted, LEAVES, ONE_U64)
                 at = _Place(at.walk, at.outer, at.t_in, at.t_end, row, end)
                 state = INTERSECTING
                 break
             fine = fine_cells(tree, at.walk.cell, child)
             _, walk = begin_walk(fine, line, at.t_in)
             outer = np.int32(at.walk.cell)
-            at = _Place(walk, outer, at.t_in, cell_end(at.walk), _NONE, _NONE)
+            at = _Place(walk, outer, at.t_in, cell_end(at.walk), ZERO_U64, ZERO_U64)
         else:
             if _is_over(at, found.t_far):
                 state = end_state(np.uint64(found.count), query)
@@ -187,11 +188,11 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
     t_out = _INF if wants_any(search) else min(cell_end(at.walk), at.t_end)
     row, state = at.row, INTERSECTING
     for _ in range(query.tests):
-        count_step(query, wanted, kernel, TESTS, _ONE)
+        count_step(query, wanted, kernel, TESTS, ONE_U64)
         search = intersect_list(
-            references, tree.corners, row, row + _ONE, line, search, at.t_in, t_out
+            references, tree.corners, row, row + ONE_U64, line, search, at.t_in, t_out
         )
-        row += _ONE
+        row += ONE_U64
         if is_full(search) or (row == at.end and _is_over(at, search.t_far)):
             state = end_state(search.hit_count, query)
             break

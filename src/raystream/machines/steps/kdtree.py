@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full
@@ -64,8 +65,6 @@ PLACE = np.dtype(
 #: Bytes of a ray's stack, by traversal.
 _STACKS = {int(STACK): STACK_BYTES, int(SHORT_STACK): SHORT_STACK_BYTES}
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LANES = np.uint64(4)
 
 
@@ -91,12 +90,12 @@ def _downward(tree, state):
 
 def initialize(ray, wanted, tree, query, kernel):
     """Begin at the root."""
-    count_step(query, wanted, kernel, STEPS, _NONE)
+    count_step(query, wanted, kernel, STEPS, ZERO_U64)
     is_active, state = traversal.initialize(tree, prepared_ray(ray, query), ray.t_min, ray.t_max)
-    status = end_state(_NONE, query)
+    status = end_state(ZERO_U64, query)
     if is_active:
         status = _downward(tree, state)
-    return (np.uint32(0), ray.t_max), _record(state, _NONE, _NONE), status
+    return (np.uint32(0), ray.t_max), _record(state, ZERO_U64, ZERO_U64), status
 
 
 def descend(ray, wanted, place, tree, query, kernel):
@@ -105,20 +104,20 @@ def descend(ray, wanted, place, tree, query, kernel):
     state = _load(place)
     status = TRAVERSING
     for _ in range(query.steps):
-        count_step(query, wanted, kernel, STEPS, _ONE)
+        count_step(query, wanted, kernel, STEPS, ONE_U64)
         state = traversal.descend(tree, line, state, stack)
         status = _downward(tree, state)
         if status != TRAVERSING:
             break
-    return _record(state, _NONE, _NONE), status
+    return _record(state, ZERO_U64, ZERO_U64), status
 
 
 def look_at_leaf(wanted, place, tree, query, kernel):
     """Find the triangles of a leaf."""
-    count_step(query, wanted, kernel, LEAVES, _ONE)
+    count_step(query, wanted, kernel, LEAVES, ONE_U64)
     state = _load(place)
     triangles = leaf_of(tree, state.node)
-    status = CONTINUING if triangles.triangle_count == _NONE else INTERSECTING
+    status = CONTINUING if triangles.triangle_count == ZERO_U64 else INTERSECTING
     return _record(state, triangles.block, triangles.triangle_count), status
 
 
@@ -137,7 +136,7 @@ def intersect(ray, wanted, found, place, query, kernel):
         if is_full(search):
             status = end_state(search.hit_count, query)
             break
-        if left == _NONE:
+        if left == ZERO_U64:
             status = CONTINUING
             break
     return found_by(search), _record(state, block, left), status
@@ -145,21 +144,21 @@ def intersect(ray, wanted, found, place, query, kernel):
 
 def continue_search(wanted, found, place, tree, query, kernel):
     """Continue after a leaf, unless the search is over."""
-    count_step(query, wanted, kernel, STEPS, _NONE)
+    count_step(query, wanted, kernel, STEPS, ZERO_U64)
     state = _load(place)
     count = np.uint64(found.count)
     status = end_state(count, query)
     is_over = count == wanted.capacity and found.t_far < state.t_out
     if not (is_over or state.t_out >= state.t_end):
         if traversals.restarts(tree, state):
-            add_count(query, wanted, RESTARTS, _ONE)
+            add_count(query, wanted, RESTARTS, ONE_U64)
         state = traversals.continue_search(tree, state, stack_of(wanted, query))
         if state.is_backtracking:
-            add_count(query, wanted, BACKTRACKS, _ONE)
+            add_count(query, wanted, BACKTRACKS, ONE_U64)
             status = BACKTRACKING
         else:
             status = _downward(tree, state)
-    return _record(state, _NONE, _NONE), status
+    return _record(state, ZERO_U64, ZERO_U64), status
 
 
 def backtrack(ray, wanted, place, tree, query, kernel):
@@ -168,12 +167,12 @@ def backtrack(ray, wanted, place, tree, query, kernel):
     state = _load(place)
     status = BACKTRACKING
     for _ in range(query.steps):
-        count_step(query, wanted, kernel, BACKTRACK_STEPS, _ONE)
+        count_step(query, wanted, kernel, BACKTRACK_STEPS, ONE_U64)
         state = traversals.backtrack.backtrack(tree, line, state)
         if not state.is_backtracking:
             status = _downward(tree, state)
             break
-    return _record(state, _NONE, _NONE), status
+    return _record(state, ZERO_U64, ZERO_U64), status
 
 
 _KERNELS = with_shade(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_host_array
+from raystream.jit.constants import BYTES_32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import f32x16, lane, lane_count, load, scratch, store
 from raystream.jit.threads import parallel_for
@@ -41,7 +42,6 @@ _RANGE = 1 << 32
 _CHUNK = 1 << 12
 
 # Bytes of a float32, and of 16 of them.
-_WORD = np.uint64(4)
 _ROW = 64
 
 
@@ -235,7 +235,7 @@ def draw_lanes(sampler, pixels, samples, dimension):
         for i in range(lane_count(pixels)):
             pixel, sample = lane(pixels, i), lane(samples, i)
             number = stratified.sample_number(sampler.seed, pixel, sample, dimension, count)
-            store(numbers + np.uint64(i) * _WORD, number)
+            store(numbers + np.uint64(i) * BYTES_32, number)
         return load(f32x16, numbers)
     return random.sample_number(sampler.seed, pixels, samples, dimension)
 
@@ -250,8 +250,8 @@ def draw_pair_lanes(sampler, pixels, samples, dimension):
         for i in range(lane_count(pixels)):
             pixel, sample = lane(pixels, i), lane(samples, i)
             u, v = stratified.sample_pair(sampler.seed, pixel, sample, dimension, count)
-            store(us + np.uint64(i) * _WORD, u)
-            store(vs + np.uint64(i) * _WORD, v)
+            store(us + np.uint64(i) * BYTES_32, u)
+            store(vs + np.uint64(i) * BYTES_32, v)
         return load(f32x16, us), load(f32x16, vs)
     return random.sample_pair(sampler.seed, pixels, samples, dimension)
 

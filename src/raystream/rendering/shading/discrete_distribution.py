@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
@@ -20,8 +21,6 @@ from raystream.jit.simd import (
 
 __all__ = ["double", "running_sums", "sample_discrete", "sample_discrete_lanes"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LONG = np.uint64(8)
 _0, _1 = np.int32(0), np.int32(1)
 _NULL, _MOST = np.float32(0.0), np.float32(1.0 - 2.0**-24)
@@ -60,14 +59,14 @@ def sample_discrete(ends, count, number):
     share, within : float64
         `within` is in [0, 1).
     """
-    low, high = _NONE, count
-    while high - low > _ONE:
-        middle = (low + high) >> _ONE
-        if double(ends, middle - _ONE) <= number:
+    low, high = ZERO_U64, count
+    while high - low > ONE_U64:
+        middle = (low + high) >> ONE_U64
+        if double(ends, middle - ONE_U64) <= number:
             low = middle
         else:
             high = middle
-    start = double(ends, low - _ONE) if low != _NONE else 0.0
+    start = double(ends, low - ONE_U64) if low != ZERO_U64 else 0.0
     share = double(ends, low) - start
     within = (number - start) / share if share > 0.0 else 0.0
     return low, share, min(max(within, 0.0), 1.0 - 2.0**-53)

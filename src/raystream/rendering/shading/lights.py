@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.spawn import UNIT
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
@@ -37,7 +38,6 @@ from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
 
 __all__ = ["LightSample", "sample_light", "triangle_pdf"]
 
-_NONE = np.uint64(0)
 
 _0, _1, _2, _3, _6, _7, _9, _10, _11, _12, _15, _16 = (
     np.int32(k) for k in (0, 1, 2, 3, 6, 7, 9, 10, 11, 12, 15, 16)
@@ -115,7 +115,7 @@ def _toward(x, y, z):
 def _from_sky(lights, is_sky, share, u, v):
     """Sample the sky: directions, densities, and radiance over density."""
     toward, pdf = sphere(u, v), narrow(share * _INV_FOUR_PI)
-    if lights.sky.image != _NONE:
+    if lights.sky.image != ZERO_U64:
         toward, relative = sample_image_lanes(lights.sky, u, v, is_sky)
         pdf = pdf * relative
     color = sky_radiance_lanes(lights, toward, is_sky)
@@ -234,11 +234,11 @@ def sample_light(tables, lights, point, choice, u, v):
         toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
     is_found = is_sky & (pdf > _NULL)
     found = LightSample(toward, (nowhere, nowhere, nowhere), is_sky | ~is_sky, color, pdf, is_found)
-    if lights.point_count != _NONE:
+    if lights.point_count != ZERO_U64:
         found = _from_points(lights, number, point, share, found)
-    if lights.sun_count != _NONE:
+    if lights.sun_count != ZERO_U64:
         found = _from_suns(lights, number, share, found)
-    if lights.prim_count != _NONE:
+    if lights.prim_count != ZERO_U64:
         is_area = number > as_int32(lights.point_count + lights.sun_count)
         if any_lane(is_area):
             found = _from_triangles(tables, lights, is_area, point, within, u, v, found)

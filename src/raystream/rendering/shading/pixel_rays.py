@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import gather, load, store
 from raystream.kernels.hits import HitAddresses
@@ -66,7 +67,6 @@ PIXEL = np.dtype(
 
 _BYTES_32, _BYTES_64 = np.uint64(4), np.uint64(8)
 _3_X_32, _3_X_64 = np.uint64(12), np.uint64(24)
-_NONE, _ONE, _TWO = np.uint64(0), np.uint64(1), np.uint64(2)
 _INF, _WHOLE = np.float32(np.inf), np.float32(1.0)
 _WHITE = (1.0, 1.0, 1.0)
 
@@ -132,7 +132,7 @@ class LoopShading(NamedTuple):
 
 @device
 def _path_row(rows, number, half, k):
-    return (number * _TWO + np.uint64(half)) * rows.path_room + np.uint64(k)
+    return (number * TWO_U64 + np.uint64(half)) * rows.path_room + np.uint64(k)
 
 
 @device
@@ -163,7 +163,7 @@ def _ended(ray):
 def begin_pixel(number, shading):
     """A pixel's record, and its eye ray (Purcell 2002, section 3.1.1)."""
     rows, view = shading.rows, shading.camera
-    row, width = _path_row(rows, number, _NONE, _NONE), np.uint64(view.width)
+    row, width = _path_row(rows, number, ZERO_U64, ZERO_U64), np.uint64(view.width)
     # The ray is written to row `number` of these columns.
     moved = row - number
     paths = StreamAddresses(
@@ -185,9 +185,9 @@ def begin_pixel(number, shading):
     store(rows.paths.numbers + row * _BYTES_32, _INF)
     for k in range(3):
         store(rows.paths.colors + row * _3_X_32 + np.uint64(k) * _BYTES_32, _WHOLE)
-    return _record(np.int32(0), _NONE, _NONE, _ONE, _NONE, _NONE, _NONE), _path_ray(
-        rows, number, _NONE, _NONE
-    )
+    return _record(
+        np.int32(0), ZERO_U64, ZERO_U64, ONE_U64, ZERO_U64, ZERO_U64, ZERO_U64
+    ), _path_ray(rows, number, ZERO_U64, ZERO_U64)
 
 
 @device
@@ -216,7 +216,7 @@ def has_room(pixel, shading):
 def _next_of(number, pixel, rows, onward_count, path, shadow, shadow_count):
     """A pixel's record after a ray, and its next one."""
     bounce, half, path_count = pixel.bounce, np.uint64(pixel.half), np.uint64(pixel.path_count)
-    row = _path_row(rows, number, half, _NONE)
+    row = _path_row(rows, number, half, ZERO_U64)
     new = _next_ray(row, rows.paths, row, _INF)  # for its types
     is_active = True
     if path < path_count:
@@ -227,12 +227,12 @@ def _next_of(number, pixel, rows, onward_count, path, shadow, shadow_count):
         new = _next_ray(row, rows.shadows, at, t_max)
     else:
         bounce += np.int32(1)
-        half ^= _ONE
-        path_count, onward_count, path = onward_count, _NONE, _NONE
-        shadow = shadow_count = _NONE
-        is_active = path_count != _NONE
+        half ^= ONE_U64
+        path_count, onward_count, path = onward_count, ZERO_U64, ZERO_U64
+        shadow = shadow_count = ZERO_U64
+        is_active = path_count != ZERO_U64
         if is_active:
-            new = _path_ray(rows, number, half, _NONE)
+            new = _path_ray(rows, number, half, ZERO_U64)
     new = new if is_active else _ended(new)
     return _record(bounce, half, path, path_count, onward_count, shadow, shadow_count), new
 
@@ -256,13 +256,13 @@ def _shade_pixel(shade_hit: Callable[..., Any]) -> Callable[..., Any]:
                 pixel.shadow,
                 pixel.shadow_count,
             )
-            return same, _ended(_path_ray(rows, number, pixel.half, _NONE))
+            return same, _ended(_path_ray(rows, number, pixel.half, ZERO_U64))
         path, onward_count = np.uint64(pixel.path), np.uint64(pixel.onward_count)
         shadow, shadow_count = np.uint64(pixel.shadow), np.uint64(pixel.shadow_count)
         first_shadow = number * rows.shadow_room
         if pixel.path < pixel.path_count:
             row = _path_row(rows, number, pixel.half, path)
-            first = _path_row(rows, number, _ONE - np.uint64(pixel.half), _NONE)
+            first = _path_row(rows, number, ONE_U64 - np.uint64(pixel.half), ZERO_U64)
             batch = ShadingBatch(
                 rows.path_count, rows.paths, rows.hits, rows.first_pixel, rows.radiance
             )
@@ -275,14 +275,14 @@ def _shade_pixel(shade_hit: Callable[..., Any]) -> Callable[..., Any]:
                 StreamCursor(rows.shadows, first_shadow + shadow_count),
             )
             onward_count, shadow_count = onward.row - first, shadows.row - first_shadow
-            path += _ONE
+            path += ONE_U64
         else:
             if not is_hit:
                 at = first_shadow + shadow
                 place = gather(np.int64, rows.shadows.pixels, at) - rows.first_pixel
                 light = vector_at(rows.shadows.colors, np.int32(at))
                 add_light(rows.radiance, place, light, _WHITE, 1.0)
-            shadow += _ONE
+            shadow += ONE_U64
         return _next_of(number, pixel, rows, onward_count, path, shadow, shadow_count)
 
     return device(shade)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.memory import check_memory
+from raystream.jit.constants import BYTES_32, ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.rendering.color import LUMINANCE
@@ -37,12 +38,8 @@ __all__ = [
     "sky_radiance",
 ]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
 
 # Bytes of a float32, of a float64, of a texel.
-_WORD = np.uint64(4)
 _LONG = np.uint64(8)
 _TEXEL = np.uint64(12)
 
@@ -171,13 +168,17 @@ def _long(at, k):
 @device
 def _along(image, axis, x, y, z):
     """The component of a vector along one of the image's axes."""
-    return double(image, axis) * x + double(image, axis + _ONE) * y + double(image, axis + _TWO) * z
+    return (
+        double(image, axis) * x
+        + double(image, axis + ONE_U64) * y
+        + double(image, axis + TWO_U64) * z
+    )
 
 
 @device
 def _place(image, x, y, z):
     """Column and row of a direction of any length, as fractions from the upper left corner."""
-    width, height = np.float64(_long(image, _NONE)), np.float64(_long(image, _HEIGHT))
+    width, height = np.float64(_long(image, ZERO_U64)), np.float64(_long(image, _HEIGHT))
     right, up = _along(image, _RIGHT, x, y, z), _along(image, _UP, x, y, z)
     middle = _along(image, _MIDDLE, x, y, z)
     column = (math.atan2(right, middle) / (2.0 * math.pi) + 0.5) * width
@@ -187,11 +188,11 @@ def _place(image, x, y, z):
 
 @device
 def _texel(image, row, column):
-    at = _long(image, _TEXELS) + (row * _long(image, _NONE) + column) * _TEXEL
+    at = _long(image, _TEXELS) + (row * _long(image, ZERO_U64) + column) * _TEXEL
     return (
         np.float64(load(np.float32, at)),
-        np.float64(load(np.float32, at + _WORD)),
-        np.float64(load(np.float32, at + _WORD + _WORD)),
+        np.float64(load(np.float32, at + BYTES_32)),
+        np.float64(load(np.float32, at + BYTES_32 + BYTES_32)),
     )
 
 
@@ -208,7 +209,7 @@ def _mixed(a, b, share):
 def image_radiance(sky, x, y, z):
     """The sky's radiance where it has an image."""
     image = sky.image
-    width, height = np.int64(_long(image, _NONE)), np.int64(_long(image, _HEIGHT))
+    width, height = np.int64(_long(image, ZERO_U64)), np.int64(_long(image, _HEIGHT))
     column, row = _place(image, x, y, z)
     column, row = column - 0.5, row - 0.5
     first, top = np.int64(math.floor(column)), np.int64(math.floor(row))
@@ -224,8 +225,8 @@ def image_radiance(sky, x, y, z):
     red, green, blue = _mixed(above, below, down)
     return (
         sky.color[0] + double(image, _TINT) * red,
-        sky.color[1] + double(image, _TINT + _ONE) * green,
-        sky.color[2] + double(image, _TINT + _TWO) * blue,
+        sky.color[1] + double(image, _TINT + ONE_U64) * green,
+        sky.color[2] + double(image, _TINT + TWO_U64) * blue,
     )
 
 
@@ -240,10 +241,10 @@ def _slice(row, height):
 def relative_pdf(sky, x, y, z):
     """Density over solid angle of `sample_image` at a direction of any length, times 4 pi."""
     image = sky.image
-    width, height = _long(image, _NONE), _long(image, _HEIGHT)
+    width, height = _long(image, ZERO_U64), _long(image, _HEIGHT)
     across, down = _place(image, x, y, z)
-    column = np.uint64(min(max(across, 0.0), np.float64(width - _ONE)))
-    row = np.uint64(min(max(down, 0.0), np.float64(height - _ONE)))
+    column = np.uint64(min(max(across, 0.0), np.float64(width - ONE_U64)))
+    row = np.uint64(min(max(down, 0.0), np.float64(height - ONE_U64)))
     share = _share(_long(image, _ROW_ENDS), row)
     share *= _share(_long(image, _COLUMN_ENDS) + row * width * _LONG, column)
     return share * 2.0 * np.float64(width) / _slice(row, height)
@@ -251,7 +252,7 @@ def relative_pdf(sky, x, y, z):
 
 @device
 def _share(ends, k):
-    return double(ends, k) - (double(ends, k - _ONE) if k != _NONE else 0.0)
+    return double(ends, k) - (double(ends, k - ONE_U64) if k != ZERO_U64 else 0.0)
 
 
 @device_call
@@ -273,14 +274,14 @@ def sample_image(sky, u, v):
         Over solid angle, times 4 pi: 1 is uniform.
     """
     image = sky.image
-    width, height = _long(image, _NONE), _long(image, _HEIGHT)
+    width, height = _long(image, ZERO_U64), _long(image, _HEIGHT)
     row, row_share, down = sample_discrete(_long(image, _ROW_ENDS), height, v)
     ends = _long(image, _COLUMN_ENDS) + row * width * _LONG
     column, share, across = sample_discrete(ends, width, u)
     thickness = _slice(row, height)
     # From the nearer pole, to avoid cancellation next to it.
     is_upper = row + row < height
-    first = np.float64(row if is_upper else height - _ONE - row)
+    first = np.float64(row if is_upper else height - ONE_U64 - row)
     within = down if is_upper else 1.0 - down
     below = 2.0 * math.sin(math.pi / 2.0 * first / np.float64(height)) ** 2 + within * thickness
     radius = math.sqrt(below * (2.0 - below))
@@ -288,9 +289,9 @@ def sample_image(sky, u, v):
     angle = 2.0 * math.pi * ((np.float64(column) + across) / np.float64(width) - 0.5)
     right, middle = radius * math.sin(angle), radius * math.cos(angle)
     toward = (
-        _combined(image, _NONE, right, high, middle),
-        _combined(image, _ONE, right, high, middle),
-        _combined(image, _TWO, right, high, middle),
+        _combined(image, ZERO_U64, right, high, middle),
+        _combined(image, ONE_U64, right, high, middle),
+        _combined(image, TWO_U64, right, high, middle),
     )
     return toward, row_share * share * 2.0 * np.float64(width) / thickness
 
@@ -319,7 +320,7 @@ def sky_radiance(lights, x, y, z):
     -------
     tuple of three float64
     """
-    if lights.sky.image == _NONE:
+    if lights.sky.image == ZERO_U64:
         return lights.sky.color
     return image_radiance(lights.sky, x, y, z)
 
@@ -334,6 +335,6 @@ def sky_pdf(lights, x, y, z):
     x, y, z : float64
         Of any length above 0.
     """
-    if lights.sky.image == _NONE:
+    if lights.sky.image == ZERO_U64:
         return lights.sky_density
     return lights.sky_density * relative_pdf(lights.sky, x, y, z)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -29,8 +30,6 @@ __all__ = [
     "sky_radiance_lanes",
 ]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 
 # Bytes of a float32, of 16 of them, and of three rows of 16.
 _WORD, _ROW, _ROWS = np.uint64(4), np.uint64(64), 192
@@ -65,7 +64,7 @@ def _rows(rows):
 @device
 def sky_radiance_lanes(lights, toward, mask):
     """`sky_radiance` for 16 directions, of `f32x16`; undefined where the mask is not set."""
-    if lights.sky.image == _NONE:
+    if lights.sky.image == ZERO_U64:
         return _colors(lights.sky.color)
     return image_radiance_lanes(lights.sky, toward, mask)
 
@@ -74,9 +73,9 @@ def sky_radiance_lanes(lights, toward, mask):
 def image_radiance_lanes(sky, toward, mask):
     """`image_radiance` for 16 directions; see `sky_radiance_lanes`."""
     rows, bits = scratch(_ROWS), mask_bits(mask)
-    while bits != _NONE:
+    while bits != ZERO_U64:
         i = count_trailing_zeros(bits)
-        bits &= bits - _ONE
+        bits &= bits - ONE_U64
         x, y, z = _wide(toward, i)
         _put(rows, i, image_radiance(sky, x, y, z))
     return _rows(rows)
@@ -86,7 +85,7 @@ def image_radiance_lanes(sky, toward, mask):
 def sky_pdf_lanes(lights, toward, mask):
     """`sky_pdf` for 16 directions, of `f32x16`; undefined where the mask is not set."""
     density = f32x16(np.float32(lights.sky_density))
-    if lights.sky.image == _NONE:
+    if lights.sky.image == ZERO_U64:
         return density
     return density * relative_pdf_lanes(lights.sky, toward, mask)
 
@@ -95,9 +94,9 @@ def sky_pdf_lanes(lights, toward, mask):
 def relative_pdf_lanes(sky, toward, mask):
     """`relative_pdf` for 16 directions; see `sky_pdf_lanes`."""
     row, bits = scratch(_ROWS), mask_bits(mask)
-    while bits != _NONE:
+    while bits != ZERO_U64:
         i = count_trailing_zeros(bits)
-        bits &= bits - _ONE
+        bits &= bits - ONE_U64
         x, y, z = _wide(toward, i)
         store(row + i * _WORD, np.float32(relative_pdf(sky, x, y, z)))
     return load(f32x16, row)
@@ -107,9 +106,9 @@ def relative_pdf_lanes(sky, toward, mask):
 def sample_image_lanes(sky, u, v, mask):
     """`sample_image` for 16 pairs of numbers, `f32x16`; undefined where the mask is not set."""
     rows, densities, bits = scratch(_ROWS), scratch(_ROWS), mask_bits(mask)
-    while bits != _NONE:
+    while bits != ZERO_U64:
         i = count_trailing_zeros(bits)
-        bits &= bits - _ONE
+        bits &= bits - ONE_U64
         toward, density = sample_image(sky, widen(lane(u, i)), widen(lane(v, i)))
         _put(rows, i, toward)
         store(densities + i * _WORD, np.float32(density))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.rendering.shading.bsdf import lobes_at
@@ -12,8 +13,6 @@ from raystream.rendering.shading.streams import add_light, addresses_of, directi
 from raystream.rendering.shading.surface_points import surface_point
 
 __all__ = ["composite_hits"]
-
-_ONE = np.uint64(1)
 
 
 @kernel
@@ -39,7 +38,7 @@ def composite_hits(paths, splits, rows, tables, opacity, lights, first_pixel, ra
         dx, dy, dz, length = direction_of(places, i)
         weights = weights_of(places, i)
         passed = 1.0
-        for row in range(np.uint64(splits[i]), np.uint64(splits[i + _ONE])):
+        for row in range(np.uint64(splits[i]), np.uint64(splits[i + ONE_U64])):
             point = surface_point(tables, prim_ids[row], us[row], vs[row], dx, dy, dz)
             cosine = abs(point.gx * dx + point.gy * dy + point.gz * dz) / length
             facing = abs(point.nx * dx + point.ny * dy + point.nz * dz) / length

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.leaf_block import TRIANGLE_BYTES
@@ -13,7 +14,6 @@ from raystream.kernels.point_triangle import squared_distance
 
 __all__ = ["POINT_SEARCH", "find_nearest"]
 
-_WORD = np.uint64(2)  # four bytes, as a shift
 _STRIDE = np.int32(4)
 
 
@@ -21,7 +21,7 @@ _STRIDE = np.int32(4)
 def _find(tree, frame, point, search, stack):
     """Test every triangle; see `kernels.point_queries.PointSearch` for the arguments."""
     for k in range(tree.triangle_count):
-        prim_id = load(np.int32, tree.references + (k << _WORD))
+        prim_id = load(np.int32, tree.references + (k << SHIFT_32))
         place = tree.corners + np.uint64(prim_id) * TRIANGLE_BYTES
         a, b, c = corners_at(place, _STRIDE)
         squared = squared_distance(point, a, b, c)

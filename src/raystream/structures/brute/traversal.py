@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.triangle_list import intersect_list
 
 __all__ = ["BruteAddresses", "traverse"]
 
-_NONE = np.uint64(0)
 _INF = np.float32(np.inf)
 
 
@@ -39,7 +39,7 @@ def traverse(tree, ray, search, stack):
         search = intersect_list(
             tree.references,
             tree.corners,
-            _NONE,
+            ZERO_U64,
             tree.triangle_count,
             ray,
             search,

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
@@ -42,8 +43,6 @@ _FAR_BYTES = 200
 #: Rays that start anywhere share few nodes of a tree of more bytes, however many they are. (Random
 #: rays on a tree of 110 MB: the wavefront is 1.7 times as fast as groups.)
 _GROUP_BYTES = 1 << 26
-
-_U1 = np.uint64(1)
 
 
 class Coherence(NamedTuple):
@@ -139,7 +138,7 @@ def _look(packet_count, source, order, frame, closeness):
             continue
         a = load_ray(source, first, frame)
         bend, way = np.float32(0.0), np.float32(0.0)
-        for i in range(first + _U1, first + count):
+        for i in range(first + ONE_U64, first + count):
             b = load_ray(source, i, frame)
             bend = max(bend, abs(a.dx - b.dx), abs(a.dy - b.dy), abs(a.dz - b.dz))
             way = max(way, abs(a.ox - b.ox), abs(a.oy - b.oy), abs(a.oz - b.oz))

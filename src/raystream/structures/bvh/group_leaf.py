@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
@@ -49,7 +50,6 @@ from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
 
 __all__ = ["SMALL_BYTES", "TESTS", "LeafTests", "Small", "SmallLanes", "leaf_tests"]
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _BLOCK_LANES = np.uint64(4)
@@ -228,7 +228,7 @@ def leaf_tests(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
     @device
     def with_groups(block, groups, count, memory, small, lanes, wants_any, filter_):
         _write_normals(Block(address_of(block)), small)
-        hit_count = _U0
+        hit_count = ZERO_U64
         for lane in range(_BLOCK_LANES):
             if block.prim_ids[lane] < np.int32(0):
                 break
@@ -244,17 +244,17 @@ def leaf_tests(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
         # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one
         # per ray, mispredictions would take half the time of a leaf.)
         hots, colds = memory + HOT_AT, memory + COLD_AT
-        candidate_count = _U0
+        candidate_count = ZERO_U64
         for j in range(count):
             number = load(np.uint32, rays + j * LANE)
             hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
             store(hits + candidate_count * LANE, number)
             candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
-        if candidate_count == _U0:
-            return _U0
+        if candidate_count == ZERO_U64:
+            return ZERO_U64
 
         # Step 2: test these exactly.
-        hit_count = _U0
+        hit_count = ZERO_U64
         low_x, high_x = _extent(block, _X)
         low_y, high_y = _extent(block, _Y)
         low_z, high_z = _extent(block, _Z)
@@ -277,8 +277,8 @@ def leaf_tests(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
                 continue
             hit, u, v = barycentrics(sheared, False)
             bits = mask_bits(candidates & hit)
-            if bits != _U0:
-                hit_count += _U1
+            if bits != ZERO_U64:
+                hit_count += ONE_U64
                 found.t, found.u, found.v = t, u, v
                 lanes = HitLanes(address_of(found))
                 keep_of_ray(memory, number, block, bits, lanes, wants_any, filter_)
@@ -294,21 +294,21 @@ def _keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):
     nearest, best, prim_ids = group.t, group.prim_id, i32x16(prim_id)
     taken = taken & ((t < nearest) | (prim_ids < best))
     bits = mask_bits(taken)
-    if bits == _U0:
+    if bits == ZERO_U64:
         return False
     if filter_ is not None:
         taken = kept_lanes(filter_, taken, t, u, v, prim_id, group, g)
         bits = mask_bits(taken)
-        if bits == _U0:
+        if bits == ZERO_U64:
             return False
     group.prim_id = select(taken, prim_ids, best)
     if wants_any:
         t = f32x16(-_INF)
     group.t = select(taken, t, nearest)
     group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
-    while bits != _U0:
+    while bits != ZERO_U64:
         k = count_trailing_zeros(bits)
-        bits &= bits - _U1
+        bits &= bits - ONE_U64
         Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = at.t[k]
     return True
 
@@ -330,9 +330,9 @@ def _keep_of_ray(memory, number, block, bits, found, wants_any, filter_):
 def _keep_nearest(hot, group, k, block, bits, found, filter_):
     """Keep the nearest of the ray's hit and the hits of some lanes, by t, then prim_id."""
     nearest, best = hot.t, group.prim_id[k]
-    while bits != _U0:
+    while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
-        bits &= bits - _U1
+        bits &= bits - ONE_U64
         t, prim_id = found.t[lane], block.prim_ids[lane]
         u, v = found.u[lane], found.v[lane]
         is_nearer = t < nearest or (t == nearest and prim_id < best)

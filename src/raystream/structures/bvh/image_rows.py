@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -77,9 +78,7 @@ _WORTHWHILE = 0.7
 
 _INF = np.float32(np.inf)
 _TINY = np.float64(1e-30)
-_U0, _U1 = np.uint64(0), np.uint64(1)
-_LANES = np.uint64(16)
-_WORD = np.uint64(8)
+_EIGHT, _LANES = np.uint64(8), np.uint64(16)
 _COUNT_BITS = np.uint64(5)
 
 
@@ -174,7 +173,7 @@ def order_of(starts: NDArray[np.uint64]) -> BatchOrder:
     lengths = np.diff(starts)
     side = int(GROUPS)
     first_rows = np.arange(0, len(lengths), side)
-    across = (np.maximum.reduceat(lengths, first_rows) + _LANES - _U1) // _LANES
+    across = (np.maximum.reduceat(lengths, first_rows) + _LANES - ONE_U64) // _LANES
     bands = np.zeros((len(first_rows) + 1, 2), np.int64)
     np.cumsum(across, out=bands[1:, 0])
     bands[:-1, 1], bands[-1, 1] = starts[first_rows], starts[-1]
@@ -182,7 +181,7 @@ def order_of(starts: NDArray[np.uint64]) -> BatchOrder:
     table = np.empty(max(packet_count * side, 1), np.uint64)
     fill_table(len(lengths), address_of(starts), address_of(table))
     at = np.uint64(address_of(table))
-    packets = PacketOrder(_U0, np.uint64(starts[-1]), packet_count, at)
+    packets = PacketOrder(ZERO_U64, np.uint64(starts[-1]), packet_count, at)
     return BatchOrder(packets, bands, table)
 
 
@@ -217,7 +216,7 @@ def _weights(source, frame):
     """Weights of the squares of differences of origins and of directions."""
     low, high = frame.low, frame.high
     size = np.float64(max(high[0] - low[0], high[1] - low[1], high[2] - low[2]))
-    dx, dy, dz = load_direction(source, _U0)
+    dx, dy, dz = load_direction(source, ZERO_U64)
     length = dx * dx + dy * dy + dz * dz
     origin_weight = frame.scale * frame.scale / max(size * size, _TINY)
     return origin_weight, np.float64(1.0) / max(length, _TINY)
@@ -236,11 +235,11 @@ def _best_of(source, start, first, end, count, weights):
         inf if there is none.
     """
     above = _ray_at(source, start)
-    best, closeness, best_score = _U0, _INF, _INF
-    at = max(first, _U1)
+    best, closeness, best_score = ZERO_U64, _INF, _INF
+    at = max(first, ONE_U64)
     while at < end and at + _LANES <= count:
         rays = load_origins(source, at) + load_directions(source, at)
-        before = load_origins(source, at - _U1) + load_directions(source, at - _U1)
+        before = load_origins(source, at - ONE_U64) + load_directions(source, at - ONE_U64)
         near = narrow(_square_distance(rays, above, weights))
         far = narrow(_square_distance(rays, before, weights) + _TINY)
         ratio = near / far
@@ -257,7 +256,7 @@ def _best_of(source, start, first, end, count, weights):
 @device
 def _is_row(source, start, width, count, weights):
     """Whether rows begin at an index and a width later."""
-    best, closeness = _best_of(source, start, start + width - _WORD, start + width, count, weights)
+    best, closeness = _best_of(source, start, start + width - _EIGHT, start + width, count, weights)
     return best == start + width and closeness <= _DOUBTFUL
 
 
@@ -285,40 +284,40 @@ def find_starts(source, ray_count, frame, starts, most):
     """
     count, most_rows = np.uint64(ray_count), np.uint64(most)
     weights = _weights(source, frame)
-    start, rows, same, doubtful, length = _U0, _U0, _U0, _U0, _U0
-    store(np.uint64(starts), _U0)
+    start, rows, same, doubtful, length = ZERO_U64, ZERO_U64, ZERO_U64, ZERO_U64, ZERO_U64
+    store(np.uint64(starts), ZERO_U64)
     while True:
-        rows += _U1
-        if rows >= most_rows or doubtful > _WORD + rows // np.uint64(4):
+        rows += ONE_U64
+        if rows >= most_rows or doubtful > _EIGHT + rows // np.uint64(4):
             return 0, 0
         if rows > _MANY_ROWS and start < rows * _SHORT_ROW:
             return 0, 0
-        found, closeness = _U0, _INF
-        if length != _U0 and rows % _WORD != _U0:
+        found, closeness = ZERO_U64, _INF
+        if length != ZERO_U64 and rows % _EIGHT != ZERO_U64:
             likely = start + length
-            first = max(likely, _NEARBY * _LANES + start + _U1) - _NEARBY * _LANES
+            first = max(likely, _NEARBY * _LANES + start + ONE_U64) - _NEARBY * _LANES
             found, closeness = _best_of(
                 source, start, first, likely + _NEARBY * _LANES, count, weights
             )
         if closeness > _CLEAR:
-            first, end = start + _U1, start + np.uint64(_WIDEST)
-            if length != _U0:
+            first, end = start + ONE_U64, start + np.uint64(_WIDEST)
+            if length != ZERO_U64:
                 first, end = (
-                    start + _U1 + length // np.uint64(4),
+                    start + ONE_U64 + length // np.uint64(4),
                     start + length + length + np.uint64(64),
                 )
             found, closeness = _best_of(source, start, first, end, count, weights)
         if closeness > _DOUBTFUL:
-            doubtful += _U1
+            doubtful += ONE_U64
             if closeness == _INF or start + length + length // np.uint64(4) >= count:
                 break  # this is the last row
-        same = same + _U1 if found - start == length and closeness <= _DOUBTFUL else _U0
+        same = same + ONE_U64 if found - start == length and closeness <= _DOUBTFUL else ZERO_U64
         length = found - start
         start = found
-        store(np.uint64(starts) + rows * _WORD, start)
+        store(np.uint64(starts) + rows * _EIGHT, start)
         if same == _SAME_ROWS and start == rows * length:
             is_image = True
-            whole = count // length - _U1
+            whole = count // length - ONE_U64
             for k in range(_CHECKS):
                 if not _is_row(source, k * whole // _CHECKS * length, length, count, weights):
                     is_image = False
@@ -340,22 +339,22 @@ def fill_table(row_count, starts, table):
         Address of a uint64 for each group: written.
     """
     rows, to = np.uint64(row_count), np.uint64(table)
-    for band in range(_U0, rows, GROUPS):
+    for band in range(ZERO_U64, rows, GROUPS):
         band_end = min(band + GROUPS, rows)
-        longest = _U0
+        longest = ZERO_U64
         for row in range(band, band_end):
-            at = np.uint64(starts) + row * _WORD
-            longest = max(longest, load(np.uint64, at + _WORD) - load(np.uint64, at))
-        for x in range(_U0, longest, _LANES):
+            at = np.uint64(starts) + row * _EIGHT
+            longest = max(longest, load(np.uint64, at + _EIGHT) - load(np.uint64, at))
+        for x in range(ZERO_U64, longest, _LANES):
             for row in range(band, band + GROUPS):
-                entry = _U0
+                entry = ZERO_U64
                 if row < band_end:
-                    at = np.uint64(starts) + row * _WORD
-                    first, end = load(np.uint64, at) + x, load(np.uint64, at + _WORD)
+                    at = np.uint64(starts) + row * _EIGHT
+                    first, end = load(np.uint64, at) + x, load(np.uint64, at + _EIGHT)
                     if first < end:
                         entry = first << _COUNT_BITS | min(end - first, _LANES)
                 store(to, entry)
-                to += _WORD
+                to += _EIGHT
 
 
 @kernel
@@ -373,20 +372,22 @@ def sum_extents(packet_count, source, order, frame):
     total, used = np.float64(0.0), 0
     for sample in range(_SAMPLES):
         number = np.uint64((sample + sample + 1) * packet_count // (_SAMPLES + _SAMPLES))
-        begin, count, g = _U0, _U0, _U0
+        begin, count, g = ZERO_U64, ZERO_U64, ZERO_U64
         # The first group that has rays: where rows end, groups are empty, and may be past the end.
-        while g < GROUPS and count == _U0:
+        while g < GROUPS and count == ZERO_U64:
             begin, count = group_rows(order, number, g)
-            g += _U1
-        if count == _U0:
+            g += ONE_U64
+        if count == ZERO_U64:
             continue
         a = _ray_at(source, begin)
-        farthest = _square_distance(_ray_at(source, begin + count - _U1), a, weights)
+        farthest = _square_distance(_ray_at(source, begin + count - ONE_U64), a, weights)
         for other in range(g, GROUPS):
             begin, count = group_rows(order, number, other)
-            if count != _U0:
+            if count != ZERO_U64:
                 first_distance = _square_distance(_ray_at(source, begin), a, weights)
-                end_distance = _square_distance(_ray_at(source, begin + count - _U1), a, weights)
+                end_distance = _square_distance(
+                    _ray_at(source, begin + count - ONE_U64), a, weights
+                )
                 farthest = max(farthest, first_distance, end_distance)
         total += np.sqrt(farthest)
         used += 1

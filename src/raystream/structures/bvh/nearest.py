@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -42,10 +43,6 @@ from raystream.structures.bvh.traversal import HALF, STACK_BYTES, prefetch_next
 
 __all__ = ["POINT_SEARCH", "find_nearest"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # four bytes, as a shift
-_DOUBLE = np.uint64(3)  # eight bytes, as a shift
 _STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
 _CHILD_COUNT, _BLOCK_COUNT = np.uint64(8), np.uint64(4)
 _KEY_BITS = np.int32(~7)
@@ -106,7 +103,7 @@ def _enter_far(node, point, search, lanes):
 
 @device
 def _lane_gap(node, axis, lane, x):
-    at = node + axis * NODE_AXIS + (lane << _WORD)
+    at = node + axis * NODE_AXIS + (lane << SHIFT_32)
     low, high = np.float64(load(np.float32, at)), np.float64(load(np.float32, at + BOX_FLIP))
     return maximum(maximum(low - x, x - high), _ZERO64)
 
@@ -114,15 +111,15 @@ def _lane_gap(node, axis, lane, x):
 @device
 def _enter_far_by_lane(node, point, search, lanes):
     """The same one child at a time, for threads with few registers."""
-    bits = _NONE
+    bits = ZERO_U64
     for lane in range(_CHILD_COUNT):
-        x = _lane_gap(node, _NONE, lane, point[0])
-        y = _lane_gap(node, _ONE, lane, point[1])
-        z = _lane_gap(node, _ONE + _ONE, lane, point[2])
+        x = _lane_gap(node, ZERO_U64, lane, point[0])
+        y = _lane_gap(node, ONE_U64, lane, point[1])
+        z = _lane_gap(node, ONE_U64 + ONE_U64, lane, point[2])
         squared = (x * x + y * y + z * z) * _SHRINK64
         bits |= np.uint64(squared <= search.limit) << lane
         key = float_as_bits(minimum(np.float32(squared), _MOST)) & _KEY_BITS
-        store(lanes + (lane << _WORD), np.int32(key | np.int32(lane)))
+        store(lanes + (lane << SHIFT_32), np.int32(key | np.int32(lane)))
     return load(i32x8, lanes), lanes_from_bits(mask8, bits)
 
 
@@ -180,13 +177,13 @@ def _offer_block(block, point, search, lanes):
     a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
     squared = squared_distance(point, a, b, c)
     bits = mask_bits(squared <= search.limit)
-    if bits != _NONE:
+    if bits != ZERO_U64:
         store(lanes, squared)
-        while bits != _NONE:
+        while bits != ZERO_U64:
             lane = count_trailing_zeros(bits)
-            bits &= bits - _ONE
-            of_lane = load(np.float64, lanes + (lane << _DOUBLE))
-            place = block + (lane << _WORD)
+            bits &= bits - ONE_U64
+            of_lane = load(np.float64, lanes + (lane << SHIFT_64))
+            place = block + (lane << SHIFT_32)
             prim_id = load(np.int32, place + PRIM_IDS)
             if is_wanted(search, of_lane, prim_id):
                 search = offer_nearest(search, of_lane, prim_id, place, _STRIDE)
@@ -197,7 +194,7 @@ def _offer_block(block, point, search, lanes):
 def _offer_block_by_lane(block, point, search, lanes):
     """The same one triangle at a time, for threads with few registers."""
     for lane in range(_BLOCK_COUNT):
-        place = block + (lane << _WORD)
+        place = block + (lane << SHIFT_32)
         a, b, c = corners_at(place, _STRIDE)
         squared = squared_distance(point, a, b, c)
         prim_id = load(np.int32, place + PRIM_IDS)
@@ -230,9 +227,9 @@ def _tree_search(enter_far, offer_block):
                 else:
                     keys, entered = _enter_near(node, near, limit)
                 bits = mask_bits(entered)
-                if bits != _NONE:
-                    if bits & (bits - _ONE) == _NONE:
-                        at = node + CHILDREN + (count_trailing_zeros(bits) << _WORD)
+                if bits != ZERO_U64:
+                    if bits & (bits - ONE_U64) == ZERO_U64:
+                        at = node + CHILDREN + (count_trailing_zeros(bits) << SHIFT_32)
                         child = load(np.int32, at)
                         continue
                     top = push(node, keys, entered, False, stack, HALF, top)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     float_as_bits,
@@ -55,8 +56,6 @@ LANE = np.uint64(4)
 #: Low bits of a sort key, which hold the lane.
 KEY_LANES = np.int32(7)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
 _NO_LIMIT = np.int32(2**31 - 1)
@@ -89,13 +88,13 @@ def prefetch_child(child, nodes, leaves):
 @device
 def plane_offset(axis, inv):
     """Byte offset of the planes of an axis that a ray with this reciprocal enters by."""
-    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else _NONE)
+    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else ZERO_U64)
 
 
 @device
 def plane_row(axis, inv):
     """Row of the planes of an axis that a ray with this reciprocal enters by; see `Node`."""
-    return (axis << _ONE) | (_ONE if inv < _ZERO else _NONE)
+    return (axis << ONE_U64) | (ONE_U64 if inv < _ZERO else ZERO_U64)
 
 
 @device

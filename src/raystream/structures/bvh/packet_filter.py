@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -39,10 +40,8 @@ from raystream.structures.bvh.packet_rays import (
 
 __all__ = ["PacketFilter", "block_filter", "kept_lanes", "packet_filter", "ray_filter"]
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _LANE = np.uint64(4)
 _SHIFT_BITS = np.uint64(63)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _ZERO, _ONE = np.int32(0), np.int32(1)
 
 
@@ -83,12 +82,12 @@ def block_filter(filter_, table):
     """
     if filter_ is None:
         return None
-    return PacketFilter(filter_, GroupPlaces(table, _U0, _U0), ~_U0)
+    return PacketFilter(filter_, GroupPlaces(table, ZERO_U64, ZERO_U64), ~ZERO_U64)
 
 
 @device
 def _is_slow(filter_, g):
-    return (filter_.slow_groups >> (g & _SHIFT_BITS)) & _U1 != _U0
+    return (filter_.slow_groups >> (g & _SHIFT_BITS)) & ONE_U64 != ZERO_U64
 
 
 @device
@@ -129,10 +128,10 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     """
     own = filter_.filter
     first = first_ray(filter_.places, g)
-    if own.skip_count != _U0:
+    if own.skip_count != ZERO_U64:
         taken = _unskipped(own, taken, prim_id, first)
     bits = mask_bits(taken)
-    if own.function == _U0 or bits == _U0:
+    if own.function == ZERO_U64 or bits == ZERO_U64:
         return taken
     hits = scratch(FILTERED_BYTES)
     store(hits, world_lanes(t, group.t_scale))
@@ -149,9 +148,9 @@ def _put_slow(hits, bits, t, group):
     """Write the distances of a group with rays that took the slow path."""
     lanes, local = GroupLanes(address_of(group)), scratch(64)
     store(local, t)
-    while bits != _U0:
+    while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
-        bits &= bits - _U1
-        at = lane << _WORD
+        bits &= bits - ONE_U64
+        at = lane << SHIFT_32
         t_scale, t_offset = lanes.slow_t_scale[lane], lanes.slow_t_offset[lane]
         store(hits + at, world_t(load(np.float32, local + at), t_scale, t_offset))

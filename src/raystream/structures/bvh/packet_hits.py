@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
@@ -57,7 +58,6 @@ ENDS_BYTES = _ENDS.itemsize
 _LANE = np.uint64(4)
 _LANES = np.uint64(16)
 _RAYS = np.uint64(PACKET_RAYS)
-_U0, _U1 = np.uint64(0), np.uint64(1)
 
 #: Rays with more hits are sorted by a heap.
 _LONG = np.uint64(24)
@@ -85,7 +85,7 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
     """
     if has_room(hits):
         at, found = hits.count * _LANE, Buffers(hits.buffers).found
-        if hits.in_world != _U0:
+        if hits.in_world != ZERO_U64:
             t = world_lanes(t, group.t_scale)
         store(found.t + at, compress(taken, t))
         store(found.u + at, compress(taken, u))
@@ -99,11 +99,11 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
 def _insert(rows, first, row, t, u, v, prim_id):
     """Insert a hit into the sorted rows first to row."""
     while row > first:
-        other_t, other_u, other_v, other_id = get_hit(rows, row - _U1)
+        other_t, other_u, other_v, other_id = get_hit(rows, row - ONE_U64)
         if not is_before(t, prim_id, other_t, other_id):
             break
         put_hit(rows, row, other_t, other_u, other_v, other_id)
-        row -= _U1
+        row -= ONE_U64
     put_hit(rows, row, t, u, v, prim_id)
 
 
@@ -130,10 +130,10 @@ def sort_packet(hits, ends, used):
     found, rows = buffers.found, buffers.rows
     row_ends, count, rays = ends.ends, hits.count, found.ray
     for ray in range(_RAYS):
-        row_ends[ray] = _U0
+        row_ends[ray] = ZERO_U64
     for k in range(count):
         ray = np.uint64(load(np.int32, rays + k * _LANE))
-        row_ends[ray] = row_ends[ray] + _U1
+        row_ends[ray] = row_ends[ray] + ONE_U64
     row = used
     for ray in range(_RAYS):
         ray_count = row_ends[ray]
@@ -144,14 +144,14 @@ def sort_packet(hits, ends, used):
         t, u, v, prim_id = get_hit(found, k)
         row = row_ends[ray]
         put_hit(rows, row, t, u, v, prim_id)
-        row_ends[ray] = row + _U1
+        row_ends[ray] = row + ONE_U64
     first = used
     for ray in range(_RAYS):
         ray_count = row_ends[ray] - first
         if ray_count > _LONG:
             sort_hits(rows, first, ray_count)
         else:
-            for k in range(_U1, ray_count):
+            for k in range(ONE_U64, ray_count):
                 t, u, v, prim_id = get_hit(rows, first + k)
                 _insert(rows, first, first + k, t, u, v, prim_id)
         first += ray_count

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
@@ -76,7 +77,6 @@ _FEW = np.uint64(4)
 
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _DOWN = np.uint64(2**64 - 1)
@@ -133,13 +133,13 @@ def entering_rays(packet, g, box, rays):
 def group_range(packet, planes, t_min, groups):
     """The first and the last of some groups with a ray that enters a box, as a `GroupRange`."""
     first = g = groups.first
-    end, step = groups.last, _U1
+    end, step = groups.last, ONE_U64
     # Up to the first group that enters, then down to the last one.
     while True:
         group = Group(packet, g)
         t_in, t_out = _group_interval(group, planes)
         if any_lane(maximum(t_in, t_min) <= minimum(t_out, group.t_active)):
-            if step == _U1:
+            if step == ONE_U64:
                 first, step = g, _DOWN
                 g, end = end, g
                 if g != end:
@@ -147,7 +147,7 @@ def group_range(packet, planes, t_min, groups):
             return GroupRange(first, g)
         if g == end:
             # On the way down, the first one is known to enter.
-            return GroupRange(_U1, _U0) if step == _U1 else GroupRange(first, first)
+            return GroupRange(ONE_U64, ZERO_U64) if step == ONE_U64 else GroupRange(first, first)
         g += step
 
 
@@ -249,13 +249,15 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
         """Test a block against some rays of a group; returns whether one has a nearer hit."""
         lanes, has_hit = GroupLanes(packet, g), False
         prim_ids = BlockLanes(block).prim_ids
-        while bits != _U0:
+        while bits != ZERO_U64:
             k = count_trailing_zeros(bits)
-            bits &= bits - _U1
+            bits &= bits - ONE_U64
             ray = _block_ray(lanes, k, rays)
             own = ray_filter(filter_, lanes, g, k)
             hit = test_block(block, ray, lanes.t_min[k], lanes.t_active[k], False, found)
-            if hit != _U0 and keep_of_ray(lanes, k, hit, prim_ids, HitLanes(found), is_any, own):
+            if hit != ZERO_U64 and keep_of_ray(
+                lanes, k, hit, prim_ids, HitLanes(found), is_any, own
+            ):
                 has_hit = True
         return has_hit
 
@@ -285,15 +287,15 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
         while at != end:
             block = BlockLanes(at)
             _own_planes(own, Block(at), rays)
-            count = _U1
+            count = ONE_U64
             while count != np.uint64(4):
                 if block.prim_ids[count] < np.int32(0):
                     break
-                count += _U1
-            for g in range(groups.first, groups.last + _U1):
+                count += ONE_U64
+            for g in range(groups.first, groups.last + ONE_U64):
                 group = Group(packet, g)
                 bits = entering_rays(packet, g, box, rays)
-                if bits == _U0:
+                if bits == ZERO_U64:
                     continue
                 if goal <= ANY and popcount(bits) <= _FEW:
                     if test_rays(packet, g, bits, at, rays, goal == ANY, found, filter_):
@@ -314,7 +316,7 @@ def _keep_in_group(group, g, taken, t, uv, prim_id, goal, hits, filter_):
     prim_ids, best, nearest = i32x16(prim_id), group.prim_id, group.t_active
     u, v = uv
     if goal > ANY:
-        if goal & _U1 == _U1:
+        if goal & ONE_U64 == ONE_U64:
             collect(hits, taken, t, u, v, prim_ids, group, g)
         else:
             group.prim_id = select(taken, best + np.int32(1), best)
@@ -339,16 +341,16 @@ def _keep_in_group(group, g, taken, t, uv, prim_id, goal, hits, filter_):
 def _keep_of_ray(lanes, k, hit, prim_ids, found, is_any, filter_):
     """Keep the nearest of a ray's hit and those of some lanes, by t, then prim_id."""
     nearest, best, has_hit = lanes.t_active[k], lanes.prim_id[k], False
-    while hit != _U0:
+    while hit != ZERO_U64:
         lane = count_trailing_zeros(hit)
-        hit &= hit - _U1
+        hit &= hit - ONE_U64
         t, u, v, prim_id = found.t[lane], found.u[lane], found.v[lane], prim_ids[lane]
         is_nearer = t < nearest or (t == nearest and prim_id < best)
         if is_nearer and keeps(filter_, t, u, v, prim_id):
             has_hit = True
             lanes.prim_id[k] = best = prim_id
             if is_any:
-                nearest, hit = -_INF, _U0
+                nearest, hit = -_INF, ZERO_U64
             else:
                 nearest = t
                 lanes.u[k], lanes.v[k] = u, v

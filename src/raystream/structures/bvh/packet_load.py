@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.core.rays import RayStatus
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -64,7 +65,6 @@ _ONE = np.float32(1.0)
 _INF = np.float32(np.inf)
 _INF64 = np.float64(np.inf)
 _INVALID = np.uint8(RayStatus.INVALID)
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
@@ -96,18 +96,18 @@ def _copy_rows(at, step, are_double, rows):
 def _triples(base, step, are_double, first):
     """Three components of 16 rays, as float64 vectors."""
     at = base + first * step
-    if step != _U0 and step != (_WIDE_ROW if are_double else _ROW):
+    if step != ZERO_U64 and step != (_WIDE_ROW if are_double else _ROW):
         rows = scratch(_ROWS_BYTES)
         _copy_rows(at, step, are_double, rows)
         at = rows
     if are_double:
-        if step == _U0:
+        if step == ZERO_U64:
             x = f64x16(load(np.float64, at))
             y = f64x16(load(np.float64, at + _WIDE))
             z = f64x16(load(np.float64, at + (_WIDE + _WIDE)))
         else:
             x, y, z = load_triples(f64x16, at)
-    elif step == _U0:
+    elif step == ZERO_U64:
         x = f64x16(np.float64(load(np.float32, at)))
         y = f64x16(np.float64(load(np.float32, at + _LANE)))
         z = f64x16(np.float64(load(np.float32, at + (_LANE + _LANE))))
@@ -196,9 +196,9 @@ def _load_group(group, source, first, frame, status):
     group.slow_t_scale, group.slow_t_offset = t_scale, f64x16(np.float64(0.0))
     lanes = GroupLanes(address_of(group))
     bits = mask_bits(is_fast) ^ _ALL_LANES
-    while bits != _U0:
+    while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
-        bits &= bits - _U1
+        bits &= bits - ONE_U64
         _patch(lanes, lane, status, source, first + lane, frame)
     return True
 
@@ -208,7 +208,7 @@ def _load_few(lanes, source, first, count, frame, status):
     """Load fewer than 16 rays one by one; the other lanes repeat the last one, inactive."""
     no_inline()
     for lane in range(_LANES):
-        _patch(lanes, lane, status, source, first + min(lane, count - _U1), frame)
+        _patch(lanes, lane, status, source, first + min(lane, count - ONE_U64), frame)
         if lane >= count:
             lanes.t[lane], lanes.t_min[lane] = -_INF, _INF
 
@@ -266,7 +266,7 @@ def load_group(group, first, count, source, frame, status):
     is_slow = True
     if count == _LANES:
         is_slow = _load_group(group, source, first, frame, status)
-    elif count == _U0:
+    elif count == ZERO_U64:
         zero, one = f32x16(_ZERO), f32x16(_ONE)
         origin, direction = group.origin, group.direction
         origin[_X], origin[_Y], origin[_Z] = zero, zero, zero
@@ -316,7 +316,7 @@ def prefetch_group(number, g, source):
     quarter of the time of camera rays.
     """
     rays, order = source.rays, source.order
-    is_tile = order.width | order.table != _U0
+    is_tile = order.width | order.table != ZERO_U64
     if is_tile and number < np.uint64(order.packet_count):
         first, count = group_rows(order, number, g)
         _prefetch_rows(rays.origins, rays.origin_step, first, count)
@@ -342,14 +342,14 @@ def load_packet(packet, number, source):
     uint64
         Bits of the groups with a ray that took the slow path, for `store_packet`.
     """
-    slow_groups = _U0
+    slow_groups = ZERO_U64
     for g in range(GROUPS):
-        prefetch_group(number + _U1, g, source)
+        prefetch_group(number + ONE_U64, g, source)
         first, count = group_rows(source.order, number, g)
-        if count != _LANES and count != _U0 and first + _LANES <= source.order.ray_count:
+        if count != _LANES and count != ZERO_U64 and first + _LANES <= source.order.ray_count:
             _load_part(packet, g, first, count, source)
-            slow_groups |= _U1 << g
+            slow_groups |= ONE_U64 << g
             continue
         if load_group(Group(packet, g), first, count, source.rays, source.frame, source.status):
-            slow_groups |= _U1 << g
+            slow_groups |= ONE_U64 << g
     return slow_groups

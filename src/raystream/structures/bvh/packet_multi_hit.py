@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.core.query import Query
+from raystream.jit.constants import BYTES_64, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, i32x16, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for, thread_count
@@ -42,10 +43,8 @@ from raystream.structures.bvh.packet_rays import (
 
 __all__ = ["count_all", "visit_all"]
 
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _LANES = np.uint64(16)
 _LANE = np.uint64(4)
-_WORD = np.uint64(8)
 
 #: Most packets per call: 16,384 rays. With half as many, programs take 10 to 20 % longer, and with
 #: twice as many no less.
@@ -120,7 +119,7 @@ def visit_all(
     goal = ALL + SURFACES if query.surfaces else ALL
     # Unsorted hits have 32-bit ray indices.
     sorts = query.is_ordered or int(source.order.ray_count) >= 2**31
-    nowhere = _U0
+    nowhere = ZERO_U64
     visitor = sink.visitor
     assert visitor is not None
 
@@ -173,13 +172,13 @@ def _collect_packets(begin, end, tree, source, goal, sorts, buffers, counts):
     hits = Collector(scratch(COLLECTOR_BYTES))
     ends = Ends(scratch(ENDS_BYTES))
     written, order = Buffers(address(buffers)), source.order
-    room, used, ray_count = written.capacity, _U0, _U0
+    room, used, ray_count = written.capacity, ZERO_U64, ZERO_U64
     hits.buffers, hits.capacity = address(buffers), room
-    keeps = goal & _U1 == _U1
+    keeps = goal & ONE_U64 == ONE_U64
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, source)
-        hits.count = _U0 if sorts else used
-        is_final = not sorts and slow_groups == _U0
+        hits.count = ZERO_U64 if sorts else used
+        is_final = not sorts and slow_groups == ZERO_U64
         _number_rays(hits, number, order, is_final)
         if not keeps:
             _clear_counts(packet)
@@ -216,7 +215,7 @@ def _store_counts(packet, number, order, counts):
         first, count = group_rows(order, number, g)
         found = GroupLanes(packet, g).prim_id
         for lane in range(count):
-            store(counts + (first + lane) * _WORD, np.int64(found[lane]))
+            store(counts + (first + lane) * BYTES_64, np.int64(found[lane]))
 
 
 @device
@@ -225,24 +224,24 @@ def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_cou
     t, ids, splits = buffers.rows.t, buffers.ray_ids, buffers.splits
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        lanes, is_slow = GroupLanes(packet, g), (slow_groups >> g) & _U1 == _U1
+        lanes, is_slow = GroupLanes(packet, g), (slow_groups >> g) & ONE_U64 == ONE_U64
         for lane in range(count):
             t_scale, t_offset = t_transform(lanes, lane, is_slow)
             row_end = ends.ends[g * _LANES + lane]
             while row != row_end:
                 at = t + row * _LANE
                 store(at, world_t(load(np.float32, at), t_scale, t_offset))
-                row += _U1
-            store(ids + ray_count * _WORD, np.int64(first + lane))
-            ray_count += _U1
-            store(splits + ray_count * _WORD, np.int64(row_end))
+                row += ONE_U64
+            store(ids + ray_count * BYTES_64, np.int64(first + lane))
+            ray_count += ONE_U64
+            store(splits + ray_count * BYTES_64, np.int64(row_end))
     return ray_count
 
 
 @device
 def _number_rays(hits, number, order, is_final):
     """Set the indices that hits are collected with: rays in the batch or in the packet."""
-    hits.in_world = _U1 if is_final else _U0
+    hits.in_world = ONE_U64 if is_final else ZERO_U64
     for g in range(GROUPS):
         first = g * _LANES
         if is_final:
@@ -257,7 +256,7 @@ def _finish_found(packet, number, order, slow_groups, begin, end, buffers):
     for row in range(begin, end):
         ray = np.uint64(load(np.int32, rays + row * _LANE))
         g, lane = ray // _LANES, ray % _LANES
-        is_slow = (slow_groups >> g) & _U1 == _U1
+        is_slow = (slow_groups >> g) & ONE_U64 == ONE_U64
         t_scale, t_offset = t_transform(GroupLanes(packet, g), lane, is_slow)
         at = t + row * _LANE
         store(at, world_t(load(np.float32, at), t_scale, t_offset))

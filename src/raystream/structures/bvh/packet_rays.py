@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -91,7 +92,6 @@ NO_CLASS = np.int32(-1)
 _INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)
 _MISS = np.int32(-1)
-_U0, _U1 = np.uint64(0), np.uint64(1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
@@ -135,7 +135,7 @@ class PacketOrder(NamedTuple):
             packet_count = -(-ray_count // PACKET_RAYS)
         else:
             packet_count = -(-width // side) * -(-ray_count // (width * side))
-        return cls(np.uint64(width), np.uint64(ray_count), packet_count, _U0)
+        return cls(np.uint64(width), np.uint64(ray_count), packet_count, ZERO_U64)
 
 
 class GroupPlaces(NamedTuple):
@@ -176,14 +176,14 @@ class PacketSource(NamedTuple):
 @device
 def group_rows(order, packet, group):
     """The rays of a group: index of the first one, and their number."""
-    if order.table != _U0:
+    if order.table != ZERO_U64:
         entry = load(np.uint64, order.table + (packet * GROUPS + group) * _ENTRY_BYTES)
         return entry >> _COUNT_BITS, entry & _COUNT_MASK
     limit = _LANES
-    if order.width == _U0:
+    if order.width == ZERO_U64:
         first = packet * np.uint64(PACKET_RAYS) + group * _LANES
     else:
-        across = (order.width + _SIDE - _U1) // _SIDE
+        across = (order.width + _SIDE - ONE_U64) // _SIDE
         x = packet % across * _SIDE
         first = (packet // across * _SIDE + group) * order.width + x
         limit = min(order.width - x, _LANES)
@@ -193,11 +193,11 @@ def group_rows(order, packet, group):
 @device
 def group_places(order, packet):
     """The `GroupPlaces` of a packet."""
-    table = _U0
-    if order.table != _U0:
+    table = ZERO_U64
+    if order.table != ZERO_U64:
         table = order.table + packet * GROUPS * _ENTRY_BYTES
-    first, _ = group_rows(order, packet, _U0)
-    return GroupPlaces(table, first, _LANES if order.width == _U0 else order.width)
+    first, _ = group_rows(order, packet, ZERO_U64)
+    return GroupPlaces(table, first, _LANES if order.width == ZERO_U64 else order.width)
 
 
 @device
@@ -209,7 +209,7 @@ def group_entry(first, count):
 @device
 def first_ray(places, group):
     """The first ray of a group, as of `group_rows`, which divides by the width of the image."""
-    if places.table != _U0:
+    if places.table != ZERO_U64:
         return load(np.uint64, places.table + group * _ENTRY_BYTES) >> _COUNT_BITS
     return places.first + group * places.step
 
@@ -258,7 +258,7 @@ def _store_group(group, first, wants_any, out):
     if wants_any:
         bits = mask_bits(missed) ^ _ALL_LANES
         for lane in range(_LANES):
-            store(out.seen + first + lane, np.uint8((bits >> lane) & _U1))
+            store(out.seen + first + lane, np.uint8((bits >> lane) & ONE_U64))
         return
     at = first * _LANE
     _put(out.t + at, _reported(group))
@@ -324,6 +324,6 @@ def store_packet(packet, number, order, slow_groups, wants_any, out):
     """
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        if count != _U0:
-            is_slow = (slow_groups >> g) & _U1 != _U0
+        if count != ZERO_U64:
+            is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
             store_group(packet + g * _GROUP_BYTES, first, count, is_slow, wants_any, out)

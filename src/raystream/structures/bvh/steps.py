@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     compress,
@@ -56,14 +57,11 @@ __all__ = [
     "visit",
 ]
 
-_ONE = np.uint64(1)
-_NONE = np.uint64(0)
 _ZERO = np.float32(0.0)
 _ROOT = np.int32(0)
 _KEY_BITS = np.int32(~7)
 _NO_KEY = np.int32(-1)
 _LEAST_KEY = np.int32(0)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _AXIS_SHIFT = np.uint64(4)  # `kernels.leaf_block.AXIS`
 
 #: A half of a stack is a multiple of this many bytes, so that both are whole cache lines.
@@ -89,8 +87,8 @@ def begin(tree, t_min, t_max, stack, half):
     top : uint64
         Bytes in use of a half; 0 for an empty stack.
     """
-    if tree.nodes == _NONE or not (t_min <= t_max):
-        return _NONE
+    if tree.nodes == ZERO_U64 or not (t_min <= t_max):
+        return ZERO_U64
     store(stack, np.int32(0))
     store(stack + half, _ROOT)
     return LANE
@@ -116,7 +114,7 @@ def next_entry(stack, half, top, t_far):
     top : uint64
     """
     limit = t_key(t_far)
-    while top != _NONE:
+    while top != ZERO_U64:
         top -= LANE
         if load(np.int32, stack + top) <= limit:
             return True, load(np.int32, stack + half + top), top
@@ -207,7 +205,7 @@ def push(node, keys, entered, wants_any, stack, half, top):
         key = sort_keys(select(entered, keys, i32x8(_NO_KEY)))
         store(stack + top, key)
         store(stack + half + top, permute(children, key))
-    return top + (popcount(mask_bits(entered)) << _WORD)
+    return top + (popcount(mask_bits(entered)) << SHIFT_32)
 
 
 @device

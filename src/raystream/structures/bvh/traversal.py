@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, load, mask_bits
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
@@ -27,9 +28,6 @@ from raystream.structures.bvh.steps import (
 
 __all__ = ["HALF", "STACK_BYTES", "prefetch_next", "traverse", "tree_traversal"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
 
 #: Bytes of half the stack, for the deepest tree.
@@ -42,7 +40,7 @@ STACK_BYTES = 2 * int(HALF)
 @device
 def prefetch_next(tree, stack, top):
     """Prefetch the child on top of the stack of halves of `HALF` bytes, if there is one."""
-    if top != _NONE:
+    if top != ZERO_U64:
         prefetch_child(load(np.int32, stack + HALF + top - LANE), tree.nodes, tree.leaves)
 
 
@@ -67,19 +65,19 @@ def tree_traversal(search_leaf):
         found, child, top = next_entry(stack, HALF, top, search.t_far)
         while found:
             if is_leaf(child):
-                add_to(search.counters, LEAVES, _ONE)
+                add_to(search.counters, LEAVES, ONE_U64)
                 prefetch_next(tree, stack, top)
                 search = search_leaf(tree, child, line, search, stack)
                 if is_full(search):
                     return search
             else:
-                add_to(search.counters, STEPS, _ONE)
+                add_to(search.counters, STEPS, ONE_U64)
                 node = tree.nodes + np.uint64(child) * NODE
                 keys, entered = enter(node, line, search.t_min, search.t_far)
                 lanes = mask_bits(entered)
-                if lanes != _NONE:
-                    if lanes & (lanes - _ONE) == _NONE:
-                        at = node + CHILDREN + (count_trailing_zeros(lanes) << _WORD)
+                if lanes != ZERO_U64:
+                    if lanes & (lanes - ONE_U64) == ZERO_U64:
+                        at = node + CHILDREN + (count_trailing_zeros(lanes) << SHIFT_32)
                         child = load(np.int32, at)
                         continue
                     top = push(node, keys, entered, wants_any(search), stack, HALF, top)

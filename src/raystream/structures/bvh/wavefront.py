@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.core.rays import RayStatus
+from raystream.jit.constants import BYTES_64, ONE_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -64,8 +65,6 @@ __all__ = [
 #: Rays in flight per thread. 16 hide less memory latency, 64 need too much cache.
 IN_FLIGHT = np.uint64(32)
 
-_ONE = np.uint64(1)
-_WORD = np.uint64(8)
 _LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
@@ -117,7 +116,7 @@ STACK = np.uint64(4 * (STACK_SIZE + 16))
 _SLOTS_BYTES = int(IN_FLIGHT * _SLOT_BYTES)
 _STACK_BYTES = int(IN_FLIGHT * STACK)
 _HITS_BYTES = HITS.itemsize
-QUEUE_BYTES = int(IN_FLIGHT * _WORD + _LINE)
+QUEUE_BYTES = int(IN_FLIGHT * BYTES_64 + _LINE)
 
 
 @device
@@ -181,9 +180,9 @@ def visit_node(slot, node, keys, children, numbers):
         planes[x],
         planes[y],
         planes[z],
-        planes[x ^ _ONE],
-        planes[y ^ _ONE],
-        planes[z ^ _ONE],
+        planes[x ^ ONE_U64],
+        planes[y ^ ONE_U64],
+        planes[z ^ ONE_U64],
         slot.inv,
         slot.near,
         slot.far,
@@ -240,7 +239,7 @@ def _keep_nearest(slot, block, bits, lanes, filter_):
     nearest, best = slot.t, slot.prim_id
     while bits != np.uint64(0):
         lane = count_trailing_zeros(bits)
-        bits &= bits - _ONE
+        bits &= bits - ONE_U64
         t, prim_id = lanes.t[lane], block.prim_ids[lane]
         is_nearer = t < nearest or (t == nearest and prim_id < best)
         u, v = lanes.u[lane], lanes.v[lane]
@@ -299,7 +298,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
     done_size = np.uint64(0)
     for k in range(IN_FLIGHT):
         store(done + done_size, k)
-        done_size += _WORD
+        done_size += BYTES_64
         _Slot(slots, k).ray = NO_RAY
 
     while True:
@@ -307,7 +306,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
         at = np.uint64(0)
         while at != done_size:
             k = load(np.uint64, done + at)
-            at += _WORD
+            at += BYTES_64
             slot = _Slot(slots, k)
             finish_ray(slot, wants_any, out)
             slot.ray = NO_RAY
@@ -323,9 +322,9 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
                     ray,
                     frame.max_coordinate,
                 )
-                ray_next += _ONE
+                ray_next += ONE_U64
                 store(inner + inner_size, k)
-                inner_size += _WORD
+                inner_size += BYTES_64
         done_size = np.uint64(0)
         if inner_size == np.uint64(0) and leaf_size == np.uint64(0):
             break
@@ -335,7 +334,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
         at = np.uint64(0)
         while at != inner_size:
             k = load(np.uint64, inner + at)
-            at += _WORD
+            at += BYTES_64
             slot = _Slot(slots, k)
             keys, children = all_keys + k * STACK, all_children + k * STACK
             node = Node(tree.nodes, np.uint64(slot.child))
@@ -349,7 +348,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
             store(done + done_size, k)
             leaf_size += is_leaf << np.uint64(3)
             done_size += is_done << np.uint64(3)
-            next_size += ((is_leaf | is_done) ^ _ONE) << np.uint64(3)
+            next_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
         inner, inner_next = inner_next, inner
         inner_size = next_size
 
@@ -358,7 +357,7 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
         at = np.uint64(0)
         while at != leaf_size:
             k = load(np.uint64, leaf + at)
-            at += _WORD
+            at += BYTES_64
             slot = _Slot(slots, k)
             keys, children = all_keys + k * STACK, all_children + k * STACK
             top = slot.top
@@ -372,6 +371,6 @@ def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, fil
             store(done + done_size, k)
             next_size += is_leaf << np.uint64(3)
             done_size += is_done << np.uint64(3)
-            inner_size += ((is_leaf | is_done) ^ _ONE) << np.uint64(3)
+            inner_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
         leaf, leaf_next = leaf_next, leaf
         leaf_size = next_size

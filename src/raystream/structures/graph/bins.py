@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for
@@ -20,8 +21,6 @@ _FEWEST, _MOST = 16, 256
 
 _CHUNK = 1 << 12
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LEAF = np.uint64(LEAF_AXIS)
 _ROWS = np.uint64(SECTOR_ROWS)
 
@@ -65,11 +64,11 @@ def bin_corners(
 @device
 def leaf_at(nodes, x, y, z):
     """The leaf of a tree that contains a point; on a plane, the one above."""
-    node = _NONE
+    node = ZERO_U64
     axis, first, plane = split_of(nodes, node)
     while axis != _LEAF:
-        place = x if axis == _NONE else (y if axis == _ONE else z)
-        node = first if place < plane else first + _ONE
+        place = x if axis == ZERO_U64 else (y if axis == ONE_U64 else z)
+        node = first if place < plane else first + ONE_U64
         axis, first, plane = split_of(nodes, node)
     return node
 

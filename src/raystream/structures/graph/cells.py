@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, THREE_U64, TWO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
@@ -27,10 +28,6 @@ __all__ = [
 NODE_BYTES = np.uint64(8)
 ROPE_BYTES = np.uint64(24)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_THREE = np.uint64(3)
 _SIX = np.uint64(6)
 _LEAF = np.uint64(LEAF_AXIS)
 _NOWHERE = np.int32(-1)
@@ -57,7 +54,7 @@ def split_of(nodes, node):
     """A node's axis, or 3 for a leaf; its first child; its plane."""
     at = nodes + node * NODE_BYTES
     word = np.uint64(load(np.uint32, at + WORD))
-    return word & _THREE, word >> _TWO, load(np.float32, at)
+    return word & THREE_U64, word >> TWO_U64, load(np.float32, at)
 
 
 @device
@@ -86,9 +83,9 @@ def push_rope(nodes, node, face, box):
     -------
     uint64
     """
-    face_axis = face >> _ONE
+    face_axis = face >> ONE_U64
     # A high face touches the low side of its neighbours.
-    touching = _ONE - (face & _ONE)
+    touching = ONE_U64 - (face & ONE_U64)
     while True:
         axis, child, plane = split_of(nodes, node)
         if axis == _LEAF:
@@ -97,7 +94,7 @@ def push_rope(nodes, node, face, box):
         if axis == face_axis:
             node = child + touching
         elif plane <= load(np.float32, side):
-            node = child + _ONE
+            node = child + ONE_U64
         elif plane >= load(np.float32, side + HIGH):
             node = child
         else:
@@ -108,7 +105,7 @@ def push_rope(nodes, node, face, box):
 def write_children(nodes, node, boxes, ropes):
     """Write the boxes and ropes of a split's children, given addresses; see `Cells`."""
     axis, first, plane = split_of(nodes, node)
-    for side in range(_TWO):
+    for side in range(TWO_U64):
         child = first + side
         box, rope = boxes + child * BOX_BYTES, ropes + child * ROPE_BYTES
         for k in range(_SIX):
@@ -116,9 +113,9 @@ def write_children(nodes, node, boxes, ropes):
             store(box + at, load(np.float32, boxes + node * BOX_BYTES + at))
             store(rope + at, load(np.int32, ropes + node * ROPE_BYTES + at))
         # The plane is the high side of the cell below it, and the low side of the other.
-        inner = _ONE - side
-        store(box + (axis + _THREE * inner) * WORD, plane)
-        store(rope + (_TWO * axis + inner) * WORD, np.int32(first + inner))
+        inner = ONE_U64 - side
+        store(box + (axis + THREE_U64 * inner) * WORD, plane)
+        store(rope + (TWO_U64 * axis + inner) * WORD, np.int32(first + inner))
         for face in range(_SIX):
             other = load(np.int32, rope + face * WORD)
             if other != _NOWHERE:

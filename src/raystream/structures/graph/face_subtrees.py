@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
@@ -31,9 +32,6 @@ __all__ = [
 _PENDING = np.uint64(16)
 PENDING_BYTES = 16 * (MAX_DEPTH + 2)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_THREE = np.uint64(3)
 _SIX = np.uint64(6)
 _HALF_ROW = np.uint64(8)
 _RAW_BYTES = np.uint64(24)
@@ -70,20 +68,20 @@ def find_axes(nodes, node, axes):
     axis, first, _ = split_of(nodes, node)
     found = np.uint8(0)
     if axis != _LEAF:
-        found = load(np.uint8, axes + first) | load(np.uint8, axes + first + _ONE)
-        found |= np.uint8(_ONE << axis)
+        found = load(np.uint8, axes + first) | load(np.uint8, axes + first + ONE_U64)
+        found |= np.uint8(ONE_U64 << axis)
     store(axes + node, np.uint8(found))
 
 
 @device
 def _covers(box, cell, face, axes):
     """Whether a face of a box covers the adjacent side of a cell along some axes."""
-    axis = face >> _ONE
-    for other in range(_THREE):
+    axis = face >> ONE_U64
+    for other in range(THREE_U64):
         at = other * WORD
         is_out = load(np.float32, cell + at) < load(np.float32, box + at)
         is_out |= load(np.float32, cell + HIGH + at) > load(np.float32, box + HIGH + at)
-        if other != axis and axes >> other & _ONE != _NONE and is_out:
+        if other != axis and axes >> other & ONE_U64 != ZERO_U64 and is_out:
             return False
     return True
 
@@ -105,7 +103,7 @@ def count_raw_nodes(leaf, tree, is_covered, pending):
     -------
     uint64
     """
-    box, count = tree.boxes + leaf * BOX_BYTES, _NONE
+    box, count = tree.boxes + leaf * BOX_BYTES, ZERO_U64
     for face in range(_SIX):
         rope = load(np.int32, tree.ropes + leaf * ROPE_BYTES + face * WORD)
         if rope == _NOWHERE:
@@ -120,10 +118,10 @@ def count_raw_nodes(leaf, tree, is_covered, pending):
             if _covers(box, tree.boxes + node * BOX_BYTES, face, _axes(tree, node)):
                 store(is_covered + node * _SIX + face, _YES)
                 continue
-            count += _ONE
+            count += ONE_U64
             _, first, _ = split_of(tree.nodes, node)
             store(top, first)
-            store(top + _PENDING, first + _ONE)
+            store(top + _PENDING, first + ONE_U64)
             top += _PENDING + _PENDING
     return count
 
@@ -136,20 +134,20 @@ def _axes(tree, node):
 @device
 def propagate_marks(nodes, node, is_covered):
     """Mark what the link nodes of a marked subtree need; returns their number at its root."""
-    total = _NONE
+    total = ZERO_U64
     axis, first, _ = split_of(nodes, node)
     if axis == _LEAF:
         return total
     for face in range(_SIX):
         if load(np.uint8, is_covered + node * _SIX + face) != _YES:
             continue
-        if face >> _ONE == axis:
-            touching = first + (_ONE - (face & _ONE))
+        if face >> ONE_U64 == axis:
+            touching = first + (ONE_U64 - (face & ONE_U64))
             store(is_covered + touching * _SIX + face, _YES)
             continue
-        total += _ONE
+        total += ONE_U64
         store(is_covered + first * _SIX + face, _YES)
-        store(is_covered + (first + _ONE) * _SIX + face, _YES)
+        store(is_covered + (first + ONE_U64) * _SIX + face, _YES)
     return total
 
 
@@ -195,11 +193,11 @@ def write_raw_nodes(leaf, tree, sectors, covered, number, raw, links, pending):
                 continue
             store(to, _RAW_BIT | number)
             to = raw + number * _RAW_BYTES
-            number += _ONE
+            number += ONE_U64
             _, first, _ = split_of(tree.nodes, node)
             store(to, node)
             store(top, first)
             store(top + _HALF_ROW, to + _HALF_ROW)
-            store(top + _PENDING, first + _ONE)
+            store(top + _PENDING, first + ONE_U64)
             store(top + _PENDING + _HALF_ROW, to + _HALF_ROW + _HALF_ROW)
             top += _PENDING + _PENDING

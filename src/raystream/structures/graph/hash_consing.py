@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
+from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT, NODE_WORDS
@@ -22,11 +23,8 @@ RAW = 1 << 32
 
 _LEAST_ROOM = 1 << 10
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _RAW_BIT = np.uint64(RAW)
 _NODE_LINK = np.uint64(NODE_BIT)
-_WORD = np.uint64(4)
 _HALF_ROW = np.uint64(8)
 _ROW = np.uint64(16)
 _RAW_BYTES = np.uint64(24)
@@ -70,28 +68,28 @@ def put_node(rows, table, mask, count, plane_bits, axis, below, above):
     one, other = plane_bits | axis << np.uint64(32), below | above << np.uint64(32)
     slot = first_slot(one, other, mask)
     while True:
-        found = load(np.uint32, table + slot * _WORD)
+        found = load(np.uint32, table + slot * BYTES_32)
         if found == _FREE:
-            store(table + slot * _WORD, np.uint32(count))
+            store(table + slot * BYTES_32, np.uint32(count))
             store(rows + count * _ROW, one)
             store(rows + count * _ROW + _HALF_ROW, other)
-            return count, count + _ONE
+            return count, count + ONE_U64
         at = rows + np.uint64(found) * _ROW
         if load(np.uint64, at) == one and load(np.uint64, at + _HALF_ROW) == other:
             return np.uint64(found), count
-        slot = (slot + _ONE) & mask
+        slot = (slot + ONE_U64) & mask
 
 
 @kernel
 def _fill_table(rows, count, table):
     """Insert distinct nodes into an empty table."""
-    row_at, table_at, mask = address(rows), address(table), np.uint64(len(table)) - _ONE
+    row_at, table_at, mask = address(rows), address(table), np.uint64(len(table)) - ONE_U64
     for number in range(np.uint64(count)):
         at = row_at + number * _ROW
         slot = first_slot(load(np.uint64, at), load(np.uint64, at + _HALF_ROW), mask)
-        while load(np.uint32, table_at + slot * _WORD) != _FREE:
-            slot = (slot + _ONE) & mask
-        store(table_at + slot * _WORD, np.uint32(number))
+        while load(np.uint32, table_at + slot * BYTES_32) != _FREE:
+            slot = (slot + ONE_U64) & mask
+        store(table_at + slot * BYTES_32, np.uint32(number))
 
 
 @device
@@ -106,16 +104,16 @@ def _resolved(raw, link):
 def _share(raw, tree, rows, table, count, first_row):
     """Add raw nodes, in reverse order; the first word of each becomes its link."""
     raw_at, tree_at, row_at, table_at = address(raw), address(tree), address(rows), address(table)
-    mask, end = np.uint64(len(table)) - _ONE, np.uint64(count)
+    mask, end = np.uint64(len(table)) - ONE_U64, np.uint64(count)
     left = np.uint64(len(raw))
-    while left != _NONE:
-        left -= _ONE
+    while left != ZERO_U64:
+        left -= ONE_U64
         at = raw_at + left * _RAW_BYTES
         split = tree_at + load(np.uint64, at) * _HALF_ROW
         below = _resolved(raw_at, load(np.uint64, at + _HALF_ROW))
         above = _resolved(raw_at, load(np.uint64, at + _ROW))
         plane_bits = np.uint64(load(np.uint32, split))
-        axis = np.uint64(load(np.uint32, split + _WORD)) & np.uint64(3)
+        axis = np.uint64(load(np.uint32, split + BYTES_32)) & np.uint64(3)
         number, end = put_node(row_at, table_at, mask, end, plane_bits, axis, below, above)
         store(at, _NODE_LINK | (np.uint64(first_row) + number))
     return end

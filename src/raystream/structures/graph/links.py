@@ -19,6 +19,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for
@@ -48,8 +49,6 @@ _CHUNK = 1 << 11
 RAW_LINKS = np.uint64(48)
 LINKS_AT = np.uint64(32)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _SIX = np.uint64(6)
 _HALF_ROW = np.uint64(8)
 _RAW_BYTES = np.uint64(24)
@@ -63,8 +62,8 @@ _YES = np.uint8(1)
 def _find_all_axes(nodes, axes):
     node_at, axes_at = address(nodes), address(axes)
     node = np.uint64(len(nodes))
-    while node != _NONE:
-        node -= _ONE
+    while node != ZERO_U64:
+        node -= ONE_U64
         find_axes(node_at, node, axes_at)
 
 
@@ -81,7 +80,7 @@ def _count_nodes(begin, end, leaves, tree, counts, is_covered):
 @kernel
 def _propagate_all_marks(nodes, is_covered):
     """Mark what the link nodes of marked subtrees need; returns the number of these."""
-    total = _NONE
+    total = ZERO_U64
     for node in range(np.uint64(len(nodes))):
         total += propagate_marks(address(nodes), node, address(is_covered))
     return total
@@ -92,10 +91,10 @@ def _link_covered(nodes, sectors, is_covered, covered, rows, table, count, first
     """Make the link nodes of marked subtrees; returns the number of nodes."""
     node_at, mark_at, link_at = address(nodes), address(is_covered), address(covered)
     row_at, table_at = address(rows), address(table)
-    mask, end = np.uint64(len(table)) - _ONE, np.uint64(count)
+    mask, end = np.uint64(len(table)) - ONE_U64, np.uint64(count)
     node = np.uint64(len(nodes))
-    while node != _NONE:
-        node -= _ONE
+    while node != ZERO_U64:
+        node -= ONE_U64
         axis, first, _ = split_of(node_at, node)
         plane_bits = np.uint64(load(np.uint32, node_at + node * _HALF_ROW))
         for face in range(_SIX):
@@ -105,8 +104,8 @@ def _link_covered(nodes, sectors, is_covered, covered, rows, table, count, first
             above = below + ROPE_BYTES
             if axis == _LEAF:
                 link = np.uint64(sectors[node]) * _ROWS
-            elif face >> _ONE == axis:
-                link = np.uint64(load(np.uint32, above if face & _ONE == _NONE else below))
+            elif face >> ONE_U64 == axis:
+                link = np.uint64(load(np.uint32, above if face & ONE_U64 == ZERO_U64 else below))
             else:
                 less = np.uint64(load(np.uint32, below))
                 more = np.uint64(load(np.uint32, above))

@@ -33,7 +33,6 @@ _CHUNK = 1 << 13
 
 _LIMIT = np.uint64(MAX_WALK)
 _ROW = np.uint64(4)  # a row's 16 bytes, as a shift
-_NONE = np.uint64(0)
 _NOWHERE = np.int64(-1)
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.jit.threads import parallel_for
@@ -42,9 +43,6 @@ CODE_BITS = 63
 
 _CHUNK = 1 << 13
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
 _LAST_STEP = np.float64(_STEPS - 1)
 _STEP_COUNT = np.float64(_STEPS)
 
@@ -71,13 +69,13 @@ def _spread(number):
     number = (number | number << np.uint64(16)) & np.uint64(0x001F0000FF0000FF)
     number = (number | number << np.uint64(8)) & np.uint64(0x100F00F00F00F00F)
     number = (number | number << np.uint64(4)) & np.uint64(0x10C30C30C30C30C3)
-    return (number | number << _TWO) & np.uint64(0x1249249249249249)
+    return (number | number << TWO_U64) & np.uint64(0x1249249249249249)
 
 
 @device
 def morton_code(whole, box):
     """The Morton code of a box's centre in a whole box, both by address."""
-    code = _NONE
+    code = ZERO_U64
     for axis in range(np.uint64(3)):
         at = axis * WORD
         low = np.float64(load(np.float32, whole + at))
@@ -131,7 +129,7 @@ def fill_sector(to, box, first, count):
         store(to + np.uint64(16) + at, load(np.float32, box + HIGH + at))
     store(to + np.uint64(12), np.uint32(first))
     store(to + np.uint64(28), np.uint32(count))
-    store(to + np.uint64(56), _NONE)  # the unused words
+    store(to + np.uint64(56), ZERO_U64)  # the unused words
 
 
 @kernel
@@ -142,7 +140,7 @@ def _fill_sectors(begin, end, leaves, nodes, boxes, tree_ids, firsts, rows, prim
     for sector in range(np.uint64(begin), np.uint64(end)):
         leaf = np.uint64(leaves[sector])
         _, count, _ = split_of(node_at, leaf)
-        first, last = np.uint64(firsts[sector]), np.uint64(firsts[sector + _ONE])
+        first, last = np.uint64(firsts[sector]), np.uint64(firsts[sector + ONE_U64])
         fill_sector(row_at + sector * SECTOR_BYTES, box_at + leaf * BOX_BYTES, first, count)
         source = tree_at + np.uint64(load(np.uint32, node_at + leaf * NODE_BYTES)) * _BLOCK_IDS
         for k in range((last - first) * np.uint64(4)):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
@@ -25,10 +26,6 @@ __all__ = ["PENDING_BYTES", "UNION_BYTES", "Chosen", "prune", "put_leaf", "weigh
 _MOST_LEAVES, _MOST_TRIANGLES = 16, 64
 PENDING_BYTES, UNION_BYTES = 8 * (_MOST_LEAVES + 2), 4 * _MOST_TRIANGLES
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_THREE = np.uint64(3)
 _LANES = np.uint64(4)
 _ENTRY = np.uint64(8)
 _BLOCK_IDS = np.uint64(16)
@@ -68,15 +65,15 @@ def _side(box, axis):
 @device
 def _areas(box, axis):
     """Half of a box's surface area, and its cross-section along an axis, which may be 3."""
-    x, y, z = _side(box, _NONE), _side(box, _ONE), _side(box, _TWO)
-    across = y * z if axis == _NONE else (z * x if axis == _ONE else x * y)
+    x, y, z = _side(box, ZERO_U64), _side(box, ONE_U64), _side(box, TWO_U64)
+    across = y * z if axis == ZERO_U64 else (z * x if axis == ONE_U64 else x * y)
     return x * y + y * z + z * x, across
 
 
 @device
 def _unite(node, nodes, leaf_counts, lists, sizes, pending, union, most):
     """Union of the lists of a subtree's leaves; returns its size, or more than `most`."""
-    count = _NONE
+    count = ZERO_U64
     store(pending, node)
     top = pending + _ENTRY
     while top != pending:
@@ -84,21 +81,21 @@ def _unite(node, nodes, leaf_counts, lists, sizes, pending, union, most):
         inner = load(np.uint64, top)
         if load(np.uint32, leaf_counts + inner * WORD) > np.uint32(1):
             _, first, _ = split_of(nodes, inner)
-            store(top, first + _ONE)
+            store(top, first + ONE_U64)
             store(top + _ENTRY, first)
             top += _ENTRY + _ENTRY
             continue
         at = load(np.uint64, lists + inner * _ENTRY)
         for k in range(np.uint64(load(np.uint32, sizes + inner * WORD))):
-            prim_id, place = load(np.int32, at + k * WORD), _NONE
+            prim_id, place = load(np.int32, at + k * WORD), ZERO_U64
             while place < count and load(np.int32, union + place * WORD) != prim_id:
-                place += _ONE
+                place += ONE_U64
             if place < count:
                 continue
             if count == most:
-                return most + _ONE
+                return most + ONE_U64
             store(union + count * WORD, prim_id)
-            count += _ONE
+            count += ONE_U64
     return count
 
 
@@ -138,10 +135,10 @@ def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
     """
     axis, first, _ = split_of(nodes, node)
     half, across = _areas(boxes + node * BOX_BYTES, axis)
-    cost = _cost(chosen, first) + _cost(chosen, first + _ONE) + costs.traversal * half
+    cost = _cost(chosen, first) + _cost(chosen, first + ONE_U64) + costs.traversal * half
     cost += costs.crossing * across
     count = np.uint64(load(np.uint32, chosen.leaf_counts + first * WORD))
-    count += np.uint64(load(np.uint32, chosen.leaf_counts + (first + _ONE) * WORD))
+    count += np.uint64(load(np.uint32, chosen.leaf_counts + (first + ONE_U64) * WORD))
     at = load(np.uint64, chosen.lists + first * _ENTRY)
     store(chosen.lists + node * _ENTRY, at)
     store(chosen.leaf_counts + node * WORD, np.uint32(count))
@@ -149,10 +146,10 @@ def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
     affordable = cost / (costs.intersection * half)
     most = np.uint64(min(affordable, np.float64(_MOST_TRIANGLES)))
     if count > _LEAF_LIMIT:
-        return _NONE
+        return ZERO_U64
     size = _unite(node, nodes, chosen.leaf_counts, chosen.lists, chosen.sizes, pending, union, most)
     if size > most:
-        return _NONE
+        return ZERO_U64
     if size > free:
         return size
     for k in range(size):
@@ -198,15 +195,15 @@ def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, nod
     pending, union = scratch(PENDING_BYTES), scratch(UNION_BYTES)
     free = np.uint64(prim_ids.size)
     node = np.uint64(len(nodes))
-    while node != _NONE:
-        node -= _ONE
+    while node != ZERO_U64:
+        node -= ONE_U64
         axis, count, _ = split_of(node_at, node)
         if axis == _LEAF:
             block = np.uint64(load(np.uint32, node_at + node * NODE_BYTES))
             put_leaf(node, box_at, costs, chosen, id_at + block * _BLOCK_IDS, count)
         else:
             size = weigh_split(node, node_at, box_at, costs, chosen, free, pending, union)
-            free = free - size if size <= free else _NONE
+            free = free - size if size <= free else ZERO_U64
 
 
 @kernel
@@ -214,23 +211,23 @@ def _rebuild(nodes, leaf_counts, lists, sizes, rows, new_nodes, new_ids):
     """Write the pruned tree; `rows` is scratch memory, a number per node."""
     node_at = address(nodes)
     new_at, id_at = address(new_nodes), address(new_ids)
-    end, block = _ONE, _NONE
+    end, block = ONE_U64, ZERO_U64
     rows[0] = 1  # a row plus 1; 0 for removed nodes
     for node in range(np.uint64(len(nodes))):
         if rows[node] == 0:
             continue
-        to = new_at + (np.uint64(rows[node]) - _ONE) * NODE_BYTES
+        to = new_at + (np.uint64(rows[node]) - ONE_U64) * NODE_BYTES
         axis, first, plane = split_of(node_at, node)
         if leaf_counts[node] > 1:
-            rows[first], rows[first + _ONE] = end + _ONE, end + _TWO
+            rows[first], rows[first + ONE_U64] = end + ONE_U64, end + TWO_U64
             store(to, plane)
-            store(to + WORD, np.int32(end << _TWO | axis))
-            end += _TWO
+            store(to + WORD, np.int32(end << TWO_U64 | axis))
+            end += TWO_U64
             continue
         size = np.uint64(sizes[node])
         store(to, np.int32(block))
         store(to + WORD, np.int32(np.int32(size) << np.int32(2) | _LEAF_BITS))
-        last = block + (size + _LANES - _ONE) // _LANES
+        last = block + (size + _LANES - ONE_U64) // _LANES
         for k in range((last - block) * _LANES):
             prim_id = _ABSENT
             if k < size:

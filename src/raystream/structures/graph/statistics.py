@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import BYTES_32, ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.jit.threads import parallel_for
@@ -18,10 +19,6 @@ _CHUNK = 1 << 12
 #: A pending part of a face: its link (uint64) and its box (low x, y, z, high x, y, z).
 _PENDING = np.uint64(32)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_THREE = np.uint64(3)
-_WORD = np.uint64(4)
 _BOX_AT = np.uint64(8)
 _HIGH = np.uint64(12)
 _ROW = np.uint64(16)
@@ -48,28 +45,28 @@ def _measure_trees(rows, sector_count, depths, sizes):
 
 @device
 def _size_along(box, axis):
-    at = box + axis * _WORD
+    at = box + axis * BYTES_32
     return np.float64(load(np.float32, at + _HIGH)) - load(np.float32, at)
 
 
 @device
 def _half_area(box):
-    x, y = _size_along(box, _NONE), _size_along(box, _ONE)
+    x, y = _size_along(box, ZERO_U64), _size_along(box, ONE_U64)
     z = _size_along(box, np.uint64(2))
     return x * y + y * z + z * x
 
 
 @device
 def _face_area(box, axis):
-    other = axis + _ONE if axis < np.uint64(2) else _NONE
-    third = _THREE - axis - other
+    other = axis + ONE_U64 if axis < np.uint64(2) else ZERO_U64
+    third = THREE_U64 - axis - other
     return _size_along(box, other) * _size_along(box, third)
 
 
 @device
 def _copy_box(to, source):
     for k in range(np.uint64(6)):
-        store(to + k * _WORD, load(np.float32, source + k * _WORD))
+        store(to + k * BYTES_32, load(np.float32, source + k * BYTES_32))
 
 
 @kernel
@@ -91,17 +88,17 @@ def _add_up(begin, end, rows, stack, sums):
     for sector in range(np.uint64(begin), np.uint64(end)):
         at = row_at + sector * _SECTOR_BYTES
         # The sector's box without the interleaved words, below the stack.
-        for k in range(_THREE):
-            store(box + k * _WORD, load(np.float32, at + k * _WORD))
-            store(box + _HIGH + k * _WORD, load(np.float32, at + _ROW + k * _WORD))
+        for k in range(THREE_U64):
+            store(box + k * BYTES_32, load(np.float32, at + k * BYTES_32))
+            store(box + _HIGH + k * BYTES_32, load(np.float32, at + _ROW + k * BYTES_32))
         half = _half_area(box)
         sums[0] += half
         sums[1] += half * np.float64(load(np.uint32, at + np.uint64(28)))
         for face in range(np.uint64(6)):
-            link = np.uint64(load(np.uint32, at + _ROW + _ROW + face * _WORD))
+            link = np.uint64(load(np.uint32, at + _ROW + _ROW + face * BYTES_32))
             if link == _NOWHERE:
                 continue
-            axis = face >> _ONE
+            axis = face >> ONE_U64
             sums[2] += _face_area(box, axis)
             top = stack_at + _PENDING
             store(top, link)
@@ -110,11 +107,11 @@ def _add_up(begin, end, rows, stack, sums):
             while top != stack_at + _PENDING:
                 top -= _PENDING
                 link = load(np.uint64, top)
-                if link & _BIT == _NONE:
+                if link & _BIT == ZERO_U64:
                     continue
                 sums[3] += _face_area(top + _BOX_AT, axis)
                 node = row_at + (link ^ _BIT) * _ROW
-                side = np.uint64(load(np.uint32, node + _WORD)) * _WORD
+                side = np.uint64(load(np.uint32, node + BYTES_32)) * BYTES_32
                 above = top + _PENDING
                 _copy_box(above + _BOX_AT, top + _BOX_AT)
                 store(above + _BOX_AT + side, load(np.float32, node))

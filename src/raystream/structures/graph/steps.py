@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load, next_float_up, store
 from raystream.kernels.leaf_block import BLOCK, blocks_end
@@ -49,8 +50,6 @@ __all__ = [
 #: Most sectors that a walk from a nearby sector leaves before it falls back to the bins.
 MAX_WALK = 16
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 
@@ -59,7 +58,6 @@ _FIRST_BLOCK = np.uint64(12)
 _HIGH = np.uint64(16)
 _TRIANGLE_COUNT = np.uint64(28)
 _LINKS = np.uint64(32)
-_WORD = np.uint64(4)
 _TWO_WORDS = np.uint64(8)
 
 # Byte offsets of the words of a link node; the first is the plane.
@@ -156,9 +154,9 @@ def sector_ray(ray):
     ``middle`` is the mean of the slab constants of both paddings: that of an unpadded plane, to
     within two roundings.
     """
-    high_x = _HIGH if ray.inv_x > _ZERO else _NONE
-    high_y = _HIGH if ray.inv_y > _ZERO else _NONE
-    high_z = _HIGH if ray.inv_z > _ZERO else _NONE
+    high_x = _HIGH if ray.inv_x > _ZERO else ZERO_U64
+    high_y = _HIGH if ray.inv_y > _ZERO else ZERO_U64
+    high_z = _HIGH if ray.inv_z > _ZERO else ZERO_U64
     return SectorRay(
         ray.inv_x,
         ray.inv_y,
@@ -167,7 +165,7 @@ def sector_ray(ray):
         (ray.near_y + ray.far_y) * _HALF,
         (ray.near_z + ray.far_z) * _HALF,
         high_x,
-        high_y + _WORD,
+        high_y + BYTES_32,
         high_z + _TWO_WORDS,
         # Links are in pairs: low side, high side.
         _LINKS + (high_x >> np.uint64(2)),
@@ -215,7 +213,7 @@ def _entry_face(line, sector):
     t_z = _plane(sector, line.out_z ^ _HIGH, line.inv_z, line.middle_z)
     if t_z > t:
         t, link = t_z, line.link_z
-    return Face(t, _link(sector, link ^ _WORD))
+    return Face(t, _link(sector, link ^ BYTES_32))
 
 
 @device
@@ -243,15 +241,15 @@ def follow_link(graph, line, link, t):
     node_count : uint64
         Link nodes passed.
     """
-    node_count = _NONE
-    while link & _NODE_BIT != _NONE:
+    node_count = ZERO_U64
+    while link & _NODE_BIT != ZERO_U64:
         node = graph.rows + ((link ^ _NODE_BIT) << _ROW)
         axis = np.uint64(load(np.uint32, node + _AXIS))
         inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
         middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
         is_behind = fma(load(np.float32, node), inv, middle) <= t
         link = _link(node, _ABOVE if is_behind == (inv > _ZERO) else _BELOW)
-        node_count += _ONE
+        node_count += ONE_U64
     return graph.rows + (link << _ROW), node_count
 
 
@@ -272,14 +270,14 @@ def clip_to_scene(graph, ray, t_min, t_max):
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
     # A hit lies in its triangle's slab interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
-    return graph.rows != _NONE and t_in <= t_out, t_in, next_float_up(t_out)
+    return graph.rows != ZERO_U64 and t_in <= t_out, t_in, next_float_up(t_out)
 
 
 @device
 def _bin_number(position, low, scale, count):
     place = (position - low) * scale
     # Written so that a NaN becomes 0.
-    return np.uint64(min(place, count - np.float32(1.0))) if place > _ZERO else _NONE
+    return np.uint64(min(place, count - np.float32(1.0))) if place > _ZERO else ZERO_U64
 
 
 @device
@@ -299,7 +297,7 @@ def _bin_row(graph, ray, t):
 @device
 def _bin_sector(graph, row):
     """Address of the sector of a bin."""
-    return graph.rows + (np.uint64(load(np.uint32, graph.bins + row * _WORD)) << _ROW)
+    return graph.rows + (np.uint64(load(np.uint32, graph.bins + row * BYTES_32)) << _ROW)
 
 
 @device
@@ -326,16 +324,16 @@ def walk_to(graph, line, sector, t, limit):
     step_count : uint64
         Sectors left.
     """
-    step_count = _NONE
+    step_count = ZERO_U64
     face = _entry_face(line, sector)
     while face.t > t and step_count != limit:
         sector, _ = follow_link(graph, line, face.link, t)
-        step_count += _ONE
+        step_count += ONE_U64
         face = _entry_face(line, sector)
     face = exit_face(line, sector)
     while face.t <= t and step_count != limit:
         sector, _ = follow_link(graph, line, face.link, t)
-        step_count += _ONE
+        step_count += ONE_U64
         face = exit_face(line, sector)
     return sector, step_count
 
@@ -370,11 +368,11 @@ def start_sector_cached(graph, line, ray, t, last):
         Sectors left on the way there.
     """
     row = _bin_row(graph, ray, t)
-    if load(np.uint64, last) == row + _ONE:
+    if load(np.uint64, last) == row + ONE_U64:
         sector = load(np.uint64, last + _TWO_WORDS)
     else:
         sector = _bin_sector(graph, row)
-        store(last, row + _ONE)
+        store(last, row + ONE_U64)
     sector, step_count = walk_to(graph, line, sector, t, _NO_LIMIT)
     store(last + _TWO_WORDS, sector)
     return sector, step_count
@@ -396,7 +394,7 @@ def near_sector(graph, line, ray, t, number, last):
     uint64
         The sector's address.
     """
-    if graph.starts != _NONE:
+    if graph.starts != ZERO_U64:
         start = load(np.int32, graph.starts + (number << _INDEX))
         if start >= np.int32(0):
             known = graph.rows + (np.uint64(start) << _SECTOR)

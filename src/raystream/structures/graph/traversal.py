@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import prefetch, store
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
@@ -24,8 +25,6 @@ __all__ = ["STACK_BYTES", "traverse"]
 #: A graph needs no stack: its memory caches the start of the previous ray.
 STACK_BYTES = 16
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LANES = np.uint64(4)
 _LINE = np.uint64(64)
 _INDEX = np.uint64(2)  # a number's four bytes, as a shift
@@ -34,7 +33,7 @@ _INDEX = np.uint64(2)  # a number's four bytes, as a shift
 @device
 def _note_end(graph, search, sector):
     """Write the sector of a first hit: that in which its search ends."""
-    if graph.ends != _NONE and search.hit_count != _NONE:
+    if graph.ends != ZERO_U64 and search.hit_count != ZERO_U64:
         store(graph.ends + (search.first_row << _INDEX), sector_number(graph, sector))
 
 
@@ -47,13 +46,13 @@ def traverse(graph, ray, search, stack):
     line, triangle_ray = sector_ray(ray), block_ray(ray)
     sector = near_sector(graph, line, ray, t_in, search.first_row, stack)
     while True:
-        add_to(search.counters, STEPS, _ONE)
+        add_to(search.counters, STEPS, ONE_U64)
         face = exit_face(line, sector)
         t_out = min(face.t, t_end)
         is_last = t_out >= t_end
         block, end, left = sector_blocks(graph, sector)
         # Prefetch the blocks and the next sector before testing triangles.
-        next_sector, node_count = sector, _NONE
+        next_sector, node_count = sector, ZERO_U64
         if block != end:
             prefetch(block)
             prefetch(block + _LINE)
@@ -62,7 +61,7 @@ def traverse(graph, ray, search, stack):
             next_sector, node_count = follow_link(graph, line, face.link, t_out)
             prefetch(next_sector)
         if block != end:
-            add_to(search.counters, LEAVES, _ONE)
+            add_to(search.counters, LEAVES, ONE_U64)
             while block != end:
                 add_to(search.counters, TESTS, min(left, _LANES))
                 search = intersect_block(block, triangle_ray, search, t_in, t_out)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load
 
@@ -22,8 +23,6 @@ __all__ = [
 #: `child_of` a cell that is not subdivided.
 NO_CHILD = np.int32(-1)
 
-_NONE = np.uint64(0)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 
 #: Bytes of a row of `FineArrays.records`.
 _RECORD = np.uint64(32)
@@ -64,9 +63,9 @@ def cell_numbers(grid, cell):
 @device
 def child_of(grid, cell):
     """Number of the lattice within a coarse cell; `NO_CHILD` if it is not subdivided."""
-    if grid.children == _NONE:
+    if grid.children == ZERO_U64:
         return NO_CHILD
-    return load(np.int32, grid.children + (np.uint64(cell) << _WORD))
+    return load(np.int32, grid.children + (np.uint64(cell) << SHIFT_32))
 
 
 @device
@@ -86,12 +85,12 @@ def fine_cells(grid, cell, child):
         fma(k, grid.size[2], grid.low[2]),
     )
     size = (grid.size[0] / counts[0], grid.size[1] / counts[1], grid.size[2] / counts[2])
-    splits = grid.fine_splits + (np.uint64(first) << _WORD)
+    splits = grid.fine_splits + (np.uint64(first) << SHIFT_32)
     return LatticeView(low, size, counts, splits, grid.fine_references)
 
 
 @device
 def cell_list(splits, cell):
     """Begin and end of the list of a cell, given the address of all splits."""
-    at = splits + (np.uint64(cell) << _WORD)
+    at = splits + (np.uint64(cell) << SHIFT_32)
     return np.uint64(load(np.uint32, at)), np.uint64(load(np.uint32, at + np.uint64(4)))

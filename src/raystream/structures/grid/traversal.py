@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.kernels.search import is_full, wants_any
@@ -15,8 +16,6 @@ from raystream.structures.grid.dda import begin_walk, cell_end, step_walk
 
 __all__ = ["clip_to_grid", "traverse"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _INF = np.float32(np.inf)
 
 
@@ -35,7 +34,7 @@ def clip_to_grid(grid, ray, t_min, t_max):
 def _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out):
     """Test the triangles of a cell; an any-hit search accepts hits beyond the cell, too."""
     if begin != end:
-        add_to(search.counters, LEAVES, _ONE)
+        add_to(search.counters, LEAVES, ONE_U64)
     t_out = _INF if wants_any(search) else t_out
     return intersect_list(cells.references, grid.corners, begin, end, ray, search, t_in, t_out)
 
@@ -48,13 +47,13 @@ def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
     while True:
         t_out = min(cell_end(state), t_end)
         begin, end = cell_list(cells.splits, state.cell)
-        add_to(search.counters, STEPS, _ONE)
+        add_to(search.counters, STEPS, ONE_U64)
         t_far = min(search.t_far, t_last)
         while begin == end and t_out <= t_far and t_out < t_end:
             state = step_walk(walk, state)
             t_in, t_out = t_out, min(cell_end(state), t_end)
             begin, end = cell_list(cells.splits, state.cell)
-            add_to(search.counters, STEPS, _ONE)
+            add_to(search.counters, STEPS, ONE_U64)
         search = _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out)
         if is_full(search) or min(search.t_far, t_last) < t_out or t_out >= t_end:
             return search
@@ -66,21 +65,21 @@ def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
 def traverse(grid, ray, search, stack):
     """Visit the cells along a ray; see `kernels.queries.ray_queries` for the arguments."""
     t_in, t_last = clip_to_grid(grid, ray, search.t_min, search.t_far)
-    if grid.splits == _NONE or not (t_in <= t_last):
+    if grid.splits == ZERO_U64 or not (t_in <= t_last):
         return search
     cells = coarse_cells(grid)
     walk, state = begin_walk(cells, ray, t_in)
     while True:
         t_out = cell_end(state)
         begin, end = cell_list(cells.splits, state.cell)
-        add_to(search.counters, STEPS, _ONE)
+        add_to(search.counters, STEPS, ONE_U64)
         # A hit at the cell's end is in the next cell, and may tie with the one at t_far.
         t_far = min(search.t_far, t_last)
         while begin == end and t_out <= t_far:
             state = step_walk(walk, state)
             t_in, t_out = t_out, cell_end(state)
             begin, end = cell_list(cells.splits, state.cell)
-            add_to(search.counters, STEPS, _ONE)
+            add_to(search.counters, STEPS, ONE_U64)
         child = child_of(grid, state.cell)
         if child != NO_CHILD:
             within = fine_cells(grid, state.cell, child)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.leaf_block import BLOCK, blocks_end
@@ -19,7 +20,6 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["KdAddresses", "KdLeaf", "KdSplit", "is_leaf", "leaf_of", "parent_of", "split_of"]
 
-_ONE = np.uint64(1)
 
 # 8-byte nodes: bytes of a node; its second word is its left child and its axis.
 _NODE = np.uint64(8)
@@ -126,11 +126,11 @@ def _split_of(leaves, tree, node):
         at = tree.nodes + node * _NODE
         word = np.uint64(load(np.uint32, at + _SECOND))
         left = word >> _AXIS_SHIFT
-        return KdSplit(load(np.float32, at), word & _AXIS_BITS, left, left + _ONE)
+        return KdSplit(load(np.float32, at), word & _AXIS_BITS, left, left + ONE_U64)
     at = tree.nodes + node * _RECORD
     below = np.uint64(load(np.uint32, at + _SECOND))
     above = np.uint64(load(np.uint32, at + _THIRD))
-    axis = (below >> _AXIS_BIT) & _ONE | ((above >> _AXIS_BIT) & _ONE) << _ONE
+    axis = (below >> _AXIS_BIT) & ONE_U64 | ((above >> _AXIS_BIT) & ONE_U64) << ONE_U64
     return KdSplit(load(np.float32, at), axis, below & _NODE_BITS, above & _NODE_BITS)
 
 
@@ -164,7 +164,7 @@ def leaf_of(tree, node):
 def _parent_of(leaves, tree, node):
     if leaves is None:
         # One record for both of a split's children.
-        record = tree.extended + ((node - _ONE) >> _ONE) * _EXTENDED
+        record = tree.extended + ((node - ONE_U64) >> ONE_U64) * _EXTENDED
         return np.uint64(load(np.uint32, record + _EXTENDED_LINK)), record
     if node >= _LEAF_POINTER:
         at = leaves + (node & _ROW_BITS) * _RECORD + _THIRD

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
@@ -55,8 +56,6 @@ _MAX_BAD_SPLITS = np.uint64(3)
 _FEW = np.uint64(16)
 _TOO_COSTLY = 4.0
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LAST_BIN = np.uint64(_BINS - 1)
 #: The same, for kernels.
 MOST_EXACT, BIN_COUNT = np.uint64(_EXACT), np.uint64(_BINS)
@@ -98,7 +97,7 @@ class _Axis(NamedTuple):
 def axis_of(cell, axis):
     """The cell at an address, along an axis."""
     step = axis * WORD
-    other = (axis + _ONE if axis < np.uint64(2) else _NONE) * WORD
+    other = (axis + ONE_U64 if axis < np.uint64(2) else ZERO_U64) * WORD
     third = np.uint64(12) - step - other  # the offsets 0, 4 and 8 add up to it
     low, high = load(np.float32, cell + step), load(np.float32, cell + HIGH + step)
     d = np.float64(load(np.float32, cell + HIGH + other)) - load(np.float32, cell + other)
@@ -114,7 +113,7 @@ def split_cost(costs, along, position, below, above):
     area = along.base + (length_below + length_above) * along.side
     tests = (along.base + length_below * along.side) * np.float64(below)
     tests += (along.base + length_above * along.side) * np.float64(above)
-    if below == _NONE or above == _NONE:
+    if below == ZERO_U64 or above == ZERO_U64:
         tests *= 1.0 - costs.empty_bonus
     crossings = costs.crossing * along.base
     return costs.traversal + (costs.intersection * tests + crossings) / area
@@ -123,15 +122,15 @@ def split_cost(costs, along, position, below, above):
 @device
 def _sort(at, count):
     """Sort a few float32 numbers by insertion."""
-    for i in range(_ONE, count):
+    for i in range(ONE_U64, count):
         number = load(np.float32, at + i * WORD)
         hole = i
-        while hole != _NONE:
-            before = load(np.float32, at + (hole - _ONE) * WORD)
+        while hole != ZERO_U64:
+            before = load(np.float32, at + (hole - ONE_U64) * WORD)
             if not before > number:
                 break
             store(at + hole * WORD, before)
-            hole -= _ONE
+            hole -= ONE_U64
         store(at + hole * WORD, number)
 
 
@@ -154,17 +153,17 @@ def _find_exact(boxes, begin, end, cell, costs, work):
             store(ends + i * WORD, load(np.float32, box + HIGH))
         _sort(starts, count)
         _sort(ends, count)
-        begun, ended = _NONE, _NONE
+        begun, ended = ZERO_U64, ZERO_U64
         while begun < count or ended < count:
             position = min(_at(starts, begun, count), _at(ends, ended, count))
             while ended < count and load(np.float32, ends + ended * WORD) <= position:
-                ended += _ONE
+                ended += ONE_U64
             if position > along.low and position < along.high:
                 cost = split_cost(costs, along, position, begun, count - ended)
                 if cost < best_cost:
                     best_axis, best_position, best_cost = axis, position, cost
             while begun < count and load(np.float32, starts + begun * WORD) <= position:
-                begun += _ONE
+                begun += ONE_U64
     return best_axis, best_position, best_cost
 
 
@@ -201,21 +200,21 @@ def find_in_bins(along, width, starts, ends, ends_of, count, costs, best_cost):
     """
     best_position = _ZERO
     lowest, highest = ends_of
-    begun, ended = _NONE, _NONE
+    begun, ended = ZERO_U64, ZERO_U64
     for k in range(BIN_COUNT):
         begun += np.uint64(load(np.int32, starts + k * WORD))
         ended += np.uint64(load(np.int32, ends + k * WORD))
-        position = along.low + np.float32(k + _ONE) * width
+        position = along.low + np.float32(k + ONE_U64) * width
         if position > along.low and position < along.high:
             cost = split_cost(costs, along, position, begun, count - ended)
             if cost < best_cost:
                 best_position, best_cost = position, cost
     if lowest > along.low and lowest < along.high:
-        cost = split_cost(costs, along, lowest, _NONE, count)
+        cost = split_cost(costs, along, lowest, ZERO_U64, count)
         if cost < best_cost:
             best_position, best_cost = lowest, cost
     if highest > along.low and highest < along.high:
-        cost = split_cost(costs, along, highest, count, _NONE)
+        cost = split_cost(costs, along, highest, count, ZERO_U64)
         if cost < best_cost:
             best_position, best_cost = highest, cost
     return best_position, best_cost
@@ -260,7 +259,7 @@ def pays(cost, count, bad_splits, costs):
     """Whether to make a split of a given cost, and the number of bad splits of its children."""
     leaf_cost = costs.intersection * np.float64(count)
     if cost > leaf_cost:
-        bad_splits += _ONE
+        bad_splits += ONE_U64
     is_too_costly = cost > _TOO_COSTLY * leaf_cost and count < _FEW
     return bad_splits < _MAX_BAD_SPLITS and not is_too_costly, bad_splits
 
@@ -268,13 +267,13 @@ def pays(cost, count, bad_splits, costs):
 @device_call
 def _count_sides(boxes, begin, end, axis, position):
     """References below plus references above a plane; those that it cuts count twice."""
-    total = _NONE
+    total = ZERO_U64
     for i in range(begin, end):
         box = boxes + i * BOX_BYTES + axis * WORD
         low, high = load(np.float32, box), load(np.float32, box + HIGH)
-        total += _ONE
+        total += ONE_U64
         if low < position and high > position:
-            total += _ONE
+            total += ONE_U64
     return total
 
 

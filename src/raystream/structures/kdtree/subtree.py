@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD, clip_to_plane
@@ -29,9 +30,6 @@ __all__ = [
     "split_reference",
 ]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
 _LANES = np.uint64(4)
 _NODE = np.uint64(8)
 _TRIANGLE = np.uint64(36)
@@ -212,7 +210,7 @@ def split_reference(box, triangle, triangles, step, position, to_below, to_above
 @device
 def room_above(room, below_count, above_count):
     """Room for references above the plane of a split: proportional, but enough for both sides."""
-    above = room * above_count // max(below_count + above_count, _ONE)
+    above = room * above_count // max(below_count + above_count, ONE_U64)
     return min(max(above, above_count), room - below_count)
 
 
@@ -238,10 +236,10 @@ def _partition(boxes, ids, begin, end, axis, position, triangles):
         )
         if is_above:
             store(ids + above * WORD, prim_id)
-            above += _ONE
+            above += ONE_U64
         if is_below:
             store(ids + below * WORD, prim_id)
-            below += _ONE
+            below += ONE_U64
     return above, below
 
 
@@ -270,7 +268,7 @@ def split_range(references, cell, triangles, costs, result):
     boxes, end = address(references.boxes), np.uint64(references.size)
     axis, position, bad = choose_split(
         boxes,
-        _NONE,
+        ZERO_U64,
         end,
         address(cell.box),
         np.uint64(cell.bad_splits),
@@ -281,7 +279,7 @@ def split_range(references, cell, triangles, costs, result):
     result[0], result[1] = axis, bad
     if axis != LEAF:
         ids = address(references.ids)
-        above, below = _partition(boxes, ids, _NONE, end, axis, position, triangles)
+        above, below = _partition(boxes, ids, ZERO_U64, end, axis, position, triangles)
         result[2], result[3] = above, below
     return position
 
@@ -302,7 +300,7 @@ def _put_leaf(node, ids, begin, end, leaf_ids, block):
     count = end - begin
     store(node, np.int32(block))
     store(node + WORD, np.int32((np.int32(count) << np.int32(2)) | _LEAF_BITS))
-    next_block = block + (count + _LANES - _ONE) // _LANES
+    next_block = block + (count + _LANES - ONE_U64) // _LANES
     to, last = leaf_ids + block * _LANES * WORD, leaf_ids + next_block * _LANES * WORD
     for i in range(begin, end):
         store(to, load(np.int32, ids + i * WORD))
@@ -339,18 +337,18 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
     pending, work = scratch(_PENDING_BYTES), scratch(WORK_BYTES)
     count, room = np.uint64(references.size), np.uint64(cell.room)
     depth, bad_splits = np.uint64(cell.depth), np.uint64(cell.bad_splits)
-    _put_pending(pending, _NONE, count, _NONE, depth, bad_splits, room)
+    _put_pending(pending, ZERO_U64, count, ZERO_U64, depth, bad_splits, room)
     copy_box(pending + _CELL_AT, address(cell.box))
-    node_end, block = _ONE, _NONE
+    node_end, block = ONE_U64, ZERO_U64
     top = pending + _PENDING
     while top != pending:
         top -= _PENDING
         begin, end = load(np.uint64, top), load(np.uint64, top + _END_AT)
         node = node_at + load(np.uint64, top + _NODE_AT) * _NODE
         level, left_room = load(np.uint64, top + _DEPTH_AT), load(np.uint64, top + _ROOM_AT)
-        axis, position, bad = LEAF, np.float32(0.0), _NONE
+        axis, position, bad = LEAF, np.float32(0.0), ZERO_U64
         is_large = end - begin > np.uint64(settings.max_leaf_size)
-        has_room = node_end + _TWO <= np.uint64(node_limit)
+        has_room = node_end + TWO_U64 <= np.uint64(node_limit)
         if is_large and level < np.uint64(settings.max_depth) and has_room:
             axis, position, bad = choose_split(
                 box_at,
@@ -366,7 +364,7 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
             block = _put_leaf(node, id_at, begin, end, leaf_at, block)
             continue
         store(node, position)
-        store(node + WORD, np.int32(node_end << _TWO | axis))
+        store(node + WORD, np.int32(node_end << TWO_U64 | axis))
         above_end, below_end = _partition(box_at, id_at, begin, end, axis, position, triangles)
         # Those below move down, so that all free rows follow them.
         below_count = below_end - end
@@ -381,11 +379,11 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
         step = axis * WORD
         store(top + _CELL_AT + step, position)
         store(below + _CELL_AT + HIGH + step, position)
-        level += _ONE
-        _put_pending(top, begin, above_end, node_end + _ONE, level, bad, above_room)
+        level += ONE_U64
+        _put_pending(top, begin, above_end, node_end + ONE_U64, level, bad, above_room)
         _put_pending(below, above_end, below_end, node_end, level, bad, left_room - above_room)
         top = below + _PENDING
-        node_end += _TWO
+        node_end += TWO_U64
     result[0], result[1] = node_end, block
 
 

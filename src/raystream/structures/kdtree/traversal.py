@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, next_float_up
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
@@ -51,8 +52,6 @@ from raystream.structures.kdtree.traversals.backtrack import backtrack
 
 __all__ = ["descend", "initialize", "traverse"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _LANES = np.uint64(4)
 _ZERO = np.float32(0.0)
 
@@ -87,8 +86,8 @@ def initialize(tree, ray, t_min, t_max):
     # A hit lies in its triangle's slab interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
     t_end = next_float_up(t_out)
-    is_active = tree.nodes != _NONE and t_in <= t_out
-    return is_active, KdState(tree.root, t_in, t_end, t_end, _NONE, False)
+    is_active = tree.nodes != ZERO_U64 and t_in <= t_out
+    return is_active, KdState(tree.root, t_in, t_end, t_end, ZERO_U64, False)
 
 
 @device
@@ -131,9 +130,9 @@ def traverse(tree, ray, search, stack):
     while True:
         while not is_leaf(tree, state.node):
             state = descend(tree, line, state, stack)
-            add_to(search.counters, STEPS, _ONE)
+            add_to(search.counters, STEPS, ONE_U64)
         triangles = leaf_of(tree, state.node)
-        add_to(search.counters, LEAVES, _ONE)
+        add_to(search.counters, LEAVES, ONE_U64)
         block, left = triangles.block, triangles.triangle_count
         while block != triangles.end:
             search = intersect_block(block, triangle_ray, search, state.t_in, state.t_out)
@@ -144,10 +143,10 @@ def traverse(tree, ray, search, stack):
         if is_over(search, state.t_out) or state.t_out >= state.t_end:
             return search
         if restarts(tree, state):
-            add_to(search.counters, RESTARTS, _ONE)
+            add_to(search.counters, RESTARTS, ONE_U64)
         state = continue_search(tree, state, stack)
         if state.is_backtracking:
-            add_to(search.counters, BACKTRACKS, _ONE)
+            add_to(search.counters, BACKTRACKS, ONE_U64)
         while state.is_backtracking:
             state = backtrack(tree, line, state)
-            add_to(search.counters, BACKTRACK_STEPS, _ONE)
+            add_to(search.counters, BACKTRACK_STEPS, ONE_U64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
@@ -11,7 +12,6 @@ from raystream_lab.caches.kernels.trace_access import count_misses, count_refere
 
 __all__ = ["run_direct"]
 
-_ONE = np.uint64(1)
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
@@ -32,11 +32,11 @@ def run_direct(trace, count, line_size, set_count, held, counts):
     """
     for i in range(count):
         line, last, length, kind = lines_of(trace, np.uint64(i), line_size)
-        count_reference(counts, kind, length, last - line + _ONE)
+        count_reference(counts, kind, length, last - line + ONE_U64)
         while line <= last:
             place = line - quotient(line, set_count) * set_count.number
             at = held + (place << _NUMBER)
-            line += _ONE
+            line += ONE_U64
             # Branchless: hits are hard to predict.
             count_misses(counts, kind, np.uint64(load(np.uint64, at) != line))
             store(at, line)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
@@ -19,8 +20,6 @@ from raystream_lab.caches.kernels.trace_access import count_misses, count_refere
 __all__ = ["Rings", "run_linked"]
 
 _NONE = np.uint32(0)
-_ZERO = np.uint64(0)
-_ONE = np.uint64(1)
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 _SLOT = np.uint64(2)  # log2 of 4 bytes
 
@@ -73,9 +72,9 @@ def _place_of(rings, key):
     place = home_of(key, rings.shift)
     while True:
         slot = _at(rings.table, place)
-        if slot == _ZERO or _key(rings, slot - _ONE) == key:
+        if slot == ZERO_U64 or _key(rings, slot - ONE_U64) == key:
             return place
-        place = (place + _ONE) & rings.mask
+        place = (place + ONE_U64) & rings.mask
 
 
 @device
@@ -83,11 +82,11 @@ def _remove(rings, place):
     """Empty an entry, and move displaced entries back."""
     other = place
     while True:
-        other = (other + _ONE) & rings.mask
+        other = (other + ONE_U64) & rings.mask
         slot = _at(rings.table, other)
-        if slot == _ZERO:
+        if slot == ZERO_U64:
             break
-        way = (other - home_of(_key(rings, slot - _ONE), rings.shift)) & rings.mask
+        way = (other - home_of(_key(rings, slot - ONE_U64), rings.shift)) & rings.mask
         if way >= ((other - place) & rings.mask):
             _put(rings.table, place, slot)
             place = other
@@ -111,10 +110,10 @@ def _refresh(rings, slot, latest):
 def _replace(rings, slot, key):
     """Replace the key of a slot."""
     former = _key(rings, slot)
-    if former != _ZERO:
+    if former != ZERO_U64:
         _remove(rings, _place_of(rings, former))
     store(rings.keys + (slot << _NUMBER), key)
-    _put(rings.table, _place_of(rings, key), slot + _ONE)
+    _put(rings.table, _place_of(rings, key), slot + ONE_U64)
 
 
 @device
@@ -122,14 +121,14 @@ def _touch(rings, ring, key):
     """Make a key the most recent of its ring; returns 1 if it is new."""
     latest = _at(rings.latest, ring)
     if _key(rings, latest) == key:
-        return _ZERO
+        return ZERO_U64
     slot = _at(rings.table, _place_of(rings, key))
-    is_new = slot == _ZERO
+    is_new = slot == ZERO_U64
     if is_new:
         slot = _at(rings.newer, latest)  # the least recently used
         _replace(rings, slot, key)
     else:
-        slot -= _ONE
+        slot -= ONE_U64
         if slot != _at(rings.newer, latest):
             _refresh(rings, slot, latest)
     _put(rings.latest, ring, slot)
@@ -153,8 +152,8 @@ def run_linked(trace, count, line_size, set_count, rings, counts):
     """
     for i in range(count):
         line, last, length, kind = lines_of(trace, np.uint64(i), line_size)
-        count_reference(counts, kind, length, last - line + _ONE)
+        count_reference(counts, kind, length, last - line + ONE_U64)
         while line <= last:
             ring = line - quotient(line, set_count) * set_count.number
-            line += _ONE
+            line += ONE_U64
             count_misses(counts, kind, _touch(rings, ring, line))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.intrinsics import bits_above, sum_above
 from raystream.jit.simd import load, popcount, store
@@ -24,8 +25,6 @@ __all__ = [
 #: Bits per word, words per block, blocks per row.
 BITS = BLOCK_WORDS = ROW_BLOCKS = 64
 
-_ZERO = np.uint64(0)
-_ONE = np.uint64(1)
 _LAST = np.uint64(63)
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 # Shifts from a time to its word, block and row.
@@ -60,17 +59,17 @@ def _add(numbers, i, more):
 @device
 def set_bit(bits, time):
     """Set the bit of a time that is clear."""
-    _add(bits.words, time >> _WORD, _ONE << (time & _LAST))
-    _add(bits.blocks, time >> _BLOCK, _ONE)
-    _add(bits.rows, time >> _ROW, _ONE)
+    _add(bits.words, time >> _WORD, ONE_U64 << (time & _LAST))
+    _add(bits.blocks, time >> _BLOCK, ONE_U64)
+    _add(bits.rows, time >> _ROW, ONE_U64)
 
 
 @device
 def clear_bit(bits, time):
     """Clear the bit of a time that is set."""
-    _add(bits.words, time >> _WORD, _ZERO - (_ONE << (time & _LAST)))
-    _add(bits.blocks, time >> _BLOCK, _ZERO - _ONE)
-    _add(bits.rows, time >> _ROW, _ZERO - _ONE)
+    _add(bits.words, time >> _WORD, ZERO_U64 - (ONE_U64 << (time & _LAST)))
+    _add(bits.blocks, time >> _BLOCK, ZERO_U64 - ONE_U64)
+    _add(bits.rows, time >> _ROW, ZERO_U64 - ONE_U64)
 
 
 @device
@@ -82,7 +81,7 @@ def _part(numbers, i):
 @device
 def count_before(word, time):
     """Count the bits set before a time in its word."""
-    return popcount(word & ((_ONE << (time & _LAST)) - _ONE))
+    return popcount(word & ((ONE_U64 << (time & _LAST)) - ONE_U64))
 
 
 @device
@@ -92,10 +91,10 @@ def count_after(bits, time, now):
     Near bits are counted per word, distant ones per block or row.
     """
     word, last_word = time >> _WORD, now >> _WORD
-    count = popcount(load(np.uint64, bits.words + (word << _NUMBER)) >> (time & _LAST)) - _ONE
+    count = popcount(load(np.uint64, bits.words + (word << _NUMBER)) >> (time & _LAST)) - ONE_U64
     if last_word - word <= _NEAR:
         while word < last_word:
-            word += _ONE
+            word += ONE_U64
             count += popcount(load(np.uint64, bits.words + (word << _NUMBER)))
         return count
     count += bits_above(_part(bits.words, word), word & _LAST)
@@ -104,6 +103,6 @@ def count_after(bits, time, now):
         count += sum_above(_part(bits.blocks, block), block & _LAST)
         row, last_row = time >> _ROW, now >> _ROW
         while row < last_row:
-            row += _ONE
+            row += ONE_U64
             count += load(np.uint64, bits.rows + (row << _NUMBER))
     return count

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
@@ -11,8 +12,6 @@ from raystream_lab.caches.kernels.trace_access import count_misses, count_refere
 
 __all__ = ["run_sets"]
 
-_ZERO = np.uint64(0)
-_ONE = np.uint64(1)
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
@@ -25,10 +24,10 @@ def _to_front(begin, end, key):
         found = load(np.uint64, at)
         store(at, carried)
         if found == key:
-            return _ZERO
+            return ZERO_U64
         carried = found
         at += np.uint64(8)
-    return _ONE
+    return ONE_U64
 
 
 @kernel
@@ -50,9 +49,9 @@ def run_sets(trace, count, line_size, set_count, ways, held, counts):
     row = ways << _NUMBER
     for i in range(count):
         line, last, length, kind = lines_of(trace, np.uint64(i), line_size)
-        count_reference(counts, kind, length, last - line + _ONE)
+        count_reference(counts, kind, length, last - line + ONE_U64)
         while line <= last:
             place = line - quotient(line, set_count) * set_count.number
             begin = held + place * row
-            line += _ONE
+            line += ONE_U64
             count_misses(counts, kind, _to_front(begin, begin + row, line))

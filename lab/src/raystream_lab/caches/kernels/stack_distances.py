@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, prefetch, store
 from raystream_lab.caches.kernels.hash_table import home_of
@@ -31,8 +32,6 @@ from raystream_lab.caches.kernels.trace_access import (
 
 __all__ = ["Clock", "Histogram", "Latest", "move_entries", "move_times", "run_distances"]
 
-_ZERO = np.uint64(0)
-_ONE = np.uint64(1)
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 _ENTRY = np.uint64(4)  # log2 of 16 bytes
 _AHEAD = np.uint64(12)  # prefetch distance, in references
@@ -95,22 +94,22 @@ def _entry_of(latest, key):
     while True:
         entry = latest.entries + (place << _ENTRY)
         found = load(np.uint64, entry)
-        if found in (key, _ZERO):
+        if found in (key, ZERO_U64):
             return entry
-        place = (place + _ONE) & latest.mask
+        place = (place + ONE_U64) & latest.mask
 
 
 @device
 def _count_distance(histogram, kind, distance):
     at = histogram.counts + ((kind * histogram.length + distance) << _NUMBER)
-    store(at, load(np.uint64, at) + _ONE)
+    store(at, load(np.uint64, at) + ONE_U64)
 
 
 @device
 def _prefetch(trace, i, count, line_size, latest):
     """Prefetch the table entry of a reference's first line."""
     if i < count:
-        key = first_line(trace, i, line_size) + _ONE
+        key = first_line(trace, i, line_size) + ONE_U64
         prefetch(latest.entries + (home_of(key, latest.shift) << _ENTRY))
 
 
@@ -143,14 +142,14 @@ def run_distances(trace, start, count, line_size, latest, bits, clock, histogram
     while i < count:
         _prefetch(trace, i + _AHEAD, count, line_size, latest)
         line, last, length, kind = lines_of(trace, i, line_size)
-        touched = last - line + _ONE
+        touched = last - line + ONE_U64
         if now + touched > clock.end or known + touched > latest.limit:
             break
         count_reference(counts, kind, length, touched)
         while line <= last:
-            line += _ONE
+            line += ONE_U64
             if line == former:
-                _count_distance(histogram, kind, _ZERO)
+                _count_distance(histogram, kind, ZERO_U64)
                 continue
             former = line
             entry = _entry_of(latest, line)
@@ -160,12 +159,12 @@ def run_distances(trace, start, count, line_size, latest, bits, clock, histogram
                 clear_bit(bits, time)
             else:
                 store(entry, line)
-                known += _ONE
-                count_misses(counts, kind, _ONE)
+                known += ONE_U64
+                count_misses(counts, kind, ONE_U64)
             set_bit(bits, now)
             store(entry + _TIME, now)
-            now += _ONE
-        i += _ONE
+            now += ONE_U64
+        i += ONE_U64
     store(clock.state, now)
     store(clock.state + np.uint64(8), known)
     store(clock.state + np.uint64(16), former)
@@ -183,9 +182,9 @@ def move_times(latest, words, before):
     words, before : uint64
         Addresses of the bitmap's words, and of the number of bits set before each word.
     """
-    for place in range(latest.mask + _ONE):
+    for place in range(latest.mask + ONE_U64):
         entry = latest.entries + (np.uint64(place) << _ENTRY)
-        if load(np.uint64, entry) != _ZERO:
+        if load(np.uint64, entry) != ZERO_U64:
             time = load(np.uint64, entry + _TIME)
             at = (time >> np.uint64(6)) << _NUMBER
             rank = load(np.uint64, before + at) + count_before(load(np.uint64, words + at), time)
@@ -200,10 +199,10 @@ def move_entries(former, latest):
     ----------
     former, latest : Latest
     """
-    for place in range(former.mask + _ONE):
+    for place in range(former.mask + ONE_U64):
         entry = former.entries + (np.uint64(place) << _ENTRY)
         key = load(np.uint64, entry)
-        if key != _ZERO:
+        if key != ZERO_U64:
             to = _entry_of(latest, key)
             store(to, key)
             store(to + _TIME, load(np.uint64, entry + _TIME))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
@@ -17,7 +18,6 @@ COLUMNS = ("references", "byte_count", "accesses", "misses")
 
 _BYTES, _ACCESSES, _MISSES = (np.uint64(8 * k) for k in range(1, 4))
 _ROW = np.uint64(5)  # log2 of 32 bytes
-_ONE = np.uint64(1)
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
@@ -48,7 +48,7 @@ def lines_of(trace, i, line_size):
     length = np.uint64(load(np.uint8, trace.lengths + i * trace.length_step))
     kind = np.uint64(load(np.uint8, trace.kinds + i * trace.kind_step))
     first = quotient(begin, line_size)
-    return first, quotient(begin + length - _ONE, line_size), length, kind
+    return first, quotient(begin + length - ONE_U64, line_size), length, kind
 
 
 @device
@@ -61,7 +61,7 @@ def first_line(trace, i, line_size):
 def count_reference(counts, kind, length, accesses):
     """Count a reference and its line accesses."""
     row = counts + (kind << _ROW)
-    store(row, load(np.uint64, row) + _ONE)
+    store(row, load(np.uint64, row) + ONE_U64)
     store(row + _BYTES, load(np.uint64, row + _BYTES) + length)
     store(row + _ACCESSES, load(np.uint64, row + _ACCESSES) + accesses)
 

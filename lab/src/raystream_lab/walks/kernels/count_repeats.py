@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 
 __all__ = ["count_repeats"]
 
-_ONE = np.uint64(1)
 _EMPTY = np.int32(-1)
 
 
@@ -36,11 +36,11 @@ def count_repeats(begin, end, walks, lists, roles, stamps, boxes, counts):
         for box in boxes:
             box[:] = _EMPTY
         visit, cell = np.uint64(visit_splits[i]), np.uint64(0)
-        for run in range(np.uint64(run_splits[i]), np.uint64(run_splits[i + _ONE])):
+        for run in range(np.uint64(run_splits[i]), np.uint64(run_splits[i + ONE_U64])):
             role, length = roles[np.uint64(run_kernels[run])], np.uint64(run_lengths[run])
             if role == 1:
                 visit += length
-                cell = np.uint64(visits[visit - _ONE])
+                cell = np.uint64(visits[visit - ONE_U64])
             if role != 2:
                 continue
             counts[0] += np.int64(length)
@@ -52,7 +52,7 @@ def count_repeats(begin, end, walks, lists, roles, stamps, boxes, counts):
                 stamps[triangle] = np.int64(i)
                 for k in range(len(boxes)):
                     box = boxes[k]
-                    place = triangle & (np.uint64(len(box)) - _ONE)
+                    place = triangle & (np.uint64(len(box)) - ONE_U64)
                     if box[place] == np.int32(triangle):
                         counts[2 + k] += 1
                     box[place] = np.int32(triangle)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 
@@ -37,7 +38,6 @@ DONE = np.uint8(255)
 
 _GRID, _LISTS, _TRIANGLES, _SHADING, _STATE = (np.uint8(k) for k in range(5))
 _ZERO, _ONE, _THREE, _FOUR, _SEVEN = (np.uint64(k) for k in (0, 1, 3, 4, 7))
-_WORD = np.uint64(2)  # log2 of 4 bytes
 _LONG = np.uint64(3)
 _RGB = np.uint64(12)
 _RGBA = np.uint64(4)  # log2 of 16 bytes
@@ -145,7 +145,7 @@ def _long(array, row):
 
 @device
 def _word(array, row):
-    return np.uint64(load(np.uint32, array + (row << _WORD)))
+    return np.uint64(load(np.uint32, array + (row << SHIFT_32)))
 
 
 @device
@@ -161,11 +161,11 @@ def _fetch(tables, out, at, role, ray, visit, done):
     Returns the index of the next reference, and the number of cells visited.
     """
     if role == STEP:
-        address = tables.grid + (_word(tables.visits, visit) << _WORD)
+        address = tables.grid + (_word(tables.visits, visit) << SHIFT_32)
         return _put(out, at, address, _GRID, _ONE), visit + _ONE
     if role == TEST:
         cell = _word(tables.visits, visit - _ONE)
-        address = tables.lists + ((_word(tables.entries, cell) + done) << _WORD)
+        address = tables.lists + ((_word(tables.entries, cell) + done) << SHIFT_32)
         at = _put(out, at, address, _LISTS, _ONE)
         triangle = _word(tables.references, _word(tables.splits, cell) + done)
         address = tables.corners + triangle * _RGB
@@ -173,7 +173,7 @@ def _fetch(tables, out, at, role, ray, visit, done):
             at = _put(out, at, address, _TRIANGLES, _THREE)
             address += tables.corner_pitch
     elif role == SHADE:
-        prim_id = load(np.int32, tables.prim_ids + (ray << _WORD))
+        prim_id = load(np.int32, tables.prim_ids + (ray << SHIFT_32))
         if prim_id != _NO_HIT:
             address = tables.shading + np.uint64(prim_id) * _RGB
             for _ in range(_SEVEN):

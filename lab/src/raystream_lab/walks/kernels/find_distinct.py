@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 
 __all__ = ["FREE", "find_distinct"]
@@ -11,8 +12,6 @@ __all__ = ["FREE", "find_distinct"]
 #: A free entry of the table.
 FREE = np.uint32(2**32 - 1)
 
-_ONE = np.uint64(1)
-_ZERO = np.uint64(0)
 _KERNEL_BITS = np.uint64(3)
 _HALF_BITS = np.uint64(32)
 
@@ -56,10 +55,10 @@ def find_distinct(splits, kernels, lengths, table, firsts, weights):
     int
         Number of distinct walks.
     """
-    found = _ZERO
-    mask = np.uint64(len(table)) - _ONE
+    found = ZERO_U64
+    mask = np.uint64(len(table)) - ONE_U64
     for ray in range(np.uint64(len(firsts))):
-        begin, end = np.uint64(splits[ray]), np.uint64(splits[ray + _ONE])
+        begin, end = np.uint64(splits[ray]), np.uint64(splits[ray + ONE_U64])
         place = _hash(kernels, lengths, begin, end) & mask
         while True:
             walk = np.uint64(table[place])
@@ -67,13 +66,13 @@ def find_distinct(splits, kernels, lengths, table, firsts, weights):
                 table[place] = np.uint32(found)
                 firsts[found] = np.uint32(ray)
                 weights[found] = np.uint32(1)
-                found += _ONE
+                found += ONE_U64
                 break
             other = np.uint64(firsts[walk])
-            first, last = np.uint64(splits[other]), np.uint64(splits[other + _ONE])
+            first, last = np.uint64(splits[other]), np.uint64(splits[other + ONE_U64])
             is_long = last - first == end - begin
             if is_long and _are_same(kernels, lengths, begin, first, end - begin):
                 weights[walk] += np.uint32(1)
                 break
-            place = (place + _ONE) & mask
+            place = (place + ONE_U64) & mask
     return np.int64(found)

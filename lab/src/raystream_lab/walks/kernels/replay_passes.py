@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device, kernel
 
 __all__ = ["CHOSEN", "DOUBLE", "END", "MOST_WORK", "NAIVE", "THRESHOLD", "QueueState", "run_passes"]
@@ -16,8 +17,6 @@ NAIVE, THRESHOLD, MOST_WORK, DOUBLE, CHOSEN = range(5)
 
 #: No ray.
 END = np.uint32(2**32 - 1)
-
-_ONE = np.uint64(1)
 
 
 class QueueState(NamedTuple):
@@ -138,15 +137,15 @@ def run_passes(walks, at_once, is_tests, rule, share, chosen, queued, out):
             if latest >= 0:
                 waiting[latest] -= np.int64(weights[ray])
             run = np.uint64(queued.cursors[ray])
-            if run < np.uint64(splits[ray + _ONE]):
+            if run < np.uint64(splits[ray + ONE_U64]):
                 k = np.uint64(walk_kernels[run])
                 span = np.uint64(at_once[k])
-                passes = (np.uint64(lengths[run]) + span - _ONE) // span
+                passes = (np.uint64(lengths[run]) + span - ONE_U64) // span
                 bucket = queued.offsets[k] + ((clocks[k] + passes) & queued.masks[k])
                 links[ray] = heads[bucket]
                 heads[bucket] = np.uint32(ray)
                 waiting[k] += np.int64(weights[ray])
-                queued.cursors[ray] = run + _ONE
+                queued.cursors[ray] = run + ONE_U64
         # Step 2: run a pass.
         is_over = True
         for k in range(len(waiting)):
@@ -160,7 +159,7 @@ def run_passes(walks, at_once, is_tests, rule, share, chosen, queued, out):
         kernels[pass_count] = latest
         counts[pass_count] = waiting[latest]
         pass_count += 1
-        clocks[latest] += _ONE
+        clocks[latest] += ONE_U64
         bucket = queued.offsets[latest] + (clocks[latest] & queued.masks[latest])
         leaving = heads[bucket]
         heads[bucket] = END

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load
 from raystream.structures.kdtree.nodes import parent_of
@@ -11,7 +12,6 @@ from raystream.structures.kdtree.state import KdState
 
 __all__ = ["backtrack", "continue_search"]
 
-_NONE = np.uint64(0)
 _ZERO = np.float32(0.0)
 
 # Byte offsets in an extended split: second and third coordinate of a corner, and the high corner.
@@ -23,7 +23,7 @@ _HIGH = np.uint64(12)
 @device
 def continue_search(state):
     """Start to backtrack from the leaf."""
-    return KdState(state.node, state.t_out, state.t_end, state.t_end, _NONE, True)
+    return KdState(state.node, state.t_out, state.t_end, state.t_end, ZERO_U64, True)
 
 
 @device

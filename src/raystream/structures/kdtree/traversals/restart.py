@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.structures.kdtree.state import KdState
 
 __all__ = ["continue_search"]
 
-_NONE = np.uint64(0)
-
 
 @device
 def continue_search(tree, state):
     """Continue at the root: t_min = t_max, t_max = the end of the ray."""
-    return KdState(tree.root, state.t_out, state.t_end, state.t_end, _NONE, False)
+    return KdState(tree.root, state.t_out, state.t_end, state.t_end, ZERO_U64, False)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.kdtree.state import KdState
@@ -30,16 +31,13 @@ PLACES = 4
 _MASK = np.uint64(PLACES - 1)
 _MOST = np.uint64(PLACES)
 _COUNT_SHIFT = np.uint64(8)
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(4)
 _ENTRY = np.uint64(8)
 
 
 @device
 def is_empty(state):
     """Whether the stack is empty: the next node was dropped."""
-    return state.top >> _COUNT_SHIFT == _NONE
+    return state.top >> _COUNT_SHIFT == ZERO_U64
 
 
 @device
@@ -62,11 +60,11 @@ def push(stack, state, node):
     if state.t_out == state.t_end:  # the stack is empty
         store(stack, np.uint32(state.node))
     place = state.top & _MASK
-    at = stack + (place + _ONE) * _ENTRY
+    at = stack + (place + ONE_U64) * _ENTRY
     store(at, np.uint32(node))
-    store(at + _WORD, state.t_out)
-    count = min((state.top >> _COUNT_SHIFT) + _ONE, _MOST)
-    return ((place + _ONE) & _MASK) | (count << _COUNT_SHIFT)
+    store(at + BYTES_32, state.t_out)
+    count = min((state.top >> _COUNT_SHIFT) + ONE_U64, _MOST)
+    return ((place + ONE_U64) & _MASK) | (count << _COUNT_SHIFT)
 
 
 @device
@@ -86,14 +84,14 @@ def continue_search(state, stack):
     t_in, t_end = state.t_out, state.t_end
     if is_empty(state):
         node = np.uint64(load(np.uint32, stack))
-        return KdState(node, t_in, t_end, t_end, _NONE, False)
+        return KdState(node, t_in, t_end, t_end, ZERO_U64, False)
     # The child pushed last begins where the leaf ends: only then was it pushed.
-    place = (state.top - _ONE) & _MASK
-    at = stack + (place + _ONE) * _ENTRY
+    place = (state.top - ONE_U64) & _MASK
+    at = stack + (place + ONE_U64) * _ENTRY
     node = np.uint64(load(np.uint32, at))
-    count = (state.top >> _COUNT_SHIFT) - _ONE
+    count = (state.top >> _COUNT_SHIFT) - ONE_U64
     top = place | (count << _COUNT_SHIFT)
-    return KdState(node, t_in, load(np.float32, at + _WORD), t_end, top, False)
+    return KdState(node, t_in, load(np.float32, at + BYTES_32), t_end, top, False)
 
 
 def stack_entries(memory: NDArray[np.uint8], top: int) -> NDArray[np.uint32]:
