@@ -10,8 +10,6 @@ import pytest
 import raystream
 from extras import ROOMS, missing_of, need
 
-__all__ = ["Docstrings"]
-
 PACKAGE = Path(raystream.__file__).parent
 LAB = Path(__file__).parents[1] / "lab"
 

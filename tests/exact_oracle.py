@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ExactHit", "hit_of", "hits_of", "nearest_many", "nearest_of", "on_grain"]
-
 _Vector = tuple[Fraction, Fraction, Fraction]
 
 

@@ -8,8 +8,6 @@ import numpy as np
 
 import raystream as rs
 
-__all__ = ["exact_rays", "lattice_scene"]
-
 
 @cache
 def lattice_scene() -> rs.Scene:

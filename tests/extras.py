@@ -16,8 +16,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["LARGE", "REMEDY", "ROOMS", "Skipped", "missing_of", "need"]
-
 #: The command that installs all of them.
 REMEDY = 'pip install -e ".[dev]" -e ./lab'
 

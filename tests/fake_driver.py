@@ -12,8 +12,6 @@ import numpy as np
 
 from raystream.jit.cuda import devices, gpu
 
-__all__ = ["Driver", "install"]
-
 
 class Memory:
     """Memory of the fake device."""

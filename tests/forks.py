@@ -14,8 +14,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Fork", "run_fresh"]
-
 _IS_POSIX = "forkserver" in multiprocessing.get_all_start_methods()
 
 

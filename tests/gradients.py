@@ -6,8 +6,6 @@ import numpy as np
 
 import raystream as rs
 
-__all__ = ["check_slopes", "crossing", "differences", "hits_of", "open_mesh", "relative_error"]
-
 
 def crossing(origins, directions, corners):
     """t, u, v and the point, shape S + (6,), float64, of rays and the planes of triangles.

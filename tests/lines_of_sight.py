@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["clearances"]
-
 
 def clearances(heights, spacing, eye, target_height=0.0):
     """Least height of the line from the eye to each cell above the ground on the way.

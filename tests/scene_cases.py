@@ -14,8 +14,6 @@ from instanced import moved, random_rotation, random_transforms
 from meshes import cube, icosphere, soup
 from sphere_rays import SETTINGS, some_rays
 
-__all__ = ["FIRST", "ROWS", "SCENE_CASES", "assert_answers", "assert_same", "some_of"]
-
 #: Rays of a case.
 RAY_COUNT = 200
 

@@ -15,8 +15,6 @@ import pytest
 
 from raystream.jit.cache import KernelCache
 
-__all__ = ["Tally"]
-
 
 class Tally:
     """A plugin: counts tests, and kernels by the names of their files in the cache.

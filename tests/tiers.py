@@ -15,8 +15,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["CI", "Tiers"]
-
 ROOT = Path(__file__).parent
 
 #: Files and folders of the second tier. A default run does not even import them.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-__all__ = ["html_table", "in_bytes"]
-
 #: Inherits the notebook's colours: readable on light and on dark pages.
 _CELL = "text-align:left;padding:0.1em 1em 0.1em 0;vertical-align:top"
 

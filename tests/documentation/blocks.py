@@ -23,8 +23,6 @@ import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Block", "blocks_of", "markdown_blocks", "rest_blocks"]
-
 _CODE = re.compile(r"^( *)\.\. (?:code-block|sourcecode|code)::[ ]*(\S*)\s*$")
 _LABEL = re.compile(r"^( *)\.\. (not run|runs|needs)(?::\s*(.*))?$")
 _UNSEEN = re.compile(r"^( *)\.\. unseen:\s*$")

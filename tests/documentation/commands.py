@@ -12,8 +12,6 @@ import typer
 
 from raystream.cli import app
 
-__all__ = ["REPOSITORY", "check", "commands_of"]
-
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 

@@ -17,8 +17,6 @@ from documentation.commands import check, commands_of
 from extras import missing_of, need
 from raystream.cli import main
 
-__all__ = ["run_page"]
-
 _FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import raystream
 
-__all__ = ["CALLEE", "PROGRAM", "copy_package"]
-
 #: A kernel in one file that calls a function in another.
 CALLEE = """
 from raystream.jit.cpu import device

@@ -13,8 +13,6 @@ from ptx.memory import PtxError
 from ptx.numbers import fused, is_float, larger, signed, smaller, width_of
 from ptx.slots import Slots
 
-__all__ = ["MAKERS"]
-
 #: Changes a frame.
 Step = Callable[[list[Any]], Any]
 

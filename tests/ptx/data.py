@@ -13,8 +13,6 @@ from ptx.numbers import COMPARISONS, as_bits, converted, from_bits, is_float, si
 from ptx.slots import Slots, class_of
 from ptx.warps import Meeting
 
-__all__ = ["MAKERS"]
-
 #: Changes a frame.
 Step = Callable[[list[Any]], Any]
 

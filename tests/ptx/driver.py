@@ -10,8 +10,6 @@ from ptx.machine import Kernel
 from ptx.memory import Memory, room_for
 from raystream.jit.cuda import CAPABILITIES
 
-__all__ = ["PtxDriver"]
-
 #: Alignment of CUDA's arrays in bytes.
 _ALIGNMENT = 256
 

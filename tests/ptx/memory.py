@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["UNWRITTEN", "Memory", "PtxError", "room_for"]
-
 #: Initial value of a byte of memory: numbers made of it are neither 0 nor small.
 UNWRITTEN = 0xA5
 

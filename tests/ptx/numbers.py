@@ -12,21 +12,6 @@ import operator
 
 import numpy as np
 
-__all__ = [
-    "COMPARISONS",
-    "as_bits",
-    "constant",
-    "converted",
-    "from_bits",
-    "fused",
-    "is_float",
-    "larger",
-    "rounded",
-    "signed",
-    "smaller",
-    "width_of",
-]
-
 _C = ctypes.CDLL(ctypes.util.find_library("m"))
 _FMA = {}
 for _name, _kind, _made in (("fmaf", ctypes.c_float, np.float32), ("fma", ctypes.c_double, float)):

@@ -7,8 +7,6 @@ from typing import Any
 from ptx.memory import PtxError
 from ptx.numbers import constant
 
-__all__ = ["SPECIAL", "Slots", "class_of"]
-
 #: Special registers: a thread's position.
 SPECIAL = (
     *("%tid.x", "%ctaid.x", "%ntid.x", "%nctaid.x", "%laneid"),

@@ -10,8 +10,6 @@ from ptx.memory import PtxError
 from ptx.slots import Slots
 from ptx.text import Instruction
 
-__all__ = ["Step", "step_of"]
-
 #: Changes a frame; returns the next instruction if it is not the following one.
 Step = Callable[[list[Any]], Any]
 

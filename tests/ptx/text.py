@@ -9,8 +9,6 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-__all__ = ["Declared", "Function", "Instruction", "Module", "parse"]
-
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 #: Statements that end with their line.
 _DIRECTIVE = re.compile(r"\s*\.(?:version|target|address_size|file|loc|section)\b[^\n]*\n")

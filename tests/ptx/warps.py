@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 
 from ptx.memory import PtxError
 
-__all__ = ["BARRIER", "WARP_SIZE", "Meeting", "run_together"]
-
 WARP_SIZE = 32
 
 #: Where a thread waits for all others of its block.

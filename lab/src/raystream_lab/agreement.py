@@ -7,8 +7,6 @@ from types import MappingProxyType
 
 from raystream_lab.results import Cell, Claim, Table
 
-__all__ = ["NEAR", "agreement", "agreement_claim", "agreement_table"]
-
 #: Maximum relative difference of counts that are called near.
 NEAR = 0.01
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.scene.camera import Camera, Vector
 
-__all__ = ["orbit", "turn"]
-
 
 def orbit(
     camera: Camera,

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from raystream_lab.experiments import Experiment, Outcome
     from raystream_lab.report import About
 
-__all__ = ["lab"]
-
 #: Default folder of the report.
 _FOLDER = Path("raystream-lab")
 

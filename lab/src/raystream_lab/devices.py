@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-__all__ = ["CUDA_PASSES", "DEVICES", "MACHINES", "DeviceFacts", "open_facts"]
-
 #: Devices that have experiments.
 DEVICES = ("cpu", "graphics", "cuda")
 

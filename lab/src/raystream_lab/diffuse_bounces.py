@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
 
-__all__ = ["bounce_rays", "cosine_directions"]
-
 
 def bounce_rays(
     hits: Hits, directions: Any, seed: int = 0

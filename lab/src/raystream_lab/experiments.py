@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from raystream_lab.results import Result
     from raystream_lab.runner import Runner
 
-__all__ = ["EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
-
 #: Papers by their name on the command line, in the order of the report.
 PAPERS = ("purcell", "foley", "rayforce", "christen")
 

@@ -15,8 +15,6 @@ from raystream.tracer import Tracer
 from raystream_lab.results import ReportImage
 from raystream_lab.runner import Runner
 
-__all__ = ["Size", "affordable_size", "frame_seconds", "render_context", "report_image"]
-
 Size = tuple[int, int]
 
 

@@ -8,8 +8,6 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-__all__ = ["Published", "paper_name", "paper_reference", "paper_title", "published"]
-
 
 class Published(NamedTuple):
     """The values from one place of a paper.

@@ -13,8 +13,6 @@ from raystream.scene.scene import Scene
 from raystream.structures import Structure
 from raystream.tracer import Tracer
 
-__all__ = ["RecordedQuery", "RecordingTracer"]
-
 
 class RecordedQuery(NamedTuple):
     """A query.

@@ -11,22 +11,6 @@ import pandas as pd
 
 from raystream.core.errors import RaystreamError
 
-__all__ = [
-    "COMPARED",
-    "NOT_EXPLAINED",
-    "TOLERANCE",
-    "Cell",
-    "Claim",
-    "Plot",
-    "ReportImage",
-    "Result",
-    "Series",
-    "Table",
-    "comparison",
-    "is_near",
-    "listed",
-]
-
 Found = TypeVar("Found")
 
 #: A table's cell: text, or a number that is rounded on output; None if there is no value.

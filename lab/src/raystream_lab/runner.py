@@ -17,8 +17,6 @@ from raystream_lab.results import Result
 from raystream_lab.store import Store
 from raystream_lab.views import View, view
 
-__all__ = ["Runner", "Watch"]
-
 #: Divisor of the width and height of images on a device that is simulated by software.
 _SOFTWARE_SHARE = 4
 

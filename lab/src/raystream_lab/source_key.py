@@ -9,8 +9,6 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["counting_files", "key_of", "source_key"]
-
 #: Parts of raystream, relative to the package, on which counts depend: rays, scenes, structures,
 #: machines and renderers. Not devices, files, the command line and the viewer.
 _ENGINE = (

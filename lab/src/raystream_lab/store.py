@@ -10,8 +10,6 @@ from typing import Any
 from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import FileFormatError
 
-__all__ = ["FILE_NAME", "Store"]
-
 FILE_NAME = "measurements.json"
 
 #: Version of the file layout.

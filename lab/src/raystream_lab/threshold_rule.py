@@ -6,8 +6,6 @@ from collections.abc import Mapping
 
 from raystream_lab.results import Claim
 
-__all__ = ["near_fewest", "threshold_claim"]
-
 #: Counts up to this multiple of the fewest count as fewest: our choice, for both papers.
 _NEAR = 1.1
 

@@ -8,8 +8,6 @@ import statistics
 import time
 from collections.abc import Callable, Mapping
 
-__all__ = ["median_times", "repeat", "seconds_of", "time_in_turn"]
-
 Call = Callable[[], object]
 
 

@@ -18,8 +18,6 @@ from raystream.scene.procedural import forest as _forest
 from raystream.scene.scene import Scene
 from raystream_lab.published import published
 
-__all__ = ["PURCELL_VIEWS", "VIEWS", "View", "on_floor", "view", "without_lawn"]
-
 #: Triangles of generated scenes with ``quick``.
 QUICK_TRIANGLES = 30_000
 

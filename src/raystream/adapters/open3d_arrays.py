@@ -12,16 +12,6 @@ from numpy.typing import NDArray
 from raystream.core.hits import HitColumns
 from raystream.core.rays import as_host_array, as_real_array
 
-__all__ = [
-    "TensorLike",
-    "as_points",
-    "as_rays",
-    "hit_columns",
-    "is_tensor",
-    "mesh_arrays",
-    "results_like",
-]
-
 
 class TensorLike(np.ndarray[Any, Any]):
     """A NumPy array with the method `numpy` of Open3D's tensors, so that code for those works."""

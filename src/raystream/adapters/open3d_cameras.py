@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.adapters.open3d_arrays import host_array
 from raystream.core.rays import as_real_array
 
-__all__ = ["matrices_of_view", "pinhole_rays"]
-
 
 def pinhole_rays(
     intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: int, height_px: int

@@ -13,8 +13,6 @@ from raystream.adapters.open3d_arrays import as_points, hit_columns, results_lik
 from raystream.scene.mesh import Mesh
 from raystream.tracer import Tracer
 
-__all__ = ["PointMethods"]
-
 #: The first of the directions in which crossings are counted; later ones are turned about it.
 _DIRECTION = np.array([0.5377, 0.8339, -0.1259])
 

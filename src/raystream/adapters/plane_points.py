@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["plane_points", "unit_normals"]
-
 #: Part of the scene's size by which a hit may be off: its weights and the vertices are float32.
 _ROUNDING = 2.0**-18
 

@@ -18,8 +18,6 @@ from raystream.bench.contenders.base import (
     Result,
 )
 
-__all__ = ["POINT_TOLERANCE", "T_TOLERANCE", "Agreement", "compare", "count_hits", "outcome"]
-
 #: Relative difference of t below which two hits agree.
 T_TOLERANCE = 1e-4
 

@@ -10,8 +10,6 @@ from raystream.bench.goals import Verdict, judge
 from raystream.bench.ray_sets import RAY_SETS
 from raystream.bench.results import BenchResult
 
-__all__ = ["chart_text", "draw_chart", "draw_speeds"]
-
 #: Pixels: a scene's row, a ray set's panel and the gap to the next one, the names' column, a
 #: panel's head and axis, and the legend.
 _ROW, _PANEL, _GAP, _NAMES, _HEAD, _AXIS, _LEGEND = 22, 132, 14, 128, 52, 34, 46

@@ -15,8 +15,6 @@ from typing import IO, Any
 from raystream.bench.contenders import Entry, peer_of
 from raystream.bench.contenders.base import Query
 
-__all__ = ["ContenderError", "ContenderProcess", "how_it_ended"]
-
 #: Seconds after which a process that does not answer is ended.
 MAX_SECONDS = 900.0
 

@@ -6,8 +6,6 @@ import contextlib
 import os
 from collections.abc import Iterator
 
-__all__ = ["limit_cores"]
-
 
 @contextlib.contextmanager
 def limit_cores(count: int) -> Iterator[None]:

@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 from raystream.bench.results import BenchResult
 
-__all__ = ["GOALS", "Goal", "Verdict", "judge"]
-
 
 class Goal(NamedTuple):
     """A goal for the scenes' ratios to the best peer.

@@ -8,8 +8,6 @@ import gc
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["Memory", "MemoryGauge", "can_measure"]
-
 _STATUS = Path("/proc/self/status")
 
 #: Writing this resets the peak to the current resident size.

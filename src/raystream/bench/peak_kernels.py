@@ -13,8 +13,6 @@ from raystream.kernels.ray_source import load_ray
 from raystream.kernels.triangle_lanes import slab_interval
 from raystream.structures.bvh.node_layout import Node, plane_row
 
-__all__ = ["test_blocks", "test_nodes"]
-
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
 
-__all__ = ["diagonal_of", "grid_points", "near_points", "points_around"]
-
 #: How far `near_points` are from the surface, relative to the scene's diagonal: the deviation of
 #: each coordinate.
 NEAR = 1e-3

@@ -15,8 +15,6 @@ from raystream.core.hits import Hits
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
-__all__ = ["DEFAULT_SETS", "RAY_SETS", "RaySet", "make_ray_sets"]
-
 #: Length of ambient occlusion rays, relative to the scene's diagonal.
 AO_LENGTH = 0.1
 

@@ -21,19 +21,6 @@ from raystream.bench.results import (
 from raystream.bench.roofline import most_rays
 from raystream.core.atomic_write import atomic_write
 
-__all__ = [
-    "REPORT_SUFFIXES",
-    "Table",
-    "build_table",
-    "goal_table",
-    "machine_line",
-    "make_notes",
-    "make_tables",
-    "roofline_table",
-    "speed_tables",
-    "write_report",
-]
-
 _NONE = "–"
 
 

@@ -15,18 +15,6 @@ from raystream.bench.memory import Memory
 from raystream.bench.roofline import Counts, Peaks, most_rays
 from raystream.core.atomic_write import atomic_write
 
-__all__ = [
-    "AGREEMENT_LIMIT",
-    "NO_QUERY",
-    "SCHEMA",
-    "BenchResult",
-    "BuildResult",
-    "SceneResult",
-    "SetResult",
-    "read_result",
-    "write_result",
-]
-
 #: Version of the stored form; files of another version are refused.
 SCHEMA = 1
 

@@ -25,8 +25,6 @@ from raystream.scene.scene import Scene
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.tracer import Tracer
 
-__all__ = ["Counts", "Peaks", "count_tests", "measure_peaks", "most_rays"]
-
 #: Most rays that are counted of a set, evenly spread.
 _SAMPLE = 1 << 16
 

@@ -31,8 +31,6 @@ from raystream.tracer import Tracer
 
 Item = TypeVar("Item")
 
-__all__ = ["Bench", "OtherContendersError", "Plan", "geometry_of"]
-
 #: Rounds before those that count.
 WARM_UP_ROUNDS = 1
 

@@ -35,8 +35,6 @@ from raystream.bench.contenders.base import (
 )
 from raystream.bench.memory import MemoryGauge
 
-__all__ = ["OUTCOME", "load_geometry", "load_rays", "main", "save_geometry", "save_rays"]
-
 Item = TypeVar("Item")
 
 #: ``PR_SET_PDEATHSIG`` of ``linux/prctl.h``.

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from raystream.scene.camera_track import CameraMotion
     from raystream.scene.scene import Scene
 
-__all__ = ["render_animation"]
-
 
 def render_animation(job: RenderJob, json: bool) -> None:
     """Render frames to files, and encode a video from them if requested."""

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
-__all__ = ["Bars", "Step"]
-
 #: Seconds of work before a bar appears.
 DELAY = 1.0
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from raystream.bench.results import BenchResult
     from raystream.bench.runner import Bench, Plan
 
-__all__ = ["DEFAULT_SCENES", "bench"]
-
 #: Public models, and generated scenes of one and ten million triangles.
 DEFAULT_SCENES = (
     *("bunny", "sponza", "sibenik", "conference", "kitchen", "bart_robots"),

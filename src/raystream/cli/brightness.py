@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from raystream.scene.scene import Scene
     from raystream.tracer import Tracer
 
-__all__ = ["Exposure", "parse_exposure", "report_blank"]
-
 #: Share of the pixels that are black, or white, in an image that is reported; and the bytes that
 #: count as such.
 _MOST, _BLACK, _WHITE = 0.99, 2, 253

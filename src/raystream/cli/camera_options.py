@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from raystream.scene.camera import Camera
     from raystream.scene.scene import Scene
 
-__all__ = ["CameraOptions"]
-
 Vector = tuple[float, float, float]
 
 #: The library's projections, for help; a test compares them.

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from raystream.rendering.image import Image
     from raystream.rendering.sample_file import SampleFile
 
-__all__ = ["PathProgress", "checkpoint_path", "sample_checkpoint"]
-
 
 def checkpoint_path(output: Path, resume: bool) -> Path:
     """Return the path of an image's checkpoint.

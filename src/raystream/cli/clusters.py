@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from raystream.rendering.image import Image
     from raystream.tracer import Tracer
 
-__all__ = ["ClusterOptions", "ImageRenderer"]
-
 LOCAL = "local:"
 
 

@@ -18,8 +18,6 @@ from raystream.cli.tables import format_table
 if TYPE_CHECKING:
     from raystream.rendering.compare import Comparison
 
-__all__ = ["compare"]
-
 
 def compare(
     image: Annotated[

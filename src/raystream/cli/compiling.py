@@ -18,8 +18,6 @@ from raystream.jit.threads import thread_count
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
 
-__all__ = ["KernelCompilation", "compiling", "render_task"]
-
 #: Seconds of compilation before a note is printed.
 DELAY = 1.0
 

@@ -14,21 +14,6 @@ from typing import Any
 
 from raystream.core.errors import RaystreamError, RaystreamWarning
 
-__all__ = [
-    "BadInputError",
-    "InterruptedRunError",
-    "mute",
-    "one_line",
-    "open_streams",
-    "refuse",
-    "show_warnings",
-    "silence_stdout",
-    "write_bytes",
-    "write_json",
-    "write_line",
-    "write_note",
-]
-
 
 class BadInputError(RaystreamError):
     """An error that the user can fix: one line, without a traceback."""

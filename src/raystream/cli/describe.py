@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from raystream.scene.scene import Scene
     from raystream.tracer import Tracer
 
-__all__ = ["describe"]
-
 #: Optional vertex attributes of a mesh.
 ATTRIBUTES = ("normals", "colors", "texcoords")
 

@@ -7,8 +7,6 @@ from typing import Any
 from raystream.cli.console import one_line, write_json, write_line
 from raystream.cli.tables import format_table
 
-__all__ = ["show_devices"]
-
 #: Adapter limits that bound a scene or an image, by wgpu's names.
 LIMITS = {
     "max-buffer-size": "buffer",

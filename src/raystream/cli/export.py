@@ -17,8 +17,6 @@ from raystream.cli.option_groups import expand_groups
 from raystream.cli.tracer_options import parse_keywords
 from raystream.structures import StructureOptions, options_of
 
-__all__ = ["export"]
-
 #: The library's structures with shaders, for help and completion; a test compares them.
 STRUCTURES = ("bvh", "kdtree", "grid", "brute", "graph")
 

@@ -13,8 +13,6 @@ import typer
 from raystream.cli import options
 from raystream.cli.console import BadInputError, refuse
 
-__all__ = ["IMAGES", "VIDEOS", "AnimationOptions", "FrameFiles"]
-
 #: Video extensions; a test compares them with the library's.
 VIDEOS = (".mp4", ".webm", ".mkv", ".mov", ".gif", ".webp", ".apng")
 #: Image extensions.

@@ -15,8 +15,6 @@ from raystream.cli.tracer_options import TracerArguments
 if TYPE_CHECKING:
     from raystream.rendering.heatmap import Heatmap
 
-__all__ = ["HeatmapOptions", "heatmap_figures"]
-
 #: Other options of ``raystream render`` that do not apply to heat maps.
 IMAGE_ONLY = (
     *("mode", "exposure", "tone", "environment", "sun", "lights", "layers", "denoise", "cluster"),

@@ -17,8 +17,6 @@ from raystream.cli.option_groups import expand_groups
 from raystream.cli.tables import format_table
 from raystream.cli.tracer_options import TracerOptions
 
-__all__ = ["info"]
-
 #: Maximum rows of meshes and materials on the console; ``--json`` lists all.
 MAX_ROWS = 12
 

@@ -10,8 +10,6 @@ import threading
 import time
 from collections.abc import Iterator
 
-__all__ = ["end_quietly", "keep_interrupts"]
-
 #: Seconds after which a lost interrupt is raised again: by then the callback has returned.
 RETRY_SECONDS = 0.01
 

@@ -13,8 +13,6 @@ from raystream.cli.console import BadInputError, write_note
 if TYPE_CHECKING:
     from raystream.rendering.image import Image
 
-__all__ = ["LayerOptions", "LayerSelection"]
-
 NAMES = ("depth", "normal", "albedo", "prim_id", "emission")
 
 #: Layers that `Image.denoise` uses.

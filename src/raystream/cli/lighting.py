@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from raystream.scene.lights import Light
     from raystream.scene.scene import Scene
 
-__all__ = ["LightingOptions"]
-
 #: The library's extensions, for help; a test compares them.
 SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
 

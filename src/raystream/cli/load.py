@@ -18,15 +18,6 @@ if TYPE_CHECKING:
     from raystream.scene.scene import Scene
     from raystream.tracer import Tracer
 
-__all__ = [
-    "Stopwatch",
-    "choose_threads",
-    "open_tracer",
-    "rays_per_second",
-    "triangle_figures",
-    "triangle_text",
-]
-
 
 @dataclass
 class Stopwatch:

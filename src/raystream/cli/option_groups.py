@@ -9,8 +9,6 @@ import typing
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-__all__ = ["expand_groups", "options_given"]
-
 
 def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
     """Let a command take groups of options.

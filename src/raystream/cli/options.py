@@ -18,33 +18,6 @@ import typer
 
 from raystream.cli.console import BadInputError, refuse
 
-__all__ = [
-    "DEFAULT_MACHINES",
-    "DEFAULT_MODE",
-    "DEFAULT_SETS",
-    "DEVICES",
-    "HEATMAPS",
-    "LIGHTS",
-    "MODES",
-    "PEERS",
-    "RAY_SETS",
-    "SAMPLERS",
-    "TONES",
-    "Json",
-    "SceneName",
-    "SceneOptions",
-    "Threads",
-    "check_output",
-    "check_replaced",
-    "check_suffix",
-    "choice",
-    "complete",
-    "complete_scenes",
-    "finite",
-    "parse_size",
-    "positive",
-]
-
 #: The library's names, for help and completion; a test compares them.
 SCENES = (
     "cornell",

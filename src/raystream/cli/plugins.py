@@ -10,8 +10,6 @@ import typer
 
 from raystream.cli.console import BadInputError
 
-__all__ = ["GROUP", "add_commands"]
-
 #: The group of entry points: ``NAME = "module:function"`` adds ``raystream NAME``.
 GROUP = "raystream.commands"
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from raystream.ray_files import QueryReport
     from raystream.tracer import Tracer
 
-__all__ = ["query"]
-
 CROSSINGS = ("triangles", "surfaces")
 
 #: Arrays of a ray file; the first two are required.

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from raystream.rendering.image import Image
     from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_SCENE", "render"]
-
 DEFAULT_SCENE = "robots"
 
 #: Files that keep radiance.

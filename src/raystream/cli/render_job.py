@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from raystream.scene.camera import Camera
     from raystream.scene.scene import Scene
 
-__all__ = ["STDOUT", "ImageOptions", "RenderJob"]
-
 #: As ``--output``: a PNG on stdout.
 STDOUT = Path("-")
 

@@ -14,8 +14,6 @@ from raystream.cli.console import BadInputError
 if TYPE_CHECKING:
     from raystream.rendering.integrator import Integrator
 
-__all__ = ["SamplingOptions", "is_denoised", "is_preview", "mode_arguments", "tells_error"]
-
 #: Maximum samples when noise or time decide, and no number is given.
 MAX_SAMPLES = 1 << 16
 

@@ -10,8 +10,6 @@ from typing import Any
 
 from raystream.cli.console import one_line
 
-__all__ = ["format_table"]
-
 #: Width when piped: nothing is wrapped.
 PIPED_WIDTH = 10_000
 

@@ -17,8 +17,6 @@ from raystream.core.errors import RaystreamError
 from raystream.structures import STRUCTURES
 from raystream.structures.kdtree.options import TRAVERSALS
 
-__all__ = ["TracerArguments", "TracerOptions", "parse_keywords"]
-
 
 @dataclass(frozen=True)
 class TracerArguments:

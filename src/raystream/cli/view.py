@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from raystream.tracer import Tracer
     from raystream.viewer.serve import ViewServer
 
-__all__ = ["view"]
-
 MEBIBYTE = 1 << 20
 
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from raystream.ray_files import QueryReport
     from raystream.tracer import Tracer
 
-__all__ = ["QUERIES", "check_stores", "is_store", "trace_store"]
-
 #: The tracer's queries, by their command-line names.
 QUERIES = {"first": "first_hit", "any": "any_hit", "multi": "multi_hit", "count": "count_hits"}
 

@@ -40,8 +40,6 @@ from raystream.tracer import Tracer
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["render_frame", "render_frames"]
-
 #: Frames in flight per worker thread: running, or finished and not yet returned.
 FRAMES_PER_THREAD = 2
 

@@ -12,8 +12,6 @@ from raystream.cluster.fetch import tracer_of
 from raystream.cluster.thread_budget import shared_threads
 from raystream.core.hits import Hits
 
-__all__ = ["COLUMNS", "RECORD", "any_block", "count_block", "derived", "first_block", "multi_block"]
-
 #: A first hit in transit.
 RECORD = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4"), ("status", "u1")])
 

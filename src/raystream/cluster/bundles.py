@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from raystream._version import __version__
 from raystream.cluster.errors import ClusterError
 
-__all__ = ["ArrayRef", "Bundle", "Manifest", "digest_of"]
-
 #: Incremented with every change of the bundles' content.
 FORMAT_VERSION = 1
 

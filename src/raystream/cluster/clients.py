@@ -13,8 +13,6 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin, default_clie
 
 from raystream.cluster.errors import ClusterError
 
-__all__ = ["client_of", "open_client", "thread_total"]
-
 #: Seconds to wait for the first worker.
 TIMEOUT = 30.0
 

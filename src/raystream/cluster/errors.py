@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from raystream.core.errors import RaystreamError
 
-__all__ = ["ClusterError"]
-
 
 class ClusterError(RaystreamError, RuntimeError):
     """A cluster is unreachable, has no workers, loses them repeatedly, or mixes versions."""

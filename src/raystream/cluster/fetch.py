@@ -26,8 +26,6 @@ from raystream.cluster.tracer_bundles import unpack_tracer
 from raystream.core.memory import check_memory
 from raystream.tracer import Tracer
 
-__all__ = ["UPLOADED", "OnceCache", "fetch", "forget", "tracer_of"]
-
 #: Cached tracers per process; the least recently used are evicted first.
 TRACER_COUNT = 4
 

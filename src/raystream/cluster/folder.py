@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from raystream.cluster.bundles import ArrayRef
 
-__all__ = ["SharedFolder", "machine_name", "map_array"]
-
 _TOKEN = "token"
 
 #: Share of a disk's free space left unused.

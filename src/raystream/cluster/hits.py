@@ -15,8 +15,6 @@ from raystream.cluster import blocks
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.triangles import Triangles
 
-__all__ = ["LazyHits", "LazyMultiHits"]
-
 
 class _LazyColumns:
     """Columns of hits in Dask arrays, and properties derived from them, in the same chunks."""

@@ -31,8 +31,6 @@ from raystream.tracer import Tracer
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["render"]
-
 
 def render(
     scene: Scene | Tracer,

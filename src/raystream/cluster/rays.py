@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import as_real_array
 
-__all__ = ["LazyRays"]
-
 #: Rays per chunk made from NumPy arrays.
 CHUNK_RAYS = 1 << 20
 

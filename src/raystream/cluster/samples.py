@@ -30,8 +30,6 @@ from raystream.scene.camera import Camera
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Samples", "image_spec", "trace_rows"]
-
 #: Maximum pixels per task: some megabytes of light, and a few seconds of work at most.
 TASK_PIXELS = 1 << 19
 

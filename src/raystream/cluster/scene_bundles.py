@@ -23,8 +23,6 @@ from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
 
-__all__ = ["pack_scene", "unpack_scene"]
-
 _ATTRIBUTES = ("vertices", "faces", "normals", "colors", "texcoords", "material_ids")
 
 _LIGHTS: dict[str, type[Light]] = {

@@ -21,8 +21,6 @@ from raystream.core.memory import check_memory
 if TYPE_CHECKING:
     from distributed.scheduler import Scheduler
 
-__all__ = ["BLOCK_BYTES", "STORE", "SchedulerStore"]
-
 #: Name of the plugin, and of the operation that it adds to the scheduler.
 STORE = "raystream-store"
 

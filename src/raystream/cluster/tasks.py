@@ -19,8 +19,6 @@ from raystream.core.errors import RaystreamWarning
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["OrderedTasks"]
-
 #: Attempts after Dask gave a task up. Dask does so once it lost `allowed-failures` (3) plus one
 #: workers to the task; more attempts than this cannot be bad luck.
 MAX_ATTEMPTS = 10

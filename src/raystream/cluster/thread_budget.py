@@ -15,8 +15,6 @@ from distributed import get_worker
 
 from raystream.jit.threads import set_thread_count, thread_count
 
-__all__ = ["shared_threads"]
-
 _lock = threading.Lock()
 _numbers = itertools.count()
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-__all__ = ["Tracer"]
-
 
 class Tracer:
     """Traces Dask arrays of rays against a scene on the workers of a cluster.

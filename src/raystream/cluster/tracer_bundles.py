@@ -20,8 +20,6 @@ from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, StructureOptions, structure_class
 from raystream.tracer import Tracer
 
-__all__ = ["pack_scene_for", "pack_tracer", "unpack_scene_from", "unpack_tracer"]
-
 
 def pack_tracer(
     scene: Scene | Tracer,

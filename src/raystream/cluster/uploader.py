@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from distributed import Client
     from numpy.typing import NDArray
 
-__all__ = ["Uploader", "uploader_of"]
-
 
 class Uploader:
     """Uploads the bundles of one client; use `uploader_of` to get it.

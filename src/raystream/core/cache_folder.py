@@ -8,8 +8,6 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-__all__ = ["cache_folder", "is_own", "is_private", "is_writable", "kernel_folder"]
-
 _OTHERS_MAY_WRITE = 0o022
 
 

@@ -7,19 +7,6 @@ from typing import Annotated, Any, Literal
 
 from raystream.core.options import Options, Range
 
-__all__ = [
-    "MACHINES",
-    "SCHEDULERS",
-    "Branching",
-    "Compute",
-    "Cpu",
-    "Cuda",
-    "DeviceOptions",
-    "Graphics",
-    "MachineOptions",
-    "Multipass",
-]
-
 #: Names of schedulers, the default first.
 SCHEDULERS = ("threshold", "naive", "most-work", "double")
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from raystream.core.hits import HitColumns
 from raystream.core.triangles import Triangles
 
-__all__ = ["ClosestPoints"]
-
 
 class ClosestPoints(HitColumns):
     """The point of the scene's triangles nearest to each point of a query, or the nearest few.

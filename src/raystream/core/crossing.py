@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 
-__all__ = ["corners_of", "inverse_rows", "points_at"]
-
 #: What a miss is replaced by, so that its numbers and gradients are finite: a triangle, and the
 #: direction of a ray that crosses it.
 _CORNERS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))

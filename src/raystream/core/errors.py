@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from os import PathLike, fspath
 
-__all__ = ["FileFormatError", "LoopLimitError", "RaystreamError", "RaystreamWarning"]
-
 
 class RaystreamError(Exception):
     """Base of every error that raystream raises for bad input other than arguments.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import HitColumns, Hits, MultiHits
 
-__all__ = ["Float64Hits", "Float64MultiHits"]
-
 _UNIT = 2.0**-53
 
 #: Rounding of positions, in units of `_UNIT`: three products and sums of numbers of the triangle's

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import MAX_COORDINATE, MAX_TRIANGLES, Triangles, local_frame
 
-__all__ = ["NOT_IN_FLOAT64", "Float64Triangles"]
-
 #: What does not support float64.
 NOT_IN_FLOAT64 = "not supported with precision='float64'"
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.core.rays import as_host_array, as_number, as_real_array, as_vector
 from raystream.core.triangles import MAX_COORDINATE
 
-__all__ = ["LANES", "HeightField", "LocalField"]
-
 #: Kernels read this many cells of a row at once: rows of padding follow the arrays.
 LANES = 4
 

@@ -12,8 +12,6 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.primitive_hits import PrimitiveHits, PrimitiveMultiHits
 from raystream.core.primitives import Primitives
 
-__all__ = ["distance_type", "hits_type", "multi_hits_type"]
-
 
 def hits_type(triangles: Any) -> type[Hits]:
     """The class of `Tracer.first_hit`'s result."""

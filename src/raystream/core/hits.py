@@ -15,8 +15,6 @@ from raystream.core.triangles import Triangles
 if TYPE_CHECKING:
     from raystream.core.instanced_triangles import InstancedTriangles
 
-__all__ = ["HitColumns", "Hits", "MultiHits"]
-
 
 class HitColumns:
     """Columns of hits of one shape, and attributes derived from them."""

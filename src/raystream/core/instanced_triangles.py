@@ -14,8 +14,6 @@ from raystream.core.errors import RaystreamError
 from raystream.core.instances import Instances
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-__all__ = ["NOT_INSTANCED", "InstancedTriangles"]
-
 #: What to do where scenes with instances are not supported.
 NOT_INSTANCED = (
     "not supported in a scene with instances; scene.flattened() is the same scene without them, "

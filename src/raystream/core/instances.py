@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import as_host_array, as_real_array
 
-__all__ = ["Instances", "inverse_transforms"]
-
 #: Beyond this condition number a transform counts as singular.
 MAX_CONDITION = 1e9
 

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Library", "advice_about", "as_index", "library_of"]
-
 
 class Library:
     """Makes arrays of a caller's library from NumPy's and those on a GPU, without a copy.

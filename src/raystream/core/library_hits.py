@@ -7,8 +7,6 @@ from typing import Any
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.libraries import Library, as_index, library_of
 
-__all__ = ["LibraryColumns", "LibraryHits", "LibraryMultiHits", "in_library"]
-
 _DERIVED = ("instance_id", "mesh_id", "mesh_prim_id", "material_id", "positions", "normals")
 _SHADING = ("shading_normals", "texcoords")
 _COLUMNS = ("t", "u", "v", "prim_id", *_DERIVED, *_SHADING)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["available_memory", "check_memory"]
-
 
 def available_memory() -> int | None:
     """Bytes of physical memory available now, or None if the system does not report it."""

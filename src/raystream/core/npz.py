@@ -21,8 +21,6 @@ from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import available_memory
 
-__all__ = ["read_npz", "write_npz"]
-
 _MAX_MEMBERS = 1000
 _KINDS = "biuf"
 

@@ -22,8 +22,6 @@ from typing import (
     get_type_hints,
 )
 
-__all__ = ["Options", "Range"]
-
 
 class Range(NamedTuple):
     """Limits of a number, both included; for an annotation, as ``Annotated[int, Range(1, 32)]``.

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import MultiHits
 
-__all__ = ["PaddedHits", "pad"]
-
 
 class PaddedHits(NamedTuple):
     """The nearest hits of each ray, as NumPy arrays of shape S + (max_hits,); see `pad`."""

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import HitColumns, Hits, MultiHits
 
-__all__ = ["PrimitiveHits", "PrimitiveMultiHits"]
-
 #: Rays leave a sphere from this part of (its radius + its centre's largest coordinate) beside its
 #: surface: 16 times the rounding of the origin to float64, and of the test.
 LEAVING = 2.0**-48

@@ -15,8 +15,6 @@ from raystream.core.height_field import HeightField, LocalField
 from raystream.core.spheres import Spheres, directions_at
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-__all__ = ["NOT_TRIANGLES", "Primitives", "mesh_triangles"]
-
 #: What to do where only triangles are supported.
 NOT_TRIANGLES = (
     "not supported in a scene with spheres or height fields; first_hit, any_hit, multi_hit, "

@@ -5,8 +5,6 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
-__all__ = ["UNLIMITED", "Crossings", "Kind", "Query", "counts_surfaces"]
-
 #: A limit that no number of hits reaches.
 UNLIMITED = 2**62
 

@@ -15,8 +15,6 @@ from raystream.core.primitives import Primitives
 from raystream.core.rays import RayStatus
 from raystream.core.triangles import Triangles
 
-__all__ = ["RayHit"]
-
 
 class _Columns(NamedTuple):
     t: float

@@ -13,18 +13,6 @@ from numpy.typing import NDArray
 
 from raystream.core.libraries import advice_about
 
-__all__ = [
-    "DEFAULT_LIMITS",
-    "RayArrays",
-    "RayBatch",
-    "RayStatus",
-    "as_host_array",
-    "as_number",
-    "as_real_array",
-    "as_vector",
-    "is_on_gpu",
-]
-
 #: DLPack device types whose memory NumPy can read: kDLCPU, kDLCUDAHost, kDLROCMHost.
 _HOST_DEVICE_TYPES = (1, 3, 11)
 

@@ -9,8 +9,6 @@ from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 
-__all__ = ["check_drawable", "check_float32", "check_no_worlds", "check_plain", "check_triangles"]
-
 
 def check_float32(what: str, triangles: Any) -> None:
     """Check that a tracer's scene is in float32, as `what` needs.

@@ -7,16 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "EXTENT_UNITS",
-    "MOST_UNITS",
-    "REACH_UNITS",
-    "UNIT",
-    "WORLD_UNIT",
-    "plane_offset",
-    "spawn_origins",
-]
-
 UNIT = 2.0**-24  # half a step of float32, relative
 
 #: Rounding in the triangle test acts as if each vertex moved by at most about 6 units of the

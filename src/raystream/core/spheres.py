@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.core.rays import as_host_array, as_real_array
 from raystream.core.triangles import MAX_COORDINATE
 
-__all__ = ["Spheres", "directions_at"]
-
 
 @dataclass(frozen=True)
 class Spheres:

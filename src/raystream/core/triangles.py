@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
 
-__all__ = ["MAX_COORDINATE", "MAX_TRIANGLES", "Triangles", "local_frame"]
-
 #: Coordinates beyond this count as non-finite: products of three would leave float64.
 MAX_COORDINATE = 2.0**200
 

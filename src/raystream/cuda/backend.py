@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from raystream.kernels.point_queries import NearestArrays
     from raystream.rendering.integrator import RenderContext
 
-__all__ = ["CudaBackend"]
-
 #: Most rays from the host that are on the device together.
 RAYS_AT_ONCE = 1 << 20
 

@@ -12,8 +12,6 @@ from raystream.jit.threads import Progress
 from raystream.machines.devices import build_on_cpu
 from raystream.structures import Structure, StructureOptions, form_of, names_with
 
-__all__ = ["build_structure"]
-
 
 def build_structure(
     structure: StructureOptions,

@@ -8,8 +8,6 @@ from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
 from raystream.jit.cuda import DeviceArray
 
-__all__ = ["DeviceHits", "DeviceMultiHits"]
-
 
 class DeviceHits:
     """The nearest hit of each ray, in the rays' leading shape S, on the rays' device.

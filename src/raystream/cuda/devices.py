@@ -11,8 +11,6 @@ from raystream.core.errors import RaystreamError
 if TYPE_CHECKING:
     from raystream.jit.cuda import Gpu, GpuFacts
 
-__all__ = ["list_gpus", "open_device"]
-
 
 @contextlib.contextmanager
 def _needing_package() -> Iterator[None]:

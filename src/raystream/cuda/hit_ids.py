@@ -14,8 +14,6 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
 from raystream.jit.simd import load, store
 from raystream.programs.hits import interval_of
 
-__all__ = ["HALVE", "SPLIT", "HitIds", "InstanceIds"]
-
 _WORD, _LONG = np.uint64(2), np.uint64(3)  # bytes of a number, as shifts
 _MISS = np.int32(-1)
 

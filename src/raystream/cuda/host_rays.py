@@ -20,8 +20,6 @@ from raystream.jit.cuda import DeviceArray
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 
-__all__ = ["trace_from_host"]
-
 
 class _Part(NamedTuple):
     """A part that has been launched as far as it could be without waiting."""

@@ -17,8 +17,6 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.tally import ROW
 
-__all__ = ["DeviceScene", "RayLauncher", "Steps", "resume"]
-
 _Result = TypeVar("_Result")
 
 #: Launches that depend on numbers from the device: yields arrays there, and is sent copies of them

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.jit.cuda import Gpu
 
-__all__ = ["AddressMap", "SharedAllocation"]
-
 #: Alignment of arrays that share an allocation: that of allocations.
 _ALIGNMENT = 256
 

@@ -10,8 +10,6 @@ from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceView, RangeKernel, StreamScope
 from raystream.jit.simd import load, store
 
-__all__ = ["PACK", "pack"]
-
 #: Most dimensions of an array after adjacent ones have been merged.
 DIRECTIONS = 4
 

@@ -16,8 +16,6 @@ from raystream.kernels.nearest import ROW
 from raystream.kernels.point_queries import PointSearch, begin_point, read_point, write_nearest
 from raystream.structures import form_of
 
-__all__ = ["nearest_kernel", "point_kernel"]
-
 _ROW_BYTES = np.uint64(ROW.itemsize)
 _VALID = np.uint8(RayStatus.VALID)
 

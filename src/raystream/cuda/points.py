@@ -15,8 +15,6 @@ from raystream.kernels.nearest import ROW
 from raystream.kernels.point_queries import NearestAddresses, NearestArrays, PointSource, step_of
 from raystream.structures import Structure
 
-__all__ = ["DevicePoints"]
-
 #: Most bytes of rows and answers that are on the device together.
 _MOST_BYTES = 1 << 28
 

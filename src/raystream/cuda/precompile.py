@@ -26,14 +26,6 @@ from raystream.machines.precision import float64_triangles
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with, options_of
 
-__all__ = [
-    "ARRAY_KERNELS",
-    "all_kernels",
-    "point_kernels",
-    "scenes_of_kinds",
-    "structure_kernels",
-]
-
 #: Compiles a kernel for GPUs of a capability.
 Compiler = Callable[[tuple[int, int]], Compiled]
 

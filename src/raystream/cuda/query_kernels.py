@@ -26,13 +26,6 @@ from raystream.kernels.queries import (
 )
 from raystream.kernels.tally import ROW, SHADINGS, add_to
 
-__all__ = [
-    "CountAddresses",
-    "QueryKernels",
-    "RowAddresses",
-    "make_kernels",
-]
-
 _LONG = np.uint64(3)  # one of eight
 
 

@@ -16,16 +16,6 @@ from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_o
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.traced_scene import flat_ids
 
-__all__ = [
-    "HITS_AT_ONCE",
-    "DeviceRays",
-    "moved",
-    "place_device_rays",
-    "place_rays",
-    "split_rows",
-    "usual_limits",
-]
-
 #: Most hits of rays that are traced together; a ray with more is traced by itself.
 HITS_AT_ONCE = 1 << 22
 

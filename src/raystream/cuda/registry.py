@@ -11,8 +11,6 @@ from raystream.machines.backend import Backend
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
 
-__all__ = ["CUDA_MACHINES"]
-
 #: Options of the machine.
 _OPTIONS = ("gpu", "rays_at_once")
 

@@ -7,8 +7,6 @@ import numpy as np
 from raystream.jit.cuda import DeviceArray, StreamScope
 from raystream.jit.cuda.scan import Scan
 
-__all__ = ["prefix_sum"]
-
 
 def prefix_sum(scope: StreamScope, counts: DeviceArray) -> DeviceArray:
     """Sums of the first 0, 1, ... N numbers.

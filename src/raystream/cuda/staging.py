@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.jit.cuda import CudaError, CudaStream, DeviceArray, Gpu, StreamScope
 
-__all__ = ["STREAM_COUNT", "StagedScope", "StagingStream", "StagingStreams"]
-
 #: Streams of a query: one copies while the other traces.
 STREAM_COUNT = 2
 

@@ -11,14 +11,6 @@ from raystream.cuda.query_kernels import QueryKernels, make_kernels
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
 from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
-__all__ = [
-    "BuiltOnDevice",
-    "Resident",
-    "is_built_there",
-    "kernels_of",
-    "place",
-]
-
 
 def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
     """The query kernels of a structure.

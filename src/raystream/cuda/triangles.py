@@ -8,8 +8,6 @@ from raystream.core.triangles import Triangles
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.programs.hits import SceneAt
 
-__all__ = ["DeviceTriangles"]
-
 
 class DeviceTriangles:
     """Triangles by prim_id, copied to a device when a program first runs.

@@ -34,23 +34,6 @@ from raystream.jit.simd import (
     store,
 )
 
-__all__ = [
-    "AXIS",
-    "BLOCK",
-    "BLOCK_NUMBERS",
-    "HIGH",
-    "PRIM_IDS",
-    "SECOND",
-    "THIRD",
-    "interval_of",
-    "leaf_end",
-    "load_corner",
-    "load_corners",
-    "sides_of",
-    "test_block",
-    "triangle_edges",
-]
-
 #: A block: 36 float64 numbers, x, y, z of vertex 0, of vertex 1, then of vertex 2, for four
 #: triangles each; then their four prim_ids, int32, and 16 bytes that are unused. Unused lanes have
 #: prim_id -1 and coordinates NaN. Twice the size of a block of float32, so that links to leaves of

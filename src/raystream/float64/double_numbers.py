@@ -13,20 +13,6 @@ from __future__ import annotations
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma
 
-__all__ = [
-    "add_double",
-    "cross_double",
-    "cross_with",
-    "difference",
-    "divide_double",
-    "dot_double",
-    "dot_with",
-    "multiply_double",
-    "negate_double",
-    "two_product",
-    "two_sum",
-]
-
 
 @device
 def two_sum(x, y):

@@ -24,8 +24,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import absolute, maximum, minimum
 
-__all__ = ["resolve", "settle"]
-
 #: Errors of weights, as parts of h (M + h), see `float64.block`: 2**-96 with a margin.
 _SIGN_ERROR = np.float64(2.0**-94)
 

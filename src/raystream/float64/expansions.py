@@ -21,8 +21,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import bits_as_float, float_as_bits, load, scratch, store
 
-__all__ = ["determinant", "determinant_value", "rounded_ratio"]
-
 _SHIFT = np.uint64(3)  # a number's eight bytes
 _BIT = np.int64(1)
 

@@ -65,18 +65,6 @@ from raystream.kernels.ray_source import (
 from raystream.structures.bvh.packet_load import load_directions, load_origins
 from raystream.structures.bvh.packet_rays import three
 
-__all__ = [
-    "FLOAT64_GROUP",
-    "Float64Group",
-    "Float64Lanes",
-    "finish_rays",
-    "intersect_rays",
-    "keep",
-    "line_of",
-    "load_rays",
-    "short_far",
-]
-
 _NUMBERS = (
     ("t_min", "f8"),
     ("far", "f8"),  # the end of the interval; -inf for a ray that is not traced here

@@ -61,8 +61,6 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
 )
 
-__all__ = ["trace_float64_packets"]
-
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
 #: against one triangle.
 _FEW = np.uint64(4)

@@ -21,19 +21,6 @@ from raystream.jit.simd import count_trailing_zeros, load, scratch, store
 from raystream.kernels.hits import HitAddresses, hit_addresses
 from raystream.kernels.ray_source import RaySource, load_direction, load_origin
 
-__all__ = [
-    "LANES_BYTES",
-    "Float64Queries",
-    "Float64Source",
-    "Searches",
-    "brute_queries",
-    "brute_searches",
-    "load_float64",
-    "tree_queries",
-    "tree_searches",
-    "write_nearest",
-]
-
 _MISS = np.int32(-1)
 _INVALID = np.uint8(RayStatus.INVALID)
 _INF = np.float64(np.inf)

@@ -19,22 +19,6 @@ from raystream.jit.simd import bits_as_float, copy_sign, float_as_bits
 from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS
 
-__all__ = [
-    "LEAST",
-    "LEAST_EXPONENT",
-    "MOST_COORDINATE",
-    "MOST_EXPONENT",
-    "Float64Ray",
-    "Line",
-    "local_origin",
-    "make_line",
-    "prepare_float64",
-    "ray_of_line",
-    "reported",
-    "widened_far",
-    "widened_near",
-]
-
 #: Coordinates of smaller magnitude, and components of directions smaller than this part of the
 #: largest one, count as 0: products of their rounding errors would leave float64.
 LEAST = 2.0**-200

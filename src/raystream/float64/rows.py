@@ -10,8 +10,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels import search
 
-__all__ = ["get_row", "keep_row", "put_row", "row_t", "sort_rows"]
-
 
 @device
 def row_t(out, row):

@@ -15,8 +15,6 @@ from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 
-__all__ = ["NO_PRIM", "Nearest", "is_counted", "no_hit", "offer", "within"]
-
 #: prim_id of a ray without a hit: the greatest number.
 NO_PRIM = np.int32(2**31 - 1)
 

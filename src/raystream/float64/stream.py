@@ -66,8 +66,6 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
 )
 
-__all__ = ["BLOCK_RAYS", "WORKING_BYTES", "trace_float64_groups"]
-
 #: Rays that descend the tree together.
 BLOCK_RAYS = 4096
 _PACKETS = np.uint64(BLOCK_RAYS // PACKET_RAYS)

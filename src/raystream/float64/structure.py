@@ -32,8 +32,6 @@ from raystream.structures.bvh.layout import CHILDREN_AT, MAX_BLOCKS, WIDTH
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.registry import StructureOptions
 
-__all__ = ["Float64Brute", "Float64Bvh", "Float64Structure", "build_float64"]
-
 #: Kernels of a BVH that trace in float64.
 _KERNELS = ("auto", "packet", "groups", "single")
 

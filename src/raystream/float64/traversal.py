@@ -40,8 +40,6 @@ from raystream.structures.bvh.node_layout import (
 )
 from raystream.structures.bvh.steps import begin, is_leaf, next_entry, push
 
-__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
-
 _ZERO = np.float64(0.0)
 _ZERO32 = np.float32(0.0)
 _KEY_BITS = np.int32(~7)

@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["ADAPTER_VARIABLE", "Adapter", "OpenDevice", "adapters", "choose_adapter", "open_device"]
-
 #: Selects an adapter by a part of its name.
 ADAPTER_VARIABLE = "RAYSTREAM_ADAPTER"
 

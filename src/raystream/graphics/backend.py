@@ -23,8 +23,6 @@ from raystream.kernels.local_frame import LocalRays
 from raystream.machines.local_frame_backend import LocalFrameBackend
 from raystream.structures import Structure
 
-__all__ = ["RAYS_AT_ONCE", "Chunk", "GraphicsBackend"]
-
 #: Most rays of a dispatch or a draw; see `dispatch_size` for how many it should have.
 RAYS_AT_ONCE = 1 << 18
 

@@ -20,8 +20,6 @@ from raystream.graphics.ray_textures import FRAME, RayTextures
 from raystream.graphics.termination import hit_counts
 from raystream.structures import Structure
 
-__all__ = ["BranchingBackend"]
-
 
 class BranchingBackend(GraphicsBackend):
     """Traces rays by one fragment program.

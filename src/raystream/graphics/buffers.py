@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["Buffer", "ReadBack", "uniform", "upload", "whole"]
-
 #: A binding holds at least one element: this is the largest one.
 _MIN_BYTES = 64
 

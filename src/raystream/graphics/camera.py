@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.scene.camera import Camera
 
-__all__ = ["check_pinhole", "packed_view"]
-
 #: Depth of the near plane, in sizes of the scene: reversed float depth has the same relative
 #: precision everywhere.
 _NEAR = 2.0**-24

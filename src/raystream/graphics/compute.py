@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from raystream.graphics.rendering import ComputeBands
     from raystream.rendering.integrator import RenderContext
 
-__all__ = ["ComputeBackend"]
-
 
 class ComputeBackend(GraphicsBackend):
     """Traces rays by compute shaders.

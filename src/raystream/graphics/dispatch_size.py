@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["DispatchSize"]
-
 #: Rays of the first dispatch: few, since a slow structure must not take minutes.
 _FIRST = 1 << 10
 

@@ -16,8 +16,6 @@ from raystream.graphics.pipelines import Program, bind, compute_pipeline
 from raystream.graphics.structures.base import ShaderStructure
 from raystream.graphics.termination import hit_counts
 
-__all__ = ["DispatchResults", "Dispatcher", "ShaderVariant"]
-
 #: Invocations of a workgroup; see compute.wgsl.
 _GROUP_SIZE = 64
 

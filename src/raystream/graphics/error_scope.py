@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["guarded"]
-
 #: Functions of wgpu that log errors which no call raises: those between calls, and a loss.
 _REPORTERS = ("log_error", "device_lost_callback")
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from raystream.core.errors import RaystreamError
 
-__all__ = ["GraphicsError"]
-
 
 class GraphicsError(RaystreamError, RuntimeError):
     """A graphics device that is missing, lost, too small, or cannot run a shader.

@@ -9,8 +9,6 @@ import numpy as np
 
 from raystream.graphics.adapters import OpenDevice
 
-__all__ = ["device_constants", "is_fused"]
-
 _PROBE = """
 @group(0) @binding(0) var<storage, read> given: array<vec4f>;
 @group(0) @binding(1) var<storage, read_write> found: array<f32>;

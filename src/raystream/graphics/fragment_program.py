@@ -9,8 +9,6 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.pipelines import Program, bind, fragment_pipeline
 from raystream.graphics.textures import Texture
 
-__all__ = ["FragmentProgram", "cover_screen"]
-
 
 class FragmentProgram:
     """A fragment program over all texels: it reads textures and writes others.

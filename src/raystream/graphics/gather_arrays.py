@@ -20,8 +20,6 @@ from raystream.graphics.buffers import upload
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.textures import new_texture
 
-__all__ = ["BUFFERS", "MEMORIES", "TEXTURES", "Gather", "in_textures", "upload_gathers"]
-
 #: Where they are.
 MEMORIES = BUFFERS, TEXTURES = "buffers", "textures"
 

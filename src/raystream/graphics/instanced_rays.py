@@ -22,8 +22,6 @@ from raystream.machines.ray_block import RAYS_PER_BLOCK, RayBlock
 if TYPE_CHECKING:
     from raystream.rendering.integrator import RenderContext
 
-__all__ = ["InstancedBackend", "PlacedRays"]
-
 #: Rows of four words for each ray, see ``instances/ray_buffer.wgsl``.
 _ROWS = 7
 

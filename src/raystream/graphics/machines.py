@@ -14,8 +14,6 @@ from raystream.machines.backend import Backend
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
 
-__all__ = ["GRAPHICS_MACHINES", "OPTIONS"]
-
 _SHARED = ("adapter", "rays_at_once")
 
 #: Options of each machine.

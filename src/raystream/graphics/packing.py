@@ -10,14 +10,6 @@ from numpy.typing import NDArray
 from raystream.kernels.hits import HitArrays
 from raystream.kernels.local_frame import LocalRays
 
-__all__ = [
-    "FAR",
-    "MOST_HITS",
-    "ROW",
-    "packed_rays",
-    "unpack_rows",
-]
-
 #: In place of infinity, which WGSL does not guarantee; see ray.wgsl.
 FAR = np.finfo(np.float32).max
 

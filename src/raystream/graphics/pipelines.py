@@ -10,16 +10,6 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.fma_probe import device_constants
 
-__all__ = [
-    "DepthStencil",
-    "Layout",
-    "Program",
-    "bind",
-    "compute_pipeline",
-    "fragment_pipeline",
-    "shader_module",
-]
-
 #: Kinds of the bindings of a group, in order.
 Layout = tuple[str, ...]
 

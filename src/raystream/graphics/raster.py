@@ -26,8 +26,6 @@ from raystream.rendering.arguments import check_camera, check_size
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 
-__all__ = ["Visibility", "visibility"]
-
 _DEPTH = "depth32float"
 
 #: Bindings of both programs: prim_ids and vertices of the triangles, and an image.

@@ -18,8 +18,6 @@ from raystream.graphics.structures import ShaderStructure
 from raystream.graphics.structures.base import TREE_AT
 from raystream.kernels.local_frame import LocalRays
 
-__all__ = ["FRAME", "RayTextures"]
-
 #: Group 0 of a fragment program: see fragment/frame.wgsl.
 FRAME = ("uniform", "float", "float", "uint")
 

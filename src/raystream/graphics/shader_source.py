@@ -7,8 +7,6 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.resources import files
 
-__all__ = ["TREE_GROUP", "shader_files", "shader_source", "with_early_test"]
-
 #: A line that is replaced by a file of the folder, unless it was included before.
 _INCLUDE = re.compile(r'^//! include "([a-z0-9_/]+\.wgsl)"$', re.MULTILINE)
 

@@ -28,8 +28,6 @@ from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["hybrid"]
-
 #: Most shadow rays at a time.
 _MOST_RAYS = 1 << 18
 

@@ -11,8 +11,6 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.structures import ShaderStructure
 
-__all__ = ["ENDLESS", "check_endings", "hit_counts"]
-
 #: Codes of rays that were not traced, that exceeded the budget, and whose loops a driver ended;
 #: any other code is one more than the ray's hits. See termination.wgsl and loop_limit.wgsl.
 _NOT_RUN = np.uint32(0)

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["FLOATS", "IDS", "WORDS", "Texture", "new_texture", "sampled"]
-
 #: Formats: four float32, four uint32, or one int32 per texel.
 FLOATS, WORDS, IDS = "rgba32float", "rgba32uint", "r32sint"
 

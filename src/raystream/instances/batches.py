@@ -25,8 +25,6 @@ from raystream.structures.bvh.kernel_choice import packet_order, reported_rays
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
 from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
 
-__all__ = ["InstanceTree", "instance_bytes", "trace_batch"]
-
 #: Batches of fewer rays are traced ray by ray: lists of few rays share few instances.
 _LEAST_RAYS = 2048
 

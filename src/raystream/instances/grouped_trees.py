@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_FLOATS, WIDTH
 
-__all__ = ["GroupedTrees", "grouped_trees"]
-
 #: Cells of the Morton curve along each axis of a world.
 _CELLS = 1 << 10
 

@@ -10,8 +10,6 @@ from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
 
-__all__ = ["split_bytes", "split_numbers"]
-
 #: Fewer are split by NumPy, before a kernel is loaded.
 _LEAST = 1 << 14
 

@@ -35,18 +35,6 @@ from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_leaf import ANY, leaf_visit
 from raystream.structures.bvh.packet_rays import GROUP, NO_PRIM
 
-__all__ = [
-    "OBJECT_TESTS",
-    "MergedGroup",
-    "MergedLanes",
-    "PacketGroup",
-    "far_limits",
-    "keep_hits",
-    "keep_packet_hits",
-    "numbers_within",
-    "visit_object_leaf",
-]
-
 _INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)
 _FOUND = np.int32(1)

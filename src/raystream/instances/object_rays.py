@@ -55,8 +55,6 @@ from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_load import prepare_group
 from raystream.structures.bvh.packet_rays import NO_PRIM, Group, GroupPlaces, first_ray, three
 
-__all__ = ["WORLD_BYTES", "World", "WorldLanes", "load_group", "load_rays"]
-
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL = np.uint64(0xFFFF)

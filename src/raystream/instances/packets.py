@@ -50,8 +50,6 @@ from raystream.structures.bvh.packet_rays import (
     store_packet,
 )
 
-__all__ = ["trace_instance_packets"]
-
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)

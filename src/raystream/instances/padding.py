@@ -11,8 +11,6 @@ from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_origin
 from raystream.structures.bvh.packet_rays import GROUPS, PacketSource, group_rows
 
-__all__ = ["padded_source"]
-
 
 @device
 def padded_source(source, top, first, last):

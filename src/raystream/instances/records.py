@@ -14,17 +14,6 @@ from raystream.kernels.leaf_block import BLOCK_BYTES
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.base import Structure
 
-__all__ = [
-    "INSTANCE_BYTES",
-    "OBJECT_ADDRESSES",
-    "TREE",
-    "InstanceRecord",
-    "ObjectRecord",
-    "TreeRecord",
-    "instance_records",
-    "object_records",
-]
-
 #: World to object space: ``linear @ point + shift``; the object, the number of its first triangle
 #: in this instance, and its world, 0 if there are none. As long as a block of triangles, so that
 #: traversals prefetch a leaf of either tree where it is.

@@ -51,8 +51,6 @@ from raystream.structures.bvh.packet_rays import (
     first_ray,
 )
 
-__all__ = ["BLOCK_PACKETS", "CALL_BYTES", "trace_instances"]
-
 #: Packets whose rays descend together. Their groups, and those of an instance, are in the L2 cache.
 BLOCK_PACKETS = 8
 

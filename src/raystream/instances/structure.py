@@ -46,8 +46,6 @@ from raystream.structures.bvh.race import Races
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.registry import StructureOptions
 
-__all__ = ["InstancedBrute", "InstancedBvh", "InstancedStructure", "build_instanced"]
-
 _NO_NODES = np.zeros((0, 64), np.float32)
 
 

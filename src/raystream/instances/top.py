@@ -20,8 +20,6 @@ from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.layout import NODE_FLOATS
 
-__all__ = ["FAR_UNIT", "TopTrees", "world_frame"]
-
 #: In object space a hit is within the padding of its triangle's box: `kernels.ray.PAD` of the sum
 #: of the object's and the origin's largest coordinates, where the origin's is at most
 #: `kernels.ray.FAR` + 2 times the object's. Seven units of 2**-20, doubled.

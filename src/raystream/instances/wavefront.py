@@ -49,8 +49,6 @@ from raystream.structures.bvh.wavefront import (
     visit_node,
 )
 
-__all__ = ["trace_instance_wavefront"]
-
 #: A ray in flight in one of two trees: of the instances, or of an object. The former has the hit,
 #: and its t as it is reported.
 _SLOT = np.dtype(

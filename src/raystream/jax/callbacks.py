@@ -14,8 +14,6 @@ from raystream.core.crossing import corners_of, inverse_rows, points_at
 from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
-__all__ = ["any_hit", "count_hits", "first_hit", "multi_hit", "points"]
-
 Columns = tuple[Any, Any, Any, Any]
 
 

@@ -15,8 +15,6 @@ from raystream.core.scene_checks import check_plain
 from raystream.jax import callbacks
 from raystream.tracer import Tracer
 
-__all__ = ["JaxHits", "JaxTracer"]
-
 
 class JaxHits(NamedTuple):
     """Hits in arrays of the rays' shape S, or S + (max_hits,): ``t``, ``u``, ``v``, ``prim_id``.

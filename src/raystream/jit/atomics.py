@@ -14,8 +14,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd.memory import load, pointer_to
 from raystream.jit.simd.nvvm import is_cuda
 
-__all__ = ["atomic_add", "atomic_add_aggregated", "atomic_max", "compare_and_swap", "fence"]
-
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 

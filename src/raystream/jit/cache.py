@@ -38,14 +38,6 @@ from raystream.jit.compilers import gc_paused
 from raystream.jit.fingerprint import fingerprint, type_name
 from raystream.jit.ready_kernels import machines_of
 
-__all__ = [
-    "KERNELS",
-    "KernelCache",
-    "evict",
-    "keep_on_disk",
-    "mark_used",
-]
-
 #: Maximum size of the folder in bytes. All kernels that the tests compile take about 30 MB.
 SIZE_LIMIT = 500_000_000
 

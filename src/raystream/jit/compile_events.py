@@ -6,8 +6,6 @@ import contextlib
 from collections.abc import Iterator
 from typing import Protocol
 
-__all__ = ["LISTENERS", "CompileListener", "listening"]
-
 
 class CompileListener(Protocol):
     """Receives events of kernels that this process needs and that are not on disk."""

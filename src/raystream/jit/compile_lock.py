@@ -19,8 +19,6 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-__all__ = ["CompileLock"]
-
 #: Seconds to wait for another process; the longest kernels compile in some tens of seconds.
 TIMEOUT = 180.0
 

@@ -19,8 +19,6 @@ from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.environment import lookup_environment
 from numba.core.typed_passes import NativeLowering
 
-__all__ = ["DeviceCompiler", "KernelCompiler", "gc_paused"]
-
 
 class _DeviceLibrary(JITCodeLibrary):
     """LLVM code of a device function and its callees, to be linked into kernels."""

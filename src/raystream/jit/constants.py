@@ -4,23 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = [
-    "BITS_32",
-    "BYTES_32",
-    "BYTES_64",
-    "INF_F32",
-    "LOW_32",
-    "NULL",
-    "ONE_F32",
-    "ONE_U64",
-    "SHIFT_32",
-    "SHIFT_64",
-    "THREE_U64",
-    "TWO_U64",
-    "ZERO_F32",
-    "ZERO_U64",
-]
-
 ZERO_U64, ONE_U64, TWO_U64, THREE_U64 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 ZERO_F32, ONE_F32, INF_F32 = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
 

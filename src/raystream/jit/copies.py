@@ -10,8 +10,6 @@ from typing import Any
 import numba
 from numba.core.dispatcher import Dispatcher
 
-__all__ = ["Copies"]
-
 _PACKAGE = Path(__file__).parents[1]
 
 

@@ -12,8 +12,6 @@ from numba.core import config
 from raystream.jit.cache import keep_on_disk
 from raystream.jit.compilers import DeviceCompiler, KernelCompiler
 
-__all__ = ["FLAGS", "compiled", "device", "device_call", "kernel"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # error_model: slab tests divide by numbers that may be tiny, and Python's check for zero

@@ -35,8 +35,6 @@ from raystream.core.atomic_write import atomic_write
 from raystream.core.cache_folder import is_private, kernel_folder
 from raystream.jit import ready_kernels
 
-__all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", "type_name"]
-
 _PACKAGE = Path(__file__).parents[1]
 
 #: Modules whose attributes depend on their versions alone.

@@ -10,8 +10,6 @@ from typing import Any
 
 from raystream.jit.cpu import kernel
 
-__all__ = ["kernel_from_source"]
-
 _NAME = re.compile(r"^def (\w+)\(", re.MULTILINE)
 
 

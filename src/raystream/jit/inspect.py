@@ -13,7 +13,6 @@ from numba.extending import intrinsic
 from raystream.jit.cpu import compiled
 
 _ONE_BIT = ir.IntType(1)
-__all__ = ["Code", "Instruction", "assume", "compile_code", "read_functions"]
 
 
 @intrinsic

@@ -12,20 +12,6 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = [
-    "array_at",
-    "bits_above",
-    "call_filter",
-    "corners_at",
-    "high_product",
-    "int32_at",
-    "no_inline",
-    "record_at",
-    "row_address",
-    "row_of",
-    "sum_above",
-]
-
 
 @intrinsic
 def no_inline(typing_context: Any) -> Any:

@@ -16,8 +16,6 @@ import sys
 import threading
 from collections.abc import Callable
 
-__all__ = ["Helpers"]
-
 
 def _find_getcpu() -> Callable[[], int] | None:
     """The C library's `sched_getcpu`, where the system has it and threads can be bound."""

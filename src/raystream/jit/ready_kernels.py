@@ -13,8 +13,6 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
-__all__ = ["FOLDER", "LEVELS", "machines_of"]
-
 #: In a wheel that has ready kernels: a folder for each level, and hashes of sources, as
 #: `fingerprint` keeps them.
 FOLDER = Path(__file__).with_name("ready")

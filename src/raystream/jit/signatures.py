@@ -7,8 +7,6 @@ from typing import Any
 
 from numba import types
 
-__all__ = ["decode_type", "encode_type"]
-
 
 def encode_type(type_: Any) -> Any:
     """Turn a Numba type into JSON.

@@ -12,16 +12,6 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from raystream.jit.processors import Helpers
 
-__all__ = [
-    "Progress",
-    "chunk_size",
-    "parallel_for",
-    "part_of",
-    "rising",
-    "set_thread_count",
-    "thread_count",
-]
-
 #: Called with the steps done and their total, from the calling thread.
 Progress = Callable[[int, int], object]
 

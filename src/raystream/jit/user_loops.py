@@ -14,8 +14,6 @@ from raystream.jit.cpu import device
 from raystream.jit.fingerprint import fingerprint
 from raystream.jit.from_source import kernel_from_source
 
-__all__ = ["Loop", "as_device", "compile_loop", "fault"]
-
 
 def as_device(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a Python function for use in a loop; compiled functions are returned as they are."""

@@ -13,8 +13,6 @@ from numba.extending import intrinsic
 
 from raystream.jit.user_loops import fault
 
-__all__ = ["accept", "accept_decision"]
-
 #: A dtype's name, or a tuple of such: a vector, the fields of a record, several records.
 Shape = str | tuple[Any, ...]
 

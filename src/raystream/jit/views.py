@@ -53,8 +53,6 @@ from numba.extending import (
 from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import VECTORS, VectorType, llvm_type, refuse
 
-__all__ = ["RowsType", "ViewType", "address_of", "view"]
-
 _I64 = ir.IntType(64)
 _BYTE_POINTER = ir.IntType(8).as_pointer()
 

@@ -19,18 +19,6 @@ from typing import Any, NamedTuple
 from raystream.jit.cache import KERNELS
 from raystream.jit.signatures import decode_type
 
-__all__ = [
-    "FILE",
-    "TASKS",
-    "Entry",
-    "compile_kernels",
-    "entries_of",
-    "missing",
-    "start_helpers",
-    "stop_helpers",
-    "warm",
-]
-
 #: Groups of kernels that can be compiled.
 TASKS = ("render", "query", "build", "all")
 

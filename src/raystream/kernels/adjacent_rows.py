@@ -15,8 +15,6 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, prefetch, store
 from raystream.jit.threads import parallel_for
 
-__all__ = ["adjacent_rows", "rows_of"]
-
 #: Side of the tiles in which images are copied: the lines of memory that a transposed image's
 #: columns share are read once, and stay in the L1 cache until then.
 _SIDE = 8

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ALIGNMENT", "aligned_array"]
-
 #: Bytes of a cache line.
 ALIGNMENT = 64
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-__all__ = ["Buffers", "GrowingBuffers"]
-
 
 class Buffers(Protocol):
     """Memory for the hits of some rays."""

@@ -17,17 +17,6 @@ from raystream.jit.intrinsics import call_filter, no_inline
 from raystream.jit.simd import count_trailing_zeros, load, scratch, store
 from raystream.kernels.ray import world_t
 
-__all__ = [
-    "FILTERED_BYTES",
-    "U_AT",
-    "V_AT",
-    "HitFilter",
-    "RayFilter",
-    "any_kept",
-    "keeps",
-    "kept_hits",
-]
-
 #: Bytes of 16 hits as filters read them, and where their u and v are.
 FILTERED_BYTES = 192
 U_AT, V_AT = np.uint64(64), np.uint64(128)

@@ -16,23 +16,6 @@ from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for, thread_count
 from raystream.kernels.tally import new_tallies
 
-__all__ = [
-    "CHECKED_HITS",
-    "HitAccumulator",
-    "HitAddresses",
-    "HitArrays",
-    "HitBatch",
-    "HitVisitor",
-    "Sink",
-    "aligned_rows",
-    "allocate_hits",
-    "copy_rows",
-    "count_rows",
-    "for_each_chunk",
-    "hit_addresses",
-    "place_rows",
-]
-
 #: From this many hits on the free memory is checked, which takes longer than a small query.
 CHECKED_HITS = 1 << 20
 

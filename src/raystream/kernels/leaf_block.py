@@ -43,34 +43,6 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 
-__all__ = [
-    "AXIS",
-    "BLOCK",
-    "BLOCK_BYTES",
-    "BLOCK_FLOATS",
-    "BLOCK_SIZE",
-    "HITS",
-    "PRIM_IDS",
-    "SECOND",
-    "THIRD",
-    "TRIANGLE_BYTES",
-    "Block",
-    "BlockLanes",
-    "BlockRay",
-    "HitLanes",
-    "Hits",
-    "block_ray",
-    "blocks_end",
-    "clear_block",
-    "filled_blocks",
-    "intersect_block",
-    "test_block",
-    "triangle_count",
-    "write_block",
-    "write_corners",
-    "write_triangle",
-]
-
 #: Triangles in a block. It holds vectors of four numbers, one per triangle: x, y, z of vertex 0,
 #: of vertex 1 and of vertex 2; then `prim_id`, as the bits of an int32. Unused lanes have
 #: prim_id -1 and coordinates NaN; they are the last ones of their block.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray import to_local, world_t
 
-__all__ = ["LocalRays", "TTransform", "WorldRays", "to_local_rays", "to_world_t"]
-
 _INF = np.float32(np.inf)
 
 

@@ -13,8 +13,6 @@ from raystream.core.triangles import MAX_COORDINATE, MAX_TRIANGLES, Triangles, l
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import chunk_size, parallel_for
 
-__all__ = ["MAX_LOCAL", "make_triangles", "move_triangles"]
-
 #: Local coordinates beyond this need a new frame: their float32 products would overflow.
 MAX_LOCAL = 2.0**40
 

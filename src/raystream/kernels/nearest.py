@@ -12,17 +12,6 @@ from raystream.jit.simd import load
 from raystream.jit.views import view
 from raystream.kernels.point_triangle import squared_distance
 
-__all__ = [
-    "ROW",
-    "NearestRow",
-    "NearestSearch",
-    "begin_nearest",
-    "corners_at",
-    "is_wanted",
-    "offer_again",
-    "offer_nearest",
-]
-
 #: A triangle that was found: its squared distance, prim_id, and where its corners are: address
 #: of the first number, and bytes from a number to the next.
 ROW = np.dtype([("squared", "f8"), ("place", "u8"), ("prim_id", "i4"), ("stride", "i4")])

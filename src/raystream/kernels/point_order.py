@@ -12,8 +12,6 @@ from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
-__all__ = ["ORDER_WORDS", "WORDS_PER_POINT", "order_points"]
-
 #: Bits of a key along each axis; two passes sort 22 bits.
 _SIDE_BITS = 7
 _DIGIT_BITS = np.uint64(11)

@@ -23,19 +23,6 @@ from raystream.kernels.nearest import (
 from raystream.kernels.point_order import ORDER_WORDS, WORDS_PER_POINT, order_points
 from raystream.kernels.point_triangle import foot_on_triangle
 
-__all__ = [
-    "NearestAddresses",
-    "NearestArrays",
-    "PointSearch",
-    "PointSource",
-    "begin_point",
-    "point_queries",
-    "read_point",
-    "step_of",
-    "work_bytes",
-    "write_nearest",
-]
-
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
 _VALID = np.uint8(RayStatus.VALID)

@@ -21,8 +21,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import absolute, fma, minimum, select
 
-__all__ = ["Foot", "foot_on_triangle", "squared_distance"]
-
 _ZERO = np.float64(0.0)
 _QUARTER = np.float64(0.25)
 _HALF = np.float64(0.5)

@@ -23,21 +23,6 @@ from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray, l
 from raystream.kernels.search import begin_search, get_hit, sort_hits
 from raystream.kernels.tally import SHADINGS, add_to, tally_of
 
-__all__ = [
-    "Goal",
-    "RayQueries",
-    "RayScene",
-    "Searches",
-    "Wanted",
-    "finish_first",
-    "finish_rows",
-    "note_status",
-    "output_of",
-    "ray_filter",
-    "ray_queries",
-    "searches",
-]
-
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
 _MISS = np.int32(-1)

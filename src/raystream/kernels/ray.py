@@ -18,24 +18,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import bits_as_float, copy_sign, float_as_bits, next_float_up
 
-__all__ = [
-    "FAR",
-    "LEAST_EXPONENT",
-    "MANTISSA_BITS",
-    "MOST_EXPONENT",
-    "PAD",
-    "POWER_EXPONENT",
-    "TINY_DIRECTION",
-    "LocalRay",
-    "Ray",
-    "SceneFrame",
-    "component",
-    "local_limit",
-    "prepare_ray",
-    "to_local",
-    "world_t",
-]
-
 # Biased float64 exponents of direction lengths that one product scales to [1, 2): all that
 # float32 has, and few more.
 MANTISSA_BITS = np.int64(52)

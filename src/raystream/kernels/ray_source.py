@@ -28,17 +28,6 @@ from raystream.kernels.ray import (
     to_local,
 )
 
-__all__ = [
-    "NEAR_REACH",
-    "RaySource",
-    "ResultAddresses",
-    "load_direction",
-    "load_limits",
-    "load_origin",
-    "load_ray",
-    "local_ray",
-]
-
 _VALID = np.uint8(RayStatus.VALID)
 _ZERO = np.float32(0.0)
 _Y = np.uint64(4)

@@ -24,25 +24,6 @@ from raystream.kernels.hit_filter import RayFilter, keeps
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import local_limit, world_t
 
-__all__ = [
-    "InstanceRay",
-    "Search",
-    "begin_search",
-    "enter_instance",
-    "get_hit",
-    "is_before",
-    "is_full",
-    "is_over",
-    "keep_hit",
-    "leave_instance",
-    "offer",
-    "put_hit",
-    "sort_hits",
-    "t_of",
-    "wants_any",
-]
-
-
 # The nearest hits
 
 

@@ -7,8 +7,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma
 
-__all__ = ["box_interval"]
-
 _ZERO = np.float32(0.0)
 
 

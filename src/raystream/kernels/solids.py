@@ -13,8 +13,6 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import float_as_bits
 from raystream.jit.threads import parallel_for
 
-__all__ = ["Solids", "solids_of"]
-
 #: Triangles per call of the kernel: some milliseconds.
 _CHUNK = 1 << 16
 

@@ -13,22 +13,6 @@ from raystream.jit.cpu import device
 from raystream.jit.intrinsics import row_address
 from raystream.jit.simd import load, store
 
-__all__ = [
-    "BACKTRACKS",
-    "BACKTRACK_STEPS",
-    "COLUMNS",
-    "LEAVES",
-    "LINK_NODES",
-    "RESTARTS",
-    "ROW",
-    "SHADINGS",
-    "STEPS",
-    "TESTS",
-    "add_to",
-    "new_tallies",
-    "tally_of",
-]
-
 #: The counts of a row in order: see `machines.counters.RayCounters`.
 COLUMNS = (
     "steps",

@@ -23,8 +23,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 
-__all__ = ["intersect", "intersect_corners"]
-
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 

@@ -14,17 +14,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, maximum, minimum, narrow, select, widen
 
-__all__ = [
-    "ShearedVertices",
-    "barycentrics",
-    "distance_along",
-    "plane_distance",
-    "plane_normal",
-    "shear_vertices",
-    "signs_agree",
-    "slab_interval",
-]
-
 _ZERO = np.float32(0.0)
 _ZERO64 = np.float64(0.0)
 

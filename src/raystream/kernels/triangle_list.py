@@ -12,8 +12,6 @@ from raystream.kernels.search import is_full, offer
 from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle import intersect
 
-__all__ = ["intersect_list"]
-
 
 @device
 def intersect_list(references, corners, begin, end, ray, search, t_in, t_out):

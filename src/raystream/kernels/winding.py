@@ -23,8 +23,6 @@ from raystream.jit.constants import ONE_U64, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import absolute, f64x8, load, scratch, select, square_root, store
 
-__all__ = ["LANES", "half_angle", "to_corner", "turned", "winding_numbers"]
-
 #: Points side by side.
 LANES = 8
 

@@ -34,8 +34,6 @@ from raystream.jit.threads import parallel_for
 from raystream.kernels.point_order import ORDER_WORDS, WORDS_PER_POINT, order_points
 from raystream.kernels.winding import LANES, half_angle, to_corner, turned
 
-__all__ = ["WindingTree", "order_bytes", "tree_winding_numbers", "winding_tree_of"]
-
 #: Triangles of a leaf: at least half of it.
 _LEAF = 8
 

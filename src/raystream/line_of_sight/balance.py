@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Shares", "balanced"]
-
 #: Rounds that fix negative factors at zero.
 _ROUNDS = 20
 

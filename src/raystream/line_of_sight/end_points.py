@@ -21,15 +21,6 @@ from raystream.core.triangles import MAX_COORDINATE, Triangles
 from raystream.line_of_sight.placed_ends import FAR_UNITS, PlacedPlanes, placed_planes
 from raystream.tracer import Tracer
 
-__all__ = [
-    "EndPoints",
-    "check_tracer",
-    "end_points",
-    "is_clear",
-    "leaving_distance",
-    "planes_of",
-]
-
 #: Other ends within this many of its own distances of a point's plane are in that plane.
 IN_PLANE = 2.0
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.scene.camera import Camera
 
-__all__ = ["seen_from"]
-
 
 def seen_from(
     camera: Camera, size: tuple[int, int], points: NDArray[np.float64]

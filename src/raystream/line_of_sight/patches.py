@@ -11,8 +11,6 @@ from raystream.core.rays import as_host_array
 from raystream.core.triangles import Triangles
 from raystream.line_of_sight.end_points import leaving_distance, planes_of
 
-__all__ = ["Emitter", "Patches", "make_patches", "patch_ids"]
-
 #: Points keep this many times the distance at which their rays start from their triangle's edges,
 #: so that rays do not start behind a neighbour at an angle of 10 degrees or more.
 _CLEARANCE = 8.0

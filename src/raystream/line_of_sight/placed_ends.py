@@ -16,8 +16,6 @@ from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 
-__all__ = ["FAR_UNITS", "PlacedPlanes", "placed_planes"]
-
 #: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
 #: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
 #: rounded, too, by half a unit of that distance in each coordinate.

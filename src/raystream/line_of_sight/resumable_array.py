@@ -24,8 +24,6 @@ from raystream.ray_files.journal import (
     write_journal,
 )
 
-__all__ = ["ResumableArray", "continued", "resumable_array"]
-
 #: Seconds between two records of the progress: what an interruption may lose.
 _INTERVAL = 2.0
 

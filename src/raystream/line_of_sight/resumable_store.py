@@ -23,8 +23,6 @@ from raystream.ray_files.journal import (
     write_journal,
 )
 
-__all__ = ["MatrixFile", "ResumableStore", "StoredArray", "open_stored", "resumable_store"]
-
 #: Seconds between two records of the progress: what an interruption may lose.
 _INTERVAL = 2.0
 

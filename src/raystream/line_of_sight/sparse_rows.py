@@ -12,8 +12,6 @@ from raystream.jit.threads import Progress
 from raystream.line_of_sight.resumable_store import ResumableStore, StoredArray
 from raystream.line_of_sight.tiles import Tile, Tiles
 
-__all__ = ["SparseVisibility", "band_tiles", "stored_rows", "write_rows"]
-
 #: Rows per chunk: an incomplete one is written with each record of the progress.
 _CHUNK_ROWS = 1 << 18
 

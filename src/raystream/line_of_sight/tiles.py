@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-__all__ = ["LEAST_TILE", "MOST_TILE", "Tile", "Tiles"]
-
 #: Most rays of a tile; and of the smallest tile that a memory limit asks for.
 MOST_TILE = 1 << 18
 LEAST_TILE = 1 << 12

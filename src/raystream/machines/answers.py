@@ -11,8 +11,6 @@ from raystream.core.primitives import Primitives
 from raystream.instances import hit_ids
 from raystream.kernels.hits import Sink
 
-__all__ = ["all_hits", "nearest_hits"]
-
 
 def split_numbers(numbers: Any, triangles: Any) -> tuple[Any, Any]:
     """The prim_ids and instance_ids (None without instances) of kernels' numbers."""

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from raystream.kernels.point_queries import NearestArrays
     from raystream.machines.passes import Passes
 
-__all__ = ["Backend", "Capabilities"]
-
 #: Backends that copy rays take a block of at most this many at a time, see `ray_block`; and bytes
 #: of such a ray.
 _BLOCK_RAYS, _BLOCK_BYTES = 1 << 20, 120

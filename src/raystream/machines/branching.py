@@ -20,8 +20,6 @@ from raystream.machines.backend import Backend
 from raystream.programs.run import run_on_hits
 from raystream.structures import Structure
 
-__all__ = ["Branching"]
-
 #: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
 

@@ -12,8 +12,6 @@ from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.machines.devices import Device, device_of
 from raystream.structures import StructureOptions, options_of
 
-__all__ = ["Configuration", "check_kind", "configure"]
-
 #: Devices with machines that trace spheres and height fields, and instances.
 _BRANCHING = ("cpu", "branching"), ("cuda", "branching")
 _INSTANCED = (*_BRANCHING, ("graphics", "compute"))

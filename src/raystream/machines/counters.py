@@ -17,8 +17,6 @@ from raystream.machines.backend import Backend
 from raystream.machines.passes import Passes
 from raystream.structures import STRUCTURES
 
-__all__ = ["RayCounters", "answer_counting"]
-
 
 @dataclass(frozen=True)
 class RayCounters:

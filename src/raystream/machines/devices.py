@@ -18,17 +18,6 @@ from raystream.structures import Structure, StructureOptions, build_structure
 if TYPE_CHECKING:
     from raystream.machines.backend import Backend
 
-__all__ = [
-    "CPU_MACHINES",
-    "DEVICES",
-    "Device",
-    "DeviceFactory",
-    "Machines",
-    "build_on_cpu",
-    "device_of",
-    "register_device",
-]
-
 #: Builds a structure for a device: (structure, triangles, progress=, device=), with the options of
 #: both.
 DeviceFactory = Callable[..., Structure]

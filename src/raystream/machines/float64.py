@@ -21,8 +21,6 @@ from raystream.structures.bvh.coherence import choose_kernel, probe
 from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packet_rays import PACKET_RAYS, PacketOrder
 
-__all__ = ["Float64Backend", "Float64Rays"]
-
 #: Smaller batches are traced ray by ray.
 _FEW = 256
 

@@ -15,8 +15,6 @@ from raystream.machines.winding import inside_by_winding
 if TYPE_CHECKING:
     from raystream.machines.point_queries import PointQueries
 
-__all__ = ["InsideTest", "share_of"]
-
 #: Directions of the three rays: in no plane that people's models are likely to have.
 _DIRECTIONS = (
     (0.5377, 0.8339, -0.1259),

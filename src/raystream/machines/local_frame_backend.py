@@ -16,8 +16,6 @@ from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Backend
 from raystream.machines.ray_block import RayBlock, blocks
 
-__all__ = ["LocalFrameBackend"]
-
 
 class LocalFrameBackend(Backend):
     """Transforms rays to the local frame, a block at a time, and distances back; see `ray_block`.

@@ -14,8 +14,6 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.machines.ray_cast import RayCaster
 
-__all__ = ["CHECKED_RAYS", "MemoryEstimator", "MemoryNeeded"]
-
 #: From this many rays on the free memory is checked, which takes longer than a small query.
 CHECKED_RAYS = 1 << 20
 

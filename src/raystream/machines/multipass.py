@@ -36,8 +36,6 @@ from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
 from raystream.structures import Structure
 
-__all__ = ["MultipassBackend"]
-
 #: Memory for the rays of a query: more rays are traced in parts.
 MAX_BYTES = 1 << 29
 

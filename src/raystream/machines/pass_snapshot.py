@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.kernels.hits import HitArrays
 from raystream.machines.steps.base import StepKernel
 
-__all__ = ["Observer", "PassSnapshot"]
-
 
 class PassSnapshot(NamedTuple):
     """The rays between two passes: views of the machine's arrays, which the next pass changes.

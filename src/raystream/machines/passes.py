@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.machines.steps.base import StepKernel
 from raystream.streams import Counters, Pass
 
-__all__ = ["Passes"]
-
 
 @dataclass
 class Passes:

@@ -21,8 +21,6 @@ from raystream.machines.winding import winding_of
 from raystream.structures.base import RAYS_PER_CALL
 from raystream.structures.registry import form_of, names_with
 
-__all__ = ["PointQueries"]
-
 #: Most points of a call: sorted together, the more the nearer to each other.
 _POINTS_PER_CALL = 1 << 14
 

@@ -10,8 +10,6 @@ from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
 from raystream.kernels.move_triangles import move_triangles
 
-__all__ = ["float64_triangles", "moved_triangles", "of_scene", "triangles_of"]
-
 
 def triangles_of(tracer: Any, scene: Any, precision: str) -> Any:
     """The triangles that a tracer's structure is built from.

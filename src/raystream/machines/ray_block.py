@@ -19,8 +19,6 @@ from raystream.kernels.local_frame import (
 )
 from raystream.kernels.ray import SceneFrame
 
-__all__ = ["LIGHT_CHUNK", "RAYS_PER_BLOCK", "RayBlock", "blocks"]
-
 #: Rays of a block: bounds all memory but the results, at about 100 bytes per ray.
 RAYS_PER_BLOCK = 1 << 20
 

@@ -14,8 +14,6 @@ from raystream.machines.traced_scene import TracedScene
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
 
-__all__ = ["RayCaster"]
-
 
 class RayCaster(TracedScene):
     """The query of a `Tracer` for one ray; the others take arrays."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.kernels.hits import HitArrays
 from raystream.kernels.local_frame import LocalRays
 
-__all__ = ["HitGoal", "RayJob"]
-
 
 class HitGoal(NamedTuple):
     """The hits wanted of all rays of a job.

@@ -23,8 +23,6 @@ from raystream.kernels.search import get_hit, put_hit
 from raystream.machines.records import DONE, NO_ROOM, RayState
 from raystream.machines.steps.base import StepKernel, Steps
 
-__all__ = ["NextRay", "RayLoop", "eye_ray_steps", "loop_arrays", "loop_steps"]
-
 #: World t = local t * scale + offset, see `kernels.ray.LocalRay`.
 SPAN = np.dtype([("scale", np.float64), ("offset", np.float64)])
 

@@ -17,8 +17,6 @@ from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams import Counters, Kernel, Stream
 
-__all__ = ["RayStreams", "declared_as", "empty_rays"]
-
 #: Streams are compacted when at most this share of their rays is active.
 _COMPACTION = 0.5
 

@@ -14,31 +14,6 @@ from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import prepare_ray
 from raystream.kernels.tally import ROW, add_to
 
-__all__ = [
-    "AT_LEAF",
-    "BACKTRACKING",
-    "CONTINUING",
-    "DONE",
-    "FOUND",
-    "INTERSECTING",
-    "NO_ROOM",
-    "RAY",
-    "SHADE_ALL",
-    "SHADE_HITS",
-    "SHADE_NONE",
-    "SHADING",
-    "TRAVERSING",
-    "WANTED",
-    "RayState",
-    "StepArguments",
-    "add_count",
-    "count_step",
-    "end_state",
-    "found_by",
-    "prepared_ray",
-    "stack_of",
-]
-
 
 class RayState(IntEnum):
     """The kernel that a ray waits for (Purcell 2002, section 3).

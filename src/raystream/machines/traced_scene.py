@@ -37,8 +37,6 @@ from raystream.structures.storage import load_structure, save_structure
 if TYPE_CHECKING:
     from raystream.machines.counters import RayCounters
 
-__all__ = ["TracedScene"]
-
 #: Attributes that belong to the structure in place, or to the latest query.
 _TRANSIENT = ("_backend", "_cast", "_latest", "_world_count")
 

@@ -10,8 +10,6 @@ from raystream.jit.threads import Progress, parallel_for, part_of
 from raystream.kernels.winding import LANES, winding_numbers
 from raystream.kernels.winding_tree import order_bytes, tree_winding_numbers, winding_tree_of
 
-__all__ = ["inside_by_winding", "winding_of"]
-
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
 _ANGLES_PER_CALL = 1 << 23
 

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.rays import as_real_array
 
-__all__ = ["Elevation", "Georeference", "elevation_of", "is_labelled"]
-
 #: Names of dimensions in degrees, which heights are not measured in.
 _ANGLES = frozenset(("lat", "latitude", "lon", "long", "longitude"))
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import as_real_array
 
-__all__ = ["group_values"]
-
 
 def group_values(
     argument: str,

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.physics.elevation import Elevation
 
-__all__ = ["brightness", "direction_to_sun"]
-
 
 def direction_to_sun(azimuth: float, altitude: float) -> NDArray[np.float64]:
     """Unit vector towards the sun, shape (3,), float64: x is east, y north, z up.

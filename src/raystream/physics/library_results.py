@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from raystream.physics.lidar import LidarReturns
     from raystream.physics.thickness import Grouping, Thickness
 
-__all__ = ["LibraryLidarReturns", "LibraryThickness", "in_library_of"]
-
 _ROWS = ("ray_splits", "ray_id")
 _SEGMENTS = ("t_entry", "t_exit", "path_length", "mesh_id", "material_id", "instance_id")
 _PRIMS = ("entry_prim_id", "exit_prim_id")

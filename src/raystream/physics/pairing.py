@@ -12,17 +12,6 @@ from raystream.jit.cpu import device, kernel
 from raystream.kernels.ray import PAD, prepare_ray
 from raystream.kernels.ray_source import load_ray
 
-__all__ = [
-    "NO_ROW",
-    "Crossings",
-    "Limits",
-    "MeshScratch",
-    "Pairs",
-    "classify_crossing",
-    "classify_crossings",
-    "pair_crossings",
-]
-
 #: In place of a row: the crossing is outside the ray's interval.
 NO_ROW = -1
 

@@ -23,8 +23,6 @@ from raystream.kernels.ray_source import load_direction, load_limits, load_origi
 from raystream.kernels.solids import Solids, solids_of
 from raystream.physics.pairing import classify_crossing
 
-__all__ = ["PlacedSolids", "classify_placed_crossings"]
-
 
 class _RecordsAt(NamedTuple):
     """Addresses of the first `InstanceRecord` and the first `ObjectRecord`."""

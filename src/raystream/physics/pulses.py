@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 
-__all__ = ["Echoes", "Surfaces", "follow_pulses", "merge_echoes"]
-
 
 class Surfaces(NamedTuple):
     """The surfaces that pulses hit, and their optical properties.

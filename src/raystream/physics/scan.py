@@ -15,8 +15,6 @@ from raystream.physics.pulses import Echoes, Surfaces, follow_pulses, merge_echo
 from raystream.physics.thickness import direction_lengths
 from raystream.tracer import Tracer
 
-__all__ = ["Receiver", "Returns", "Scan"]
-
 #: Surfaces traced at first per ray, where some transmit.
 _FIRST_HITS = 8
 

@@ -30,8 +30,6 @@ from raystream.physics.placed_crossings import PlacedSolids, classify_placed_cro
 from raystream.physics.thickness import Segments, Thickness, Unpaired, direction_lengths
 from raystream.tracer import Tracer
 
-__all__ = ["thickness"]
-
 #: Rays of the first block, and at most of any.
 _RAYS_PER_BLOCK = 1 << 18
 

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["VLP16", "VLP32C", "VLS128", "Channels"]
-
 Array = NDArray[np.float64]
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import as_real_array
 
-__all__ = ["SweepPattern", "finite_number"]
-
 Array = NDArray[np.float64]
 
 

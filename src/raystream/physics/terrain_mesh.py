@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from raystream.physics.elevation import Elevation
 
-__all__ = ["triangulated"]
-
 
 def triangulated(elevation: Elevation) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Two triangles for each square of four neighbouring cells, front faces upward.

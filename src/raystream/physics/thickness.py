@@ -15,8 +15,6 @@ from raystream.core.memory import check_memory
 from raystream.core.rays import RayBatch, RayStatus
 from raystream.kernels.solids import Solids
 
-__all__ = ["Grouping", "Segments", "Thickness", "Unpaired", "UnpairedKind", "direction_lengths"]
-
 Grouping = Literal["mesh", "material"]
 
 _SPLIT_BY = ("mesh", "material")

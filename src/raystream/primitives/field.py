@@ -30,8 +30,6 @@ from raystream.kernels.triangle_lanes import slab_interval
 from raystream.primitives.levels import BLOCK_CELLS
 from raystream.primitives.records import LevelRecord
 
-__all__ = ["FIELD_BYTES", "traverse_all_cells", "traverse_field"]
-
 _NONE, _ONE, _TWO, _THREE, _FOUR, _FIVE = np.arange(6, dtype=np.uint64)
 _ZERO = np.float32(0.0)
 _TURNED = np.int32(1)

@@ -11,8 +11,6 @@ from raystream.core.height_field import LocalField
 from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
 
-__all__ = ["BLOCK_CELLS", "LEVEL", "Levels", "field_levels"]
-
 #: Cells along each side of the smallest nodes; as many as kernels read of a row.
 BLOCK_CELLS = 4
 

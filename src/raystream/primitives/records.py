@@ -13,18 +13,6 @@ from raystream.core.spheres import Spheres
 from raystream.jit.views import view
 from raystream.primitives.levels import LEVEL, Levels
 
-__all__ = [
-    "FIELD",
-    "FIELD_ADDRESSES",
-    "SPHERES_PER_BLOCK",
-    "FieldRecord",
-    "LevelRecord",
-    "PrimitiveAddresses",
-    "SphereBlock",
-    "field_records",
-    "sphere_blocks",
-]
-
 SPHERES_PER_BLOCK = 4
 
 #: Four spheres, world space; the numbers are those of the hits where a ray enters, see

@@ -46,8 +46,6 @@ from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle_lanes import slab_interval
 from raystream.primitives.records import SPHERES_PER_BLOCK, SphereBlock
 
-__all__ = ["BOX_GROWTH", "ExactRay", "exact_ray", "intersect_spheres"]
-
 _NONE, _ONE, _TWO, _THREE = np.arange(4, dtype=np.uint64)
 _ZERO = np.float32(0.0)
 _ZERO64 = np.float64(0.0)

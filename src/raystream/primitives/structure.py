@@ -36,8 +36,6 @@ from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.registry import StructureOptions
 
-__all__ = ["PrimitiveBrute", "PrimitiveBvh", "PrimitiveStructure", "build_primitives"]
-
 #: Tests per call of a compiled loop, by brute force: about 50 ms.
 _TESTS_PER_CALL = 1 << 23
 

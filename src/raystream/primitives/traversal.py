@@ -21,8 +21,6 @@ from raystream.structures.bvh.traversal import STACK_BYTES as TREE_BYTES
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 from raystream.structures.bvh.traversal import tree_traversal
 
-__all__ = ["STACK_BYTES", "primitive_searches", "traverse_all", "traverse_trees"]
-
 _LEAF_SHIFT = np.int32(3)
 _TREE = np.uint64(TREE_BYTES)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import enum
 
-__all__ = ["Decision"]
-
 
 class Decision(enum.IntEnum):
     """How a ray continues after a hit.

@@ -11,18 +11,6 @@ from raystream.kernels.hit_filter import U_AT, V_AT
 from raystream.programs.hits import RaysAt, SceneAt, hit_of
 from raystream.programs.placed import PlacedAt, is_skipped_at, placed_hit_of
 
-__all__ = [
-    "CONSTANTS",
-    "DIRECTIONS",
-    "SCENE",
-    "filtered_hit",
-    "is_filter_skipped",
-    "placed_filtered_hit",
-    "placed_scene_of",
-    "rays_of",
-    "scene_of",
-]
-
 #: Its numbers: whether the filter raised; from `SCENE` on a `SceneAt`, or with instances the
 #: address of a `PlacedAt`, that of the pairs that rays skip, and the pairs per ray; from
 #: `DIRECTIONS` on the address and stride of the rays' directions, and whether these are float64;

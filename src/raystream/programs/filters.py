@@ -27,8 +27,6 @@ from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
 from raystream.programs.skips import prim_ids_of, skipped_triangles
 
-__all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
-
 
 def _keep_all(hit: Any) -> bool:
     """The filter of a query that only skips triangles: it keeps every hit."""

@@ -36,8 +36,6 @@ from raystream.programs.hits import SceneAt
 from raystream.programs.placed import PlacedAt
 from raystream.programs.program import check_function
 
-__all__ = ["FilterAtHits"]
-
 #: Arguments of a filter's code: its context, and those of `hit_filter.kept_hits`.
 _TYPES = ("uint64", "uint64", "uint64", "int32", "uint64")
 

@@ -14,23 +14,6 @@ from raystream.jit.simd import load, store
 from raystream.kernels.hits import HitArrays
 from raystream.kernels.ray_source import RaySource
 
-__all__ = [
-    "Hit",
-    "RaysAt",
-    "RowsAt",
-    "SceneAt",
-    "close_ray",
-    "direction_at",
-    "faces_front",
-    "hit_at",
-    "hit_of",
-    "interval_of",
-    "is_open",
-    "position_at",
-    "ray_at",
-    "row_range",
-]
-
 _NOWHERE = np.uint64(0)
 _ENDED = np.uint8(0)
 _LONG = np.uint64(8)

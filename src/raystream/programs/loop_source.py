@@ -20,8 +20,6 @@ from raystream.programs.hits import (
 from raystream.programs.placed import is_placed_skipped, placed_hit_at
 from raystream.programs.rows import add_one, is_skipped, keep_row, move_row, put_row
 
-__all__ = ["Goal", "loop_globals", "loop_source"]
-
 #: Use of hits: by a program with a record, or by a filter that keeps the nearest, counts, or keeps
 #: all in order: compacted in place ("multi"), or copied to an output ("keep").
 Goal = Literal["trace", "first", "count", "multi", "keep"]

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.core.libraries import library_of
 from raystream.core.library_hits import in_library
 
-__all__ = ["as_payload", "as_records", "returned_payload"]
-
 #: Sizes of supported numbers in bytes, by kind.
 _SIZES = {"b": (1,), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8), "c": (8, 16)}
 

@@ -17,15 +17,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.programs.hits import Hit, direction_at, faces_front, interval_of
 
-__all__ = [
-    "PlacedAt",
-    "PlacedSkipsAt",
-    "is_placed_skipped",
-    "is_skipped_at",
-    "placed_hit_at",
-    "placed_hit_of",
-]
-
 _WORD, _LONG = np.uint64(4), np.uint64(8)
 _TRIANGLE = np.uint64(36)
 

@@ -18,8 +18,6 @@ from raystream.programs.placed import PlacedAt, PlacedSkipsAt
 from raystream.programs.ray_subset import PendingRays
 from raystream.programs.rows import SkipsAt
 
-__all__ = ["Program", "check_function"]
-
 #: Expressions that read a payload, by its number of dimensions; 0 without a payload.
 _RECORDS = {0: "None", 1: "payload[ray]", 2: "row_of(payload, ray)"}
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.kernels.ray_source import RaySource
 
-__all__ = ["PendingRays", "RaySubset"]
-
 
 class RaySubset(NamedTuple):
     """Rays of a batch.

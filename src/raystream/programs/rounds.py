@@ -17,8 +17,6 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitBatch, HitVisitor
 from raystream.programs.ray_subset import PendingRays, RaySubset
 
-__all__ = ["FindHits", "RunProgram", "visit"]
-
 #: Calls a visitor with the hits of a batch: (batch, most hits per ray, whether in order, visitor,
 #: status, progress).
 FindHits = Callable[[RayBatch, int, bool, HitVisitor, NDArray[np.uint8], Progress | None], None]

@@ -12,8 +12,6 @@ from raystream.jit.constants import BYTES_32, ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
-__all__ = ["SkipsAt", "add_one", "as_skips", "is_skipped", "keep_row", "move_row", "put_row"]
-
 _NOWHERE = np.uint64(0)
 _LONG = np.uint64(8)
 

@@ -17,8 +17,6 @@ from raystream.kernels.hits import HitVisitor, Sink
 from raystream.programs.filters import count_filtered, filter_first, multi_filtered
 from raystream.programs.trace import trace_program
 
-__all__ = ["run_on_hits"]
-
 
 def run_on_hits(
     run: Callable[..., None],

@@ -12,8 +12,6 @@ from raystream.core.rays import as_host_array
 from raystream.core.triangles import Triangles
 from raystream.programs.rows import as_skips
 
-__all__ = ["prim_ids_of", "skipped_triangles"]
-
 
 def prim_ids_of(skipped: Any) -> Any:
     """`skip_prim_ids` as an array: the triangles of hits, or what is given."""

@@ -16,8 +16,6 @@ from raystream.programs.program import Program
 from raystream.programs.ray_subset import RaySubset
 from raystream.programs.rounds import FindHits, visit
 
-__all__ = ["ORDERS", "Order", "check_order", "trace_program"]
-
 #: Orders of a ray's hits.
 Order = Literal["front-to-back", "any"]
 ORDERS: tuple[str, ...] = ("front-to-back", "any")

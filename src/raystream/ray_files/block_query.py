@@ -14,8 +14,6 @@ from raystream.jit.threads import Progress, part_of
 from raystream.ray_files.blocks import Block
 from raystream.tracer import Tracer
 
-__all__ = ["BlockQuery", "BlockResult"]
-
 #: Maximum hits of a part of a block held in memory, per ray of a block.
 HITS_PER_RAY = 16
 

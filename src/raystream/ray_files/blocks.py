@@ -7,8 +7,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-__all__ = ["Block", "Blocks", "divide"]
-
 
 class Block(NamedTuple):
     """Rays that are contiguous in C order and form a box of the leading shape.

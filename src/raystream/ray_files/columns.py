@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.ray_files.blocks import Block
 
-__all__ = ["BlockColumn", "ColumnType", "RowColumn", "chunk_files", "create_array"]
-
 
 class ColumnType(NamedTuple):
     """Dtype and fill value of a column; `unwritten` marks values not written yet."""

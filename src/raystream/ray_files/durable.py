@@ -9,8 +9,6 @@ from pathlib import Path
 
 from raystream.core.atomic_write import atomic_write
 
-__all__ = ["locked", "synchronize", "write_durably"]
-
 
 def synchronize(files: Iterable[Path]) -> None:
     """Wait until files, and their directory entries, are on disk.

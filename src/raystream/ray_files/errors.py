@@ -7,8 +7,6 @@ from os import PathLike, fspath
 
 from raystream.core.errors import RaystreamError
 
-__all__ = ["StoreWriteError", "require_zarr"]
-
 
 class StoreWriteError(RaystreamError, OSError):
     """Hits cannot be written, for example to a full disk; finished blocks are kept.

@@ -18,15 +18,6 @@ from raystream.ray_files.blocks import Block, Blocks
 from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, create_array
 from raystream.ray_files.durable import synchronize
 
-__all__ = [
-    "COLUMNS",
-    "Columns",
-    "HitStore",
-    "is_replaceable",
-    "remove_store",
-    "store_attributes",
-]
-
 #: Distinct from a miss, which is -1.
 _NOT_TRACED = -2
 

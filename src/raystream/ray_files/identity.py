@@ -18,8 +18,6 @@ from raystream.ray_files.blocks import Blocks
 from raystream.ray_files.ray_store import RayStore
 from raystream.tracer import Tracer
 
-__all__ = ["identify", "ray_digest", "scene_digest"]
-
 #: Sampled blocks, and rays sampled from each.
 SAMPLED_BLOCKS = 16
 SAMPLED_RAYS = 256

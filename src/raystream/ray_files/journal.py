@@ -13,15 +13,6 @@ from typing import Any
 from raystream.core.errors import FileFormatError
 from raystream.ray_files.durable import write_durably
 
-__all__ = [
-    "QueryProgress",
-    "differing_names",
-    "journal_path",
-    "parse_counts",
-    "read_journal",
-    "write_journal",
-]
-
 _FORMAT = "raystream query progress"
 _MAX_BYTES = 2**20
 

@@ -10,8 +10,6 @@ from typing import Any
 from raystream.core.errors import FileFormatError, RaystreamError
 from raystream.ray_files.errors import require_zarr
 
-__all__ = ["open_arrays"]
-
 #: Metadata file of an array in Zarr v3 and v2.
 _ARRAY_FILES = ("zarr.json", ".zarray")
 

@@ -12,8 +12,6 @@ from typing import Any, TypeVar
 from raystream.ray_files.block_query import BlockResult
 from raystream.ray_files.blocks import Block
 
-__all__ = ["Waits", "run"]
-
 T = TypeVar("T")
 
 #: Seconds between checks for Ctrl-C, on systems where it does not interrupt a wait.

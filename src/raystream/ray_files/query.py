@@ -28,8 +28,6 @@ from raystream.ray_files.ray_store import RayStore
 from raystream.ray_files.resume import prepare_output
 from raystream.tracer import Crossings, Tracer
 
-__all__ = ["BLOCK_RAYS", "QUERIES", "QueryReport", "query_zarr"]
-
 QUERIES = tuple(COLUMNS)
 
 #: Rays per block: about 50 MB with their hits, and enough to keep many cores busy.

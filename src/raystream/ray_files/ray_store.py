@@ -18,8 +18,6 @@ from raystream.ray_files.blocks import Block, Blocks, divide
 from raystream.ray_files.columns import chunk_files
 from raystream.ray_files.open_store import open_arrays
 
-__all__ = ["RAY_ARRAYS", "RayStore"]
-
 #: Arrays of a ray store; the first two are required.
 RAY_ARRAYS = ("origins", "directions", "t_min", "t_max")
 

@@ -23,8 +23,6 @@ from raystream.ray_files.journal import (
     write_journal,
 )
 
-__all__ = ["prepare_output"]
-
 #: What people call the parts of an identity.
 _WORDS = {
     "block": "block_rays",

@@ -27,8 +27,6 @@ from raystream.rendering.shading.ambient_occlusion import OcclusionOptions, spaw
 from raystream.rendering.shading.shadow_rays import ShadowRays
 from raystream.rendering.surfaces import surfaces_of
 
-__all__ = ["AO", "REACH", "distance_of", "sampler_of", "spawn_ambient_rays"]
-
 #: Upper bound of the option `rays`.
 MAX_RAYS = 4096
 

@@ -15,17 +15,6 @@ from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
-__all__ = [
-    "MAX_PIXELS",
-    "check_camera",
-    "check_number",
-    "check_samples",
-    "check_size",
-    "check_switch",
-    "check_whole",
-    "make_tracer",
-]
-
 #: Most pixels of an image.
 MAX_PIXELS = 1 << 30
 

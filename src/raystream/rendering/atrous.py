@@ -27,16 +27,6 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.color import LUMINANCE
 
-__all__ = [
-    "MARGIN",
-    "STRENGTH",
-    "Planes",
-    "as_planes",
-    "estimate_rows",
-    "filter_rows",
-    "stride_of",
-]
-
 #: Pixels that are filtered at once.
 LANES = 16
 

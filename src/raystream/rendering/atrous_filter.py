@@ -21,8 +21,6 @@ from raystream.rendering.color import luminance
 from raystream.rendering.guide_layers import finite, guide_layer
 from raystream.rendering.image import Image
 
-__all__ = ["filter_with_atrous"]
-
 #: Least albedo by which light is divided.
 _LEAST_ALBEDO = np.float32(0.01)
 

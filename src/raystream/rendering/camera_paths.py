@@ -9,8 +9,6 @@ from raystream.rendering.shading.camera_rays import generate_camera_rays, view_o
 from raystream.rendering.shading.streams import Paths
 from raystream.scene.camera import Camera
 
-__all__ = ["camera_paths"]
-
 
 def camera_paths(
     camera: Camera, size: tuple[int, int], sampler: Sampler, rows: range, sample: int

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 
-__all__ = ["CheckpointArrays", "identity_bytes"]
-
 #: Longest identity: it is shown in error messages.
 _MAX_BYTES = 1 << 16
 

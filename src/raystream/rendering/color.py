@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LUMINANCE", "decode_srgb", "encode_srgb", "luminance"]
-
 #: Weights of linear RGB in luminance (sRGB primaries).
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 

@@ -17,8 +17,6 @@ from raystream.rendering.image import Image
 from raystream.rendering.oidn import filter_with_oidn, has_oidn
 from raystream.rendering.regional_gain import regional_gain
 
-__all__ = ["denoise"]
-
 #: Memory per pixel of each filter, as measured with a megapixel: images, layers and buffers.
 _BYTES_PER_PIXEL = {"oidn": 760, "oidn-fast": 760, "atrous": 170}
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress
 
-__all__ = ["DeviceBands"]
-
 
 class DeviceBands(Protocol):
     """A renderer of samples on a tracer's device or machine; see `RenderContext.with_bands`.

@@ -16,8 +16,6 @@ from raystream.core.spawn import plane_offset
 from raystream.scene.lights import AreaLight
 from raystream.scene.scene import Scene
 
-__all__ = ["MOST_EMITTERS", "Emitters", "emitters_of", "sampled_lights"]
-
 #: Instances of more triangles than this, together, glow but are not sampled: a row of tables
 #: takes about a hundred bytes.
 MOST_EMITTERS = 1 << 22

@@ -18,8 +18,6 @@ from raystream.scene.lights import EnvironmentLight, Light, texel_fault
 from raystream.scene.material import Color
 from raystream.scene.texture import Texture
 
-__all__ = ["MAP_SUFFIXES", "axes_of", "image_light", "mean_radiance", "row_heights", "texels_of"]
-
 MAP_SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
 
 _read: WeakKeyDictionary[EnvironmentLight, NDArray[np.float32]] = WeakKeyDictionary()

@@ -16,8 +16,6 @@ from raystream.rendering.arguments import MAX_PIXELS
 from raystream.rendering.layers import channels_of, layers_of
 from raystream.rendering.software_tag import SOFTWARE
 
-__all__ = ["read_exr", "write_exr"]
-
 _MAX_CHANNELS = 1000
 
 #: Memory per number: in a channel being read, and in a layer.

@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.rendering.color import LUMINANCE, decode_srgb
 from raystream.rendering.scale_bar import draw_scale
 
-__all__ = ["check_maximum", "color_ramp", "draw_counts"]
-
 #: Anchor colours in sRGB, positioned by their lightness.
 _ANCHORS = (
     (0, 0, 0),

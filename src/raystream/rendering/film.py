@@ -21,8 +21,6 @@ from raystream.rendering.film_sums import add_light
 from raystream.rendering.image import Image
 from raystream.rendering.layers import LAYERS, LayerKind
 
-__all__ = ["Film"]
-
 #: Of checkpoint files; other versions are refused.
 _VERSION = 1
 

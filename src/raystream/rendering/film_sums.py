@@ -8,8 +8,6 @@ import numpy as np
 
 from raystream.jit.cpu import kernel
 
-__all__ = ["add_light"]
-
 
 @kernel
 def add_light(begin, end, light, sums, squares, counts):

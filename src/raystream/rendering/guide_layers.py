@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from raystream.rendering.image import Image
 
-__all__ = ["finite", "guide_layer"]
-
 
 def guide_layer(image: Image, name: str, width: int, otherwise: float) -> NDArray[np.float32]:
     """A layer, or a constant if it is missing.

@@ -22,8 +22,6 @@ from raystream.rendering.tone import apply_tone, auto_exposure, check_tone
 if TYPE_CHECKING:
     from raystream.rendering.compare import Comparison
 
-__all__ = ["Image"]
-
 #: Larger images are reduced in notebooks, which store all that they show.
 _MOST_SHOWN = 2048
 

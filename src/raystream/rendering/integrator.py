@@ -40,21 +40,6 @@ from raystream.rendering.surfaces import objects_of, surfaces_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
-__all__ = [
-    "MAX_BOUNCES",
-    "MOST_SAMPLES",
-    "Band",
-    "Integrator",
-    "PathStage",
-    "PathStream",
-    "RenderContext",
-    "find_surfaces",
-    "make_context",
-    "sectors_of",
-    "take_no_options",
-    "trace_shadow_rays",
-]
-
 #: Upper bound of the option `max_bounces`.
 MAX_BOUNCES = 1000
 

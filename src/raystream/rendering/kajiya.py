@@ -13,8 +13,6 @@ from typing import Any
 from raystream.rendering.integrator import Integrator
 from raystream.rendering.path import PATH_STAGES, check_path
 
-__all__ = ["KAJIYA"]
-
 
 def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
     return check_path({**options, "follows_last": False})

@@ -9,8 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LAYERS", "LayerKind", "channels_of", "check_layers", "choose_layers", "layers_of"]
-
 
 @dataclass(frozen=True)
 class LayerKind:

@@ -23,26 +23,6 @@ from raystream.scene.lights import (
 from raystream.scene.material import Color
 from raystream.scene.scene import Scene
 
-__all__ = [
-    "ADDED",
-    "HEADLIGHT",
-    "LEAST_LIGHT",
-    "LIGHTS",
-    "MEASURED",
-    "SKY",
-    "SUN",
-    "PatchLight",
-    "added_light",
-    "added_sun",
-    "area_patches",
-    "check_lights",
-    "has_visible_light",
-    "is_dark_by_intent",
-    "needs_light",
-    "punctual_lights",
-    "surrounding_radiance",
-]
-
 #: The scene's lights, with others if they are too weak or do not reach what the camera sees; the
 #: scene's lights only; or the scene's lights and others in any case.
 LIGHTS = ("auto", "file", "added")

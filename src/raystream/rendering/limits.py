@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from raystream.rendering.film import Film
 
-__all__ = ["FIRST_SAMPLES", "Limits", "Pace"]
-
 #: Samples of every pixel before their variance is meaningful.
 FIRST_SAMPLES = 8
 

@@ -18,8 +18,6 @@ from raystream.jit.threads import thread_count
 from raystream.rendering.guide_layers import finite, guide_layer
 from raystream.rendering.image import Image
 
-__all__ = ["OIDN_REMEDY", "filter_with_oidn", "has_oidn"]
-
 #: The command that installs it.
 OIDN_REMEDY = "pip install 'raystream[denoise]'"
 

@@ -30,8 +30,6 @@ from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
 
-__all__ = ["Opacity", "filter_of"]
-
 
 class Opacity:
     """The filter of a scene that is not opaque, made by `of`.

@@ -28,8 +28,6 @@ from raystream.rendering.shading.plain_scenes import kernel_for
 from raystream.rendering.shading.shadow_rays import ShadowRays
 from raystream.rendering.surfaces import surfaces_of
 
-__all__ = ["PATH", "PATH_STAGES", "check_path", "shade_surfaces"]
-
 #: Russian roulette starts at this bounce: earlier ones carry nearly all of the light.
 ROULETTE_BOUNCE = 3
 

@@ -15,8 +15,6 @@ from raystream.rendering.arguments import MAX_PIXELS
 from raystream.rendering.color import decode_srgb
 from raystream.rendering.software_tag import SOFTWARE
 
-__all__ = ["png_tag", "read_png", "write_png"]
-
 #: Memory per pixel: as decoded bytes, and as linear float32.
 _BYTES_PER_PIXEL = 20
 

@@ -25,8 +25,6 @@ from raystream.rendering.sample_file import SampleFile
 from raystream.rendering.shading.aovs import AovBuffers
 from raystream.structures.bvh.kernel_choice import SMALL_BATCH
 
-__all__ = ["SampleSource", "checkpoint_seconds", "render_samples"]
-
 #: Most samples that are traced at once, so that threads need not wait for each other after each:
 #: half a second of them, since an interrupt discards them, and 64 MB of their light and layers.
 SAMPLES_SECONDS, SAMPLES_BYTES = 0.5, 1 << 26

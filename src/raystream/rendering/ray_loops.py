@@ -44,8 +44,6 @@ from raystream.rendering.shading.tables import HAS_TRANSMISSION
 from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 
-__all__ = ["MultipassBands"]
-
 #: Memory for the rows of a band, beside the machine's.
 MAX_BYTES = 1 << 28
 

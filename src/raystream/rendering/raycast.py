@@ -17,8 +17,6 @@ from raystream.rendering.shading.local_shading import shade_plain_unshadowed, sh
 from raystream.rendering.shading.plain_scenes import kernel_for
 from raystream.rendering.surfaces import surfaces_of
 
-__all__ = ["RAYCAST", "shade_by_lights"]
-
 
 def shade_by_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: shade the hits by every light; the paths end."""

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["regional_gain"]
-
 #: Standard deviation of a region, relative to the larger side of the image: wide enough that
 #: a single pixel's light is not seen as a spot.
 _REGION = 1.0 / 16.0

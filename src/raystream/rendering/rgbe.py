@@ -18,8 +18,6 @@ from raystream.core.memory import check_memory
 from raystream.rendering.rgbe_rows import BAD_RUN, BAD_WIDTH, TRUNCATED, WHOLE, unpack_rows
 from raystream.rendering.software_tag import SOFTWARE
 
-__all__ = ["read_rgbe", "write_rgbe"]
-
 _MAX_PIXELS = 1 << 28
 _BYTES_PER_PIXEL = 32  # as bytes, and as float32 with temporaries
 

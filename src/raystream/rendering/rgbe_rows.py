@@ -6,8 +6,6 @@ import numpy as np
 
 from raystream.jit.cpu import kernel
 
-__all__ = ["BAD_RUN", "BAD_WIDTH", "TRUNCATED", "WHOLE", "unpack_rows"]
-
 WHOLE, TRUNCATED, BAD_RUN, BAD_WIDTH = range(4)
 
 

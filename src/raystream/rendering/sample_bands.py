@@ -9,8 +9,6 @@ from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.shading.aovs import AovBuffers
 
-__all__ = ["Sampled", "rows_per_band", "trace_sample", "trace_samples"]
-
 #: A sample of some rows: its light, and its AOVs.
 Sampled = tuple[NDArray[np.float32], AovBuffers | None]
 

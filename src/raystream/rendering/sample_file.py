@@ -24,8 +24,6 @@ from raystream.rendering.lighting import HEADLIGHT, SKY, SUN
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 
-__all__ = ["SampleFile", "identity"]
-
 
 class SampleFile(PathLike[str]):
     """An image's checkpoint, which `render` takes in place of a path.

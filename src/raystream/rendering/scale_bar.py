@@ -15,8 +15,6 @@ from raystream.rendering.color import decode_srgb
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-__all__ = ["draw_scale", "round_ticks"]
-
 #: Greys of the background, of text and ticks, and of the frame around the ramp (sRGB).
 _BACKGROUND, _TEXT, _FRAME = 24, 232, 128
 

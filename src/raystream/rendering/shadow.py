@@ -8,8 +8,6 @@ from __future__ import annotations
 from raystream.rendering.integrator import Integrator
 from raystream.rendering.whitted import WHITTED_STAGES, check_whitted, lights_per_pixel
 
-__all__ = ["SHADOW"]
-
 SHADOW = Integrator(
     "shadow",
     "the nearest surface under the lights, with shadows (Purcell 2002)",

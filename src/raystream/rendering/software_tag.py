@@ -5,8 +5,6 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["SOFTWARE", "is_tagged"]
-
 #: As a PNG's text "Software", and the like in other formats.
 SOFTWARE = "raystream"
 

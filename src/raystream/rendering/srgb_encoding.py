@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
 
-__all__ = ["encode"]
-
 #: Numbers per task of a thread.
 _CHUNK = 1 << 16
 

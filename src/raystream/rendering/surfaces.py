@@ -17,8 +17,6 @@ from raystream.scene.scene import Scene
 if TYPE_CHECKING:
     from raystream.rendering.integrator import Band, PathStream, RenderContext
 
-__all__ = ["Surfaces", "objects_of", "surfaces_of", "tables_at"]
-
 
 class Surfaces(NamedTuple):
     """What shading kernels take of a stream whose rays have been traced.

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from raystream.rendering.color import luminance
 
-__all__ = ["TONES", "apply_tone", "auto_exposure", "check_tone"]
-
 #: Luminance that `auto_exposure` gives the mean of what is seen, and the bright parts.
 _MIDDLE_GREY, _BRIGHT = 0.18, 0.9
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.scene.scene import Scene
 
-__all__ = ["MAX_NUMBERS", "VertexAttributes", "check_rows"]
-
 #: Most numbers of a table: kernels index it with int32.
 MAX_NUMBERS = 2**31 - 1
 

@@ -20,8 +20,6 @@ from raystream.rendering.image import Image
 from raystream.rendering.png import png_tag
 from raystream.rendering.software_tag import SOFTWARE
 
-__all__ = ["VIDEO_SUFFIXES", "check_video", "write_video"]
-
 #: Suffixes written by ffmpeg; and by Pillow, with its name of the format and the bytes per pixel
 #: that it holds in memory until the file is written.
 _BY_FFMPEG = (".mp4", ".webm", ".mkv", ".mov")

@@ -18,8 +18,6 @@ from raystream.rendering.lighting import ADDED, MEASURED, added_light, is_dark_b
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
-__all__ = ["kept_choice", "lit", "sees_surface", "well_lit"]
-
 #: The trial: strips of the image, in blocks whose means count, since one sample is noisy. Whole
 #: rows go to the kernels that the image needs; sparse pixels went to others, and compiled them.
 _STRIPS, _ROWS, _BLOCKS = 6, 2, 8

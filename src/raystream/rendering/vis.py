@@ -12,8 +12,6 @@ from raystream.rendering.integrator import (
 from raystream.rendering.shading.local_shading import shade_facing_ratio
 from raystream.rendering.surfaces import surfaces_of
 
-__all__ = ["VIS", "shade_by_facing_ratio"]
-
 
 def shade_by_facing_ratio(stream: PathStream, band: Band) -> PathStream:
     """Stage: shade in grey, by the cosine between normal and view; the paths end."""

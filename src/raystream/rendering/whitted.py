@@ -26,8 +26,6 @@ from raystream.rendering.shading.streams import Paths
 from raystream.rendering.shading.whitted import WhittedOptions, shade_plain_whitted, shade_whitted
 from raystream.rendering.surfaces import surfaces_of
 
-__all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sample_all_lights"]
-
 
 def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: spawn a shadow ray to every light, and reflected and refracted rays."""

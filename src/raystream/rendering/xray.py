@@ -22,9 +22,6 @@ from raystream.rendering.shading.streams import Paths
 from raystream.rendering.shading.transparency import composite_hits
 from raystream.rendering.surfaces import tables_at
 
-__all__ = ["XRAY"]
-
-
 #: Hits in instances whose triangles are copied at once.
 _PLACED_HITS = 1 << 18
 

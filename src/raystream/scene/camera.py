@@ -11,16 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.scene.lens import disk_points, lens_samples
 from raystream.scene.projections import PROJECTIONS, ahead, around, beside
 
-__all__ = [
-    "FOV",
-    "Camera",
-    "frame_box",
-    "frame_points",
-    "front_of",
-    "three_quarter_view",
-    "unit_vector",
-]
-
 Vector = tuple[float, float, float]
 
 #: Degrees of the default field of view, from the top of the image to its bottom.

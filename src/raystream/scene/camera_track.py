@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.scene.camera import Camera
 from raystream.scene.splines import position_at, quaternion_matrix, rotation_at
 
-__all__ = ["CameraMotion", "CameraTrack", "keys_span"]
-
 
 class CameraMotion(Protocol):
     """A moving camera: a `CameraTrack`, or a camera on an animated node of a file."""

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.scene.camera import unit_vector
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 
-__all__ = ["daylight"]
-
 #: Rows and columns of the sky's image, which has no small features: the sun is a light of its own.
 _SIZE = 128, 256
 

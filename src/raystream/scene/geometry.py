@@ -16,8 +16,6 @@ from raystream.scene.mesh import Mesh
 if TYPE_CHECKING:
     from raystream.scene.default_view.choice import DefaultView
 
-__all__ = ["Geometry"]
-
 #: Triangles of small scenes are made by NumPy: that is faster than to load a kernel.
 _FEW = 1 << 14
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
 
-__all__ = ["InstancedScene"]
-
 
 class InstancedScene:
     """Objects that are placed any number of times."""

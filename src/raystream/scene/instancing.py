@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from raystream.core.triangles import Triangles
     from raystream.scene.scene import Scene
 
-__all__ = ["InstancedGeometry", "Objects", "placed_meshes"]
-
 #: Triangles that a camera is chosen by.
 _SEEN = 200_000
 

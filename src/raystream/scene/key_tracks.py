@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.scene.splines import slerp, slerp_rows
 
-__all__ = ["KeyTrack"]
-
 Array = NDArray[np.float64]
 
 

@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["disk_points", "lens_samples"]
-
 
 def lens_samples(lens: ArrayLike) -> NDArray[np.float64]:
     """Check lens samples.

@@ -13,16 +13,6 @@ from numpy.typing import NDArray
 
 from raystream.scene.material import Color
 
-__all__ = [
-    "AreaLight",
-    "DirectionalLight",
-    "EnvironmentLight",
-    "Light",
-    "PointLight",
-    "SpotLight",
-    "texel_fault",
-]
-
 Vector = tuple[float, float, float]
 
 

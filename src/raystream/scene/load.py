@@ -13,8 +13,6 @@ from raystream.scene.io.files import FOLDER
 from raystream.scene.io.formats import SUFFIXES, read_model
 from raystream.scene.scene import Scene
 
-__all__ = ["load"]
-
 
 def load(
     source: str | PathLike[str],

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 
 from raystream.scene.texture import Texture
 
-__all__ = ["Color", "Material"]
-
 Color = tuple[float, float, float]
 
 _COLORS = ("diffuse", "specular", "reflection", "transmission", "emission")

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Mesh"]
-
 
 class Mesh:
     """Triangles over shared vertices, with optional attributes.

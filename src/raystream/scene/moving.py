@@ -9,8 +9,6 @@ import numpy as np
 
 from raystream.scene.mesh import Mesh
 
-__all__ = ["have_same_faces", "moved_meshes", "same_faces"]
-
 
 def moved_meshes(meshes: Sequence[Mesh], vertices: Any) -> list[Mesh]:
     """Give meshes new positions.

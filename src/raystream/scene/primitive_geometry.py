@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from raystream.core.triangles import Triangles
     from raystream.scene.scene import Scene
 
-__all__ = ["NO_SPHERES", "PrimitiveGeometry", "combined"]
-
 #: Triangles that a camera is chosen by.
 _SEEN = 50_000
 

@@ -15,8 +15,6 @@ from raystream.scene.primitive_geometry import NO_SPHERES, PrimitiveGeometry, co
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
 
-__all__ = ["PrimitiveScene"]
-
 
 class PrimitiveScene(InstancedScene):
     """Spheres, and terrain without triangles."""

@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PROJECTIONS", "ahead", "around", "beside"]
-
 Array = NDArray[np.float64]
 
 PROJECTIONS = ("perspective", "orthographic", "equirectangular")

@@ -14,8 +14,6 @@ from raystream.core.cache_folder import cache_folder
 from raystream.core.errors import RaystreamError
 from raystream.scene.camera import Camera
 
-__all__ = ["SAMPLES", "SCENES_VARIABLE", "Sample", "SampleFile", "camera", "fetch"]
-
 #: Environment variable for the folder of the samples' files.
 SCENES_VARIABLE = "RAYSTREAM_SCENES"
 

@@ -25,8 +25,6 @@ from raystream.scene.mesh import Mesh
 from raystream.scene.primitive_scene import PrimitiveScene
 from raystream.scene.views import Views
 
-__all__ = ["Scene"]
-
 #: Parts of a scene that an animation sets.
 _ANIMATED = ("meshes", "materials", "lights")
 

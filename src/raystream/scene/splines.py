@@ -7,16 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "key_turns",
-    "position_at",
-    "quaternion_matrix",
-    "rotation_at",
-    "rotation_matrix",
-    "slerp",
-    "slerp_rows",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 
-__all__ = ["MAX_TEXTURE_PIXELS", "Affine", "Texture"]
-
 #: a, b, c, d, e, f: u and v become a u + b v + c and d u + e v + f.
 Affine = tuple[float, float, float, float, float, float]
 

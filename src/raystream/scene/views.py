@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion
 
-__all__ = ["Views"]
-
 
 @dataclass(frozen=True)
 class Views:

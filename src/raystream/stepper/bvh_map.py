@@ -12,8 +12,6 @@ from raystream.stepper.structure_map import BlockMap, LocalSpot, Records, to_wor
 from raystream.structures.bvh.layout import WIDTH
 from raystream.structures.bvh.structure import BvhStructure
 
-__all__ = ["BvhMap"]
-
 #: Low bits of a key, with its lane.
 _LANE_BITS = 7
 

@@ -19,8 +19,6 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.structure import KdTreeStructure
 from raystream.structures.kdtree.traversals.short_stack import stack_entries
 
-__all__ = ["GraphMap", "GridMap", "KdMap", "map_of"]
-
 
 def map_of(structure: Structure) -> StructureMap:
     """Make the map of a structure.

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.kernels.leaf_block import BLOCK_BYTES, BLOCK_SIZE
 from raystream.structures import Structure
 
-__all__ = ["BlockMap", "LocalSpot", "Records", "StructureMap", "to_world"]
-
 
 class LocalSpot(NamedTuple):
     """A cell, node or sector, and the ray's interval in it in local direction lengths."""

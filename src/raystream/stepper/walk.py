@@ -20,8 +20,6 @@ from raystream.stepper.maps import map_of
 from raystream.stepper.structure_map import LocalSpot, Records, StructureMap
 from raystream.tracer import Tracer
 
-__all__ = ["Spot", "Step", "Walk", "walk"]
-
 
 class Spot(NamedTuple):
     """A cell, node or sector, and the ray's interval in it.

@@ -14,8 +14,6 @@ from typing import Protocol
 from raystream.core.errors import LoopLimitError
 from raystream.streams.counters import Counters
 
-__all__ = ["LOOP_LIMIT", "Count", "Repeat", "Sequential", "Step", "While", "check_limit"]
-
 #: Default limit of a loop's rounds.
 LOOP_LIMIT = 100_000
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from raystream.streams.record_stream import RecordStream
 
-__all__ = ["Condition", "as_condition"]
-
 _OPERATIONS = {
     "==": operator.eq,
     "!=": operator.ne,

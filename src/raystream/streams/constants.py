@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["as_constant", "changed_constant"]
-
 
 def as_constant(label: str, value: Any) -> Any:
     """Check a constant.

@@ -15,8 +15,6 @@ from raystream.streams.record_stream import RecordStream
 from raystream.streams.source import KernelSource
 from raystream.streams.stream import Stream
 
-__all__ = ["INDEX", "Declarations", "declare"]
-
 
 class _Index:
     def __repr__(self) -> str:

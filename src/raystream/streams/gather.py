@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.streams.layout import Layout, find_layout, native_array
 from raystream.streams.stream import Stream
 
-__all__ = ["GatherArray"]
-
 
 class GatherArray:
     """An array that a kernel reads at any index.

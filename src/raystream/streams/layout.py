@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MAX_COMPONENTS", "WORD_BYTES", "Layout", "find_layout", "native_array"]
-
 #: Most components of a vector: a loop has a variable for each.
 MAX_COMPONENTS = 16
 

@@ -13,8 +13,6 @@ from raystream.streams import reductions
 from raystream.streams.condition import Condition
 from raystream.streams.layout import Layout, find_layout, native_array
 
-__all__ = ["RecordStream", "label_of", "native_records"]
-
 
 class RecordStream(ABC):
     """Records of one type: their names, comparisons and reductions.

@@ -18,8 +18,6 @@ from raystream.streams.source import compile_fold
 if TYPE_CHECKING:
     from raystream.streams.record_stream import RecordStream
 
-__all__ = ["BLOCK", "add_up", "count_nonzero", "fold", "greatest", "least"]
-
 #: Records in a block. Sums of floats depend on it: another length rounds differently.
 BLOCK = 1 << 14
 

@@ -14,8 +14,6 @@ from raystream.jit.user_loops import Loop, compile_loop
 from raystream.jit.user_results import accept
 from raystream.streams.layout import Layout
 
-__all__ = ["KernelSource", "compile_fold", "compile_kernel"]
-
 
 @dataclass(frozen=True)
 class KernelSource:

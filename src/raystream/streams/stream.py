@@ -9,8 +9,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from raystream.streams.record_stream import RecordStream, label_of, native_records
 
-__all__ = ["Stream"]
-
 
 class Stream(RecordStream):
     """Records of one type, which kernels read or write in order.

@@ -22,8 +22,6 @@ from raystream.kernels.queries import RayQueries, Searches, ray_queries, searche
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.registry import StructureOptions
 
-__all__ = ["BuildReport", "Nested", "Structure", "UpdateReport"]
-
 #: Most rays per call of a compiled loop: enough to amortise the call (about 20 microseconds), few
 #: enough to balance the threads and to notice Ctrl-C.
 RAYS_PER_CALL = 4096

@@ -21,8 +21,6 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 
-__all__ = ["BOUND", "BOX_BYTES", "HIGH", "SLIVER", "WORD", "clip_to_plane", "corner_at"]
-
 #: How far triangles' boxes and planes are grown, in units of the scene's largest coordinate E.
 #: Origins have coordinates of up to 5 E (`kernels.ray.FAR`), so rounded lengths are up to 6 E.
 #: A hit lies outside its triangle's box by at most the padding, 6 E * 2**-20 (`ray.PAD`), and

@@ -19,8 +19,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 from raystream.structures.clip import HIGH, SLIVER, WORD, corner_at
 
-__all__ = ["clip_to_triangle", "edges_overlap"]
-
 _SECOND, _THIRD = np.uint64(12), np.uint64(24)
 
 #: Below this share of the normal, a component's reciprocal is too uncertain to find where a line

@@ -18,17 +18,6 @@ if TYPE_CHECKING:
     from raystream.jit.threads import Progress
     from raystream.structures.base import Structure
 
-__all__ = [
-    "STRUCTURES",
-    "StructureOptions",
-    "build_structure",
-    "form_of",
-    "names_with",
-    "options_of",
-    "register_structure",
-    "structure_class",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class StructureOptions(Options):

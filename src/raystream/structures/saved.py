@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import device
 from raystream.kernels.leaf_block import BLOCK_SIZE
 
-__all__ = ["are_listed", "take"]
-
 
 def take(
     arrays: Mapping[str, NDArray[Any]], name: str, dtype: Any, shape: tuple[int | None, ...]

@@ -17,8 +17,6 @@ from raystream.structures import STRUCTURES, StructureOptions, structure_class
 from raystream.structures.base import Structure
 from raystream.structures.saved import take
 
-__all__ = ["FORMAT_VERSION", "load_structure", "save_structure"]
-
 #: Increased by every change that makes older files unreadable.
 FORMAT_VERSION = 3
 

@@ -15,8 +15,6 @@ from raystream.core.crossing import corners_of
 from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
-__all__ = ["leading_shape", "register"]
-
 #: Tracers by the number that stands for them in operators, whose arguments cannot be objects.
 _TRACERS: weakref.WeakValueDictionary[int, Tracer] = weakref.WeakValueDictionary()
 _numbers = itertools.count(1)

@@ -17,8 +17,6 @@ from raystream.core.scene_checks import check_plain
 from raystream.torch.operators import leading_shape, register
 from raystream.tracer import Tracer
 
-__all__ = ["TorchHits", "TorchTracer"]
-
 _REAL = frozenset(
     (torch.float64, torch.float32, torch.float16, torch.bfloat16, torch.int64)
     + (torch.int32, torch.int16, torch.int8, torch.uint64, torch.uint32, torch.uint16, torch.uint8)

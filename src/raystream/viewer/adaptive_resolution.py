@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 
-__all__ = ["SCALES", "AdaptiveResolution", "Cost", "FrameRate", "slice_rows", "update_interval"]
-
 #: Image size relative to the canvas, per side.
 SCALES = (1.0, 0.8, 0.64, 0.5, 0.4, 0.32, 0.25, 0.2, 0.16, 0.125)
 

@@ -12,8 +12,6 @@ from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import PreparedTracer, device_lock
 from raystream.viewer.view_lights import ViewLights
 
-__all__ = ["MAX_BYTES", "browser_support", "packed_scene"]
-
 #: Maximum bytes of a scene's arrays and its structure's, before compression.
 MAX_BYTES = 256 << 20
 

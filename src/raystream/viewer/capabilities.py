@@ -16,8 +16,6 @@ from raystream.viewer.heatmap_image import ramp
 from raystream.viewer.messages import Message, error_text
 from raystream.viewer.settings import MACHINES, MAX_SAMPLES, traversals_of
 
-__all__ = ["devices_message", "hello"]
-
 
 def hello() -> Message:
     """Make the first message to a client; available devices follow later."""

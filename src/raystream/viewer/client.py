@@ -30,8 +30,6 @@ from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import device_is_free, device_lock
 from raystream.viewer.view_lights import ViewLights
 
-__all__ = ["MAX_NUMBER", "MAX_PIXELS", "MAX_SIDE", "MIN_SIDE", "Client", "WorkerPools"]
-
 #: Limits of the canvas, in pixels.
 MIN_SIDE, MAX_SIDE, MAX_PIXELS = 16, 4096, 8_300_000
 

@@ -17,8 +17,6 @@ from raystream.rendering.png import write_png
 from raystream.viewer.messages import Frame, Message
 from raystream.viewer.settings import DisplaySettings
 
-__all__ = ["Encoder", "encode_jpeg", "encode_png"]
-
 #: JPEG quality while the camera moves and while it rests.
 MOVING_QUALITY, STILL_QUALITY = 80, 92
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from typing import Generic, TypeVar
 
-__all__ = ["FairScheduler"]
-
 Key = TypeVar("Key", bound=Hashable)
 
 

@@ -29,8 +29,6 @@ from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import PreparedTracer
 from raystream.viewer.view_lights import ViewLights
 
-__all__ = ["FrameRenderer", "FrameRequest", "RenderedFrame"]
-
 #: A frame of a moving camera within this total or remaining time is finished although the camera
 #: has moved on: otherwise no frame would appear until the camera rests.
 _MAX_TOTAL, _MAX_REMAINING = 1.0, 0.25

@@ -9,8 +9,6 @@ from raystream.viewer.encoding import MOVING_QUALITY, STILL_QUALITY, Encoder, en
 from raystream.viewer.frame_renderer import RenderedFrame
 from raystream.viewer.messages import Frame, Message, MessageError, Send, error_text
 
-__all__ = ["FrameSender"]
-
 #: Maximum frames in flight that the page has not acknowledged.
 _MAX_IN_FLIGHT = 2
 

@@ -20,8 +20,6 @@ from raystream.viewer.messages import Message
 from raystream.viewer.progressive_images import Drawing, ProgressiveImage
 from raystream.viewer.settings import DisplaySettings
 
-__all__ = ["HeatmapImage", "ramp"]
-
 #: Rays traced at a time: limits memory to about 40 MB.
 _RAYS_AT_ONCE = 1 << 18
 

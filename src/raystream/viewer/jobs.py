@@ -10,8 +10,6 @@ from raystream.jit.threads import Progress
 from raystream.viewer.messages import error_text
 from raystream.viewer.progressive_images import WorkCancelledError
 
-__all__ = ["Job", "Jobs"]
-
 #: Maximum jobs that run at the same time; others wait.
 _MAX_RUNNING = 4
 

@@ -6,20 +6,6 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
-__all__ = [
-    "Frame",
-    "Message",
-    "MessageError",
-    "Send",
-    "error_text",
-    "finite_or_none",
-    "read_bool",
-    "read_choice",
-    "read_integer",
-    "read_number",
-    "read_vector",
-]
-
 #: A JSON object; ``"type"`` names its kind.
 Message = dict[str, Any]
 

@@ -17,8 +17,6 @@ from raystream.viewer.serve import ViewServer, bind, require_packages
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
 
-__all__ = ["View", "view"]
-
 #: Open views: they stay open when the notebook drops its reference, since a page may still show
 #: them, and close with the process.
 _OPEN: set[View] = set()

@@ -15,8 +15,6 @@ from raystream.viewer.progressive_images import Drawing
 from raystream.viewer.tracers import device_lock
 from raystream.viewer.walks import walk_along
 
-__all__ = ["PickQueue", "send_screenshot"]
-
 
 class PickQueue:
     """Runs pick queries one at a time; a newer pick replaces a waiting one.

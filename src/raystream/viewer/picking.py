@@ -14,8 +14,6 @@ from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 from raystream.viewer.messages import Message, finite_or_none, read_integer, read_number
 
-__all__ = ["MAX_ROWS", "PixelRay", "hits_along", "pixel_ray"]
-
 #: Maximum hits reported in detail; the total counts all.
 MAX_ROWS = 1000
 

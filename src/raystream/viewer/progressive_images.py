@@ -21,15 +21,6 @@ from raystream.viewer.adaptive_resolution import Cost, slice_rows
 from raystream.viewer.messages import Message
 from raystream.viewer.settings import DisplaySettings
 
-__all__ = [
-    "Drawing",
-    "ProgressiveImage",
-    "SampledImage",
-    "WorkCancelledError",
-    "centered",
-    "with_samples",
-]
-
 #: A slice that exceeds its time limit by this factor is aborted, and retried with fewer rows.
 _ABORT_FACTOR = 6.0
 

@@ -16,8 +16,6 @@ from raystream.viewer.settings import Settings, traversals_of
 from raystream.viewer.tracers import TracerCache
 from raystream.viewer.worker import Worker
 
-__all__ = ["RenderService"]
-
 
 class RenderService:
     """Renders a scene for any number of clients.

@@ -13,8 +13,6 @@ from raystream.viewer.jobs import Job, Jobs
 from raystream.viewer.messages import Message, MessageError, read_choice, read_number, read_vector
 from raystream.viewer.tracers import TracerCache
 
-__all__ = ["LoadedScene", "camera_message", "load_model", "read_camera"]
-
 #: Limits of messages: length of names, and number of cameras.
 _MAX_NAME_LENGTH, _MAX_CAMERAS = 200, 100
 

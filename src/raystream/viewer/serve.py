@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from raystream.viewer.render_service import RenderService
     from raystream.viewer.server.connections import Connections
 
-__all__ = ["DEFAULT_UPLOAD_LIMIT", "PREFERRED_PORT", "ViewServer", "bind", "require_packages"]
-
 #: Default port, if it is free.
 PREFERRED_PORT = 8008
 

@@ -14,8 +14,6 @@ from raystream.viewer.scenes import LoadedScene, load_model
 from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import PreparedTracer, TracerCache
 
-__all__ = ["Session"]
-
 
 class Session:
     """The scene and settings of a client; the previous ones stay in effect during a build.

@@ -20,15 +20,6 @@ from raystream.viewer.messages import (
     read_number,
 )
 
-__all__ = [
-    "MACHINES",
-    "MAX_SAMPLES",
-    "DisplaySettings",
-    "Settings",
-    "TracerKey",
-    "traversals_of",
-]
-
 #: Machines by device, the default first; listed here because asking a device imports it.
 MACHINES: dict[str, tuple[str, ...]] = {
     "cpu": ("branching", "multipass"),

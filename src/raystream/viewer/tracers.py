@@ -20,8 +20,6 @@ from raystream.viewer.jobs import Job, Jobs
 from raystream.viewer.messages import Message, finite_or_none
 from raystream.viewer.settings import Settings, TracerKey
 
-__all__ = ["PreparedTracer", "TracerCache", "Waiter", "device_is_free", "device_lock"]
-
 #: Limits of the cache per scene: tracers, and bytes of their structures; evicts the least recently
 #: used, but keeps at least one.
 _MAX_TRACERS = 8

@@ -13,8 +13,6 @@ from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.viewer.tracers import PreparedTracer
 
-__all__ = ["ViewLights"]
-
 #: Side of the view for which lights are chosen; see `view_light.well_lit`.
 _TRIAL_SIZE = 64
 

@@ -16,8 +16,6 @@ from raystream.tracer import Tracer
 from raystream.viewer.messages import Message, finite_or_none
 from raystream.viewer.picking import PixelRay
 
-__all__ = ["MAX_STEPS", "MAX_TESTED", "walk_along"]
-
 #: Maximum steps sent, and maximum tested triangles listed per step.
 MAX_STEPS, MAX_TESTED = 300, 32
 

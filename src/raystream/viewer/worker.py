@@ -9,8 +9,6 @@ from typing import Protocol
 
 from raystream.viewer.fair_scheduler import FairScheduler
 
-__all__ = ["RenderTask", "Worker"]
-
 #: Time limit of a slice: for a single client, and while others wait.
 _SLICE_ALONE, _SLICE_SHARED = 0.1, 0.04
 

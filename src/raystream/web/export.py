@@ -26,8 +26,6 @@ from raystream.web.page_parts import PageParts, write_file, write_folder
 from raystream.web.scene_data import check_supported, page_scene
 from raystream.web.structure_names import structure_names
 
-__all__ = ["export_page"]
-
 #: Modules of the page, each after those that it imports.
 MODULES = (
     "vector.js",

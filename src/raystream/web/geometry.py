@@ -15,8 +15,6 @@ from raystream.graphics.structures.bvh import has_lost_triangles
 from raystream.structures import Structure
 from raystream.structures.bvh.structure import BvhStructure
 
-__all__ = ["structure_arrays", "triangle_arrays"]
-
 
 def triangle_arrays(triangles: Triangles, faces: NDArray[np.int32]) -> dict[str, NDArray[Any]]:
     """Vertices in the local frame, and the triangles' indices.

@@ -13,8 +13,6 @@ from raystream.rendering.false_colors import color_ramp
 from raystream.rendering.heatmap import HEATMAPS, title_of
 from raystream.structures import STRUCTURES
 
-__all__ = ["COUNTS", "counts_of", "ramp_words"]
-
 #: The mode whose light is counts.
 COUNTS = Mode("page/counts.wgsl")
 

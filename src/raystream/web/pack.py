@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["pack", "packed_bytes"]
-
 #: Format of the packed text; the page refuses others.
 VERSION = 1
 

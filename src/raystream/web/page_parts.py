@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 from raystream.core.atomic_write import atomic_write
 
-__all__ = ["PageParts", "write_file", "write_folder"]
-
 
 class PageParts(NamedTuple):
     """What a page is made of.

@@ -14,8 +14,6 @@ from raystream.machines.schedulers import DEFAULT_THRESHOLD
 from raystream.structures import Structure
 from raystream.structures.kdtree.structure import KdTreeStructure
 
-__all__ = ["LOOP_FILES", "pass_files", "pass_kernels", "schedule"]
-
 #: Shader files of all structures' passes.
 LOOP_FILES = (
     "fragment/no_counters.wgsl",

@@ -30,8 +30,6 @@ from raystream.web.heatmaps import COUNTS, counts_of, ramp_words
 from raystream.web.pass_kernels import pass_files, pass_kernels, schedule
 from raystream.web.structure_names import structure_names
 
-__all__ = ["MODES", "PageScene", "check_supported", "page_scene", "unsupported_by_pages"]
-
 #: Modes of a page, the first one first seen.
 MODES = ("raycast", "shadow", "whitted", "ao", "path")
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from raystream.structures import StructureOptions
 
-__all__ = ["structure_names"]
-
 
 def structure_names(structures: Sequence[StructureOptions]) -> list[str]:
     """The names of structures: of several of one kind, also the options given.

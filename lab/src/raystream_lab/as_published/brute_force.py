@@ -19,8 +19,6 @@ from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams import Counters, Kernel, Stream
 from raystream_lab.as_published.triangle import PrintedHit, intersect_triangle
 
-__all__ = ["HIT", "RAY", "BruteForce", "brute_steps", "triangle_pass"]
-
 RAY = np.dtype([("origin", np.float32, 3), ("direction", np.float32, 3)])
 HIT = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4")])
 

@@ -21,8 +21,6 @@ from raystream.structures.grid.cells import cell_list
 from raystream.structures.grid.structure import GridStructure
 from raystream_lab.as_published.triangle import PrintedHit, intersect_triangle, vertex_at
 
-__all__ = ["WALK", "grid_steps"]
-
 #: The state of a ray between passes. `cell` and `t_next` are those of the next step; `list_pos` to
 #: `list_end` are the references of the voxel that the ray is in, and `t_exit` where it leaves it.
 WALK = np.dtype(

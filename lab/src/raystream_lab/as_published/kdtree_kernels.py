@@ -32,8 +32,6 @@ from raystream.structures.kdtree.nodes import parent_of, split_of
 from raystream.structures.kdtree.structure import KdTreeStructure
 from raystream_lab.as_published.triangle import PrintedHit, intersect_triangle
 
-__all__ = ["PACKED", "kdtree_steps"]
-
 #: TraversalState, IntersectState and HitState: four floats each.
 PACKED = np.dtype(
     [

@@ -9,8 +9,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 
-__all__ = ["PrintedHit", "intersect_triangle", "vertex_at"]
-
 _Y, _Z = np.uint64(4), np.uint64(8)
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 

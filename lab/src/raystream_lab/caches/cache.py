@@ -24,8 +24,6 @@ from raystream_lab.caches.trace_chunk import (
     as_kinds,
 )
 
-__all__ = ["Cache"]
-
 #: Slots have 32-bit indices.
 _MAX_LINES = 1 << 31
 

@@ -8,8 +8,6 @@ from typing import TypeVar
 
 from raystream.jit.threads import thread_count
 
-__all__ = ["feed_chunks"]
-
 Chunk = TypeVar("Chunk")
 
 

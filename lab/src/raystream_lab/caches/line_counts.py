@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from raystream_lab.caches.kernels.trace_access import COLUMNS
 
-__all__ = ["LineCounts", "by_kind", "new_counts"]
-
 
 @dataclass(frozen=True)
 class LineCounts:

@@ -25,8 +25,6 @@ from raystream_lab.caches.kernels.stack_distances import (
 from raystream_lab.caches.line_counts import LineCounts, by_kind, new_counts
 from raystream_lab.caches.trace_chunk import MIN_LINE_SIZE, Kinds, as_chunk, as_count, as_kinds
 
-__all__ = ["MissCurve", "ReuseDistances"]
-
 #: A reference touches at most this many lines: 255 bytes, in lines of 4.
 _MAX_TOUCHED = 65
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from raystream.core.rays import as_host_array
 from raystream_lab.caches.kernels.trace_access import Trace
 
-__all__ = ["MIN_LINE_SIZE", "Chunk", "Kinds", "as_chunk", "as_count", "as_kinds"]
-
 #: Kinds or lengths: one value for all references, or one per reference.
 Kinds = NDArray[np.uint8] | int
 

@@ -24,8 +24,6 @@ from raystream_lab.published import published
 from raystream_lab.results import Cell, Plot, Result, Series, Table, comparison
 from raystream_lab.runner import Runner
 
-__all__ = ["GRIDS", "ITERATIONS", "LETTERS", "MAX_TESTS", "image_times"]
-
 #: The scenes that are timed.
 LETTERS = (*SCENES, TEAPOT)
 

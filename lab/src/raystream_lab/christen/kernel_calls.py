@@ -21,8 +21,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.threshold_rule import threshold_claim
 
-__all__ = ["ITERATIONS", "LETTERS", "THRESHOLDS", "kernel_calls", "passes_of"]
-
 #: The scenes whose calls are counted.
 LETTERS = (*SCENES, TEAPOT, MATTE_BASE)
 

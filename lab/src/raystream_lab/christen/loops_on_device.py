@@ -15,8 +15,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.timing import time_in_turn
 
-__all__ = ["loops_on_device"]
-
 #: Values of ``Tracer(loop=...)`` on graphics devices.
 _HOST, _DEVICE = "queries", "device"
 

@@ -14,8 +14,6 @@ from raystream_lab.results import Cell, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
 
-__all__ = ["SIZE", "on_graphics"]
-
 #: Width and height: a quarter of his, since the adapter may be software.
 SIZE = 64
 

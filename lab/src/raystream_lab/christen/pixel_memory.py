@@ -22,8 +22,6 @@ from raystream_lab.published import published
 from raystream_lab.results import Cell, Claim, Result, Table, comparison, is_near
 from raystream_lab.runner import Runner
 
-__all__ = ["loop_bytes", "pixel_memory", "result_bits"]
-
 #: Numbers of iterations.
 _ITERATIONS = (1, 2, 3, 4, 6, 8)
 

@@ -25,18 +25,6 @@ from raystream_lab.published import published
 from raystream_lab.recording_tracer import RecordingTracer
 from raystream_lab.runner import Runner
 
-__all__ = [
-    "MATTE_BASE",
-    "SCENES",
-    "TEAPOT",
-    "Bounce",
-    "bounces_of",
-    "christen_scene",
-    "image_size",
-    "teapot_model",
-    "timed_iterations",
-]
-
 #: Our versions of his scenes, and the known differences.
 SCENES = {
     "A": (

@@ -15,8 +15,6 @@ from raystream_lab.results import TOLERANCE, Cell, Claim, Result, Table, listed
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["bounds", "check_bounds"]
-
 _SOURCE = "Foley 2005, section 2"
 
 Found = dict[str, Any]

@@ -18,8 +18,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, list
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["GROUPINGS", "coherence"]
-
 #: Divisor of the paper's image size.
 _SHARE = 2
 

@@ -20,8 +20,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.views import View
 from raystream_lab.walks.ray_orders import ray_order
 
-__all__ = ["CLIMB", "GROUP_SIZES", "convergence", "distinct_shares", "step_factor"]
-
 #: Climbs per group; the last one has all.
 GROUP_SIZES = (64, 512, 4096, 32768)
 _ALL = "all"

@@ -25,8 +25,6 @@ from raystream_lab.results import Cell, Claim, Result, Table, comparison
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["count_kernel_runs", "counts_on_device"]
-
 #: Traversals without a stack, which multipass machines step through.
 _STACKLESS = ("restart", "backtrack")
 

@@ -13,8 +13,6 @@ from raystream_lab.published import published
 from raystream_lab.results import Cell, Result, Table
 from raystream_lab.runner import Runner
 
-__all__ = ["TimedScheduler", "kernels_on_graphics"]
-
 _SIZE = 512
 
 _WORD_BYTES = 4

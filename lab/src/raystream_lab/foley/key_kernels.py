@@ -24,8 +24,6 @@ from raystream_lab.published import published
 from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream_lab.runner import Runner
 
-__all__ = ["KERNEL_NAMES", "KEY_STRUCTURES", "key_kernels"]
-
 _SIZE = 512
 
 #: Foley's structures; the kitchen's rays, as in section 4.2.

@@ -13,8 +13,6 @@ from raystream_lab.results import Cell, Claim, Result, Table, comparison, is_nea
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["memory_use", "node_bits", "ray_bytes"]
-
 #: Bytes of a stack entry: a node and the end of its interval.
 _ENTRY = 8
 

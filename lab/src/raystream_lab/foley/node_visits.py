@@ -13,8 +13,6 @@ from typing import NamedTuple
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.structure import KdTreeStructure
 
-__all__ = ["NodeVisits", "TreeWalker", "distinct_share"]
-
 #: Zero direction components are replaced by this share of the largest, as in the engine.
 _LEAST = 2.0**-40
 

@@ -16,8 +16,6 @@ from raystream_lab.results import Cell, Table
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["ViewCosts", "kernel_runs", "lead", "other_views", "other_views_table"]
-
 _SWEEP_SIZE = SIZE // 4
 
 #: Frames per animation.

@@ -10,15 +10,6 @@ from raystream_lab.published import published
 from raystream_lab.results import Cell, Claim, Result, Table, listed
 from raystream_lab.runner import Runner
 
-__all__ = [
-    "BrutePrices",
-    "brute_prices",
-    "full_rate_times",
-    "kernel_rates",
-    "paper_figures",
-    "rates",
-]
-
 #: Kernels of Table 3 by the columns of Table 2. Leaf and Continue are not in Table 3.
 _KERNELS = {"down": "kd down", "up": "kd up", "intersect": "kd intersect"}
 

@@ -11,8 +11,6 @@ from raystream_lab.published import published
 from raystream_lab.results import TOLERANCE, Cell, Claim, Plot, Result, Series, Table, listed
 from raystream_lab.runner import Runner
 
-__all__ = ["recirculation"]
-
 _SIZE = 512
 
 _STRUCTURES: dict[str, dict[str, Any]] = {

@@ -12,8 +12,6 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.structure import KdTreeStructure
 from raystream_lab.walks import record
 
-__all__ = ["Climbs", "TreeVisits", "last_climbs", "parents_of", "record_visits"]
-
 #: Kernels whose steps visit a node.
 _VISITING = ("down", "leaf", "up")
 

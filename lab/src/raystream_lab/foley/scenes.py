@@ -24,22 +24,6 @@ from raystream_lab.results import Result
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = [
-    "PATIENCE",
-    "SCENES",
-    "SIZE",
-    "TRAVERSALS",
-    "available_views",
-    "count_states",
-    "figures_of",
-    "foley_structures",
-    "foley_tree",
-    "foley_trees",
-    "mean_counts",
-    "published_figures",
-    "trace_counters",
-]
-
 #: The paper's traversals, with a stack for reference.
 TRAVERSALS = ("stack", "restart", "backtrack")
 

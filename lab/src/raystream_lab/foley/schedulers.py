@@ -16,8 +16,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, list
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["RATIOS", "RecordingScheduler", "SwitchRatio", "schedulers"]
-
 #: Switch to another kernel if it has this many times the rays of the last one.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 

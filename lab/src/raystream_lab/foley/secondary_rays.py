@@ -14,8 +14,6 @@ from raystream.tracer import Tracer
 from raystream_lab.diffuse_bounces import cosine_directions
 from raystream_lab.views import View
 
-__all__ = ["RayKind", "first_hits", "ray_kinds"]
-
 _SEED = 20050731
 
 

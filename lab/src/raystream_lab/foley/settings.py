@@ -14,8 +14,6 @@ from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures.kdtree.options import KdTree
 
-__all__ = ["OWN_BONUS", "PBRT_BONUS", "Setting", "settings_of"]
-
 #: pbrt's bonus for empty space: Foley's builder is "based on" its first edition's.
 PBRT_BONUS = 0.5
 

@@ -29,8 +29,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, comp
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["COUNTED", "state_counts", "states_of"]
-
 #: The scenes of Table 2.
 COUNTED = ("robots", "kitchen")
 

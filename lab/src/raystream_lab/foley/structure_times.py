@@ -47,8 +47,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.timing import time_in_turn
 from raystream_lab.views import View
 
-__all__ = ["structure_times"]
-
 #: The structures of Table 1; a stack and a BVH for reference.
 STRUCTURES = ("brute", "grid", "restart", "backtrack", "stack", "bvh")
 

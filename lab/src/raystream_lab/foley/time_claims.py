@@ -11,8 +11,6 @@ from raystream_lab.foley.sensitivity import is_near
 from raystream_lab.published import published
 from raystream_lab.results import Claim, listed
 
-__all__ = ["time_claims"]
-
 #: Brute force counts as linear if the time per test agrees in all scenes within this share.
 _LINEAR = 0.25
 

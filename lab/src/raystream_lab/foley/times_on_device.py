@@ -27,8 +27,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.timing import time_in_turn
 from raystream_lab.views import View
 
-__all__ = ["times_on_device"]
-
 #: Structures that multipass machines step through.
 _MULTIPASS = ("brute", "grid", "restart", "backtrack")
 

@@ -26,8 +26,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.timing import time_in_turn
 from raystream_lab.views import View
 
-__all__ = ["COSTS", "tree_costs"]
-
 #: Costs of a step; a test costs 1.
 COSTS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 

@@ -22,8 +22,6 @@ from raystream_lab.kernels.record_code import compile_steps
 from raystream_lab.kernels.snapshots import Search, Snapshot, busiest, snapshots
 from raystream_lab.timing import repeat, seconds_of
 
-__all__ = ["RUNS", "KernelSpeed", "copy_bandwidth", "kernel_speeds", "measure_speed"]
-
 #: Foley's number of runs.
 RUNS = 500
 

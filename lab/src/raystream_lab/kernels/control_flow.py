@@ -8,8 +8,6 @@ import networkx as nx
 
 from raystream.jit.inspect import Instruction
 
-__all__ = ["ControlFlow"]
-
 
 class ControlFlow:
     """The basic blocks of a function; the first one is the entry.

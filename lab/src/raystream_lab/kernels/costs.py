@@ -22,16 +22,6 @@ from raystream_lab.kernels.record_code import (
     make_streams,
 )
 
-__all__ = [
-    "Fetched",
-    "KernelCost",
-    "cost_of",
-    "kernel_costs",
-    "stream_words",
-    "words_fetched",
-    "words_of",
-]
-
 _STREAM = "%arg.stream_"
 _WORD = 4
 

@@ -21,8 +21,6 @@ from raystream.kernels.leaf_block import BLOCK, SECOND, THIRD
 from raystream.machines.records import RayState
 from raystream.machines.steps import Steps
 
-__all__ = ["FETCH_ONLY", "fetch_only"]
-
 _TRAVERSING = np.uint8(RayState.TRAVERSING)
 _INTERSECTING = np.uint8(RayState.INTERSECTING)
 _BACKTRACKING = np.uint8(RayState.BACKTRACKING)

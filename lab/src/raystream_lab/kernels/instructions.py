@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from raystream.jit.inspect import Instruction
 from raystream_lab.kernels.control_flow import ControlFlow
 
-__all__ = ["InstructionCounts", "bookkeeping", "class_of", "count_instructions", "count_loop"]
-
 _CLASSES = {
     "floating": "fadd fsub fmul fdiv frem fneg",
     "integer": "add sub mul udiv sdiv urem srem shl lshr ashr and or xor",

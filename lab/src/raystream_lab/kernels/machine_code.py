@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["count_machine_code"]
-
 
 def count_machine_code(assembly: str, name: str) -> int:
     """Count the instructions of a function, without labels and directives.

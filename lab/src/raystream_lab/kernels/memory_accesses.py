@@ -10,8 +10,6 @@ from raystream.jit.inspect import Instruction
 from raystream_lab.kernels.control_flow import ControlFlow
 from raystream_lab.kernels.instructions import bookkeeping
 
-__all__ = ["Access", "accesses", "byte_count"]
-
 _VECTOR = re.compile(r"<(\d+) x (.+)>")
 #: Operands of address computations that may be addresses themselves. Others, such as products and
 #: shifts, are offsets.

@@ -25,14 +25,6 @@ from raystream.structures import Structure
 from raystream_lab.kernels.snapshots import Search
 from raystream_lab.timing import repeat, seconds_of
 
-__all__ = [
-    "OccupancyBin",
-    "PassTime",
-    "Recirculation",
-    "by_occupancy",
-    "measure_recirculation",
-]
-
 #: Structures whose branching machine traces single rays, as `kernels.queries` does.
 _ONE_BY_ONE = ("brute", "grid", "kdtree", "graph")
 

@@ -15,8 +15,6 @@ from raystream.machines.steps import Steps
 from raystream.streams import Stream
 from raystream.streams.declarations import declare
 
-__all__ = ["RecordCode", "compile_steps", "first_hit_query", "make_streams"]
-
 #: Numbers of a query that select what is compiled.
 _QUERY_CHOICES = {"surfaces", "shaded_hits", "tallies", "runs", "steps", "tests"}
 

@@ -20,8 +20,6 @@ from raystream.streams import Counters, Kernel, Stream
 from raystream.structures import Structure
 from raystream_lab.kernels.record_code import first_hit_query
 
-__all__ = ["Search", "Snapshot", "busiest", "local_rays", "snapshots"]
-
 
 def local_rays(structure: Structure, origins: Any, directions: Any) -> LocalRays:
     """Rays in the frame of a structure's triangles.

@@ -14,8 +14,6 @@ from raystream_lab.published import published
 from raystream_lab.results import TOLERANCE, Cell, Claim, Result, Table, listed
 from raystream_lab.runner import Runner
 
-__all__ = ["COUNTED", "compiled_kernels", "cost_figures"]
-
 #: Structures whose kernels are counted; their triangles do not matter.
 COUNTED: dict[str, dict[str, Any]] = {
     "brute": {},

@@ -15,8 +15,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS
 from raystream_lab.walks import record, replay
 
-__all__ = ["exact_lists", "measure_lists"]
-
 #: Figures of Table 2, by our names.
 _SCHEDULE = {
     "passes": ("passes", "total"),

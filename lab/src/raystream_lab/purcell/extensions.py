@@ -30,8 +30,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
 from raystream_lab.views import View
 
-__all__ = ["extensions"]
-
 #: Scenes, and options of their grids: Purcell's (section 4.1) for his scenes. In a one-level grid,
 #: all robots share a few cells, and a ray tests 60,000 triangles.
 _SCENES: Mapping[str, dict[str, Any]] = MappingProxyType(

@@ -15,8 +15,6 @@ from raystream_lab.purcell.image_counts import SIZE
 from raystream_lab.purcell.scene_statistics import paper_view
 from raystream_lab.results import Cell, Claim, Table, is_near, listed
 
-__all__ = ["Rates", "frame_claims", "frame_table", "second_marks"]
-
 #: Frames per second that count as real time: our choice.
 REAL_TIME = 24.0
 

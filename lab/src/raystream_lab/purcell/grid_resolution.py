@@ -20,8 +20,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS, View
 
-__all__ = ["Sweep", "grid_resolution", "resolution_sweep"]
-
 #: Cells along the shortest axis of the scene's box.
 RESOLUTIONS = (8, 16, 24, 32, 48, 64, 96, 128, 160)
 

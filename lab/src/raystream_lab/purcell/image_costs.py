@@ -12,8 +12,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS
 
-__all__ = ["image_costs"]
-
 #: Parts of Figure 7, and their kernels.
 _PARTS = {
     "rays and set-up": ("generate eye ray", "set up"),

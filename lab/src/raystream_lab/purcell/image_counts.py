@@ -14,17 +14,6 @@ from raystream_lab.published import published
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = [
-    "SIZE",
-    "ImageCounts",
-    "count_image",
-    "counts_of",
-    "grid_of",
-    "grid_options",
-    "grid_tracer",
-    "scene_of",
-]
-
 #: Width and height of Purcell's images, section 4.1.
 SIZE = 1024
 

@@ -14,8 +14,6 @@ from raystream_lab.results import Cell, Claim, Result, Table, listed
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS
 
-__all__ = ["loop_unrolling"]
-
 #: The grid's kernels, and their rows in Table 1.
 _KERNELS = {"traverse": "step", "intersect": "intersect"}
 

@@ -11,8 +11,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS
 from raystream_lab.walks import repeated_tests
 
-__all__ = ["mailbox"]
-
 
 def mailbox(runner: Runner) -> Result:
     """Repeated tests of a triangle by the same ray in several cells."""

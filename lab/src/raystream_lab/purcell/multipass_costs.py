@@ -19,8 +19,6 @@ from raystream.rendering.sampling.sampler import Sampler
 from raystream.tracer import Tracer
 from raystream_lab.cost_model import prices
 
-__all__ = ["CountingScheduler", "LoopRuns", "ShadowRayKeeper", "loop_cost", "loop_runs"]
-
 _WORD_BYTES = 4
 
 #: The grid's kernels, and their rows in Table 1.

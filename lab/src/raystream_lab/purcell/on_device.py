@@ -21,8 +21,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
 from raystream_lab.views import PURCELL_VIEWS
 
-__all__ = ["contenders", "on_device"]
-
 #: Rounds in which contenders take turns, and the total seconds after which a slow one leaves.
 _ROUNDS, _PATIENCE = 3, 10.0
 

@@ -14,8 +14,6 @@ from raystream_lab.results import NOT_EXPLAINED, is_near
 from raystream_lab.runner import Runner
 from raystream_lab.walks import Replay, Walks, record, replay
 
-__all__ = ["FIGURES", "pass_reasons", "summary"]
-
 #: Figures of Table 2: our names, theirs, and titles.
 FIGURES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {

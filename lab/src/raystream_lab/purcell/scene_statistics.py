@@ -32,16 +32,6 @@ from raystream_lab.results import (
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS, View
 
-__all__ = [
-    "STATISTICS",
-    "camera_sweep",
-    "image_statistics",
-    "joint_reason",
-    "other_cameras",
-    "paper_view",
-    "scene_statistics",
-]
-
 #: The statistics of Figure 6.
 STATISTICS = {
     "v": "cells per ray (v)",

@@ -15,8 +15,6 @@ from raystream_lab.threshold_rule import near_fewest, threshold_claim
 from raystream_lab.views import PURCELL_VIEWS
 from raystream_lab.walks import Walks, record, replay, sweep
 
-__all__ = ["UNROLLED", "image_schedule", "record_view", "schedules"]
-
 #: Percent.
 _THRESHOLDS = (
     *(1, 2, 3, 5, 7, 10, 12, 15, 18, 20, 22, 25, 28, 30),

@@ -17,8 +17,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.views import View
 from raystream_lab.walks import ReferenceChunk, Textures, Walks, branching_references, record
 
-__all__ = ["small_memory"]
-
 _VIEWS = ("forest inside", "building inside")
 
 _SIZE = 512

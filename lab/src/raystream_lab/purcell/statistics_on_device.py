@@ -11,8 +11,6 @@ from raystream_lab.results import Cell, Result, comparison, is_near
 from raystream_lab.runner import Runner
 from raystream_lab.views import PURCELL_VIEWS
 
-__all__ = ["statistics_on_device"]
-
 #: Counts that are compared with the CPU's.
 _COUNTED = (*STATISTICS, "entering", "most_steps", "most_tests")
 

@@ -29,8 +29,6 @@ from raystream_lab.walks import (
     replay,
 )
 
-__all__ = ["KIND_NAMES", "texture_cache"]
-
 #: In the order of `Kind`.
 KIND_NAMES = ("grid", "lists", "triangles", "shading", "state")
 

@@ -16,8 +16,6 @@ from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
 from raystream_lab.views import View
 
-__all__ = ["triangle_rate"]
-
 _VIEW = "bunny on a floor"
 
 #: Image size for brute force: each ray tests all triangles.

@@ -19,8 +19,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.views import View, without_lawn
 
-__all__ = ["zbuffer"]
-
 _SIZE = 512
 
 #: Triangles of the generated scenes.

@@ -12,8 +12,6 @@ from raystream_lab.results import Cell, Result, Table
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["build_on_device"]
-
 #: The device builds it by another method, so it is another tree.
 _OTHER = "bvh"
 

@@ -18,8 +18,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, list
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["RAYS", "graph_statistics", "ray_sets"]
-
 #: Kinds of rays that are counted.
 RAYS = ("from the eye", "from surfaces", "at random")
 

@@ -23,8 +23,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, is_n
 from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
 
-__all__ = ["FACTORS", "PLACES", "hidden_triangles", "scene_with_hidden"]
-
 #: Hidden triangles per visible triangle.
 FACTORS = (0, 1, 2, 4, 8, 16, 32, 64)
 _QUICK_FACTORS = (0, 1, 8)

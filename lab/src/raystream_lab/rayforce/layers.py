@@ -20,8 +20,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream_lab.runner import Runner
 from raystream_lab.timing import median_times
 
-__all__ = ["LAYERS", "QUERIES", "layered_scene", "layers"]
-
 LAYERS = (1, 2, 4, 8, 16, 32, 64)
 _QUICK_LAYERS = (1, 8, 64)
 

@@ -28,8 +28,6 @@ from raystream_lab.results import Cell, Claim, Plot, Result, Series, Table, list
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["MODES", "render_modes"]
-
 #: Modes, and the poster's description of each.
 MODES = {
     "vis": "visible surfaces, shaded by the cosine between normal and view",

@@ -18,8 +18,6 @@ from raystream_lab.results import Result
 from raystream_lab.runner import Runner
 from raystream_lab.views import View
 
-__all__ = ["REFERENCE", "SCENES", "STAND_INS", "STRUCTURES", "device_options", "prepared", "scenes"]
-
 #: The poster's scenes are lost with its figure. These are interiors, as usual in papers of its
 #: time: offices, a church, a kitchen with details of many sizes.
 SCENES = ("conference", "sibenik", "kitchen")

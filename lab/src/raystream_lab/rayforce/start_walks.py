@@ -20,8 +20,6 @@ from raystream_lab.published import published
 from raystream_lab.rayforce.kernels.walk_in_turn import walk_in_turn
 from raystream_lab.views import View
 
-__all__ = ["Leaving", "StartWalks", "secondary_rays", "start_walks"]
-
 
 class Leaving(NamedTuple):
     """Rays that leave hits.

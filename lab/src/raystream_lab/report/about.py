@@ -5,8 +5,6 @@ from __future__ import annotations
 import shlex
 from typing import Any, NamedTuple
 
-__all__ = ["About"]
-
 
 class About(NamedTuple):
     """The provenance of a report.

@@ -7,8 +7,6 @@ from dataclasses import astuple
 
 from raystream_lab.results import Cell, Claim, Table
 
-__all__ = ["NOTHING", "are_numbers", "cell_text", "claims_table", "is_number"]
-
 NOTHING = "–"
 
 

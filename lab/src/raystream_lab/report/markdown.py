@@ -12,8 +12,6 @@ from raystream_lab.report.about import About
 from raystream_lab.report.cell_text import are_numbers, cell_text, claims_table
 from raystream_lab.results import Cell, Claim, Table
 
-__all__ = ["Page", "as_pages", "table_text"]
-
 #: Beside the pages.
 _IMAGES, _PLOTS = "pictures", "plots"
 

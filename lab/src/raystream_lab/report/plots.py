@@ -11,8 +11,6 @@ from PIL import Image
 from raystream.core.atomic_write import atomic_write
 from raystream_lab.results import Plot
 
-__all__ = ["draw"]
-
 #: A palette for all kinds of colour vision (Okabe and Ito 2008).
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a")
 

@@ -17,8 +17,6 @@ from raystream_lab.report.about import About
 from raystream_lab.report.markdown import as_pages
 from raystream_lab.report.plots import draw
 
-__all__ = ["as_json", "build_html", "write_report"]
-
 #: Sphinx's options; its other ones as they are.
 _SPHINX = {
     "extensions": "myst_parser",

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream_lab.walks.kernels.find_distinct import FREE, find_distinct
 
-__all__ = ["DistinctWalks", "distinct_walks"]
-
 
 class DistinctWalks(NamedTuple):
     """The distinct walks.

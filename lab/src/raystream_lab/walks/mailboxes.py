@@ -14,8 +14,6 @@ from raystream_lab.walks.kernels.count_repeats import count_repeats
 from raystream_lab.walks.memory_references import grid_of, roles_of
 from raystream_lab.walks.walks import Walks
 
-__all__ = ["RepeatedTests", "repeated_tests"]
-
 #: Rays per task of a thread.
 _CHUNK = 1 << 16
 

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ORDERS", "ray_order"]
-
 #: Row by row, in tiles of 8 x 8 pixels, and along a Morton curve.
 ORDERS = ("rows", "tiles", "morton")
 

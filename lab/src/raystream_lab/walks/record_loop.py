@@ -15,8 +15,6 @@ from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams.layout import Layout
 from raystream_lab.walks.kernels.visited_places import cell_of, node_of
 
-__all__ = ["VisitedPlaces", "search_loop", "visits_of"]
-
 
 class VisitedPlaces(NamedTuple):
     """The visits to a structure that can be recorded.

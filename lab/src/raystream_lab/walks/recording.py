@@ -21,8 +21,6 @@ from raystream.tracer import Tracer
 from raystream_lab.walks.record_loop import search_loop, visits_of
 from raystream_lab.walks.walks import Walks
 
-__all__ = ["record"]
-
 #: Rays per task of a thread.
 _CHUNK = 1 << 12
 

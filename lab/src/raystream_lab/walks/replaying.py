@@ -34,8 +34,6 @@ from raystream_lab.walks.kernels.replay_passes import (
 )
 from raystream_lab.walks.walks import Walks
 
-__all__ = ["Replay", "ReplayedPass", "replay", "sweep"]
-
 #: Maximum passes per call of the compiled loop.
 _PASSES_PER_CALL = 1 << 14
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from raystream.structures.grid.structure import GridStructure
 from raystream_lab.published import published
 
-__all__ = ["ALIGNMENT", "Kind", "StateWords", "Textures"]
-
 #: Textures begin at multiples of this: the least common multiple of Purcell's cache line, 48 bytes,
 #: and of all powers of two up to 4096.
 ALIGNMENT = 3 * 4096

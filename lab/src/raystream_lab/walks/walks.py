@@ -15,8 +15,6 @@ from raystream.machines.steps.base import StepKernel
 from raystream.structures import Structure
 from raystream_lab.walks.distinct_walks import DistinctWalks, distinct_walks
 
-__all__ = ["Run", "Walks"]
-
 
 class Run(NamedTuple):
     """Consecutive steps of one kernel on a ray.

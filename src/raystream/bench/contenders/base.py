@@ -10,23 +10,6 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "MISS_T",
-    "NO_INSTANCES",
-    "AllHits",
-    "Closest",
-    "Contender",
-    "FirstHits",
-    "Geometry",
-    "Placed",
-    "Points",
-    "Query",
-    "Rays",
-    "Result",
-    "UnavailableError",
-    "warmup_geometry",
-]
-
 Query = Literal["first", "any", "multi", "closest"]
 
 #: Packages report a miss as infinity, float32's maximum or 1e37; no scene is this large.

@@ -21,8 +21,6 @@ from raystream.bench.contenders.base import (
     Rays,
 )
 
-__all__ = ["Embreex"]
-
 #: Rays per call, small enough for load balance.
 _CHUNK = 1 << 15
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.bench.contenders.base import Closest, Contender, Geometry, Points
 
-__all__ = ["Fcpw"]
-
 
 class _Interactions:
     """FCPW's list of results; an array of their distances when NumPy asks for one."""

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.bench.contenders.base import Closest, Contender, Geometry, Points
 
-__all__ = ["Libigl"]
-
 
 class Libigl(Contender):
     """``AABB.squared_distance``.

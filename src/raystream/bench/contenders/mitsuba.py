@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.bench.contenders.base import Contender, FirstHits, Geometry, Rays, UnavailableError
 
-__all__ = ["Mitsuba"]
-
 _VARIANT = "llvm_ad_rgb"
 
 

@@ -19,8 +19,6 @@ from raystream.bench.contenders.base import (
     Rays,
 )
 
-__all__ = ["Open3D"]
-
 
 class Open3D(Contender):
     """``cast_rays``, ``test_occlusions``, ``list_intersections``, ``compute_closest_points``."""

@@ -23,8 +23,6 @@ from raystream.scene.scene import Scene
 from raystream.structures import names_with
 from raystream.tracer import Tracer
 
-__all__ = ["Raystream"]
-
 
 class Raystream(Contender):
     """A `Tracer` with the given options."""

@@ -19,8 +19,6 @@ from raystream.bench.contenders.base import (
     UnavailableError,
 )
 
-__all__ = ["Warp"]
-
 wp.config.log_level = wp.LOG_ERROR
 
 #: Its queries of points take the greatest distance.

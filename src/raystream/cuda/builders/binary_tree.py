@@ -25,17 +25,6 @@ from raystream.structures.bvh.binary_tree import LINK_BYTES, Link
 from raystream.structures.bvh.collapse import COST_BYTES, leaf_costs, merge_costs
 from raystream.structures.bvh.prim_refs import COUNT_AT, REF_BYTES, write_ref
 
-__all__ = [
-    "COARSE_BITS",
-    "FINE_BITS",
-    "KERNELS",
-    "KeyFrame",
-    "Nodes",
-    "NodesAt",
-    "join",
-    "make_leaves",
-]
-
 #: Bits of a key per axis, and those for trees that must stay shallow.
 FINE_BITS, COARSE_BITS = 16, 10
 

@@ -25,8 +25,6 @@ from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.structure import BvhStructure, hittable_corners
 
-__all__ = ["DeviceBvh", "build_bvh"]
-
 
 class DeviceBvh(DeviceResident, BvhStructure):
     """A BVH in device memory, copied to the host when first needed there.

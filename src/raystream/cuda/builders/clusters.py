@@ -28,8 +28,6 @@ from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import f32x8, load, maximum, store
 from raystream.structures.bvh.prim_refs import FIRST_AT, REF_BYTES, half_area
 
-__all__ = ["KERNELS", "RADIUS", "ClusterList", "merge_clusters"]
-
 #: Search radius: how far before and after a cluster its match may be. With 16 and 32 the trees are
 #: no better, and take more rounds.
 RADIUS = 8

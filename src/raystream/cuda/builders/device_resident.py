@@ -12,8 +12,6 @@ from raystream.jit.cuda import Gpu
 from raystream.jit.threads import Progress
 from raystream.structures.base import BuildReport, Structure, UpdateReport
 
-__all__ = ["DeviceResident", "RebuiltOnDevice", "finish"]
-
 
 class DeviceResident:
     """A structure with arrays on a device, copied to the host on first use.

@@ -20,8 +20,6 @@ from raystream.structures.grid.layout import FineArrays, GridAddresses, GridArra
 from raystream.structures.grid.options import Grid
 from raystream.structures.grid.structure import GridStructure
 
-__all__ = ["DeviceGrid", "build_grid"]
-
 
 class DeviceGrid(RebuiltOnDevice, GridStructure):
     """A grid in device memory, copied to the host when first needed there.

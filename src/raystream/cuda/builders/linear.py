@@ -20,8 +20,6 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
 from raystream.structures.bvh.binary_tree import Link
 
-__all__ = ["KERNELS", "link_by_keys"]
-
 _BITS = np.uint64(64)
 
 

@@ -28,8 +28,6 @@ from raystream.structures.grid.build import TooManyError
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.overlap import each_cell, range_along
 
-__all__ = ["KERNELS", "DeviceLists", "as_numbers", "build_lists"]
-
 
 class DeviceLists(NamedTuple):
     """`structures.grid.layout.GridArrays` in device memory.

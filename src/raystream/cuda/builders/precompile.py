@@ -15,8 +15,6 @@ from raystream.jit.cuda.radix_sort import sort_kernels
 from raystream.jit.cuda.scan import scan_kernels
 from raystream.structures.grid.lattice import Lattice
 
-__all__ = ["block_kernels", "build_kernels"]
-
 
 def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """Kernels by name, with placeholder arguments of the right types."""

@@ -15,8 +15,6 @@ from raystream.kernels.leaf_block import BLOCK
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
 from raystream.structures.bvh.refit import refit_leaves, refit_node
 
-__all__ = ["KERNELS", "cost_of", "refit"]
-
 #: Threads that sum costs, each over some nodes.
 _ADDING_THREADS = 1 << 12
 

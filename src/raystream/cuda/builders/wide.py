@@ -30,8 +30,6 @@ from raystream.structures.bvh.options import MAX_LEAF_SIZE
 from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
 from raystream.structures.bvh.write_wide import clear_node, set_lane
 
-__all__ = ["KERNELS", "TooDeepError", "WideTree", "make_wide"]
-
 _LANES_BYTES = 32
 _WALK_BYTES = 4 * (MAX_LEAF_SIZE + 1)
 

@@ -23,8 +23,6 @@ from raystream.jit.threads import parallel_for
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays
 
-__all__ = ["NODE_FLOATS", "STACK_BYTES", "BinaryAddresses", "unfold"]
-
 #: Floats of a node: low x, high x, low y, high y of the left child, then of the right one; low z,
 #: high z of both; then, as bits of int32, the two children, and padding. A child is a node's row,
 #: or for a leaf ``~first_triangle``. An absent child is 0, with an empty box.

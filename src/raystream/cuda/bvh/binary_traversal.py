@@ -21,8 +21,6 @@ from raystream.kernels.search import is_full
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
 
-__all__ = ["traverse"]
-
 _ENTRY = np.uint64(4)
 _NODE = np.uint64(64)
 _ROOT = np.int32(0)

@@ -12,8 +12,6 @@ from raystream.jit.threads import parallel_for
 from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 
-__all__ = ["CHUNK", "COUNT", "HIGH", "LINK", "LOW", "WideEntries", "list_entries"]
-
 #: Indices into an entry's eight numbers: its box and, as the bits of an int32, its link (as in
 #: `BvhArrays`; 0 if there is no child) and the number of a leaf's triangles.
 LOW, LINK, HIGH, COUNT = 0, 3, 4, 7

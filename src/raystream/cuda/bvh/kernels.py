@@ -10,16 +10,6 @@ from numpy.typing import NDArray
 
 from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
-__all__ = [
-    "LAYOUTS",
-    "LaidOut",
-    "Traced",
-    "binary_search",
-    "has_binary_layout",
-    "lay_out",
-    "traced_as",
-]
-
 #: What kernels are chosen by; see `traced_as`.
 Traced = str | type[Structure]
 

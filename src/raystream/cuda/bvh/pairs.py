@@ -11,8 +11,6 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.structures.bvh.layout import WIDTH
 
-__all__ = ["depth_of", "write_pairs"]
-
 _SETS = 1 << WIDTH
 _LINKS = 12
 

@@ -18,8 +18,6 @@ from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle import intersect_corners
 from raystream.structures.bvh.node_layout import leaf_address, leaf_end
 
-__all__ = ["TRIANGLE", "TRIANGLE_FLOATS", "copy_leaf", "test_triangle"]
-
 #: Size of a triangle in bytes and in floats, and of a load.
 TRIANGLE = np.uint64(48)
 TRIANGLE_FLOATS = int(TRIANGLE) // 4

@@ -9,8 +9,6 @@ from raystream.cuda.backend import CudaBackend
 from raystream.machines.backend import Capabilities
 from raystream.machines.float64 import Float64Rays
 
-__all__ = ["Float64CudaBackend"]
-
 
 class Float64CudaBackend(CudaBackend):
     """Traces rays in float64 on a GPU, one per thread, with the CPU's functions; see the base."""

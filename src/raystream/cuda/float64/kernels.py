@@ -18,8 +18,6 @@ from raystream.jit.simd import load, scratch, store
 from raystream.kernels.queries import note_status
 from raystream.kernels.ray_source import load_direction, load_origin
 
-__all__ = ["make_float64_kernels"]
-
 _LONG = np.uint64(3)  # eight bytes, as a shift
 
 

@@ -20,8 +20,6 @@ from raystream.programs.loop_source import Goal, loop_globals, loop_source
 from raystream.programs.program import check_function
 from raystream.programs.rows import SkipsAt
 
-__all__ = ["DeviceProgram", "Record"]
-
 #: Dtype of a payload, and the number of elements per ray if it has no fields.
 Record = tuple[np.dtype[Any], int]
 

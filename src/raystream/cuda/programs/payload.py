@@ -17,8 +17,6 @@ from raystream.cuda.programs.skip_prim_ids import is_packed
 from raystream.jit.cuda import DeviceArray, StreamScope, view_of
 from raystream.programs.payloads import as_payload, as_records
 
-__all__ = ["PlacedPayload", "place_payload", "record_of"]
-
 
 def record_of(records: NDArray[Any] | None) -> Record | None:
     """The record type of an array of `as_records`."""

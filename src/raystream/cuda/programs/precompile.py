@@ -17,8 +17,6 @@ from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision
 from raystream.programs.loop_source import Goal
 
-__all__ = ["program_kernels"]
-
 _AT = np.uint64(0)
 _RECORD = aligned_dtype(np.dtype([("crossings", "i4"), ("inside", "f8")]))
 _GOALS: tuple[Goal, ...] = ("first", "count", "keep")

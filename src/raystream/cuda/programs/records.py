@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["aligned_dtype", "aligned_records", "is_aligned"]
-
 
 def aligned_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
     """Add padding to a dtype so that its fields are aligned.

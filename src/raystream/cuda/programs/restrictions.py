@@ -11,8 +11,6 @@ from raystream.cuda.programs.payload import record_of
 from raystream.jit.cuda import CAPABILITIES
 from raystream.programs.payloads import as_payload, as_records
 
-__all__ = ["reason_against"]
-
 
 def reason_against(
     function: Callable[..., Any],

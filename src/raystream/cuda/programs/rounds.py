@@ -27,8 +27,6 @@ from raystream.programs.hits import RaysAt, RowsAt
 from raystream.programs.loop_source import Goal
 from raystream.programs.rows import SkipsAt
 
-__all__ = ["ProgramRounds"]
-
 #: Hits of each ray in the first round, and their growth from round to round.
 FIRST_ROOM = 8
 GROWTH = 4

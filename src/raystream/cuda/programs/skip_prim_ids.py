@@ -12,8 +12,6 @@ from raystream.cuda.programs.steps import NARROW
 from raystream.jit.cuda import DeviceView, StreamScope, view_of
 from raystream.programs.rows import SkipsAt, as_skips
 
-__all__ = ["is_packed", "place_skips"]
-
 _TYPES = (np.dtype(np.int32), np.dtype(np.int64))
 
 

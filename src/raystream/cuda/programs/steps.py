@@ -11,8 +11,6 @@ from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, store
 from raystream.kernels.ray_source import load_ray
 
-__all__ = ["CLEAR_IGNORED", "IS_HIT", "NARROW", "NOTE_INVALID", "OPEN", "WANT"]
-
 _NOWHERE = np.uint64(0)
 _LONG = np.uint64(3)
 _OPEN = np.uint8(1)

@@ -13,8 +13,6 @@ from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.rendering.shading.streams import StreamAddresses
 
-__all__ = ["HitColumns", "StreamColumns"]
-
 #: Allocates an array: (name, shape, dtype).
 Empty = Callable[[str, Any, Any], DeviceArray]
 

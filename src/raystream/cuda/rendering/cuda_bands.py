@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from raystream.kernels.ray import SceneFrame
     from raystream.rendering.integrator import PathStage, RenderContext
 
-__all__ = ["CudaBands"]
-
 #: Maximum number of pixels in flight, at about 300 bytes each.
 MAX_PIXELS = 1 << 20
 

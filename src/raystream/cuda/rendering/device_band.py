@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from raystream.cuda.structures import Resident
     from raystream.kernels.ray import SceneFrame
 
-__all__ = ["DeviceBand", "DeviceStream", "RenderScene", "ShadowStream"]
-
 
 class RenderScene:
     """A scene and a renderer's tables on a device.

@@ -25,18 +25,6 @@ from raystream.rendering.shading.single_lanes import (
 from raystream.rendering.shading.streams import StreamAddresses, StreamCursor
 from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted_path
 
-__all__ = [
-    "ADD_UNBLOCKED",
-    "COMPACT",
-    "GENERATE_CAMERA_RAYS",
-    "SAMPLE_ALL_LIGHTS",
-    "SHADE_FACING_RATIO",
-    "SHADE_PATHS",
-    "SHADE_UNSHADOWED",
-    "SPAWN_AO_RAYS",
-    "SlotAddresses",
-]
-
 #: Bytes of three numbers.
 _3_X_32, _3_X_64 = np.uint64(12), np.uint64(24)
 

@@ -31,8 +31,6 @@ from raystream.rendering.shading.streams import ShadingBatch, StreamAddresses
 from raystream.rendering.shading.tables import tables_of
 from raystream.scene.scene import Scene
 
-__all__ = ["rendering_kernels"]
-
 
 def rendering_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels by name, with arguments that are valid for their types only.

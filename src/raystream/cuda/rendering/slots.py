@@ -15,8 +15,6 @@ from raystream.jit.cuda.scan import Scan
 if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStream
 
-__all__ = ["Slots"]
-
 
 class Slots:
     """Rows of a stream that threads write independently.

@@ -34,8 +34,6 @@ from raystream.rendering.shading.ambient_occlusion import OcclusionOptions
 from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 
-__all__ = ["STAGES"]
-
 DeviceStage = Callable[[DeviceStream, DeviceBand], DeviceStream]
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
 from raystream.rendering.shading.keep_alive import AddressRow, kept_arrays
 
-__all__ = ["TableMemory", "plain"]
-
 #: Suffix of uint64 fields that are not addresses.
 _COUNT = "_count"
 

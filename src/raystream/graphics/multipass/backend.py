@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     from raystream.graphics.rendering import FragmentBands
     from raystream.rendering.integrator import RenderContext
 
-__all__ = ["LOOPS", "MAX_PASSES", "MultipassBackend"]
-
 #: Where kernels are chosen: on the device, or on the host by occlusion queries.
 LOOPS = ("device", "queries")
 

@@ -24,8 +24,6 @@ from raystream.graphics.structures.base import numbers
 from raystream.machines.records import RayState
 from raystream.machines.schedulers import SCHEDULERS
 
-__all__ = ["DeviceScheduler", "ScheduledPasses"]
-
 _LAYOUT = ("uint", "scatter", "uniform", "gather")
 
 #: Words of Schedule: arguments of eight draws, 16 counts, then latest, pass_count, active_count,

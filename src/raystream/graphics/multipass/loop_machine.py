@@ -26,8 +26,6 @@ from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.graphics.structures import ShaderStructure
 from raystream.jit.threads import Progress
 
-__all__ = ["LoopMachine"]
-
 #: The options of a search of nearest hits without counters.
 _QUERY = Kind.FIRST_HIT, False
 

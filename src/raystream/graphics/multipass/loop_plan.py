@@ -22,8 +22,6 @@ from raystream.graphics.streams.stencil import Stencil
 from raystream.graphics.textures import FLOATS, WORDS
 from raystream.machines.records import RayState
 
-__all__ = ["loop_kernels", "make_loop_plan", "make_resuming_draw"]
-
 _FORMATS = {"uint32": WORDS, "float32": FLOATS}
 
 _COMMIT = shader_source("multipass/commit.wgsl")

@@ -17,8 +17,6 @@ from raystream.machines.records import RayState
 from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel
 
-__all__ = ["MOST_PASSES", "Batch", "Work", "run_by_queries", "run_on_device"]
-
 #: Passes that are encoded before the host reads the counts: at first, and at most.
 _FIRST_PASSES = 8
 MOST_PASSES = 64

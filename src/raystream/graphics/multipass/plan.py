@@ -17,8 +17,6 @@ from raystream.graphics.streams.stencil import Stencil
 from raystream.graphics.structures import ShaderStructure
 from raystream.graphics.textures import FLOATS, WORDS, sampled
 
-__all__ = ["LAYOUT", "STREAM_TYPES", "Plan", "PlanInputs", "make_plan"]
-
 #: Types of the streams that kernels write.
 STREAM_TYPES = {"state": "uint32", "found": "float32", "place": "uint32", "span": "float32"}
 

@@ -21,15 +21,6 @@ from raystream.graphics.ray_textures import RayTextures
 from raystream.graphics.streams.passes import Bindings, StreamPasses
 from raystream.graphics.streams.textures import TEXEL_BYTES, StreamShape, StreamTexture
 
-__all__ = [
-    "LOOP_LAYOUT",
-    "LOOP_STREAMS",
-    "LOOP_TYPES",
-    "FragmentLoop",
-    "LoopStreams",
-    "has_targets",
-]
-
 #: Streams that eye rays and shading write, in the order of their render targets: see
 #: multipass/loop/targets.wgsl.
 LOOP_STREAMS = ("state", "origins", "directions", "pixels", "weights", "paths", "light")

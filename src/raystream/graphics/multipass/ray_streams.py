@@ -18,8 +18,6 @@ from raystream.graphics.streams.textures import StreamTexture
 from raystream.graphics.structures import ShaderStructure
 from raystream.kernels.local_frame import LocalRays
 
-__all__ = ["RayStreams"]
-
 
 class RayStreams:
     """Textures of rays and of their traversal state.

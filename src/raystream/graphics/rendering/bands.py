@@ -17,8 +17,6 @@ from raystream.graphics.rendering.path_rows import PathRows
 from raystream.jit.threads import Progress
 from raystream.rendering.integrator import PathStage, RenderContext
 
-__all__ = ["ShaderBands"]
-
 
 class ShaderBands(ABC):
     """Renders samples of rows by shaders; see `rendering.device_bands.DeviceBands`.

@@ -21,8 +21,6 @@ from raystream.graphics.termination import check_endings
 from raystream.jit.threads import Progress
 from raystream.rendering.integrator import RenderContext
 
-__all__ = ["ComputeBands"]
-
 #: Invocations of a workgroup, bytes of a pixel in ``records``, and of those before its light; see
 #: rendering/compute.wgsl.
 _GROUP_SIZE, _PIXEL_BYTES, _LIGHT_OFFSET = 64, 96, 80

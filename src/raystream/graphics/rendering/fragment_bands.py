@@ -18,8 +18,6 @@ from raystream.graphics.shader_source import shader_source, with_early_test
 from raystream.jit.threads import Progress
 from raystream.rendering.integrator import RenderContext
 
-__all__ = ["FragmentBands"]
-
 #: The fragment programs, around a mode's shading.
 _ENTRIES = "multipass/loop/eye_rays.wgsl", "multipass/loop/shade.wgsl"
 

@@ -18,8 +18,6 @@ from raystream.graphics.rendering.scene_buffers import (
 from raystream.graphics.rendering.uniforms import BandPlace, shading_uniform
 from raystream.rendering.integrator import RenderContext
 
-__all__ = ["ModeOnDevice"]
-
 _ROWS = "rendering/path_rows.wgsl"
 
 #: Of surfaces, and the lights.

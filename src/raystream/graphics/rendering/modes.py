@@ -25,8 +25,6 @@ from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 from raystream.scene.lights import SpotLight
 
-__all__ = ["TEXTURES", "Mode", "mode_of", "unsupported"]
-
 #: Supported textures, and one that no renderer uses.
 TEXTURES = frozenset(["diffuse", "occlusion"])
 

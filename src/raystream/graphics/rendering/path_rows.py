@@ -8,8 +8,6 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["PathRows"]
-
 #: Paths of a pixel and bounce at first, and at most: records count them in eight bits.
 _FIRST_ROOM, _MOST_ROOM = 2, 128
 

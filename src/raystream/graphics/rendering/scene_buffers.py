@@ -23,8 +23,6 @@ from raystream.rendering.shading.textures import ROLES, texture_arrays
 from raystream.rendering.vertex_attributes import VertexAttributes
 from raystream.scene.material import Material
 
-__all__ = ["light_samples", "punctual_rows", "surface_arrays"]
-
 #: Texture coordinates of a vertex without any; texture of a material without one.
 _UNKNOWN, _NO_TEXTURE = 1e30, (0, 0, 0, 0)
 

@@ -13,8 +13,6 @@ from raystream.graphics.structures.base import numbers
 from raystream.rendering.integrator import RenderContext
 from raystream.rendering.sampling.quad_matrix import quad_matrix
 
-__all__ = ["BandPlace", "shading_uniform"]
-
 
 class BandPlace(NamedTuple):
     """A sample of some pixels.

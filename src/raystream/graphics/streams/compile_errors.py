@@ -9,8 +9,6 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.pipelines import shader_module
 
-__all__ = ["check_source"]
-
 #: The compiler's message, and where it points.
 _MESSAGE = re.compile(r"^Shader (?:'.*' parsing|validation) error: (.*)$", re.MULTILINE)
 _PLACE = re.compile(r"^\s*┌─ .*:(\d+):(\d+)\s*$", re.MULTILINE)

@@ -11,8 +11,6 @@ from raystream.graphics.streams.stream import Stream, check_device
 from raystream.graphics.streams.wgsl_types import constant_words, type_of
 from raystream.streams.condition import Condition
 
-__all__ = ["as_device_condition"]
-
 
 def as_device_condition(name: str, where: Any, count: int, opened: OpenDevice) -> Condition | None:
     """The argument `where` of a kernel as a condition on the device.

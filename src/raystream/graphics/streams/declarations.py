@@ -14,8 +14,6 @@ from raystream.graphics.streams.wgsl_text import Function, Member, WgslText
 from raystream.graphics.streams.wgsl_types import CONSTANT_TYPES, constant_words, type_of
 from raystream.streams import INDEX
 
-__all__ = ["PREFIX", "Declarations", "declare"]
-
 #: Names that begin with it belong to the code that is generated around a kernel's function.
 PREFIX = "raystream_"
 

@@ -12,8 +12,6 @@ from raystream.graphics.streams.stream import Stream
 from raystream.streams.layout import native_array
 from raystream.streams.record_stream import RecordStream
 
-__all__ = ["GatherArray"]
-
 
 class GatherArray:
     """An array that a kernel reads at any index.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["FragmentKernel"]
-
 
 class FragmentKernel(NamedTuple):
     """A fragment program, declared like a `streams.Kernel`.

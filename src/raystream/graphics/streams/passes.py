@@ -14,8 +14,6 @@ from raystream.graphics.streams.textures import (
     StreamTexture,
 )
 
-__all__ = ["Bindings", "Draw", "StreamPasses", "groups_of"]
-
 #: Binds the resources of a group's programs in a render pass: with the scratch textures of streams
 #: if the flag is set, else with the streams. The number is the group's.
 Bindings = Callable[[Any, bool, int], None]

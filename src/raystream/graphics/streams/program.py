@@ -16,8 +16,6 @@ from raystream.graphics.textures import sampled
 from raystream.streams import INDEX
 from raystream.streams.condition import Condition
 
-__all__ = ["COUNTER_SLOTS", "KernelProgram", "make_program", "reads_of"]
-
 #: Counters of one kind: records share one with those of the same remainder, so that few wait.
 COUNTER_SLOTS = 64
 

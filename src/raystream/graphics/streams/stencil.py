@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 
 from raystream.graphics.streams.textures import StencilTexture
 
-__all__ = ["Stencil"]
-
 
 class Stencil(NamedTuple):
     """Stencil state of a draw.

@@ -14,8 +14,6 @@ from raystream.graphics.errors import GraphicsError
 from raystream.graphics.textures import Texture
 from raystream.streams.record_stream import RecordStream, label_of, native_records
 
-__all__ = ["Stream"]
-
 #: Widths are at least this, so that rows can be copied without padding.
 _MIN_WIDTH = 64
 

@@ -12,8 +12,6 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.textures import FLOATS, WORDS, Texture, new_texture
 
-__all__ = ["TEXEL_BYTES", "StencilTexture", "StreamShape", "StreamTexture"]
-
 #: Four words.
 TEXEL_BYTES = 16
 

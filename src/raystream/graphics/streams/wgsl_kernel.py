@@ -24,8 +24,6 @@ from raystream.streams import INDEX, Counters, Pass
 from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
 from raystream.streams.condition import Condition
 
-__all__ = ["Kernel"]
-
 
 class Kernel:
     """A function of one record in WGSL, with the streams that it reads and writes.

@@ -6,16 +6,6 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-__all__ = [
-    "MAX_LENGTH",
-    "MAX_NESTING",
-    "MAX_STATEMENT",
-    "Function",
-    "Member",
-    "Structure",
-    "WgslText",
-]
-
 _COMMENT = re.compile(r"//|/\*|\*/|\n")
 _FUNCTION = re.compile(r"\bfn\s+(\w+)\s*\(")
 _STRUCTURE = re.compile(r"\bstruct\s+(\w+)\s*\{")

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["CONSTANT_TYPES", "constant_words", "of_components", "type_of"]
-
 _SCALARS = {"float32": "f32", "int32": "i32", "uint32": "u32"}
 
 #: Types of constants: their number of components and the letter of `struct` for each.

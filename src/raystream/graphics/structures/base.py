@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.graphics.shader_source import TREE_GROUP, shader_source
 
-__all__ = ["TREE_AT", "ShaderStructure", "budget_for", "numbers"]
-
 #: Bytes of the uniform ``Params`` before the structure's ``Tree``.
 TREE_AT = 32
 

@@ -7,8 +7,6 @@ import numpy as np
 from raystream.graphics.structures.base import ShaderStructure, budget_for, numbers
 from raystream.structures.brute.structure import BruteStructure
 
-__all__ = ["shader_structure"]
-
 
 def shader_structure(brute: BruteStructure) -> ShaderStructure:
     """A list of all triangles."""

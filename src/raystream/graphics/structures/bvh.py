@@ -10,8 +10,6 @@ from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 from raystream.structures.bvh.structure import BvhStructure
 
-__all__ = ["has_lost_triangles", "leaf_blocks", "most_steps", "shader_structure", "stack_size"]
-
 #: Stack sizes are multiples of this, so that most trees share a shader.
 _STACK_STEP = 32
 

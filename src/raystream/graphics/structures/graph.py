@@ -11,8 +11,6 @@ from raystream.structures.graph.layout import NODE_BIT, SECTOR_ROWS
 from raystream.structures.graph.structure import GraphStructure
 from raystream.structures.kdtree.options import MAX_DEPTH
 
-__all__ = ["shader_structure"]
-
 _PAD = 0
 
 #: Upper bound of consecutive link nodes: more than splits on a path.

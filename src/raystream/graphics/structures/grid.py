@@ -7,8 +7,6 @@ import numpy as np
 from raystream.graphics.structures.base import ShaderStructure, budget_for, numbers
 from raystream.structures.grid.structure import GridStructure
 
-__all__ = ["shader_structure"]
-
 _PAD = 0
 
 

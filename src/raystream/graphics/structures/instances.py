@@ -15,8 +15,6 @@ from raystream.kernels.ray import SceneFrame
 from raystream.structures.bvh.layout import BvhArrays
 from raystream.structures.bvh.steps import stack_half
 
-__all__ = ["instanced_structure", "power_of"]
-
 #: Words of a row of ``places``.
 _ROW = 4
 

@@ -13,8 +13,6 @@ from raystream.structures.kdtree.foley_layout import LEAF_BIT
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.structure import KdTreeStructure
 
-__all__ = ["shader_structure"]
-
 #: Files of each layout's nodes and their parents, and of each traversal.
 _LAYOUTS = {"compact": "kdtree/compact.wgsl", "foley": "kdtree/foley.wgsl"}
 _PARENTS = {"compact": "kdtree/compact_parents.wgsl", "foley": "kdtree/foley_parents.wgsl"}

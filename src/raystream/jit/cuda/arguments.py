@@ -8,8 +8,6 @@ from typing import Any
 import numba
 import numpy as np
 
-__all__ = ["flat", "kind_of", "type_of"]
-
 
 def type_of(arguments: Any) -> Any:
     """The Numba type of kernel arguments."""

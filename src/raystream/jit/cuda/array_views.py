@@ -16,8 +16,6 @@ from raystream.jit.cuda.gpu import CudaError, Gpu
 from raystream.jit.cuda.stream_scope import StreamScope
 from raystream.jit.cuda.streams import LEGACY, CudaStream
 
-__all__ = ["DeviceView", "stream_of", "view_of"]
-
 #: DLPack's device type of memory shared by all devices and the host.
 _MANAGED = 13
 

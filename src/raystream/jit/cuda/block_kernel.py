@@ -19,8 +19,6 @@ from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.simulation import is_simulated, simulating
 from raystream.jit.simd import load, store
 
-__all__ = ["BlockKernel", "Number", "get_32", "get_64", "put_32", "put_64"]
-
 #: An argument of a launch: a number or an address.
 Number = int | np.uint64
 

@@ -21,8 +21,6 @@ from raystream.jit.cuda.ptx_cache import cached_text, path_of
 from raystream.jit.cuda.user_checks import check_calls, check_raises, with_extremes
 from raystream.jit.simd.types import VectorClass, VectorType
 
-__all__ = ["CAPABILITIES", "Capability", "Compiled", "compile_function"]
-
 #: Major and minor compute capability of a GPU.
 Capability = tuple[int, int]
 

@@ -14,8 +14,6 @@ from raystream.jit.cuda.streams import LEGACY, CudaStream
 if TYPE_CHECKING:
     from raystream.jit.cuda.gpu import Gpu
 
-__all__ = ["ALIGNMENT", "DeviceArray", "host_memory"]
-
 #: Alignment of arrays in bytes, the same as CUDA's: traversals need 256.
 ALIGNMENT = 256
 

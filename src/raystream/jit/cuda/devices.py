@@ -14,8 +14,6 @@ from raystream.jit.cuda.driver_errors import explain
 from raystream.jit.cuda.gpu import CudaError, Gpu
 from raystream.jit.cuda.simulation import is_simulated
 
-__all__ = ["GpuFacts", "driver_version", "gpu_count", "gpu_facts", "open_gpu"]
-
 
 def open_gpu(number: int = 0) -> Gpu:
     """Open a device by its number; each is opened once.

@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-__all__ = ["driver_code", "explain"]
-
 #: The driver's error codes in messages of Numba and cuda.core.
 _CODE = re.compile(r"CUDA_ERROR_([A-Z][A-Z_]*[A-Z])")
 

@@ -24,8 +24,6 @@ from raystream.jit.cuda.keep_alive import KeepAlive
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import LEGACY, CudaStream
 
-__all__ = ["CudaError", "Gpu"]
-
 
 class CudaError(RaystreamError):
     """CUDA is unavailable, lacks memory, or failed."""

@@ -9,8 +9,6 @@ from typing import Any
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import CudaStream
 
-__all__ = ["KeepAlive"]
-
 
 class KeepAlive:
     """Holds references to callers' objects until the launches that use them are done.

@@ -12,8 +12,6 @@ from raystream.core.cache_folder import is_private, kernel_folder
 from raystream.jit.cache import mark_used
 from raystream.jit.fingerprint import cuda_generator_hash, fingerprint, type_name
 
-__all__ = ["cached_text", "path_of"]
-
 
 def path_of(
     function: Callable[..., Any], arguments: Sequence[Any], capability: Any, version: str

@@ -24,8 +24,6 @@ from raystream.jit.cuda.device_array import DeviceArray
 from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.scan import DEFAULT_TILE, Scan, TileSize
 
-__all__ = ["DIGIT_BITS", "sort_kernels", "sort_pairs"]
-
 #: Bits per pass.
 DIGIT_BITS = 4
 

@@ -13,8 +13,6 @@ from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.simulation import is_simulated, simulating
 
-__all__ = ["RangeKernel"]
-
 #: Threads of a block: four warps.
 _BLOCK_SIZE = 128
 

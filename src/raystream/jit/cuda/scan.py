@@ -20,8 +20,6 @@ from raystream.jit.cuda.device_array import DeviceArray
 from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.simulation import is_simulated
 
-__all__ = ["DEFAULT_TILE", "Scan", "TileSize", "scan_kernels"]
-
 
 class TileSize(NamedTuple):
     """The part of an array that a block of threads processes.

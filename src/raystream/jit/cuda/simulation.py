@@ -6,8 +6,6 @@ import threading
 
 from numba.cuda.core import config
 
-__all__ = ["is_simulated", "simulating"]
-
 #: Held while a kernel runs: the simulator runs one at a time.
 simulating = threading.Lock()
 

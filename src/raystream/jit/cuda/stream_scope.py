@@ -12,8 +12,6 @@ from raystream.jit.cuda.gpu import CudaError, Gpu
 from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.streams import CudaStream
 
-__all__ = ["StreamScope"]
-
 
 class StreamScope:
     """A context in which kernels are launched in a stream, without waiting on the host.

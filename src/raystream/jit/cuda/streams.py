@@ -9,8 +9,6 @@ from raystream.jit.cuda.simulation import is_simulated
 if TYPE_CHECKING:
     from raystream.jit.cuda.gpu import Gpu
 
-__all__ = ["LEGACY", "CudaStream"]
-
 #: Reserved handles, of the default streams.
 LEGACY, PER_THREAD = 1, 2
 

@@ -14,8 +14,6 @@ from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
-__all__ = ["CpuOnlyError", "check_calls", "check_options", "check_raises", "with_extremes"]
-
 
 class CpuOnlyError(Exception):
     """A function that must run on the CPU, with the reason."""

@@ -15,8 +15,6 @@ from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.user_checks import CpuOnlyError, check_options
 
-__all__ = ["UserKernel"]
-
 #: Numba's name of an exception's data in compiled code.
 _EXCEPTION = "picklebuf"
 

@@ -23,22 +23,6 @@ from raystream.jit.simd.types import (
     refuse,
 )
 
-__all__ = [
-    "absolute",
-    "as_numbers",
-    "as_vectors",
-    "call_intrinsic",
-    "common",
-    "copy_sign",
-    "floor",
-    "fma",
-    "maximum",
-    "minimum",
-    "one_lane",
-    "square_root",
-    "wider",
-]
-
 _FLOATS = ("f32", "f64")
 _INTEGERS = ("i32", "i64", "u32")
 _NUMBERS = (*_FLOATS, *_INTEGERS)

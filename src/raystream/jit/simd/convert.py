@@ -10,8 +10,6 @@ from numba.extending import intrinsic
 
 from raystream.jit.simd.types import VectorType, llvm_type, refuse, vector_type
 
-__all__ = ["as_float32", "as_int32", "as_uint32", "narrow", "narrow_lanes", "widen", "widen_number"]
-
 
 @intrinsic
 def widen(typing_context: Any, x: Any) -> Any:

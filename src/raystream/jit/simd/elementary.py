@@ -24,8 +24,6 @@ from raystream.jit.simd.convert import as_float32, as_int32
 from raystream.jit.simd.lanes import bits_as_float, float_as_bits, select
 from raystream.jit.simd.types import VectorType
 
-__all__ = ["exponential", "logarithm", "next_float_up", "power", "sincos_turns"]
-
 _0, _HALF, _1, _2, _3 = map(np.float32, (0.0, 0.5, 1.0, 2.0, 3.0))
 _QUARTER, _4, _TWO_PI = np.float32(0.25), np.float32(4.0), np.float32(2.0 * math.pi)
 _TINY = np.float32(1e-37)

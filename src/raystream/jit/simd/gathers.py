@@ -19,8 +19,6 @@ from raystream.jit.simd.types import (
     vector_type,
 )
 
-__all__ = ["gather", "scatter"]
-
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 

@@ -12,7 +12,6 @@ from numba.extending import intrinsic
 from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import ELEMENTS, VectorClass, VectorType, refuse
 
-__all__ = ["load_triples", "store_records", "store_triples"]
 _I32 = ir.IntType(32)
 
 

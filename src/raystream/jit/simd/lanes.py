@@ -27,24 +27,6 @@ from raystream.jit.simd.types import (
     vector_type,
 )
 
-__all__ = [
-    "all_lanes",
-    "any_lane",
-    "bits_as_float",
-    "compress",
-    "count_trailing_zeros",
-    "float_as_bits",
-    "lane",
-    "lanes_from_bits",
-    "mask_bits",
-    "permutation",
-    "permute",
-    "popcount",
-    "reduce_max",
-    "reduce_min",
-    "select",
-]
-
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 

@@ -16,17 +16,6 @@ from numba.extending import intrinsic
 from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import VectorClass, VectorType, llvm_type, refuse
 
-__all__ = [
-    "address",
-    "load",
-    "load_constant",
-    "pointer_to",
-    "prefetch",
-    "scratch",
-    "store",
-    "store_nontemporal",
-]
-
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 

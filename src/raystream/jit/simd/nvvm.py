@@ -7,8 +7,6 @@ from typing import Any
 
 from llvmlite import ir
 
-__all__ = ["call_on_cuda", "is_cuda"]
-
 #: Intrinsics that NVVM lacks, and their names in CUDA's library of device functions.
 _LIBRARY = {
     "llvm.copysign.f32": "__nv_copysignf",

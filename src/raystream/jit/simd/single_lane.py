@@ -17,8 +17,6 @@ from numba.extending import intrinsic
 from raystream.jit.copies import Copies
 from raystream.jit.simd.types import VECTORS, VectorType, refuse
 
-__all__ = ["lane_count", "single_lane"]
-
 #: Width of the vectors that become single lanes.
 _WIDE = 16
 

@@ -10,37 +10,6 @@ from numba.core.errors import TypingError
 from numba.core.typing.templates import AttributeTemplate, infer_getattr, make_callable_template
 from numba.extending import lower_builtin, models, register_model, typeof_impl
 
-__all__ = [
-    "ELEMENTS",
-    "VECTORS",
-    "VectorClass",
-    "VectorType",
-    "broadcast",
-    "constant",
-    "f32x4",
-    "f32x8",
-    "f32x16",
-    "f64x4",
-    "f64x8",
-    "f64x16",
-    "i32x4",
-    "i32x8",
-    "i32x16",
-    "i64x4",
-    "i64x8",
-    "i64x16",
-    "llvm_type",
-    "mask4",
-    "mask8",
-    "mask16",
-    "mask_of",
-    "refuse",
-    "u32x4",
-    "u32x8",
-    "u32x16",
-    "vector_type",
-]
-
 #: Numba's and LLVM's types of one lane.
 ELEMENTS = {
     "f32": (types.float32, ir.FloatType()),

@@ -13,8 +13,6 @@ from raystream.kernels.search import Search, sort_hits
 from raystream.kernels.tally import SHADINGS
 from raystream.machines.records import DONE, RayState, count_step
 
-__all__ = ["StepKernel", "Steps", "resume_search", "traversal_kernels", "with_shade"]
-
 
 class StepKernel(NamedTuple):
     """One kernel of a traversal.

@@ -20,8 +20,6 @@ from raystream.machines.records import (
 from raystream.machines.steps.base import StepKernel, Steps, resume_search, with_shade
 from raystream.structures.brute.structure import BruteStructure
 
-__all__ = ["steps"]
-
 #: The next triangle.
 PLACE = np.dtype([("row", np.uint32)])
 

@@ -22,8 +22,6 @@ from raystream.machines.steps.base import Steps, resume_search, traversal_kernel
 from raystream.structures.bvh import steps as tree_steps
 from raystream.structures.bvh.structure import BvhStructure
 
-__all__ = ["steps"]
-
 #: The traversal state of a ray: the bytes on its stack, and the blocks of its leaf that are still
 #: to be tested.
 PLACE = np.dtype([("top", np.uint32), ("block", np.uint64), ("end", np.uint64)])

@@ -29,8 +29,6 @@ from raystream.structures.graph.steps import (
 )
 from raystream.structures.graph.structure import GraphStructure
 
-__all__ = ["steps"]
-
 #: The traversal state of a ray: its sector, entered at `t_in`; the end of its search; the next
 #: block, and the number of triangles in it and those after it.
 PLACE = np.dtype(

@@ -40,8 +40,6 @@ from raystream.structures.grid.dda import (
 from raystream.structures.grid.structure import GridStructure
 from raystream.structures.grid.traversal import clip_to_grid
 
-__all__ = ["steps"]
-
 #: The traversal state of a ray. `outer` is the coarse cell whose lattice the ray traverses, up to
 #: `t_end`; -1 in the coarse lattice. `row` to `end` are the references of its cell that are still
 #: to be tested.

@@ -46,8 +46,6 @@ from raystream.structures.kdtree.state import (
 )
 from raystream.structures.kdtree.structure import KdTreeStructure
 
-__all__ = ["steps"]
-
 #: The traversal state of a ray: `KdState`, the next block of its leaf, and the number of
 #: triangles in it and those after it.
 PLACE = np.dtype(

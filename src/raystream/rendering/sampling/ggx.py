@@ -9,8 +9,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import maximum, sincos_turns, square_root
 
-__all__ = ["visible_normal"]
-
 _0, _1, _2 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _PI = np.float32(math.pi)
 

@@ -10,8 +10,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import as_float32, as_uint32
 
-__all__ = ["as_float", "mix", "stream_key"]
-
 # The multipliers and shifts come from a search for the least bias: Wellons,
 # "Prospecting for Hash Functions", 2018, and the threads that followed it.
 _FIRST, _SECOND = np.uint32(0x21F0AAAD), np.uint32(0xD35A2D97)

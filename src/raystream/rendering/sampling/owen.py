@@ -15,8 +15,6 @@ from raystream.jit.simd import address, as_uint32, gather
 from raystream.rendering.sampling.hashing import as_float, mix, stream_key
 from raystream.rendering.sampling.quad_matrix import byte_tables, quad_matrix
 
-__all__ = ["sample_number", "sample_pair"]
-
 _SECOND_PAIR = byte_tables(quad_matrix())
 _256, _512, _768 = np.uint32(256), np.uint32(512), np.uint32(768)
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["byte_tables", "quad_matrix"]
-
 _BITS = 32
 
 #: A root w of x**2 + x + 1 over GF(2), as the matrix that multiplies a pair of bits by it.

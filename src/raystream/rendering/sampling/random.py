@@ -8,8 +8,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import as_uint32
 from raystream.rendering.sampling.hashing import as_float, mix, stream_key
 
-__all__ = ["sample_number", "sample_pair"]
-
 _OF_SAMPLE = np.uint32(0xBB67AE85)
 _1 = np.uint32(1)
 

@@ -16,17 +16,6 @@ from raystream.jit.simd import f32x16, lane, lane_count, load, scratch, store
 from raystream.jit.threads import parallel_for
 from raystream.rendering.sampling import owen, random, stratified
 
-__all__ = [
-    "KINDS",
-    "MAX_SAMPLES",
-    "PixelSample",
-    "Sampler",
-    "draw",
-    "draw_lanes",
-    "draw_pair",
-    "draw_pair_lanes",
-]
-
 #: Names of kinds; the index is `Sampler.kind`.
 KINDS = ("sobol", "stratified", "random")
 

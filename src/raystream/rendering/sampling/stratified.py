@@ -12,8 +12,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import floor, square_root
 from raystream.rendering.sampling.hashing import as_float, mix, stream_key
 
-__all__ = ["sample_number", "sample_pair"]
-
 _1, _32 = np.uint32(1), np.uint64(32)
 
 #: Of a shuffle. After 8 the joint position of two of a few elements is biased, by 28 standard

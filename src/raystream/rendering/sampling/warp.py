@@ -24,16 +24,6 @@ from raystream.jit.simd import (
     square_root,
 )
 
-__all__ = [
-    "basis",
-    "cosine_hemisphere",
-    "disk",
-    "power_cosine",
-    "sphere",
-    "to_world",
-    "triangle",
-]
-
 _0, _HALF, _1, _2 = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _EIGHTH, _QUARTER = np.float32(0.125), np.float32(0.25)
 _SIXTH, _24TH, _120TH = np.float32(1 / 6), np.float32(1 / 24), np.float32(1 / 120)

@@ -9,8 +9,6 @@ from raystream.jit.simd import exponential, select
 from raystream.rendering.shading.material_values import material_color
 from raystream.rendering.shading.tables import COLUMNS
 
-__all__ = ["transmittance"]
-
 _ABSORPTION = np.int32(COLUMNS.absorption)
 _NULL = np.float32(0.0)
 

@@ -32,8 +32,6 @@ from raystream.rendering.shading.streams import (
 )
 from raystream.rendering.shading.surface_points import surface_point, world_position
 
-__all__ = ["OcclusionOptions", "spawn_ao_rays", "spawn_path_ao_rays"]
-
 #: The first sampler dimension: those before are for the position in the pixel and on the lens.
 _DIMENSION = 4
 

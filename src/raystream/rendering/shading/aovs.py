@@ -13,8 +13,6 @@ from raystream.rendering.shading.streams import addresses_of, direction_of
 from raystream.rendering.shading.surface_points import surface_point
 from raystream.rendering.shading.vectors import added
 
-__all__ = ["AovBuffers", "write_aovs"]
-
 
 class AovBuffers(NamedTuple):
     """The first hit of one sample of each of P pixels.

@@ -42,23 +42,6 @@ from raystream.rendering.shading.tables import (
 from raystream.rendering.shading.textures import ROLES
 from raystream.rendering.shading.vectors import added, chosen, dot, largest, mirrored, scaled, times
 
-__all__ = [
-    "Bounce",
-    "Lobes",
-    "Pdfs",
-    "diffuse_albedo",
-    "emitted",
-    "eval_reflection",
-    "fresnel",
-    "gloss_share",
-    "glossy_albedo",
-    "lobes_at",
-    "metal_or_plastic",
-    "reflected_surroundings",
-    "refracted",
-    "sheen_share",
-]
-
 _NULL, _WHOLE, _TWO, _HALF, _THIRD = map(np.float32, (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))
 _LEAST_IOR, _LEAST = np.float32(1e-3), np.float32(1e-30)
 _INV_PI, _INV_TWO_PI = np.float32(1.0 / math.pi), np.float32(0.5 / math.pi)

@@ -12,8 +12,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import absolute, as_int32, gather, maximum, minimum, select
 from raystream.rendering.shading.textures import nearest_texels, wrapped
 
-__all__ = ["bump_slopes"]
-
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
 _NULL, _HALF, _WHOLE, _INF = map(np.float32, (0.0, 0.5, 1.0, np.inf))
 

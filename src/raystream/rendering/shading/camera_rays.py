@@ -28,8 +28,6 @@ from raystream.rendering.shading.rows import put_vectors
 from raystream.rendering.shading.streams import addresses_of
 from raystream.scene.camera import Camera
 
-__all__ = ["View", "camera_ray_block", "generate_camera_rays", "view_of"]
-
 _HALF, _WHOLE, _INF = np.float32(0.5), np.float32(1.0), np.float32(np.inf)
 
 #: Of vectors.

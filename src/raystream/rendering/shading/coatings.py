@@ -27,8 +27,6 @@ from raystream.rendering.shading.tables import COLUMNS
 from raystream.rendering.shading.textures import ROLES
 from raystream.rendering.shading.vectors import dot, largest, scaled
 
-__all__ = ["coat_at", "sheen_at"]
-
 _NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
 _LEAST_SHEEN = np.float32(LEAST_SHEEN)
 

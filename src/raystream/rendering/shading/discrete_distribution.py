@@ -19,8 +19,6 @@ from raystream.jit.simd import (
     select,
 )
 
-__all__ = ["double", "running_sums", "sample_discrete", "sample_discrete_lanes"]
-
 _LONG = np.uint64(8)
 _0, _1 = np.int32(0), np.int32(1)
 _NULL, _MOST = np.float32(0.0), np.float32(1.0 - 2.0**-24)

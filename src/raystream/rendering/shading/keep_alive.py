@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AddressRow", "kept_arrays"]
-
 
 class AddressRow(NamedTuple):
     """An array of numbers, some of which are addresses.

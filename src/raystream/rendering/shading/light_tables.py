@@ -31,8 +31,6 @@ from raystream.scene.lights import (
 )
 from raystream.scene.scene import Scene
 
-__all__ = ["LightTables", "lights_of"]
-
 
 class LightTables(NamedTuple):
     """A scene's lights, by address; lengths and positions in the local frame.

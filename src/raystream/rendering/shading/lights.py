@@ -36,9 +36,6 @@ from raystream.rendering.shading.sky_lanes import sample_image_lanes, sky_radian
 from raystream.rendering.shading.surface_points import offset_at
 from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
 
-__all__ = ["LightSample", "sample_light", "triangle_pdf"]
-
-
 _0, _1, _2, _3, _6, _7, _9, _10, _11, _12, _15, _16 = (
     np.int32(k) for k in (0, 1, 2, 3, 6, 7, 9, 10, 11, 12, 15, 16)
 )

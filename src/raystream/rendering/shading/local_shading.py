@@ -29,14 +29,6 @@ from raystream.rendering.shading.surface_points import surface_points
 from raystream.rendering.shading.tables import IS_ROUGH
 from raystream.rendering.shading.vectors import added, chosen, dot, scaled, times
 
-__all__ = [
-    "facing_ratio_block",
-    "shade_facing_ratio",
-    "shade_plain_unshadowed",
-    "shade_unshadowed",
-    "unshadowed_block",
-]
-
 #: Of vectors.
 _LANES = 16
 

@@ -10,8 +10,6 @@ from raystream.rendering.shading.tables import IS_TEXTURED, WIDTH
 from raystream.rendering.shading.textures import texture_color, texture_of
 from raystream.rendering.shading.vectors import chosen, times
 
-__all__ = ["color_if", "looked_up", "material_color", "material_number", "tinted"]
-
 _NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
 _COLUMN_COUNT = np.int32(WIDTH)

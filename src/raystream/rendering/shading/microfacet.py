@@ -22,14 +22,6 @@ from raystream.rendering.sampling.ggx import visible_normal
 from raystream.rendering.sampling.warp import basis
 from raystream.rendering.shading.vectors import dot
 
-__all__ = [
-    "LEAST_ALPHA",
-    "eval_rough_reflection",
-    "schlick",
-    "smith_masking",
-    "visible_facet",
-]
-
 #: Least roughness; smoother surfaces would need a delta lobe.
 LEAST_ALPHA = np.float32(1e-3)
 

@@ -30,8 +30,6 @@ from raystream.rendering.shading.textures import ROLES, texture_color, texture_o
 from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
 from raystream.rendering.shading.vertices import attribute_pair, attribute_vector, vertices_of
 
-__all__ = ["BASE", "COAT", "has_coat_map", "has_normal_map", "mapped_normal"]
-
 #: Layers of a surface that have normal maps: itself, and its clear coat.
 BASE, COAT = np.int32(0), np.int32(1)
 

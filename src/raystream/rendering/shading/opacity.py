@@ -19,8 +19,6 @@ from raystream.rendering.shading.surface_points import material_of
 from raystream.rendering.shading.textures import TextureTables, texture_color
 from raystream.rendering.shading.vertices import attribute_number, vertices_of
 
-__all__ = ["MASKED", "OPAQUE", "PARTIAL", "FilteredRays", "OpacityTables", "is_there"]
-
 #: Kinds of materials: opaque, opaque where alpha reaches the cut-off, opaque by chance.
 OPAQUE, MASKED, PARTIAL = np.int32(0), np.int32(1), np.int32(2)
 

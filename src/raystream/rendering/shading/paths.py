@@ -52,8 +52,6 @@ from raystream.rendering.shading.surface_points import spawn_origin, surface_poi
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import dot, largest, scaled, times
 
-__all__ = ["PathOptions", "shade_path_block", "shade_paths", "shade_plain_paths"]
-
 #: Sampler dimensions that a path uses at each surface, and those before the first one: the
 #: position in the pixel and on the lens.
 _DIMENSIONS = 8

@@ -37,19 +37,6 @@ from raystream.rendering.shading.streams import (
 from raystream.rendering.shading.tables import SceneTables
 from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted_path
 
-__all__ = [
-    "PIXEL",
-    "SHADE_AMBIENT",
-    "SHADE_FACING_RATIO",
-    "SHADE_LIGHTS",
-    "SHADE_PATH",
-    "SHADE_WHITTED",
-    "LoopShading",
-    "Rows",
-    "begin_pixel",
-    "has_room",
-]
-
 #: The record of a pixel between passes: its bounce; which half of its rows has the bounce's paths;
 #: of these, the one that is traced, and their number; the number for the next bounce; the shadow
 #: ray that is traced once all paths are shaded, and the number of shadow rays.

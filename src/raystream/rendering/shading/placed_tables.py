@@ -20,8 +20,6 @@ from raystream.jit.threads import parallel_for
 from raystream.rendering.shading.tables import SceneArrays, SceneTables
 from raystream.rendering.shading.textures import address_of
 
-__all__ = ["ObjectTables", "placed_tables"]
-
 #: Hits per call of the kernel.
 _CHUNK = 4096
 

@@ -28,8 +28,6 @@ from raystream.rendering.shading.sky_lanes import (
 from raystream.rendering.shading.surface_points import with_normal_maps
 from raystream.rendering.shading.tables import IS_ROUGH, IS_TEXTURED
 
-__all__ = ["kernel_for", "plain_copy"]
-
 _WHOLE = np.float32(1.0)
 
 

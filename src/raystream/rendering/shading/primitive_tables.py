@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from raystream.rendering.shading.tables import SceneArrays, SceneTables
 from raystream.rendering.shading.textures import address_of
 
-__all__ = ["MeshTables", "primitive_tables"]
-
 
 class MeshTables(NamedTuple):
     """Vertex attributes of the meshes; see `VertexAttributes`, None where no mesh has any.

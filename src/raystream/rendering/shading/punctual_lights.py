@@ -30,8 +30,6 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight, SpotLight
 from raystream.scene.scene import Scene
 
-__all__ = ["PunctualLights", "incident_light", "light_rows", "punctual_lights_of"]
-
 # Kinds of lights: a point with inverse-square falloff, one without falloff, a directional light, a
 # flat patch, a bulb, a spot.
 _POINT, _STEADY, _SUN, _PATCH, _BULB, _SPOT = range(6)

@@ -20,17 +20,6 @@ from raystream.jit.simd import (
     store_triples,
 )
 
-__all__ = [
-    "SINGLE_ROWS",
-    "append_numbers",
-    "append_pixels",
-    "append_positions",
-    "append_vectors",
-    "floats_at",
-    "put_vectors",
-    "vector_at",
-]
-
 _1, _2, _3 = np.int32(1), np.int32(2), np.int32(3)
 
 # Bytes of a float32, of a float64, and of three of each.

@@ -20,8 +20,6 @@ from raystream.rendering.shading.bsdf import (
 from raystream.rendering.shading.microfacet import LEAST_ALPHA, smith_masking, visible_facet
 from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
 
-__all__ = ["reflection_pdf", "scatter"]
-
 _NULL, _WHOLE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _THIRD, _INF = np.float32(1.0 / 3.0), np.float32(np.inf)
 

@@ -19,14 +19,6 @@ from raystream.rendering.shading.streams import (
 )
 from raystream.rendering.shading.surface_points import spawn_origin, world_position
 
-__all__ = [
-    "ShadowRays",
-    "add_if_unblocked",
-    "add_unblocked",
-    "put_shadow_ray",
-    "put_shadow_rays",
-]
-
 _ONE, _INF = np.float32(1.0), np.float32(np.inf)
 _CLEAR, _WHITE = np.uint8(0), (1.0, 1.0, 1.0)
 

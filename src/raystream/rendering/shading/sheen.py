@@ -30,8 +30,6 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.shading.vectors import dot
 
-__all__ = ["LEAST_SHEEN", "eval_sheen", "sheen_albedo", "sheen_table"]
-
 #: Least roughness of sheen: with less, fibres are too nearly upright to be seen.
 LEAST_SHEEN = 0.07
 

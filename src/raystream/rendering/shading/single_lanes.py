@@ -12,8 +12,6 @@ from raystream.rendering.shading.local_shading import facing_ratio_block, unshad
 from raystream.rendering.shading.paths import shade_path_block
 from raystream.rendering.shading.rows import SINGLE_ROWS
 
-__all__ = ["ambient_rays", "camera_ray", "facing_ratio", "shade_path", "unshadowed"]
-
 camera_ray = single_lane(camera_ray_block)
 ambient_rays = single_lane(spawn_path_ao_rays, SINGLE_ROWS)
 shade_path = single_lane(shade_path_block, SINGLE_ROWS)

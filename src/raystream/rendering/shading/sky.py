@@ -27,18 +27,6 @@ from raystream.rendering.shading.textures import address_of
 from raystream.scene.lights import EnvironmentLight
 from raystream.scene.scene import Scene
 
-__all__ = [
-    "Sky",
-    "background_of",
-    "image_radiance",
-    "relative_pdf",
-    "sample_image",
-    "sky_of",
-    "sky_pdf",
-    "sky_radiance",
-]
-
-
 # Bytes of a float32, of a float64, of a texel.
 _LONG = np.uint64(8)
 _TEXEL = np.uint64(12)

@@ -22,15 +22,6 @@ from raystream.jit.simd import (
 )
 from raystream.rendering.shading.sky import image_radiance, relative_pdf, sample_image
 
-__all__ = [
-    "image_radiance_lanes",
-    "relative_pdf_lanes",
-    "sample_image_lanes",
-    "sky_pdf_lanes",
-    "sky_radiance_lanes",
-]
-
-
 # Bytes of a float32, of 16 of them, and of three rows of 16.
 _WORD, _ROW, _ROWS = np.uint64(4), np.uint64(64), 192
 

@@ -29,24 +29,6 @@ from raystream.rendering.shading.rows import (
     vector_at,
 )
 
-__all__ = [
-    "SLACK",
-    "Paths",
-    "ShadingBatch",
-    "StreamAddresses",
-    "StreamCursor",
-    "add_light",
-    "add_lights",
-    "addresses_of",
-    "append_rows",
-    "batch_addresses",
-    "block_rows",
-    "direction_of",
-    "empty_columns",
-    "put_row",
-    "weights_of",
-]
-
 _1, _ONE = np.int32(1), np.uint64(1)
 
 #: Rows behind the last one of arrays that kernels write to, since they write whole vectors.

@@ -37,17 +37,6 @@ from raystream.rendering.shading.vertices import (
     vertices_of,
 )
 
-__all__ = [
-    "Point",
-    "material_of",
-    "offset_at",
-    "spawn_origin",
-    "surface_point",
-    "surface_points",
-    "with_normal_maps",
-    "world_position",
-]
-
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
 _NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
 _INF, _NAN = np.float32(np.inf), np.float32(np.nan)

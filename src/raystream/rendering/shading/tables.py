@@ -17,25 +17,6 @@ from raystream.rendering.vertex_attributes import VertexAttributes, check_rows
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 
-__all__ = [
-    "ABSORBS",
-    "COLUMNS",
-    "EMITS",
-    "HAS_COAT",
-    "HAS_REFLECTION",
-    "HAS_SHEEN",
-    "HAS_SPECULAR",
-    "HAS_TRANSMISSION",
-    "IS_ROUGH",
-    "IS_TEXTURED",
-    "WIDTH",
-    "Column",
-    "SceneArrays",
-    "SceneTables",
-    "material_rows",
-    "tables_of",
-]
-
 
 class Column(NamedTuple):
     """Columns of a material's row in `SceneTables.materials`."""

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from raystream.rendering.vertex_attributes import VertexAttributes
 
-__all__ = ["vertex_tangents"]
-
 
 def vertex_tangents(
     corners: NDArray[np.float32], vertices: VertexAttributes, is_wanted: NDArray[np.bool_]

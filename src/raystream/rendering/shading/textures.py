@@ -27,19 +27,6 @@ from raystream.rendering.color import LUMINANCE, decode_srgb
 from raystream.scene.material import Material
 from raystream.scene.texture import Texture
 
-__all__ = [
-    "ROLES",
-    "Atlas",
-    "TextureTables",
-    "address_of",
-    "nearest_texels",
-    "pack_textures",
-    "texture_arrays",
-    "texture_color",
-    "texture_of",
-    "wrapped",
-]
-
 #: Properties of materials that have textures, in the order of `TextureTables.of_material`.
 ROLES = (
     "diffuse",

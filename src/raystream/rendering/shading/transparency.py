@@ -12,8 +12,6 @@ from raystream.rendering.shading.sky import sky_radiance
 from raystream.rendering.shading.streams import add_light, addresses_of, direction_of, weights_of
 from raystream.rendering.shading.surface_points import surface_point
 
-__all__ = ["composite_hits"]
-
 
 @kernel
 def composite_hits(paths, splits, rows, tables, opacity, lights, first_pixel, radiance):

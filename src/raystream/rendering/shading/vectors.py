@@ -7,8 +7,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import maximum, select
 
-__all__ = ["added", "chosen", "dot", "largest", "mirrored", "scaled", "times"]
-
 _TWO = np.float32(2.0)
 
 

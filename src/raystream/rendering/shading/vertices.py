@@ -10,8 +10,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import as_int32, gather, widen, widen_number
 
-__all__ = ["attribute_number", "attribute_pair", "attribute_vector", "corner_of", "vertices_of"]
-
 _1, _2, _3, _9 = np.int32(1), np.int32(2), np.int32(3), np.int32(9)
 _WHOLE = np.float32(1.0)
 

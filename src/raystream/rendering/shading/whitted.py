@@ -43,8 +43,6 @@ from raystream.rendering.shading.surface_points import spawn_origin, surface_poi
 from raystream.rendering.shading.tables import ABSORBS, IS_ROUGH
 from raystream.rendering.shading.vectors import added, dot, mirrored, scaled, times
 
-__all__ = ["WhittedOptions", "shade_plain_whitted", "shade_whitted", "shade_whitted_path"]
-
 
 class WhittedOptions(NamedTuple):
     """Options of Whitted ray tracing.

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from raystream.scene.default_view.sizes import Mask, TriangleSizes
 
-__all__ = ["find_bulk"]
-
 #: No triangle weighs more than this share of all, so that a few large ones are no bulk.
 _MOST_WEIGHT = 0.005
 

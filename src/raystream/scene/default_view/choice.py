@@ -16,8 +16,6 @@ from raystream.scene.default_view.outside import look_from_outside
 from raystream.scene.default_view.sizes import measure
 from raystream.scene.default_view.surface_samples import sample_surfaces
 
-__all__ = ["DefaultView", "choose_view"]
-
 
 @dataclass(frozen=True)
 class DefaultView:

@@ -13,8 +13,6 @@ from raystream.scene.camera import Camera
 from raystream.scene.default_view.outside import OutsideViews, level_front
 from raystream.scene.default_view.surface_samples import SurfaceSamples, components, visible
 
-__all__ = ["look_from_inside"]
-
 #: Vertical field of view, in degrees.
 _FOV = 65.0
 

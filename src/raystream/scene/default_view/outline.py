@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.scene.default_view.sizes import Mask, TriangleSizes
 
-__all__ = ["outline_points"]
-
 #: Widths of images over their heights; between two of them, the outline hardly differs.
 _ASPECTS = 2.0 ** np.arange(-2.5, 2.6, 0.25)
 

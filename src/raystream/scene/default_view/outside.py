@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.scene.camera import front_of, three_quarter_view
 from raystream.scene.default_view.surface_samples import SurfaceSamples, components, visible
 
-__all__ = ["OutsideViews", "level_front", "look_from_outside"]
-
 #: Degrees around up, from the front to the right: three-quarter views and straight ones.
 _AZIMUTHS = (28.8, 61.2, 90.0, 118.8, 151.2, 180.0, 208.8, 241.2, 270.0, 298.8, 331.2, 0.0)
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 
-__all__ = ["TriangleSizes", "fractions_of", "measure"]
-
 #: Triangles handled at once: their columns stay in the cache.
 _BLOCK = 1 << 14
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.core.triangles import Triangles
 from raystream.scene.default_view.sizes import Mask, TriangleSizes, fractions_of
 
-__all__ = ["SurfaceSamples", "components", "sample_surfaces", "visible"]
-
 #: Expected numbers of points that count, and of others.
 _TARGETS, _BLOCKERS = 1 << 13, 1 << 14
 

@@ -19,8 +19,6 @@ from raystream.scene.io.partial import warn_partial
 from raystream.scene.scene import Scene
 from raystream.scene.splines import position_at
 
-__all__ = ["read_aff"]
-
 _DEFAULT_FOV = 40.0
 
 

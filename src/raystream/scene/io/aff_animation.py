@@ -19,8 +19,6 @@ from raystream.scene.splines import (
     rotation_matrix,
 )
 
-__all__ = ["Keyframes", "read_keyframes", "static_matrix"]
-
 Array = NDArray[np.float64]
 
 

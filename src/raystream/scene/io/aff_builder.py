@@ -29,8 +29,6 @@ from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.texture import Texture
 
-__all__ = ["AffBuilder", "color"]
-
 #: Maximum depth of includes; BART needs 4.
 MAX_DEPTH = 32
 

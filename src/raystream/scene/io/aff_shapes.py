@@ -15,8 +15,6 @@ from raystream.scene.io.partial import IndexCheck
 from raystream.scene.io.polygons import distinct_corners
 from raystream.scene.mesh import Mesh
 
-__all__ = ["MorphingTriangle", "Shape", "merged", "read_shape"]
-
 #: Slices of spheres and cones around their axis; spheres have half as many stacks from pole to
 #: pole: the silhouette is then within 0.5 % of the radius.
 SLICES = 32

@@ -17,8 +17,6 @@ from raystream.scene.io.files import find_sibling
 from raystream.scene.io.partial import IndexCheck
 from raystream.scene.io.text import shown
 
-__all__ = ["AffFiles", "AffMaterial", "Begin", "End", "Include", "Lamp", "Statement"]
-
 #: A scene with more files than this is assumed to be hostile; BART's kitchen has 53.
 MAX_FILES = 4096
 

@@ -13,8 +13,6 @@ from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import read_model_bytes
 from raystream.scene.io.text import parse_floats, parse_integers, plain_text, shown
 
-__all__ = ["Words"]
-
 #: Maximum count of numbers that are parsed one by one.
 _FEW = 32
 

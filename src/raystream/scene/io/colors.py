@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["byte_colors_to_linear", "srgb_to_linear"]
-
 
 def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.float32]:
     """Decode sRGB.

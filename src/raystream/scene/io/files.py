@@ -9,8 +9,6 @@ from pathlib import Path, PureWindowsPath
 
 from raystream.core.errors import FileFormatError
 
-__all__ = ["FOLDER", "find_sibling", "max_file_bytes", "model_suffix", "read_model_bytes"]
-
 #: Larger files, and archives that unpack to more, are rejected; see `max_file_bytes`.
 DEFAULT_MAX_FILE_BYTES = 4 << 30
 

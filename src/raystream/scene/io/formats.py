@@ -11,8 +11,6 @@ from raystream.scene.io.files import model_suffix
 from raystream.scene.io.partial import check_loaded
 from raystream.scene.scene import Scene
 
-__all__ = ["SUFFIXES", "read_model"]
-
 #: Module and function that read each format; modules are imported on first use.
 _READERS = {
     ".obj": ("obj", "read_obj"),

@@ -29,8 +29,6 @@ from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
-__all__ = ["read_gltf"]
-
 
 def read_gltf(path: Path, *, time: float | None = None, has_instances: bool = False) -> Scene:
     """Read a glTF 2.0 file in its rest pose.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.text import shown
 
-__all__ = ["normalized", "read_accessor"]
-
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 

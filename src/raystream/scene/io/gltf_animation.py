@@ -14,8 +14,6 @@ from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import shown
 from raystream.scene.key_tracks import KeyTrack
 
-__all__ = ["NodeTracks", "read_animations"]
-
 #: Maximum numbers in the keys of a file; samplers may share a buffer, but are stored separately.
 MAX_KEY_NUMBERS = 1 << 24
 

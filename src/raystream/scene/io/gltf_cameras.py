@@ -15,8 +15,6 @@ from raystream.scene.camera_track import CameraMotion
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.gltf_nodes import Matrix, NodeTree
 
-__all__ = ["NodeCamera", "read_cameras"]
-
 
 @dataclass(frozen=True, eq=False)
 class NodeCamera:

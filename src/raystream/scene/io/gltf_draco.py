@@ -12,8 +12,6 @@ from raystream.scene.io.gltf_accessors import normalized
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.instances import MAX_INSTANCED_TRIANGLES
 
-__all__ = ["DracoMesh"]
-
 #: Most triangles per byte: far beyond what Draco achieves, it bounds the memory that a few bytes
 #: can claim.
 MAX_TRIANGLES_PER_BYTE = 1024

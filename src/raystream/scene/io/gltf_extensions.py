@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["COMPRESSED", "can_read", "lost_extensions"]
-
 #: Read, or without effect on images.
 _SUPPORTED = frozenset(
     {

@@ -16,8 +16,6 @@ from raystream.scene.io.gltf_extensions import COMPRESSED, can_read
 from raystream.scene.io.gltf_meshopt import decoded_view
 from raystream.scene.io.text import shown
 
-__all__ = ["GltfFile", "Node"]
-
 Node = dict[str, Any]
 
 _GLB_MAGIC = b"glTF"

@@ -13,8 +13,6 @@ from raystream.scene.io.gltf_nodes import Matrix
 from raystream.scene.io.instances import MAX_INSTANCES
 from raystream.scene.mesh import Mesh
 
-__all__ = ["EXTENSION", "MeshInstances", "copies_of"]
-
 EXTENSION = "EXT_mesh_gpu_instancing"
 
 #: Most instances of a file: some hundred bytes each.

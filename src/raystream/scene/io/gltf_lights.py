@@ -10,8 +10,6 @@ from raystream.scene.io.gltf_file import GltfFile
 from raystream.scene.io.gltf_nodes import Matrix
 from raystream.scene.lights import DirectionalLight, Light, PointLight, SpotLight
 
-__all__ = ["read_light"]
-
 
 def read_light(file: GltfFile, index: int, matrix: Matrix) -> Light | None:
     """Read a light on a node with a matrix to world space; None without a direction.

@@ -14,8 +14,6 @@ from raystream.scene.io.gltf_texcoords import Texcoords, shared_texcoords
 from raystream.scene.io.gltf_textures import TextureReader
 from raystream.scene.material import Color, Material
 
-__all__ = ["read_materials"]
-
 #: Larger numbers are clamped: float32 holds squares of at most about 1e38.
 _MOST = 1e30
 

@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from raystream.scene.io.gltf_file import GltfFile
 
-__all__ = ["decoded_view"]
-
 #: Most bytes per byte of compressed data: a block of up to 256 vertices has two bits for each of
 #: their bytes (version 1 of the codec). It bounds the memory that a few bytes claim.
 MAX_RATIO = 1024

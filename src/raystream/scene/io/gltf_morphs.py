@@ -11,8 +11,6 @@ from raystream.scene.io.gltf_accessors import read_accessor
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.instances import Shape
 
-__all__ = ["MorphTargets", "morph_target_count", "morphed", "read_morph_targets"]
-
 
 @dataclass(frozen=True, eq=False)
 class MorphTargets:

@@ -11,8 +11,6 @@ from raystream.scene.io.gltf_animation import NodeTracks
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.key_tracks import KeyTrack
 
-__all__ = ["Matrix", "NodeTree"]
-
 Matrix = NDArray[np.float64]
 
 

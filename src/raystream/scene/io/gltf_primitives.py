@@ -19,8 +19,6 @@ from raystream.scene.io.instances import TriangleBudget
 from raystream.scene.io.partial import IndexCheck
 from raystream.scene.mesh import Mesh
 
-__all__ = ["Part", "PrimitiveReader"]
-
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 #: Of one vertex, in sets of four: more is a mistake.

@@ -11,8 +11,6 @@ from raystream.scene.io.gltf_primitives import Part
 from raystream.scene.io.gltf_skins import read_skin, skinned
 from raystream.scene.io.instances import Shape
 
-__all__ = ["NodeShape"]
-
 _Key = tuple[tuple[float, ...], bytes]
 
 

@@ -13,8 +13,6 @@ from raystream.scene.io.gltf_file import GltfFile
 from raystream.scene.io.gltf_nodes import Matrix, NodeTree
 from raystream.scene.io.instances import Shape
 
-__all__ = ["Influences", "Skin", "read_skin", "skinned"]
-
 #: Vertices that are moved at once, to bound their matrices' memory.
 _BLOCK = 1 << 15
 

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.texture import Affine
 
-__all__ = ["Texcoords", "shared_texcoords"]
-
 #: From v downward, as in files, to v upward, and back.
 _FLIP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 1.0]])
 

@@ -11,8 +11,6 @@ from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import shown
 from raystream.scene.texture import Affine, Texture
 
-__all__ = ["TextureReader"]
-
 _CLAMP_TO_EDGE = 33071
 _REPEAT = 10497
 

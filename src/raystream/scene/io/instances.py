@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError
 from raystream.scene.mesh import Mesh
 
-__all__ = ["Placements", "Shape", "TriangleBudget", "placed"]
-
 #: Maximum triangles after instancing: every copy is stored.
 MAX_INSTANCED_TRIANGLES = 1 << 26
 

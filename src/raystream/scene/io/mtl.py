@@ -18,8 +18,6 @@ from raystream.scene.io.text import decoded, plain_text
 from raystream.scene.material import Color, Material
 from raystream.scene.texture import Texture
 
-__all__ = ["read_mtl"]
-
 #: Illumination models with ray traced reflection (Wavefront's numbering).
 MIRROR_MODELS = frozenset({3, 4, 5, 6, 7})
 

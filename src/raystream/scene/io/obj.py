@@ -20,8 +20,6 @@ from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
-__all__ = ["read_obj"]
-
 #: A file with more objects becomes one mesh: a mesh costs far more than a triangle.
 MAX_OBJECTS = 10_000
 

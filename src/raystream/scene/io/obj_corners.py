@@ -14,8 +14,6 @@ from raystream.scene.io.partial import faces_in_range, warn_partial
 from raystream.scene.io.polygons import distinct_corners, fan_corners
 from raystream.scene.io.text import Lines, parse_integers, shown
 
-__all__ = ["Corners", "read_corners"]
-
 _SLASH = ord("/")
 
 #: Instead of an index: not written, or out of range.

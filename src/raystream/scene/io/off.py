@@ -18,8 +18,6 @@ from raystream.scene.io.text import Lines, parse_floats, plain_text, shown
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
-__all__ = ["read_off"]
-
 _KEYWORD = re.compile(rb"(ST)?(C)?(N)?(4)?(n)?OFF(?=\s)")
 _COMMENT = re.compile(rb"#[^\n]*")
 

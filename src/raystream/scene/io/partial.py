@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.scene.scene import Scene
 
-__all__ = ["IndexCheck", "check_loaded", "faces_in_range", "warn_partial"]
-
 
 def warn_partial(path: Path, reason: str) -> None:
     """Issue one `RaystreamWarning` that names the file and what was skipped."""

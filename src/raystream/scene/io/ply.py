@@ -19,8 +19,6 @@ from raystream.scene.io.text import BYTE_ORDER_MARK
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
-__all__ = ["read_ply"]
-
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
 _TEXCOORD_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 

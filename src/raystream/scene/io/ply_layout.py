@@ -9,8 +9,6 @@ from pathlib import Path
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.text import shown
 
-__all__ = ["Element", "Property", "read_header"]
-
 _TYPES = {
     "char": "i1",
     "uchar": "u1",

@@ -13,8 +13,6 @@ from raystream.core.errors import FileFormatError
 from raystream.scene.io.ply_layout import Element
 from raystream.scene.io.text import parse_floats, plain_text, shown
 
-__all__ = ["Values", "read_values"]
-
 
 @dataclass
 class Values:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["distinct_corners", "fan_corners"]
-
 
 def fan_corners(
     counts: NDArray[np.int64], starts: NDArray[np.int64]

@@ -15,8 +15,6 @@ from raystream.scene.io.text import BYTE_ORDER_MARK, parse_floats, plain_text
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
-__all__ = ["read_stl"]
-
 _HEADER_BYTES = 84
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 

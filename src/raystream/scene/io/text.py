@@ -9,16 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "BYTE_ORDER_MARK",
-    "Lines",
-    "decoded",
-    "parse_floats",
-    "parse_integers",
-    "plain_text",
-    "shown",
-]
-
 #: Byte order mark that some editors put before UTF-8 text.
 BYTE_ORDER_MARK = codecs.BOM_UTF8
 

@@ -15,8 +15,6 @@ from raystream.scene.procedural.shapes import patch, room, rounded_box
 from raystream.scene.procedural.size import check_triangles
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "boxes"]
-
 DEFAULT_TRIANGLES = 61_562
 
 #: Corners of the room, metres.

@@ -32,8 +32,6 @@ from raystream.scene.procedural.shapes import boxes, patch
 from raystream.scene.procedural.size import MAX_INSTANCED_TRIANGLES, check_triangles
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "building", "inside_camera", "instanced_building"]
-
 DEFAULT_TRIANGLES = 1_500_000
 
 #: Half the side of the lawn around the building, in building lengths.

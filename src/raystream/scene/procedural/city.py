@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.scene.procedural.parts import Part, merge
 from raystream.scene.procedural.shapes import boxes
 
-__all__ = ["city"]
-
 STRIPE, STONE, CURB, GLASS = 1, 2, 3, 4
 
 #: Distance of neighbouring towers, and half the width of the avenue, metres.

@@ -15,14 +15,6 @@ from raystream.scene.procedural.shapes import box, patch
 from raystream.scene.procedural.size import check_triangles, closest_divisions
 from raystream.scene.scene import Scene
 
-__all__ = [
-    "DEFAULT_TRIANGLES",
-    "OPEN_TRIANGLES",
-    "cornell",
-    "cornell_mirrors",
-    "cornell_open",
-]
-
 DEFAULT_TRIANGLES = 36
 
 #: Blocks without bottoms have 10 triangles each.

@@ -13,8 +13,6 @@ from raystream.scene.procedural.shapes import box, room
 from raystream.scene.procedural.size import check_triangles
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "cubes"]
-
 DEFAULT_TRIANGLES = 2064
 
 #: Corners of the room, and of the part of it that has cubes, metres.

@@ -18,8 +18,6 @@ from raystream.scene.procedural.size import MAX_INSTANCED_TRIANGLES, check_trian
 from raystream.scene.procedural.tree import LEAST_TRIANGLES, Tree, tree
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "forest", "inside_camera", "instanced_forest", "top_camera"]
-
 DEFAULT_TRIANGLES = 1_000_000
 
 #: Side of the ground area per tree, metres.

@@ -14,8 +14,6 @@ from raystream.scene.procedural.parts import Part, PartCopies, yaw
 from raystream.scene.procedural.rooms import BAY, STOREY, Plan
 from raystream.scene.procedural.shapes import lathe, rounded_box, sphere, vertex_normals
 
-__all__ = ["furnishings"]
-
 #: Offsets from the first of the furnishings' materials.
 CERAMIC, CLOTH, FOLIAGE = range(3)
 

@@ -11,17 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.scene.mesh import Mesh
 
-__all__ = [
-    "Part",
-    "PartCopies",
-    "instance",
-    "merge",
-    "merge_copies",
-    "separate_copies",
-    "to_mesh",
-    "yaw",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Part:

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.scene.procedural.parts import Part, PartCopies, instance, merge_copies, yaw
 from raystream.scene.procedural.shapes import rounded_box, sphere
 
-__all__ = ["PART_COUNT", "robot_copies", "robot_parts"]
-
 #: Offsets from the first of the robots' materials.
 PAINT, METAL, VISOR, EYE, RUBBER = range(5)
 

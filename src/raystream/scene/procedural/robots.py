@@ -17,8 +17,6 @@ from raystream.scene.procedural.shapes import patch
 from raystream.scene.procedural.size import MAX_INSTANCED_TRIANGLES, check_triangles
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "instanced_robots", "robots"]
-
 DEFAULT_TRIANGLES = 71_708
 
 #: Half the side of the ground, metres; the robots are two metres tall.

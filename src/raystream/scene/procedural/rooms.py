@@ -7,20 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "BAY",
-    "CORRIDOR",
-    "DEPTH",
-    "SLAB",
-    "STOREY",
-    "BoxList",
-    "Plan",
-    "all_boxes",
-    "outer_boxes",
-    "room_boxes",
-    "rooms_of",
-]
-
 #: Metres: width of a room; height of a storey and of its slab; half the corridor's width;
 #: distance from the corridor's middle to the facade.
 BAY, STOREY, SLAB, CORRIDOR, DEPTH = 4.2, 3.2, 0.25, 1.2, 6.4

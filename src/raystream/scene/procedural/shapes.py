@@ -7,19 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.scene.procedural.parts import Part
 
-__all__ = [
-    "box",
-    "boxes",
-    "cylinder",
-    "grid",
-    "lathe",
-    "patch",
-    "room",
-    "rounded_box",
-    "sphere",
-    "vertex_normals",
-]
-
 #: Triangles of a box; vertex i is at the high end of axis k where bit k of i is set.
 BOX_FACES = np.array(
     [

@@ -6,14 +6,6 @@ import math
 import operator
 from collections.abc import Callable
 
-__all__ = [
-    "MAX_INSTANCED_TRIANGLES",
-    "MAX_TRIANGLES",
-    "MIN_TRIANGLES",
-    "check_triangles",
-    "closest_divisions",
-]
-
 #: Below this a scene would be unrecognisable.
 MIN_TRIANGLES = 24
 

@@ -16,8 +16,6 @@ from raystream.scene.procedural.size import check_triangles
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
 
-__all__ = ["DEFAULT_TRIANGLES", "spheres"]
-
 DEFAULT_TRIANGLES = 2064
 
 #: Corners of the room, metres.

@@ -10,8 +10,6 @@ from raystream.scene.procedural.shapes import box
 from raystream.scene.procedural.size import check_triangles, closest_divisions
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "three_boxes"]
-
 DEFAULT_TRIANGLES = 36
 
 #: Reflectance of the flat box, and of the boxes on it.

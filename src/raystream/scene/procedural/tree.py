@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from raystream.scene.procedural.parts import Part, instance, merge
 from raystream.scene.procedural.shapes import lathe
 
-__all__ = ["LEAST_TRIANGLES", "Tree", "tree"]
-
 BARK, LEAF = 1, 2
 
 #: The fewest triangles of a closed trunk and crown.

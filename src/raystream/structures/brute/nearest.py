@@ -12,8 +12,6 @@ from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
 from raystream.kernels.point_queries import PointSearch, point_queries
 from raystream.kernels.point_triangle import squared_distance
 
-__all__ = ["POINT_SEARCH", "find_nearest"]
-
 _STRIDE = np.int32(4)
 
 

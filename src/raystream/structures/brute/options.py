@@ -7,8 +7,6 @@ from typing import ClassVar
 
 from raystream.structures.registry import StructureOptions, register_structure
 
-__all__ = ["Brute"]
-
 
 @register_structure
 @dataclass(frozen=True, kw_only=True)

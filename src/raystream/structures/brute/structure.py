@@ -15,8 +15,6 @@ from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
 from raystream.structures.brute.options import Brute
 from raystream.structures.brute.traversal import BruteAddresses, traverse
 
-__all__ = ["BruteStructure"]
-
 #: Triangle tests per call of a compiled loop: about 50 ms.
 _TESTS_PER_CALL = 1 << 23
 

@@ -10,8 +10,6 @@ from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.triangle_list import intersect_list
 
-__all__ = ["BruteAddresses", "traverse"]
-
 _INF = np.float32(np.inf)
 
 

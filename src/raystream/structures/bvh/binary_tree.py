@@ -47,23 +47,6 @@ from raystream.structures.bvh.prim_refs import (
     low_half,
 )
 
-__all__ = [
-    "HALVING_LEVELS",
-    "LINK_BYTES",
-    "LINK_INTS",
-    "MAX_TREE_DEPTH",
-    "PENDING_STACK_BYTES",
-    "BinaryTree",
-    "BuildSettings",
-    "Link",
-    "Pending",
-    "is_left",
-    "push_pending",
-    "put_node",
-    "side_test",
-    "split",
-]
-
 _LINK = np.dtype([("left", "i4"), ("right", "i4"), ("decision", "i4"), ("is_top", "i4")])
 Link = view(_LINK)
 LINK_BYTES = _LINK.itemsize

@@ -27,17 +27,6 @@ from raystream.structures.bvh.prim_refs import (
     union,
 )
 
-__all__ = [
-    "BINS_BYTES",
-    "BIN_COUNT",
-    "SUMS_BYTES",
-    "bin_frame",
-    "bin_refs",
-    "block_count",
-    "clear_bins",
-    "find_split",
-]
-
 #: Most bins per axis. 16 find splits within a few per cent of an exact sweep's cost.
 BIN_COUNT = 16
 

@@ -14,8 +14,6 @@ from raystream.structures.bvh.build_binary import Tree, grow_tree
 from raystream.structures.bvh.layout import MAX_BLOCKS, MAX_DEPTH, NODE_FLOATS, WIDTH, BvhArrays
 from raystream.structures.bvh.write_wide import Deferred, WideTrees, write_trees
 
-__all__ = ["QUALITIES", "build_arrays"]
-
 #: `min_split_size` and `plain_size` of `BuildSettings`.
 QUALITIES = {"fast": (4, 1024), "balanced": (2, 0)}
 

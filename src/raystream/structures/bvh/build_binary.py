@@ -23,8 +23,6 @@ from raystream.structures.bvh.prim_refs import REF_FLOATS, make_refs
 from raystream.structures.bvh.subtree import grow_subtree, split_once
 from raystream.structures.bvh.write_wide import READ_AHEAD
 
-__all__ = ["Tree", "grow_tree"]
-
 #: Ranges of more triangles are split by all threads together.
 _LARGE = 1 << 17
 

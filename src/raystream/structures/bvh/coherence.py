@@ -13,8 +13,6 @@ from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
 
-__all__ = ["Coherence", "choose_kernel", "probe", "rivals"]
-
 #: Groups of 16 rays in a sample: about ten microseconds, for any batch.
 _SAMPLES = 24
 

@@ -35,18 +35,6 @@ from raystream.structures.bvh.binning import block_count
 from raystream.structures.bvh.layout import WIDTH
 from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES, half_area
 
-__all__ = [
-    "COST_BYTES",
-    "COST_FLOATS",
-    "LISTING_BYTES",
-    "collapse_subtree",
-    "collapse_top",
-    "is_leaf",
-    "leaf_costs",
-    "list_children",
-    "merge_costs",
-]
-
 #: Costs of a node in 1 to 8 lanes, float32.
 COST_BYTES = 32
 COST_FLOATS = WIDTH

@@ -48,8 +48,6 @@ from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_filter import kept_lanes, ray_filter
 from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
 
-__all__ = ["SMALL_BYTES", "TESTS", "LeafTests", "Small", "SmallLanes", "leaf_tests"]
-
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _BLOCK_LANES = np.uint64(4)

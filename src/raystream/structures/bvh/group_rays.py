@@ -33,29 +33,6 @@ from raystream.structures.bvh.packet_rays import (
     three,
 )
 
-__all__ = [
-    "BLOCK_PACKETS",
-    "COLD_AT",
-    "FLAGS_AT",
-    "GROUP_SHIFT",
-    "HITS_AT",
-    "HOT_AT",
-    "LANE_SHIFT",
-    "LAST_LANE",
-    "LISTS_AT",
-    "MEMORY_BYTES",
-    "PLACES_AT",
-    "RAY_BITS",
-    "Cold",
-    "Hot",
-    "arrange_group",
-    "axis_kinds",
-    "in_frame",
-    "interval",
-    "load_block",
-    "store_block",
-]
-
 #: Most rays of a block: all that descend the tree together.
 BLOCK_RAYS = 8192
 #: The same in packets.

@@ -43,8 +43,6 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
 )
 
-__all__ = ["LEAST_RAYS", "BatchOrder", "Cut", "find_order", "order_of"]
-
 #: Rows of smaller batches are not looked for: it takes some ten microseconds.
 LEAST_RAYS = 8192
 

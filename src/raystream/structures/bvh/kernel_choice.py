@@ -25,18 +25,6 @@ from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
 from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
 from raystream.structures.bvh.wavefront import trace_wavefront
 
-__all__ = [
-    "KERNELS",
-    "SMALL_BATCH",
-    "Tree",
-    "count_batch",
-    "kernel_bytes",
-    "packet_order",
-    "reported_rays",
-    "trace_batch",
-    "visit_batch",
-]
-
 #: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of groups of
 #: rays, in the order of the batch; one ray after another.
 KERNELS = Bvh.choices("kernel")

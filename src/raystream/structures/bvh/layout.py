@@ -14,19 +14,6 @@ from raystream.kernels.leaf_block import BLOCK_FLOATS, BLOCK_SIZE, PRIM_IDS
 from raystream.structures.bvh.options import MAX_LEAF_SIZE
 from raystream.structures.saved import take
 
-__all__ = [
-    "CHILDREN_AT",
-    "MAX_BLOCKS",
-    "MAX_DEPTH",
-    "NODE_BYTES",
-    "NODE_FLOATS",
-    "STACK_SIZE",
-    "WIDTH",
-    "BvhArrays",
-    "TreeAddresses",
-    "check_arrays",
-]
-
 #: Children of a node.
 WIDTH = 8
 

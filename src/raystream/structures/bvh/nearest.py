@@ -41,8 +41,6 @@ from raystream.structures.bvh.node_layout import BOX_FLIP, CHILDREN, LANE, NODE,
 from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
 from raystream.structures.bvh.traversal import HALF, STACK_BYTES, prefetch_next
 
-__all__ = ["POINT_SEARCH", "find_nearest"]
-
 _STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
 _CHILD_COUNT, _BLOCK_COUNT = np.uint64(8), np.uint64(4)
 _KEY_BITS = np.int32(~7)

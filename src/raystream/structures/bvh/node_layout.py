@@ -19,24 +19,6 @@ from raystream.jit.simd import (
 from raystream.jit.views import view
 from raystream.kernels.leaf_block import BLOCK
 
-__all__ = [
-    "BOX_FLIP",
-    "CHILDREN",
-    "KEY_LANES",
-    "LANE",
-    "NODE",
-    "NODE_AXIS",
-    "Node",
-    "NodeLanes",
-    "leaf_address",
-    "leaf_end",
-    "plane_offset",
-    "plane_row",
-    "prefetch_child",
-    "sort_keys",
-    "t_key",
-]
-
 #: Bytes of a node and of its planes along one axis; offset from low to high planes.
 NODE = np.uint64(256)
 NODE_AXIS = np.uint64(64)

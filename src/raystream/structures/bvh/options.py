@@ -8,8 +8,6 @@ from typing import Annotated, ClassVar, Literal
 from raystream.core.options import Range
 from raystream.structures.registry import StructureOptions, register_structure
 
-__all__ = ["MAX_LEAF_SIZE", "Bvh"]
-
 #: Most triangles in a leaf.
 MAX_LEAF_SIZE = 32
 

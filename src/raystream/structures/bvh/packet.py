@@ -62,8 +62,6 @@ from raystream.structures.bvh.packet_rays import (
     store_packet,
 )
 
-__all__ = ["TRACE_BYTES", "packet_trace", "trace_packet", "trace_packets"]
-
 _ZERO = np.float32(0.0)
 _TWO = np.float32(2.0)
 _INF = np.float32(np.inf)

@@ -38,8 +38,6 @@ from raystream.structures.bvh.packet_rays import (
     world_lanes,
 )
 
-__all__ = ["PacketFilter", "block_filter", "kept_lanes", "packet_filter", "ray_filter"]
-
 _LANE = np.uint64(4)
 _SHIFT_BITS = np.uint64(63)
 _ZERO, _ONE = np.int32(0), np.int32(1)

@@ -17,18 +17,6 @@ from raystream.jit.views import view
 from raystream.kernels.search import get_hit, is_before, put_hit, sort_hits
 from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, world_lanes
 
-__all__ = [
-    "BUFFERS",
-    "COLLECTOR_BYTES",
-    "ENDS_BYTES",
-    "Buffers",
-    "Collector",
-    "Ends",
-    "collect",
-    "has_room",
-    "sort_packet",
-]
-
 #: Addresses of buffers: hits in the order of discovery, sorted hits, their rays and the ends of the
 #: rays' rows; then the capacity in hits.
 _FOUND = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8"), ("ray", "u8")])

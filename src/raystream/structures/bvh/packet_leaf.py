@@ -44,21 +44,6 @@ from raystream.structures.bvh.packet_filter import kept_lanes, ray_filter
 from raystream.structures.bvh.packet_hits import collect
 from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
 
-__all__ = [
-    "ALL",
-    "ANY",
-    "COUNT",
-    "FIRST",
-    "LEAF_SCRATCH",
-    "SURFACES",
-    "GroupRange",
-    "box_planes",
-    "entering_rays",
-    "group_range",
-    "leaf_visit",
-    "visit_leaf",
-]
-
 #: The goal for each ray: its nearest hit, any hit, the number of hits (in place of prim_id), or all
 #: hits.
 FIRST, ANY, COUNT, ALL = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)

@@ -50,16 +50,6 @@ from raystream.structures.bvh.packet_rays import (
     three,
 )
 
-__all__ = [
-    "load_directions",
-    "load_group",
-    "load_origins",
-    "load_packet",
-    "prefetch_group",
-    "prepare_group",
-    "set_slow",
-]
-
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _INF = np.float32(np.inf)

@@ -41,8 +41,6 @@ from raystream.structures.bvh.packet_rays import (
     t_transform,
 )
 
-__all__ = ["count_all", "visit_all"]
-
 _LANES = np.uint64(16)
 _LANE = np.uint64(4)
 

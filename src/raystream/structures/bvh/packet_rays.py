@@ -29,29 +29,6 @@ from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame, world_t
 from raystream.kernels.ray_source import RaySource
 
-__all__ = [
-    "GROUP",
-    "GROUPS",
-    "NO_CLASS",
-    "NO_PRIM",
-    "PACKET_BYTES",
-    "PACKET_RAYS",
-    "Group",
-    "GroupLanes",
-    "GroupPlaces",
-    "PacketOrder",
-    "PacketSource",
-    "first_ray",
-    "group_entry",
-    "group_places",
-    "group_rows",
-    "store_group",
-    "store_packet",
-    "t_transform",
-    "three",
-    "world_lanes",
-]
-
 #: Rays of a packet: larger ones share more nodes, but fill the L1 cache.
 PACKET_RAYS = 256
 

@@ -29,8 +29,6 @@ from raystream.structures.bvh.binning import (
 )
 from raystream.structures.bvh.prim_refs import REF_BYTES, REF_FLOATS, centroid_bounds, empty_box
 
-__all__ = ["split_large"]
-
 #: Most references per call of a kernel.
 _MOST = 1 << 15
 

@@ -25,22 +25,6 @@ from raystream.jit.simd import (
     store,
 )
 
-__all__ = [
-    "COUNT_AT",
-    "FIRST_AT",
-    "REF_BYTES",
-    "REF_FLOATS",
-    "centroid_bounds",
-    "empty_bin",
-    "empty_box",
-    "half_area",
-    "high_half",
-    "low_half",
-    "make_refs",
-    "union",
-    "write_ref",
-]
-
 REF_BYTES = 32
 REF_FLOATS = 8
 

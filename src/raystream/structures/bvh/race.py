@@ -16,8 +16,6 @@ from typing import NamedTuple
 
 from raystream.jit.threads import Progress, part_of
 
-__all__ = ["LEAST_RACE", "Races", "run_race"]
-
 #: Batches of fewer rays are not raced: threads would start and end too often.
 LEAST_RACE = 1 << 16
 

@@ -22,8 +22,6 @@ from raystream.jit.threads import parallel_for
 from raystream.kernels.leaf_block import BLOCK, BLOCK_SIZE, PRIM_IDS, TRIANGLE_BYTES, write_corners
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH, BvhArrays
 
-__all__ = ["refit", "refit_leaves", "refit_node"]
-
 #: Nodes per call of `_refit_leaves`.
 _CHUNK = 1 << 9
 

@@ -8,8 +8,6 @@ from raystream.jit.cpu import device, kernel
 from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 
-__all__ = ["statistics"]
-
 
 def statistics(arrays: BvhArrays) -> dict[str, float]:
     """Counts, depth, and the expected cost of a random ray that hits the bounds.

@@ -46,17 +46,6 @@ from raystream.structures.bvh.node_layout import (
     t_key,
 )
 
-__all__ = [
-    "begin",
-    "enter",
-    "is_leaf",
-    "leaf_blocks",
-    "next_entry",
-    "push",
-    "stack_half",
-    "visit",
-]
-
 _ZERO = np.float32(0.0)
 _ROOT = np.int32(0)
 _KEY_BITS = np.int32(~7)

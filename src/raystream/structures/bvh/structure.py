@@ -34,8 +34,6 @@ from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
 
-__all__ = ["BvhStructure", "hittable_corners", "trace_cost"]
-
 
 class BvhStructure(Structure):
     """A bounding volume hierarchy that has been built; see `Bvh`.

@@ -18,8 +18,6 @@ from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES
 from raystream.structures.bvh.collapse import collapse_subtree
 from raystream.structures.bvh.prim_refs import REF_BYTES
 
-__all__ = ["grow_subtree", "split_once"]
-
 
 @kernel
 def split_once(refs, begin, end, use_sides, bounds, part_bounds):

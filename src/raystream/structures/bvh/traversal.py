@@ -26,8 +26,6 @@ from raystream.structures.bvh.steps import (
     push,
 )
 
-__all__ = ["HALF", "STACK_BYTES", "prefetch_next", "traverse", "tree_traversal"]
-
 _INF = np.float32(np.inf)
 
 #: Bytes of half the stack, for the deepest tree.

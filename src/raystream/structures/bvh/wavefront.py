@@ -46,22 +46,6 @@ from raystream.structures.bvh.node_layout import (
     t_key,
 )
 
-__all__ = [
-    "BOTTOM",
-    "IN_FLIGHT",
-    "NO_PRIM",
-    "NO_RAY",
-    "QUEUE_BYTES",
-    "SLOT",
-    "STACK",
-    "finish_ray",
-    "next_child",
-    "slot_ray",
-    "start_ray",
-    "trace_wavefront",
-    "visit_node",
-]
-
 #: Rays in flight per thread. 16 hide less memory latency, 64 need too much cache.
 IN_FLIGHT = np.uint64(32)
 

@@ -22,8 +22,6 @@ from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_child
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
 from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
 
-__all__ = ["READ_AHEAD", "Deferred", "WideTrees", "clear_node", "set_lane", "write_trees"]
-
 #: A wide node to be written: its binary node, row and depth.
 _PENDING = np.dtype([("node", "i4"), ("row", "i4"), ("depth", "i4")])
 _Pending = view(_PENDING)

@@ -14,8 +14,6 @@ from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.morton_order import Order
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["bin_corners", "choose_bin_counts", "fill_bins", "leaf_at"]
-
 #: Minimum and maximum number of bins along an axis.
 _FEWEST, _MOST = 16, 256
 

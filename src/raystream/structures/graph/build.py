@@ -39,8 +39,6 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.subtree import BuildSettings
 
-__all__ = ["GraphSettings", "build_graph", "graph_box", "tree_settings_of"]
-
 #: Fraction of the bound on new link nodes that a split is charged, chosen to minimise J
 #: (bunny 167 with this, 168 with all, 170 without; conference 107, 108, 108).
 _LINK_SHARE = 0.5

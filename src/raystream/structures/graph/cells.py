@@ -13,17 +13,6 @@ from raystream.jit.simd import address, load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = [
-    "NODE_BYTES",
-    "ROPE_BYTES",
-    "Cells",
-    "find_cells",
-    "is_leaf",
-    "push_rope",
-    "split_of",
-    "write_children",
-]
-
 #: Bytes of a node of the tree, and of a cell's six ropes.
 NODE_BYTES = np.uint64(8)
 ROPE_BYTES = np.uint64(24)

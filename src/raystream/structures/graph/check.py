@@ -27,8 +27,6 @@ from raystream.structures.graph.layout import (
 )
 from raystream.structures.saved import are_listed, take
 
-__all__ = ["check_graph"]
-
 _CHUNK = 1 << 12
 
 #: Rounding error of the sum of the sectors' volumes, relative.

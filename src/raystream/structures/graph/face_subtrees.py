@@ -19,15 +19,6 @@ from raystream.structures.graph.layout import SECTOR_ROWS, VOID
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.options import MAX_DEPTH
 
-__all__ = [
-    "PENDING_BYTES",
-    "RopeTree",
-    "count_raw_nodes",
-    "find_axes",
-    "propagate_marks",
-    "write_raw_nodes",
-]
-
 #: A pending subtree: its node, and the address of the raw link to it.
 _PENDING = np.uint64(16)
 PENDING_BYTES = 16 * (MAX_DEPTH + 2)

@@ -16,8 +16,6 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT, NODE_WORDS
 
-__all__ = ["RAW", "NodeStore", "first_slot", "put_node"]
-
 #: This bit of a raw link (uint64) marks the number of a raw node; without it, it is a link.
 RAW = 1 << 32
 

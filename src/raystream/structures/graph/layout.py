@@ -16,16 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "FACES",
-    "MAX_ROWS",
-    "NODE_BIT",
-    "NODE_WORDS",
-    "SECTOR_ROWS",
-    "VOID",
-    "GraphArrays",
-]
-
 #: Faces in the order of a sector's links: low and high side of each axis.
 FACES = ("low x", "high x", "low y", "high y", "low z", "high z")
 

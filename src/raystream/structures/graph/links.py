@@ -38,8 +38,6 @@ from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.morton_order import SECTOR_BYTES, Order
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["LINKS_AT", "RAW_LINKS", "batches", "link_sectors"]
-
 #: Raw nodes per batch, if no single sector has more.
 _BATCH = 1 << 22
 

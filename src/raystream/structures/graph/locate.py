@@ -26,8 +26,6 @@ from raystream.structures.graph.steps import (
     walk_to,
 )
 
-__all__ = ["StartSectors", "find_sectors"]
-
 #: Rays per call of the kernel.
 _CHUNK = 1 << 13
 

@@ -21,16 +21,6 @@ from raystream.structures.graph.cells import NODE_BYTES, Cells, split_of
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.kdtree.layout import LEAF_AXIS, KdArrays
 
-__all__ = [
-    "CODE_BITS",
-    "SECTOR_BYTES",
-    "Order",
-    "fill_sector",
-    "fill_sectors",
-    "morton_code",
-    "order_sectors",
-]
-
 #: Bytes of a sector, and of the prim_ids of a block.
 SECTOR_BYTES = np.uint64(16 * SECTOR_ROWS)
 _BLOCK_IDS = np.uint64(16)

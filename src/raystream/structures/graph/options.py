@@ -9,8 +9,6 @@ from raystream.core.options import Range
 from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.registry import StructureOptions, register_structure
 
-__all__ = ["Graph"]
-
 
 @register_structure
 @dataclass(frozen=True, kw_only=True)

@@ -20,8 +20,6 @@ from raystream.structures.graph.cells import NODE_BYTES, split_of
 from raystream.structures.kdtree.layout import LEAF_AXIS, KdArrays
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["PENDING_BYTES", "UNION_BYTES", "Chosen", "prune", "put_leaf", "weigh_split"]
-
 #: Subtrees of more leaves, or of more triangles, are kept.
 _MOST_LEAVES, _MOST_TRIANGLES = 16, 64
 PENDING_BYTES, UNION_BYTES = 8 * (_MOST_LEAVES + 2), 4 * _MOST_TRIANGLES

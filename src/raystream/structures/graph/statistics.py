@@ -12,8 +12,6 @@ from raystream.jit.threads import parallel_for
 from raystream.structures.graph.build import GraphSettings
 from raystream.structures.graph.layout import NODE_BIT, SECTOR_ROWS, VOID, GraphArrays
 
-__all__ = ["statistics"]
-
 _CHUNK = 1 << 12
 
 #: A pending part of a face: its link (uint64) and its box (low x, y, z, high x, y, z).

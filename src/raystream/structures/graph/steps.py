@@ -30,23 +30,6 @@ from raystream.kernels.leaf_block import BLOCK, blocks_end
 from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 
-__all__ = [
-    "MAX_WALK",
-    "Face",
-    "GraphAddresses",
-    "SectorRay",
-    "clip_to_scene",
-    "exit_face",
-    "follow_link",
-    "near_sector",
-    "sector_blocks",
-    "sector_number",
-    "sector_ray",
-    "start_sector",
-    "start_sector_cached",
-    "walk_to",
-]
-
 #: Most sectors that a walk from a nearby sector leaves before it falls back to the bins.
 MAX_WALK = 16
 

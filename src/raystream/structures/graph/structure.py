@@ -31,8 +31,6 @@ from raystream.structures.graph.text_format import dump_graph
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
 from raystream.structures.kdtree.layout import default_depth
 
-__all__ = ["GraphStructure", "addresses_of", "settings_of"]
-
 
 class GraphStructure(Structure):
     """A graph of sectors, built; see `Graph`.

@@ -31,8 +31,6 @@ from raystream.structures.graph.layout import (
     GraphArrays,
 )
 
-__all__ = ["dump_graph", "load_graph"]
-
 #: Enough digits to read back the same float32.
 _FLOAT = "%.9g"
 

@@ -20,8 +20,6 @@ from raystream.structures.graph.steps import (
     sector_ray,
 )
 
-__all__ = ["STACK_BYTES", "traverse"]
-
 #: A graph needs no stack: its memory caches the start of the previous ray.
 STACK_BYTES = 16
 

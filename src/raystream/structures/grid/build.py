@@ -18,19 +18,6 @@ from raystream.structures.grid.lattice import Lattice, choose_lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
 from raystream.structures.grid.overlap import ListWriter, list_in_layers, range_along
 
-__all__ = [
-    "Layers",
-    "ListOutput",
-    "TooManyError",
-    "build_grid",
-    "build_lists",
-    "choose_and_build",
-    "find_layers",
-    "list_triangles",
-    "parallel_count",
-    "reference_limit",
-]
-
 #: Triangles per call of the first kernel.
 _CHUNK = 1 << 13
 

@@ -10,16 +10,6 @@ from raystream.jit.constants import SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load
 
-__all__ = [
-    "NO_CHILD",
-    "LatticeView",
-    "cell_list",
-    "cell_numbers",
-    "child_of",
-    "coarse_cells",
-    "fine_cells",
-]
-
 #: `child_of` a cell that is not subdivided.
 NO_CHILD = np.int32(-1)
 

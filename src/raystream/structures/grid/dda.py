@@ -20,17 +20,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import copy_sign, floor, fma
 from raystream.kernels.ray import component
 
-__all__ = [
-    "Walk",
-    "WalkState",
-    "begin_walk",
-    "cell_end",
-    "first_state",
-    "prepare_walk",
-    "state_at",
-    "step_walk",
-]
-
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)

@@ -12,14 +12,6 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.structures.grid.options import MAX_AXIS, MAX_CELLS, check_cells
 
-__all__ = [
-    "GROWTH",
-    "LEAST_SIDE",
-    "Lattice",
-    "choose_lattice",
-    "cube_side",
-]
-
 #: A cell lists the triangles within this distance, relative to the scene's largest coordinate.
 #: A hit lies within 1.5 paddings of its triangle's box, and a triangle's plane
 #: within 1 of the hit (docs/decisions/0010-grid). The padding is `kernels.ray.PAD` of scene

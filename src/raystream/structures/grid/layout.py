@@ -12,16 +12,6 @@ from raystream.jit.cpu import kernel
 from raystream.structures.grid.options import MAX_CELLS
 from raystream.structures.saved import take
 
-__all__ = [
-    "MAX_FINE_AXIS",
-    "MAX_REFERENCES",
-    "FineArrays",
-    "GridAddresses",
-    "GridArrays",
-    "check_fine",
-    "check_lists",
-]
-
 #: Most references in all lists together: offsets are uint32.
 MAX_REFERENCES = 2**32 - 1
 

@@ -11,8 +11,6 @@ from typing import Annotated, Any, ClassVar, Literal
 from raystream.core.options import Range
 from raystream.structures.registry import StructureOptions, register_structure
 
-__all__ = ["MAX_AXIS", "MAX_CELLS", "Grid", "check_cells"]
-
 #: Most cells along an axis: their indices, and the next few, are exact in float32.
 MAX_AXIS = 1 << 20
 

@@ -17,8 +17,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.exact_overlap import edges_overlap
 
-__all__ = ["ListWriter", "each_cell", "list_in_layers", "list_triangle", "range_along"]
-
 #: Rounding of the normal's product with an edge, as a share of the product of three edges:
 #: 18 products and sums of 2**-53 each, rounded up.
 _NORMAL_ERROR = 2.0**-48

@@ -25,8 +25,6 @@ from raystream.structures.grid.layout import MAX_FINE_AXIS, FineArrays, GridArra
 from raystream.structures.grid.options import MAX_CELLS
 from raystream.structures.grid.overlap import ListWriter, each_cell, list_triangle, range_along
 
-__all__ = ["refine"]
-
 #: Cells with more triangles than this are subdivided.
 _LONG_LIST = 6
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import FineArrays, GridArrays
 
-__all__ = ["statistics", "trace_cost"]
-
 
 def statistics(
     lattice: Lattice, lists: GridArrays, fine: FineArrays, triangle_count: int

@@ -34,8 +34,6 @@ from raystream.structures.grid.traversal import traverse
 from raystream.structures.grid.update import move_lists
 from raystream.structures.saved import take
 
-__all__ = ["GridStructure"]
-
 #: Cells and triangles per call of a compiled loop: 0.2 s at worst. With 2**22, calls of 52 rays
 #: took a tenth of the time in a hall with a few very long lists.
 _STEPS_PER_CALL = 1 << 24

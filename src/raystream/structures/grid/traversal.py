@@ -14,8 +14,6 @@ from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
 from raystream.structures.grid.dda import begin_walk, cell_end, step_walk
 
-__all__ = ["clip_to_grid", "traverse"]
-
 _INF = np.float32(np.inf)
 
 

@@ -18,8 +18,6 @@ from raystream.structures.grid.build import ListOutput, find_layers, list_triang
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
 
-__all__ = ["move_lists"]
-
 #: Triangles, and cells, per call of a kernel.
 _TRIANGLE_CHUNK = 1 << 14
 _CELL_CHUNK = 1 << 14

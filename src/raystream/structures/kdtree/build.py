@@ -31,8 +31,6 @@ from raystream.structures.kdtree.subtree import (
     split_range,
 )
 
-__all__ = ["LEAST_ROOM", "MAX_REFERENCES", "build_arrays", "root_box", "subtree_size"]
-
 #: Most references in all leaves together, per triangle; and references that are always allowed.
 MAX_REFERENCES = 12
 LEAST_ROOM = 1 << 10

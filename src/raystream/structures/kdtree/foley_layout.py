@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["AXIS_BIT", "LEAF_BIT", "FoleyArrays", "extend", "pack"]
-
 #: Bits of a pointer: that it leads to a leaf; a bit of the split's axis.
 LEAF_BIT = 31
 AXIS_BIT = 30

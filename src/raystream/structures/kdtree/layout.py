@@ -14,15 +14,6 @@ from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.saved import are_listed, take
 
-__all__ = [
-    "LEAF_AXIS",
-    "MAX_NODES",
-    "KdArrays",
-    "check_arrays",
-    "default_depth",
-    "measure",
-]
-
 #: Most nodes of a tree: the number of a child has 29 bits.
 MAX_NODES = 1 << 29
 

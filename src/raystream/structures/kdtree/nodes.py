@@ -18,9 +18,6 @@ from raystream.kernels.leaf_block import BLOCK, blocks_end
 from raystream.structures.kdtree.foley_layout import AXIS_BIT, LEAF_BIT
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["KdAddresses", "KdLeaf", "KdSplit", "is_leaf", "leaf_of", "parent_of", "split_of"]
-
-
 # 8-byte nodes: bytes of a node; its second word is its left child and its axis.
 _NODE = np.uint64(8)
 _AXIS_BITS = np.uint64(3)

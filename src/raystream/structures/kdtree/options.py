@@ -8,8 +8,6 @@ from typing import Annotated, ClassVar, Literal
 from raystream.core.options import Range
 from raystream.structures.registry import StructureOptions, register_structure
 
-__all__ = ["LAYOUTS", "MAX_DEPTH", "OVERLAPS", "TRAVERSALS", "KdTree"]
-
 #: Greatest depth that the builder makes and the traversal supports.
 MAX_DEPTH = 64
 

@@ -23,21 +23,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 
-__all__ = [
-    "BIN_COUNT",
-    "BIN_SHARE",
-    "LEAF",
-    "MOST_EXACT",
-    "WORK_BYTES",
-    "Costs",
-    "axis_of",
-    "bin_of",
-    "choose_split",
-    "find_in_bins",
-    "pays",
-    "split_cost",
-]
-
 #: Cells of at most this many references try every plane.
 _EXACT = 128
 

@@ -9,18 +9,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.structures.kdtree.options import MAX_DEPTH
 
-__all__ = [
-    "BACKTRACK",
-    "RESTART",
-    "SHORT_STACK",
-    "SHORT_STACK_BYTES",
-    "STACK",
-    "STACK_BYTES",
-    "KdState",
-    "SplitRay",
-    "split_ray",
-]
-
 #: How a search continues after a leaf.
 STACK, RESTART, BACKTRACK, SHORT_STACK = np.arange(4, dtype=np.uint64)
 

@@ -24,8 +24,6 @@ from raystream.structures.kdtree.state import STACK_BYTES
 from raystream.structures.kdtree.subtree import BuildSettings
 from raystream.structures.kdtree.traversal import traverse
 
-__all__ = ["KdTreeStructure", "settings_of"]
-
 
 class KdTreeStructure(Structure):
     """A kd-tree, built; see `KdTree`.

@@ -16,20 +16,6 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.options import MAX_DEPTH, OVERLAPS
 from raystream.structures.kdtree.split import LEAF, WORK_BYTES, Costs, choose_split
 
-__all__ = [
-    "BuildSettings",
-    "Cell",
-    "GrownTriangles",
-    "References",
-    "copy_box",
-    "grow_subtree",
-    "make_references",
-    "place_subtree",
-    "room_above",
-    "split_range",
-    "split_reference",
-]
-
 _LANES = np.uint64(4)
 _NODE = np.uint64(8)
 _TRIANGLE = np.uint64(36)

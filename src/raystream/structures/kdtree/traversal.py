@@ -50,8 +50,6 @@ from raystream.structures.kdtree.state import KdState, split_ray
 from raystream.structures.kdtree.traversals import continue_search, push, restarts
 from raystream.structures.kdtree.traversals.backtrack import backtrack
 
-__all__ = ["descend", "initialize", "traverse"]
-
 _LANES = np.uint64(4)
 _ZERO = np.float32(0.0)
 

@@ -9,8 +9,6 @@ import socket
 
 from raystream.core.errors import RaystreamError
 
-__all__ = ["Access", "make_token"]
-
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 #: Format of a token chosen by the user: too long to guess, and free of characters with a meaning

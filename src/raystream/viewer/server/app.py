@@ -22,8 +22,6 @@ from raystream.viewer.server.websocket import serve_connection
 if TYPE_CHECKING:
     from raystream.viewer.render_service import RenderService
 
-__all__ = ["make_app"]
-
 
 def make_app(service: RenderService, connections: Connections, access: Access) -> ASGIApp:
     """Create the application.

@@ -14,8 +14,6 @@ from raystream.viewer.messages import error_text
 from raystream.viewer.server.connections import Connection, Connections
 from raystream.viewer.server.uploads import KEY_HEADER
 
-__all__ = ["SceneSender"]
-
 #: Bytes that are handed to the socket at a time: what follows waits until the page has read.
 _CHUNK = 1 << 20
 

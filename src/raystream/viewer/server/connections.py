@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from raystream.viewer.client import Client
     from raystream.viewer.messages import Frame
 
-__all__ = ["MAX_CONNECTIONS", "Connection", "Connections"]
-
 #: Maximum live connections; further ones are rejected.
 MAX_CONNECTIONS = 32
 

@@ -7,8 +7,6 @@ import unicodedata
 
 from raystream.scene.io.formats import SUFFIXES
 
-__all__ = ["is_upload_id", "model_suffixes", "safe_name"]
-
 #: Suffixes of files that accompany models: materials, buffers and textures.
 PART_SUFFIXES = (
     ".mtl",

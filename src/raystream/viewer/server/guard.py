@@ -11,8 +11,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from raystream.viewer.server.access import Access
 
-__all__ = ["Guard"]
-
 #: Content policy: no inline scripts or styles, and nothing from other hosts.
 _CONTENT = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "

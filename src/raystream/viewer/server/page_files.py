@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import NamedTuple
 
-__all__ = ["INDEX", "PageFile", "read_page_files"]
-
 #: The page itself; it references the other files.
 INDEX = "index.html"
 

@@ -12,14 +12,6 @@ import numpy as np
 if TYPE_CHECKING:
     from raystream.viewer.messages import Frame
 
-__all__ = [
-    "MAX_MESSAGE_BYTES",
-    "InvalidMessageError",
-    "NotJsonError",
-    "pack",
-    "parse_message",
-]
-
 #: Longer messages close the connection before they are read.
 MAX_MESSAGE_BYTES = 1 << 16
 

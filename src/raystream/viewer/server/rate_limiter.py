@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 
-__all__ = ["RateLimiter"]
-
 #: Sustained messages per second, and burst size. A page that follows a mouse sends a few hundred.
 RATE = 400.0
 BURST = 800.0

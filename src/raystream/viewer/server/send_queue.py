@@ -14,8 +14,6 @@ from raystream.viewer.server.protocol import pack
 if TYPE_CHECKING:
     from raystream.viewer.messages import Frame
 
-__all__ = ["SendQueue"]
-
 #: Maximum backlog of a client that reads slowly; beyond it the connection is dropped. The largest
 #: message is a screenshot of maximum size.
 MAX_WAITING_BYTES = 64 << 20

@@ -11,8 +11,6 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from raystream.viewer.server.websocket import ABORT
 
-__all__ = ["HttpProtocol", "WebSocketProtocol"]
-
 #: Seconds for a client to send the head of a request.
 HEAD_TIMEOUT = 10.0
 

@@ -9,16 +9,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-__all__ = [
-    "MAX_FILES",
-    "BusyError",
-    "FullError",
-    "IncomingFile",
-    "RejectedError",
-    "TooLargeError",
-    "UploadFolder",
-]
-
 #: Maximum files of one upload.
 MAX_FILES = 256
 

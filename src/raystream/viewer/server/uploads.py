@@ -17,8 +17,6 @@ from raystream.viewer.server.upload_folder import (
     TooLargeError,
 )
 
-__all__ = ["KEY_HEADER", "receive_upload"]
-
 #: Header that names the connection to which an upload belongs.
 KEY_HEADER = "X-Upload-Key"
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from raystream.viewer.render_service import RenderService
     from raystream.viewer.server.connections import Connection, Connections
 
-__all__ = ["ABORT", "serve_connection"]
-
 #: Name of the ASGI extension that aborts a connection, for clients that do not read.
 ABORT = "raystream.abort"
 

@@ -10,8 +10,6 @@ from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
 from raystream_lab.caches.kernels.trace_access import count_misses, count_reference, lines_of
 
-__all__ = ["run_direct"]
-
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 

@@ -9,8 +9,6 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.intrinsics import high_product
 
-__all__ = ["Divisor", "divisor", "quotient"]
-
 
 class Divisor(NamedTuple):
     """A prepared divisor for `quotient`; all are uint64.

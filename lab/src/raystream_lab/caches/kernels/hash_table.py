@@ -6,8 +6,6 @@ import numpy as np
 
 from raystream.jit.cpu import device
 
-__all__ = ["MIN_CAPACITY", "home_of", "home_shift"]
-
 #: Minimum capacity of a table.
 MIN_CAPACITY = 8
 

@@ -17,8 +17,6 @@ from raystream_lab.caches.kernels.fast_division import quotient
 from raystream_lab.caches.kernels.hash_table import home_of
 from raystream_lab.caches.kernels.trace_access import count_misses, count_reference, lines_of
 
-__all__ = ["Rings", "run_linked"]
-
 _NONE = np.uint32(0)
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 _SLOT = np.uint64(2)  # log2 of 4 bytes

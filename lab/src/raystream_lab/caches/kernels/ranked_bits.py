@@ -11,17 +11,6 @@ from raystream.jit.cpu import device
 from raystream.jit.intrinsics import bits_above, sum_above
 from raystream.jit.simd import load, popcount, store
 
-__all__ = [
-    "BITS",
-    "BLOCK_WORDS",
-    "ROW_BLOCKS",
-    "RankedBits",
-    "clear_bit",
-    "count_after",
-    "count_before",
-    "set_bit",
-]
-
 #: Bits per word, words per block, blocks per row.
 BITS = BLOCK_WORDS = ROW_BLOCKS = 64
 

@@ -30,8 +30,6 @@ from raystream_lab.caches.kernels.trace_access import (
     lines_of,
 )
 
-__all__ = ["Clock", "Histogram", "Latest", "move_entries", "move_times", "run_distances"]
-
 _NUMBER = np.uint64(3)  # log2 of 8 bytes
 _ENTRY = np.uint64(4)  # log2 of 16 bytes
 _AHEAD = np.uint64(12)  # prefetch distance, in references

@@ -11,8 +11,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
 
-__all__ = ["COLUMNS", "Trace", "count_misses", "count_reference", "first_line", "lines_of"]
-
 #: The counts per kind of data, in the order of a row of uint64.
 COLUMNS = ("references", "byte_count", "accesses", "misses")
 

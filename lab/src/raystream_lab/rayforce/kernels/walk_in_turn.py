@@ -14,8 +14,6 @@ from raystream.structures.graph.steps import (
     start_sector_cached,
 )
 
-__all__ = ["walk_in_turn"]
-
 
 @kernel
 def walk_in_turn(begin, end, graph, max_coordinate, rays, last, sectors, steps):

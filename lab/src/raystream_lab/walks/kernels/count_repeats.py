@@ -7,8 +7,6 @@ import numpy as np
 from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 
-__all__ = ["count_repeats"]
-
 _EMPTY = np.int32(-1)
 
 

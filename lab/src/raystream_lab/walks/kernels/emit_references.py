@@ -11,22 +11,6 @@ from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 
-__all__ = [
-    "DONE",
-    "NOTHING",
-    "SHADE",
-    "STEP",
-    "STEP_ROOM",
-    "TEST",
-    "FetchTables",
-    "OutAddresses",
-    "PassPlan",
-    "RayProgress",
-    "begin_rays",
-    "fetch_branching",
-    "fetch_multipass",
-]
-
 #: Roles of kernels, which decide what they read.
 NOTHING, STEP, TEST, SHADE = (np.uint8(k) for k in range(4))
 

@@ -7,8 +7,6 @@ import numpy as np
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 
-__all__ = ["FREE", "find_distinct"]
-
 #: A free entry of the table.
 FREE = np.uint32(2**32 - 1)
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device, kernel
 
-__all__ = ["CHOSEN", "DOUBLE", "END", "MOST_WORK", "NAIVE", "THRESHOLD", "QueueState", "run_passes"]
-
 #: The rules of `machines.schedulers`, and a kernel chosen by the caller.
 NAIVE, THRESHOLD, MOST_WORK, DOUBLE, CHOSEN = range(5)
 

@@ -8,8 +8,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.structures.grid.cells import child_of
 
-__all__ = ["cell_of", "node_of"]
-
 _COARSE = np.int32(-1)
 _RECORD = np.uint64(32)
 

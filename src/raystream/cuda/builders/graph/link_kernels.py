@@ -32,8 +32,6 @@ from raystream.structures.graph.links import LINKS_AT, RAW_LINKS
 from raystream.structures.graph.morton_order import SECTOR_BYTES
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["KERNELS", "CandidateOrder", "Raw"]
-
 _SIX = np.uint64(6)
 _ROW = np.uint64(16)
 _RAW_BYTES = np.uint64(24)

@@ -21,8 +21,6 @@ from raystream.structures.graph.face_subtrees import RopeTree
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.links import batches
 
-__all__ = ["Linked", "link_sectors"]
-
 
 class Linked(NamedTuple):
     """The links of a graph, before they are written.

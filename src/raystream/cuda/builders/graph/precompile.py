@@ -15,8 +15,6 @@ from raystream.structures.graph.face_subtrees import RopeTree
 from raystream.structures.graph.prune import Chosen
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["graph_kernels"]
-
 _COSTS = Costs(*(np.float64(0.0),) * 4)
 
 

@@ -30,8 +30,6 @@ from raystream.structures.graph.prune import (
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["KERNELS", "ListBudget", "Lists", "prune"]
-
 _LEAF = np.uint64(LEAF_AXIS)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 

@@ -26,8 +26,6 @@ from raystream.structures.graph.morton_order import (
     morton_code,
 )
 
-__all__ = ["KERNELS", "Ordered", "number_sectors", "order_sectors"]
-
 _LANES = np.uint64(4)
 _BLOCK_IDS = np.uint64(16)
 _ABSENT = np.int32(-1)

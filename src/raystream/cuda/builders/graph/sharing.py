@@ -22,8 +22,6 @@ from raystream.structures.clip import WORD
 from raystream.structures.graph.hash_consing import first_slot
 from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT
 
-__all__ = ["KERNELS", "LINK", "LinkTable", "Table", "final_link", "put_candidate", "share_slot"]
-
 #: During linking, this bit marks a link whose other bits are a slot of the table.
 LINK = np.uint64(NODE_BIT)
 

@@ -28,8 +28,6 @@ from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, Gra
 from raystream.structures.graph.options import Graph
 from raystream.structures.graph.structure import GraphStructure, addresses_of, settings_of
 
-__all__ = ["DeviceGraph", "build_graph"]
-
 
 class _Built(NamedTuple):
     """A graph on a device; see `GraphArrays`. Open sides are at infinity."""

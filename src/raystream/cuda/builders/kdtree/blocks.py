@@ -6,8 +6,6 @@ from raystream.jit.cpu import kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.leaf_block import AXIS, BLOCK, write_block
 
-__all__ = ["FILL_BLOCK"]
-
 
 @kernel
 def _fill_block(block, prim_ids, corners, blocks):

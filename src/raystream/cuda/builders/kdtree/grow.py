@@ -19,8 +19,6 @@ from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.split import MOST_EXACT, Costs
 from raystream.structures.kdtree.subtree import BuildSettings
 
-__all__ = ["GrownTree", "as_numbers", "grow_tree"]
-
 _LOWER = 0xFFFFFFFF
 
 

@@ -21,8 +21,6 @@ from raystream.structures.clip import WORD
 from raystream.structures.kdtree.build import subtree_size
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["KERNELS", "Numbering", "Numbers", "number_nodes", "split_at"]
-
 _NODE = np.uint64(8)
 _LEAF = np.uint64(LEAF_AXIS)
 

@@ -21,8 +21,6 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import LEAF
 from raystream.structures.kdtree.subtree import copy_box, room_above, split_reference
 
-__all__ = ["KERNELS", "Counts", "GrownTriangles", "Made"]
-
 _NODE = np.uint64(8)
 _TRIANGLE = np.uint64(36)
 

@@ -35,8 +35,6 @@ from raystream.structures.kdtree.split import (
     split_cost,
 )
 
-__all__ = ["BIN_BYTES", "KERNELS", "Choices", "Level", "References", "Tried", "cell_range"]
-
 _SIGN = np.uint32(0x80000000)
 _ALL = np.uint32(0xFFFFFFFF)
 

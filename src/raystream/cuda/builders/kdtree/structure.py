@@ -21,8 +21,6 @@ from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
 from raystream.structures.kdtree.structure import KdTreeStructure, settings_of
 
-__all__ = ["DeviceKdTree", "build_kdtree"]
-
 
 class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
     """A kd-tree in device memory, copied to the host when first needed there.

@@ -17,8 +17,6 @@ from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.clip import HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["KERNELS", "WrittenTree", "write_tree"]
-
 _NODE = np.uint64(8)
 _RECORD = np.uint64(32)
 _OWN_AT = np.uint64(24)

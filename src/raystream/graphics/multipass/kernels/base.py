@@ -7,8 +7,6 @@ from typing import NamedTuple
 from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.machines.records import RayState
 
-__all__ = ["FOUND", "PLACE", "STREAMS", "TraversalKernels", "with_shade"]
-
 #: Streams that kernels write, in the order of their render targets: see fragment/targets.wgsl.
 STREAMS = ("state", "found", "place", "span")
 

@@ -7,8 +7,6 @@ from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.machines.records import RayState
 from raystream.structures.brute.structure import BruteStructure
 
-__all__ = ["kernels"]
-
 _RAY = ("origins", "directions")
 
 _KERNELS = with_shade(

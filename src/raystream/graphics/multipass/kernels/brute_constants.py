@@ -11,8 +11,6 @@ from raystream.machines.steps.base import StepKernel
 from raystream.structures import Structure
 from raystream.structures.brute.structure import BruteStructure
 
-__all__ = ["TriangleConstants"]
-
 #: The uniform of a triangle: see brute_constants.wgsl.
 _CONSTANTS = np.dtype(
     [

@@ -8,8 +8,6 @@ from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.machines.records import RayState
 from raystream.structures.kdtree.structure import KdTreeStructure
 
-__all__ = ["kernels"]
-
 _RAY = ("origins", "directions")
 
 _KERNELS = with_shade(

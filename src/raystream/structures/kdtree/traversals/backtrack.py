@@ -10,8 +10,6 @@ from raystream.jit.simd import fma, load
 from raystream.structures.kdtree.nodes import parent_of
 from raystream.structures.kdtree.state import KdState
 
-__all__ = ["backtrack", "continue_search"]
-
 _ZERO = np.float32(0.0)
 
 # Byte offsets in an extended split: second and third coordinate of a corner, and the high corner.

@@ -6,8 +6,6 @@ from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.structures.kdtree.state import KdState
 
-__all__ = ["continue_search"]
-
 
 @device
 def continue_search(tree, state):

@@ -23,8 +23,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.kdtree.state import KdState
 
-__all__ = ["PLACES", "continue_search", "is_empty", "push", "stack_entries"]
-
 #: Entries; a power of two.
 PLACES = 4
 

@@ -8,8 +8,6 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.kdtree.state import KdState
 
-__all__ = ["continue_search", "push"]
-
 _T_OUT = np.uint64(4)
 _ENTRY = np.uint64(8)
 
