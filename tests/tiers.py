@@ -36,6 +36,7 @@ CI = (
     "test_examples.py",
     "test_import_time.py",
     "test_imports.py",
+    "test_install_lines.py",
     "test_nightly.py",
     "test_packaging.py",
     "test_typing.py",
