@@ -109,9 +109,8 @@ ENTRIES = {
     ),
     "engine": Entry(
         "X-ray of an engine",
-        "raystream render engine --mode xray --option absorption=20 --samples 64 --eye -0.2 0.42 "
-        "1.5 --look-at 0 0.27 0 --fov 25",
-        "A built-in procedural scene; closed meshes absorb light along each ray (:doc:`physics`).",
+        "python examples/simulation/xray_engine.py {size} 64",
+        "Closed solids inside each other; they absorb light along each ray (:doc:`physics`).",
     ),
     "conference": Entry(
         "Ambient occlusion of a conference room",
@@ -128,7 +127,9 @@ def render(entry: Entry, size: str, folder: Path) -> tuple[Path, str, float]:
     path = folder / "image.png"
     if entry.is_example:
         script = Path(__file__).parents[1] / words[1]
-        written = {"glass_model": "glass.png"}.get(script.stem, f"{script.stem}.png")
+        written = {"glass_model": "glass.png", "xray_engine": "engine.png"}.get(
+            script.stem, f"{script.stem}.png"
+        )
         words, path = [sys.executable, str(script), *words[2:]], folder / written
     else:
         words = [sys.executable, "-m", *words, "--size", size, "-o", str(path), "--json"]

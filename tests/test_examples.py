@@ -29,7 +29,7 @@ PACKAGES = {
 ALONE = ("cluster", "first_query")
 
 
-@pytest.mark.parametrize("example", sorted(EXAMPLES.rglob("*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("example", sorted(EXAMPLES.glob("*/*.py")), ids=lambda path: path.stem)
 def test_example(example, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for _ in range(2 if example.stem == "save_and_load" else 1):

@@ -15,6 +15,7 @@ ARGUMENTS = {
     "glass_model.py": ["ring", "480x360", "64"],
     "instances.py": ["480x270", "8"],
     "materials.py": ["640x240", "32"],
+    "xray_engine.py": ["640x480", "16"],
 }
 
 

@@ -87,11 +87,10 @@ TRAVERSALS = (
 )
 
 PAGES = {
-    "bunny": LivePage("The Stanford bunny", "bunny", ("bvh", "grid"), "raycast", instead="engine"),
+    "bunny": LivePage("The Stanford bunny", "bunny", ("bvh", "grid"), "raycast", instead="spheres"),
     "cornell": LivePage(
         "A Cornell box", "cornell", ("bvh", "kdtree", "grid", "graph", "brute"), "path"
     ),
-    "engine": LivePage("An engine", "engine", ("bvh", "grid"), "raycast"),
     "robots": LivePage("Robots in a city", "robots", ("bvh", "grid"), "shadow"),
     "robots_by_trees": LivePage(
         "Robots in a small city",

@@ -10,14 +10,14 @@ one click is sent to it by the program.
 
 import raystream as rs
 
-scene = rs.load("engine")
+scene = rs.load("robots")
 tracer = rs.Tracer(scene)
 width, height = 480, 320
 origins, directions = scene.camera.rays(width, height)
 
 
 # %%
-# A pixel's ray is at its row and column. Parts that lie inside of others are hits like any other.
+# A pixel's ray is at its row and column. What lies behind other things, or inside them, is hit too.
 
 
 def pick(column, row):
@@ -28,9 +28,9 @@ def pick(column, row):
     return list(zip(hits.t.tolist(), names, materials, strict=True))
 
 
-for t, part, material in pick(190, 150):
-    print(f"{t:6.3f} m  {part:15} {material}")
-assert pick(0, 0) == []
+for t, part, material in pick(100, 180):
+    print(f"{t:7.3f} m  {part:7} {material}")
+assert pick(300, 0) == []  # the sky
 
 # %%
 # The figure: an image, and a text that each click replaces.
@@ -59,7 +59,7 @@ else:
         if event.inaxes is view:
             column, row = int(event.xdata + 0.5), int(event.ydata + 0.5)
             cross.set_data([column], [row])
-            lines = [f"{t:6.3f} m  {part}" for t, part, _ in pick(column, row)]
+            lines = [f"{t:7.3f} m  {material}" for t, _, material in pick(column, row)]
             pairs = zip(lines[:10], [*lines[10:20], *[""] * 10], strict=False)
             text.set_text("\n".join(f"{a:28}{b}" for a, b in pairs) or "nothing")
             figure.canvas.draw_idle()
@@ -67,10 +67,10 @@ else:
     figure.canvas.mpl_connect("button_press_event", clicked)
 
     figure.canvas.draw()
-    x, y = view.transData.transform((190, 150))
+    x, y = view.transData.transform((100, 180))
     figure.canvas.callbacks.process(
         "button_press_event", MouseEvent("button_press_event", figure.canvas, x, y, 1)
     )
-    assert "block" in text.get_text()
+    assert "metal" in text.get_text()
     figure.savefig("picking.png", dpi=80)
     print("wrote picking.png")

@@ -81,7 +81,7 @@ def test_images_have_the_bits_of_the_stages(scene, mode, structure, scheduler):
 
 
 def test_modes_without_a_loop_are_rendered_by_queries():
-    scene = rs.load("engine", triangles=2000)
+    scene = rs.load("three_boxes")
     machines = {}, {"machine": "multipass"}
     images = [rs.render(rs.Tracer(scene, "grid", **one), "xray", (12, 9)) for one in machines]
     np.testing.assert_array_equal(images[0].pixels, images[1].pixels)

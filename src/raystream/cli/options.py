@@ -56,7 +56,6 @@ SCENES = (
     "building",
     "forest",
     "robots",
-    "engine",
 )
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 SAMPLERS = ("sobol", "stratified", "random")

@@ -47,7 +47,6 @@ DEFAULTS = {
     "building": (1_500_000, 15_000),
     "forest": (1_000_000, 1_000),
     "robots": (71_708, 10),
-    "engine": (60_000, 60),
 }
 
 
@@ -311,7 +310,7 @@ def test_only_some_scenes_have_instances():
         assert rs.load(name, triangles=500, instances=True).placements is not None
         assert rs.load(name, triangles=500).placements is None
     with pytest.raises(ValueError, match="expected 24 to 500,000,000"):
-        rs.load("engine", triangles=MAX_TRIANGLES + 1)
+        rs.load("boxes", triangles=MAX_TRIANGLES + 1)
     with pytest.raises(ValueError, match="not for samples"):
         rs.load("bunny", instances=True)
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from raystream.scene.procedural import shapes
-from raystream.scene.procedural.outlines import bevelled, hole
 from raystream.scene.procedural.parts import instance
 from scene.procedural.closed import euler_characteristic, front_agreement, open_edges, volume
 
@@ -122,45 +119,3 @@ def test_vertex_normals_of_a_sphere_are_its_points():
     part = instance(shapes.sphere(16), [np.eye(3)], [(0.0, 0.0, 0.0)])
     normals = shapes.vertex_normals(part.vertices, part.faces)
     np.testing.assert_allclose(normals, part.vertices, atol=0.03)
-
-
-SQUARE = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
-STEPPED = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 1.0), (1.0, 3.0), (0.0, 3.0)]
-RECTANGLE = [(1.0, 0.0), (2.0, 0.0), (2.0, 3.0), (1.0, 3.0)]
-CURVE = [(math.cos(a), 0.0, math.sin(a)) for a in np.linspace(0.0, 2.0, 60)]
-
-
-def made(name, bevel):
-    """Return a shape, its triangles with and without a bevel, Euler characteristic, and volume."""
-    square = bevelled(SQUARE, bevel, steps=9)
-    round_hole = hole(square, 0.5)
-    if name == "stepped shaft":
-        solid = bevelled(STEPPED, bevel, closed=False)
-        return shapes.revolved(solid, 200), (4, 8), 200, 2, np.pi * (4 + 2)
-    if name == "ring":
-        return shapes.revolved(bevelled(RECTANGLE, bevel), 200), (4, 8), 200, 0, np.pi * 9
-    if name == "prism":
-        return shapes.prism(square, 3.0, bevel / 2), (2, 4), len(square.points), 2, 12.0
-    if name == "bored prism":
-        prism = shapes.prism(square, 3.0, bevel / 2, round_hole)
-        return prism, (4, 8), len(square.points), 0, 12.0 - 3 * np.pi / 4
-    if name == "rod":
-        rod = shapes.tube(CURVE, 0.2, 100, bevel=bevel)
-        return rod, (60, 62), 100, 2, np.pi * 0.04 * 2
-    pipe = shapes.tube(CURVE, 0.2, 100, bore=0.15, bevel=bevel)
-    return pipe, (120, 124), 100, 0, np.pi * (0.04 - 0.0225) * 2
-
-
-@pytest.mark.parametrize("bevel", [0.0, 0.004])
-@pytest.mark.parametrize("name", ["stepped shaft", "ring", "prism", "bored prism", "rod", "pipe"])
-def test_turned_extruded_and_swept_shapes_are_solids(name, bevel):
-    part, rings, segments, characteristic, expected = made(name, bevel)
-    assert part.triangle_count == 2 * rings[bevel > 0] * segments
-    assert open_edges(part.faces) == 0
-    assert euler_characteristic(part.faces) == characteristic
-    assert volume(part.vertices, part.faces) == pytest.approx(expected, rel=0.02)
-    if bevel:
-        np.testing.assert_allclose(np.linalg.norm(part.normals, axis=1), 1.0, atol=1e-6)
-        assert front_agreement(part.vertices, part.faces, part.normals) > 0.3
-    else:
-        assert part.normals is None

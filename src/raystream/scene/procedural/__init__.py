@@ -10,7 +10,6 @@ from raystream.scene.procedural import boxes as _boxes
 from raystream.scene.procedural import building as _building
 from raystream.scene.procedural import cornell as _cornell
 from raystream.scene.procedural import cubes as _cubes
-from raystream.scene.procedural import engine as _engine
 from raystream.scene.procedural import forest as _forest
 from raystream.scene.procedural import robots as _robots
 from raystream.scene.procedural import spheres as _spheres
@@ -108,11 +107,6 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
             "detailed robots in a huge, plain city (for BART's robots)",
             _robots.DEFAULT_TRIANGLES,
             _robots.instanced_robots,
-        ),
-        "engine": Builtin(
-            _engine.engine,
-            "a four-cylinder engine of closed solids inside each other, for X-rays",
-            _engine.DEFAULT_TRIANGLES,
         ),
     }
 )

@@ -1,4 +1,4 @@
-"""The engine: closed solids inside each other that fit, of the requested number of triangles."""
+"""The engine of an example: closed solids inside each other that fit, of the requested count."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.scene.procedural import MAX_TRIANGLES, MIN_TRIANGLES, crank_drive, generate
-from raystream.scene.procedural.assembly import fitted
-from raystream.scene.procedural.engine import SMOOTH_TRIANGLES, _pieces
-from raystream.scene.procedural.engine_mounts import FLOOR
-from raystream.scene.procedural.valve_train import cam_angles, lifts
+from engine import crank_drive, make_engine
+from engine.assembly import fitted
+from engine.model import MIN_TRIANGLES, SMOOTH_TRIANGLES, all_pieces
+from engine.mounts import FLOOR
+from engine.valve_train import cam_angles, lifts
 from scene.procedural.closed import open_edges, volume
 
 ONE_SIZE = 60_000
@@ -20,7 +20,7 @@ ONE_SIZE = 60_000
 
 @pytest.fixture(scope="module")
 def tracer():
-    return rs.Tracer(generate("engine", ONE_SIZE))
+    return rs.Tracer(make_engine(ONE_SIZE))
 
 
 def mesh_of(scene, name):
@@ -29,7 +29,7 @@ def mesh_of(scene, name):
 
 @pytest.mark.parametrize("target", [24, 36, 99, 500, 5000, 12_000, 20_000, 35_000, 150_000])
 def test_every_mesh_is_a_solid(target):
-    scene = generate("engine", target)
+    scene = make_engine(target)
     assert scene.skipped_count == 0
     for mesh in scene.meshes:
         assert open_edges(mesh.faces) == 0, mesh
@@ -38,27 +38,23 @@ def test_every_mesh_is_a_solid(target):
 
 
 def test_counts_are_close_to_all_targets():
-    targets = [
-        *range(MIN_TRIANGLES, 132),
-        *(round(131 * 2.6**k) for k in range(16)),
-        MAX_TRIANGLES,
-    ]
+    targets = [*range(MIN_TRIANGLES, 132), *(round(131 * 2.6**k) for k in range(16))]
     targets += [SMOOTH_TRIANGLES - 1, SMOOTH_TRIANGLES]
     for target in targets:
-        count = sum(piece.triangles for piece in fitted(_pieces, target, SMOOTH_TRIANGLES))
+        count = sum(piece.triangles for piece in fitted(all_pieces, target, SMOOTH_TRIANGLES))
         most = 11 if target < 10_000 else 0.01 * target
         assert 0 <= target - count <= most, (target, count)
 
 
 @pytest.mark.parametrize("target", [24, 1000, 34_999, 35_000, 200_000])
 def test_counts_are_known_before_pieces_are_made(target):
-    count = sum(piece.triangles for piece in fitted(_pieces, target, SMOOTH_TRIANGLES))
-    assert generate("engine", target).triangle_count == count
+    count = sum(piece.triangles for piece in fitted(all_pieces, target, SMOOTH_TRIANGLES))
+    assert make_engine(target).triangle_count == count
 
 
 @pytest.mark.parametrize("target", [2000, 12_000, 36_000, ONE_SIZE])
 def test_solids_hardly_overlap(target):
-    found = shotlines(rs.Tracer(generate("engine", target)), 20_000)
+    found = shotlines(rs.Tracer(make_engine(target)), 20_000)
     assert found.mesh_is_closed.all()
     assert not found.mesh_is_flipped.any()
     assert found.is_complete.all()
@@ -109,7 +105,7 @@ def test_a_line_across_a_liner_passes_two_walls(tracer):
 
 
 def test_an_x_ray_across_a_journal_shows_its_chords():
-    scene = generate("engine", 400_000)
+    scene = make_engine(400_000)
     crankshaft = rs.Scene(
         [mesh_of(scene, "crankshaft")], materials=scene.materials, background=(0.0, 0.0, 0.0)
     )
@@ -128,7 +124,7 @@ def test_an_x_ray_across_a_journal_shows_its_chords():
 
 
 def test_rods_connect_cranks_and_pistons():
-    scene = generate("engine", ONE_SIZE)
+    scene = make_engine(ONE_SIZE)
     heights = crank_drive.pin_heights()
     assert heights[0] == pytest.approx(heights[3])
     assert heights[0] - heights[1] > 0.06
@@ -159,3 +155,8 @@ def test_oil_lies_in_the_hollow_pan(tracer):
     assert pan < oil
     assert found.path_length[pan] == pytest.approx(0.002, abs=1e-5)
     assert found.path_length[oil] == pytest.approx(0.0372, abs=1e-5)
+
+
+def test_too_few_triangles_are_refused():
+    with pytest.raises(ValueError, match="at least 24, got 23"):
+        make_engine(23)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raystream.scene.procedural.assembly import (
+from engine.assembly import (
     ALONG_X,
     EXTRUDED_X,
     Detail,
@@ -20,7 +20,7 @@ from raystream.scene.procedural.assembly import (
     toward,
     turn,
 )
-from raystream.scene.procedural.crank_drive import (
+from engine.crank_drive import (
     ALUMINIUM,
     COVER,
     CYLINDERS,
@@ -31,7 +31,7 @@ from raystream.scene.procedural.crank_drive import (
     TURNED,
     WOOD,
 )
-from raystream.scene.procedural.valve_train import HEAD, OUTLET, ROW, SLANT
+from engine.valve_train import HEAD, OUTLET, ROW, SLANT
 
 __all__ = ["FLOOR", "accessories", "manifolds", "stand"]
 

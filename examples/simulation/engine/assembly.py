@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raystream.scene.mesh import Mesh
-from raystream.scene.procedural.outlines import Outline, bevelled, circle
-from raystream.scene.procedural.parts import Part, instance, merge, to_mesh
-from raystream.scene.procedural.shapes import boxes, prism, revolved, tube
+import raystream as rs
+from engine.outlines import Outline, bevelled, circle
+from engine.part import Part, copies, merged
+from engine.solids import block, prism, revolved, tube
 
 __all__ = [
     "ALONG_X",
@@ -162,12 +162,12 @@ def bar(detail: Detail, low: ArrayLike, high: ArrayLike) -> Solid:
     """Make a box."""
     first, last = np.asarray(low, np.float64), np.asarray(high, np.float64)
     if not detail.smooth:
-        return Solid(12, lambda: boxes(first[None], last[None]))
+        return Solid(12, lambda: block(first, last))
     half, middle = (last - first) / 2, (last + first) / 2
     corners = [(-half[0], -half[1]), (half[0], -half[1]), (half[0], half[1]), (-half[0], half[1])]
     solid = extrude(detail, bevelled(corners, BEVEL), float(2 * half[2]))
     offset = middle - [0.0, 0.0, half[2]]
-    return Solid(solid.triangles, lambda: instance(solid.make(), [np.eye(3)], [offset]))
+    return Solid(solid.triangles, lambda: copies(solid.make(), [np.eye(3)], [offset]))
 
 
 def extrude(
@@ -248,21 +248,29 @@ def fitted(plan: Callable[[Detail], list[Piece]], triangles: int, smooth_from: i
     return pieces
 
 
-def assemble(pieces: Sequence[Piece], offset: ArrayLike) -> list[Mesh]:
+def assemble(pieces: Sequence[Piece], offset: ArrayLike) -> list[rs.Mesh]:
     """Make the meshes of all pieces, in order of their first pieces, moved by an offset."""
-    parts: dict[str, list[Part]] = {}
+    parts: dict[str, list[tuple[Part, int]]] = {}
     for item in pieces:
-        template = item.solid.make().painted(item.material)
+        template = item.solid.make()
         if item.flipped:
             template = template.flipped()
         places = item.offsets + np.asarray(offset)
         if "{}" not in item.name:
-            parts.setdefault(item.name, []).append(instance(template, item.matrices, places))
+            made = copies(template, item.matrices, places)
+            parts.setdefault(item.name, []).append((made, item.material))
             continue
         for copy in range(len(places)):
-            one = instance(template, item.matrices[[copy]], places[[copy]])
-            parts.setdefault(item.name.format(copy + 1), []).append(one)
-    return [to_mesh(merge(group), name) for name, group in parts.items()]
+            made = copies(template, item.matrices[[copy]], places[[copy]])
+            parts.setdefault(item.name.format(copy + 1), []).append((made, item.material))
+    return [_mesh(name, group) for name, group in parts.items()]
+
+
+def _mesh(name: str, group: list[tuple[Part, int]]) -> rs.Mesh:
+    """Make a mesh of parts and their materials."""
+    whole = merged([part for part, _ in group])
+    ids = np.repeat([material for _, material in group], [len(part.faces) for part, _ in group])
+    return rs.Mesh(whole.vertices, whole.faces, normals=whole.normals, material_ids=ids, name=name)
 
 
 def _count(pieces: Sequence[Piece]) -> int:

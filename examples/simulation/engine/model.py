@@ -2,76 +2,73 @@
 
 from __future__ import annotations
 
-from raystream.scene.camera import Camera
-from raystream.scene.lights import DirectionalLight, EnvironmentLight
-from raystream.scene.material import Material
-from raystream.scene.procedural.assembly import Detail, Piece, assemble, fitted
-from raystream.scene.procedural.crank_drive import crankcase, crankshaft, oil_pan, pistons
-from raystream.scene.procedural.engine_mounts import FLOOR, accessories, manifolds, stand
-from raystream.scene.procedural.size import check_triangles
-from raystream.scene.procedural.valve_train import (
-    camshaft,
-    cylinder_head,
-    head_cover,
-    spark_plugs,
-    valves,
-)
-from raystream.scene.scene import Scene
+import raystream as rs
+from engine.assembly import Detail, Piece, assemble, fitted
+from engine.crank_drive import crankcase, crankshaft, oil_pan, pistons
+from engine.mounts import FLOOR, accessories, manifolds, stand
+from engine.valve_train import camshaft, cylinder_head, head_cover, spark_plugs, valves
 
-__all__ = ["DEFAULT_TRIANGLES", "engine"]
+__all__ = ["DEFAULT_TRIANGLES", "make_engine"]
 
 DEFAULT_TRIANGLES = 60_000
+
+#: Below this an engine would be unrecognisable.
+MIN_TRIANGLES = 24
 
 #: Count from which edges have bevels and vertices normals.
 SMOOTH_TRIANGLES = 35_000
 
 MATERIALS = (
-    Material("cast iron", diffuse=(0.13, 0.16, 0.19), specular=(0.12, 0.12, 0.12), shininess=25.0),
-    Material(
+    rs.Material(
+        "cast iron", diffuse=(0.13, 0.16, 0.19), specular=(0.12, 0.12, 0.12), shininess=25.0
+    ),
+    rs.Material(
         "aluminium",
         diffuse=(0.42, 0.43, 0.45),
         specular=(0.3, 0.3, 0.3),
         shininess=40.0,
         reflection=(0.06, 0.06, 0.06),
     ),
-    Material(
+    rs.Material(
         "steel",
         diffuse=(0.24, 0.24, 0.25),
         specular=(0.5, 0.5, 0.5),
         shininess=90.0,
         reflection=(0.15, 0.15, 0.16),
     ),
-    Material(
+    rs.Material(
         "turned steel",
         diffuse=(0.3, 0.3, 0.31),
         specular=(0.55, 0.55, 0.55),
         shininess=120.0,
         reflection=(0.3, 0.3, 0.31),
     ),
-    Material("black paint", diffuse=(0.03, 0.03, 0.033), specular=(0.2, 0.2, 0.2), shininess=60.0),
-    Material(
+    rs.Material(
+        "black paint", diffuse=(0.03, 0.03, 0.033), specular=(0.2, 0.2, 0.2), shininess=60.0
+    ),
+    rs.Material(
         "red paint",
         diffuse=(0.55, 0.04, 0.03),
         specular=(0.25, 0.25, 0.25),
         shininess=90.0,
         reflection=(0.04, 0.04, 0.04),
     ),
-    Material("rubber", diffuse=(0.035, 0.035, 0.035)),
-    Material(
+    rs.Material("rubber", diffuse=(0.035, 0.035, 0.035)),
+    rs.Material(
         "exhaust steel",
         diffuse=(0.3, 0.22, 0.15),
         specular=(0.4, 0.34, 0.28),
         shininess=50.0,
         reflection=(0.1, 0.085, 0.07),
     ),
-    Material("ceramic", diffuse=(0.85, 0.84, 0.8), specular=(0.3, 0.3, 0.3), shininess=120.0),
-    Material("oil", diffuse=(0.5, 0.32, 0.05)),
-    Material("wood", diffuse=(0.5, 0.34, 0.18)),
-    Material("table", diffuse=(0.4, 0.4, 0.385)),
+    rs.Material("ceramic", diffuse=(0.85, 0.84, 0.8), specular=(0.3, 0.3, 0.3), shininess=120.0),
+    rs.Material("oil", diffuse=(0.5, 0.32, 0.05)),
+    rs.Material("wood", diffuse=(0.5, 0.34, 0.18)),
+    rs.Material("table", diffuse=(0.4, 0.4, 0.385)),
 )
 
 
-def engine(triangles: int = DEFAULT_TRIANGLES) -> Scene:
+def make_engine(triangles: int = DEFAULT_TRIANGLES) -> rs.Scene:
     """Make a four-cylinder engine, for X-ray images and shotlines.
 
     Each mesh is a solid, such as ``"piston 1"``: closed, its front sides outward, and those of
@@ -88,30 +85,32 @@ def engine(triangles: int = DEFAULT_TRIANGLES) -> Scene:
 
     Returns
     -------
-    Scene
+    rs.Scene
         In metres, y up, on a table, with a sun and a sky. The crankshaft is parallel to the x
         axis.
 
     Raises
     ------
     ValueError
-        If the target is out of range.
+        If the target is below `MIN_TRIANGLES`.
     """
-    pieces = fitted(_pieces, check_triangles(triangles), SMOOTH_TRIANGLES)
-    return Scene(
+    if triangles < MIN_TRIANGLES:
+        raise ValueError(f"triangles: expected at least {MIN_TRIANGLES}, got {triangles:,}")
+    pieces = fitted(all_pieces, triangles, SMOOTH_TRIANGLES)
+    return rs.Scene(
         assemble(pieces, (0.0, -FLOOR, 0.0)),
         materials=MATERIALS,
         lights=(
-            DirectionalLight((0.55, -1.0, -0.75), (2.5, 2.35, 2.1)),
-            EnvironmentLight((0.28, 0.31, 0.36)),
+            rs.DirectionalLight((0.55, -1.0, -0.75), (2.5, 2.35, 2.1)),
+            rs.EnvironmentLight((0.28, 0.31, 0.36)),
         ),
         background=(0.4, 0.47, 0.56),
-        camera=Camera((-0.72, 0.72, 1.0), (-0.005, 0.265, 0.0), fov=34.0),
+        camera=rs.Camera((-0.72, 0.72, 1.0), (-0.005, 0.265, 0.0), fov=34.0),
         name="engine",
     )
 
 
-def _pieces(detail: Detail) -> list[Piece]:
+def all_pieces(detail: Detail) -> list[Piece]:
     """Return all pieces, the most important first."""
     block, *rest_of_block = crankcase(detail)
     pan, *rest_of_pan = oil_pan(detail)

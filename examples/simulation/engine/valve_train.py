@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raystream.scene.procedural.assembly import (
+from engine.assembly import (
     ALONG_X,
     EXTRUDED_X,
     UPRIGHT,
@@ -24,7 +24,7 @@ from raystream.scene.procedural.assembly import (
     toward,
     turn,
 )
-from raystream.scene.procedural.crank_drive import (
+from engine.crank_drive import (
     ALUMINIUM,
     CERAMIC,
     COVER,
@@ -38,7 +38,7 @@ from raystream.scene.procedural.crank_drive import (
     STEEL,
     TURNED,
 )
-from raystream.scene.procedural.outlines import arc, bevelled, circle, gear, hole, hull
+from engine.outlines import arc, bevelled, circle, gear, hole, hull
 
 __all__ = [
     "HEAD",

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.scene.procedural.assembly import (
+from engine.assembly import (
     ALONG_X,
     EXTRUDED_X,
     UPRIGHT,
@@ -23,7 +23,7 @@ from raystream.scene.procedural.assembly import (
     piece,
     turn,
 )
-from raystream.scene.procedural.outlines import arc, bevelled, gear, hole
+from engine.outlines import arc, bevelled, gear, hole
 
 __all__ = [
     "ALUMINIUM",
