@@ -54,6 +54,7 @@ def asked(monkeypatch):
     return made
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("arguments", "options"),
     [

@@ -81,6 +81,7 @@ def test_what_does_not_fit_together_is_said(given, error, words):
         rs.Tracer(SCENE, **given)
 
 
+@pytest.mark.ci
 def test_a_tracer_of_a_built_structure_takes_machines():
     structure = rs.Tracer(SCENE, "grid").structure
     tracer = rs.Tracer.of_structure(structure, device=rs.Cpu(), machine=rs.Multipass())
@@ -89,6 +90,7 @@ def test_a_tracer_of_a_built_structure_takes_machines():
         rs.Tracer.of_structure(structure, resolution=3)
 
 
+@pytest.mark.ci
 def test_pictures_and_heat_maps_take_them():
     arguments = {"size": (8, 6), "structure": rs.Grid(resolution=2), "device": rs.Cpu()}
     named = {"size": (8, 6), "structure": "grid", "resolution": 2}

@@ -59,6 +59,7 @@ def test_restored_corners_of_pickles_are_the_same():
     np.testing.assert_array_equal(other.corners, corners)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_updated_tracers_are_pickled(structure, rays):
     vertices, faces = soup(500)

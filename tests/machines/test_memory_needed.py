@@ -88,7 +88,13 @@ def parallel(count, rng):
 
 @pytest.mark.parametrize("name", every_tracer(USUAL, everyday=("kdtree, stack",)))
 @pytest.mark.parametrize("query", QUERIES)
-@pytest.mark.parametrize("rays", [scattered, parallel], ids=["scattered", "parallel"])
+@pytest.mark.parametrize(
+    "rays",
+    [
+        pytest.param(scattered, id="scattered"),
+        pytest.param(parallel, id="parallel", marks=pytest.mark.ci),
+    ],
+)
 def test_estimates_bound_what_is_used(name, query, rays, rng):
     is_slow = "multipass" in name or "brute" in name
     mesh = soup(60) if rays is scattered else stack(3)

@@ -189,6 +189,7 @@ def ends_first(hit):
     return rs.Decision.STOP if hit.t < 2.5 else rs.Decision.CONTINUE
 
 
+@pytest.mark.ci
 def test_progress_never_decreases_when_hits_are_counted_again(monkeypatch):
     monkeypatch.setattr(threads, "PROGRESS_INTERVAL", 0.0)
     tracer = rs.Tracer(rs.Scene.from_arrays(*cube()))

@@ -164,6 +164,7 @@ def test_cut_outs_are_those_of_copies(mode) -> None:
     assert np.abs(placed - solid).mean() > 10.0 * np.abs(placed - flat).mean()
 
 
+@pytest.mark.ci
 def test_copies_of_a_sheet_let_light_through_on_their_own() -> None:
     """Ten half-transparent sheets one behind another leave 2**-10, not a half, of the light."""
     square = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]

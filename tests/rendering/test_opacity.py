@@ -130,6 +130,7 @@ def test_opacity_between_texels_is_bilinear():
     assert_mean(rs.render(scene, "path", (32, 32), 16, sampler="random"), 0.6)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("structure", ["kdtree", "grid", "graph", "brute"])
 def test_all_structures_show_the_same(structure):
     """Masks, partly clear surfaces, and light through both."""

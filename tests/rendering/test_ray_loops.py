@@ -120,6 +120,7 @@ def test_unrolling_and_compaction(scene, steps, compaction):
     assert_same_bits(render(tracer, "whitted").pixels, render(scene, "whitted").pixels)
 
 
+@pytest.mark.ci
 def test_rays_of_several_bounces_are_in_one_loop(scene, monkeypatch):
     """New rays go back to set-up while others are still traced."""
     bounces = []
