@@ -15,9 +15,11 @@ runs single parts.
 Models in the folder ``RAYSTREAM_SCENES`` are left out where it is not set, also when comparing. A
 part whose optional package is missing is left out when recording; comparing needs it.
 
-Answers do not depend on the processor or on versions of other packages, except through NumPy's
-sines, exponentials and matrix products: those in the built-in scenes, `rs.thickness`, LiDAR and
-view factors; and through Pillow's decoder of JPEG. ``same_bits.json`` says where it was recorded.
+Digests of attenuation and LiDAR depend on the vector instructions that NumPy uses for exponentials
+and sines, and those of view factors on the processor's kernels for matrix products; no others did
+when these were changed. Built-in scenes may depend on NumPy's version, and images of models on
+Pillow's: ``same_bits.json`` says where and with which versions it was recorded. Where a scene or
+its rays differ, its "inputs" do.
 """
 
 import argparse
@@ -45,7 +47,7 @@ RAYS = 250_000
 
 
 def environment():
-    """What digests of images, and inputs of the built-in scenes, may depend on."""
+    """The processor and the versions with which digests are recorded."""
     processor = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
