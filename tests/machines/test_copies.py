@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from conftest import tier
 from meshes import soup
 from raystream.scene.geometry import _FEW
 
@@ -70,7 +71,9 @@ def test_updated_tracers_are_pickled(structure, rays):
         assert_same_hits(hits, copied(tracer).first_hit(*rays))
 
 
-@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize(
+    "structure", [pytest.param(one, marks=tier(is_everyday=one == "bvh")) for one in STRUCTURES]
+)
 def test_updates_of_copies_leave_the_original_alone(structure, rays):
     vertices, faces = soup(500)
     tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), structure)

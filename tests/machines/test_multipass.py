@@ -34,13 +34,13 @@ WAYS = [
     ("double", 4, 2, True),
 ]
 
-#: A default run has two structures in one way; CI has each in one, and the grid in all.
+#: A default run has the grid in one way; CI has each in one, and the grid in all.
 PAIRS = [
     pytest.param(
         name,
         way,
         marks=tier(
-            is_everyday=name in ("grid", "kdtree, stack") and way == WAYS[i % len(WAYS)],
+            is_everyday=name == "grid" and way == WAYS[i % len(WAYS)],
             is_ci=name == "grid" or way == WAYS[i % len(WAYS)],
         ),
         id=f"{name}-{way[0]}",

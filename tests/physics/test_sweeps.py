@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
-from conftest import assert_same_bits
+from conftest import EVERY_QUERY, assert_same_bits
 from raystream import sweep_patterns
 from solid_meshes import box_mesh, sphere_mesh, tracer_of
 
@@ -273,6 +273,7 @@ def test_steps_of_a_scene_that_stands_still_give_the_same_bits(structure, steps,
     assert len(found.ranges) > 100
 
 
+@pytest.mark.parametrize("make_tracer", EVERY_QUERY, indirect=True)
 def test_every_structure_and_machine_moves_the_scene_alike(make_tracer):
     scene = moving(sphere_mesh((-1, 0, -5), 1.5), (30, -5, 10))
     pattern, motion = sweep_patterns.raster(30, 20, fov=(50, 30)), Drive().track([0, 0.1])

@@ -108,7 +108,7 @@ def test_samples_traced_beyond_the_noise_limit_are_dropped(tracer, whole, monkey
 
 
 @pytest.mark.parametrize("taken", [1, FIRST_SAMPLES, FIRST_SAMPLES + 4])
-@pytest.mark.parametrize("at_once", [1, 1000])
+@pytest.mark.parametrize("at_once", [1, pytest.param(1000, marks=pytest.mark.ci)])
 def test_image_resumed_after_any_sample_is_the_same(
     tracer, whole, tmp_path, monkeypatch, taken, at_once
 ):

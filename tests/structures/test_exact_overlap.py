@@ -257,6 +257,7 @@ FORMS = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("structure", "options"), FORMS)
 @pytest.mark.parametrize("mesh", MESHES)
 def test_ordinary_rays_have_the_usual_hits(mesh, structure, options, rng):

@@ -17,7 +17,7 @@ GROUP = "raystream.commands"
 _KNOWN = MappingProxyType(
     {
         "lab": (
-            "Re-run the experiments of four papers (a separate distribution, raystream-lab).",
+            "Re-run the experiments of four papers (needs raystream-lab).",
             "pip install ./lab, in a copy of raystream's repository",
         ),
     }
