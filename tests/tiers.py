@@ -70,6 +70,9 @@ CI = (
     "streams/test_disk_cache.py",
 )
 
+#: Fixtures of tests in a browser.
+_BROWSERS = {"browser", "chromium"}
+
 _PATHS = frozenset(ROOT / one for one in CI)
 _OTHER_TIERS = {"documentation", "exhaustive"}
 
@@ -101,5 +104,6 @@ class Tiers:
         for item in items:
             if not _OTHER_TIERS.isdisjoint(mark.name for mark in item.iter_markers()):
                 continue
-            if isinstance(item, pytest.DoctestItem) or _is_ci(item.path):
+            in_browser = not _BROWSERS.isdisjoint(getattr(item, "fixturenames", ()))
+            if in_browser or isinstance(item, pytest.DoctestItem) or _is_ci(item.path):
                 item.add_marker(pytest.mark.ci)

@@ -154,7 +154,7 @@ def test_a_phone_turns_the_scene_with_a_finger_and_has_the_controls_in_a_sheet(
     wide, high = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide == high == 390
     controls = page.locator("#controls")
-    assert not controls.is_visible()
+    controls.wait_for(state="hidden")
     before = viewer.camera
     touch = page.context.new_cdp_session(page)
     x, y = viewer.place(0.5, 0.5)
