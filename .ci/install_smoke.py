@@ -71,6 +71,7 @@ def main(extras: list[str]) -> None:
         names += [
             name for example in (ROOT / "examples").rglob("*.py") for name in imports_of(example)
         ]
+        sys.path.append(str(ROOT / "examples" / "simulation"))  # the package of an example
         for name in dict.fromkeys(names):
             importlib.import_module(name)
 

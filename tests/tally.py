@@ -1,7 +1,7 @@
 """Counting of the tests of a run and of the kernels that they need, over all of its processes.
 
-The numbers do not depend on the machine nor on what is in the cache, so `.ci/budget` can hold them
-to a limit. ``RAYSTREAM_TEST_TALLY=FILE`` writes them there.
+In one environment the numbers depend neither on the machine nor on the cache, so `.ci/budget` can
+limit those of README's (`[test]`). ``RAYSTREAM_TEST_TALLY=FILE`` writes them there.
 """
 
 from __future__ import annotations
