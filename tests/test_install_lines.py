@@ -66,6 +66,17 @@ def test_lines_that_are_left_out():
     assert install_lines.extras_of(["-e", "./lab[c]", "x[d]", ".[a,b]"]) == ["c", "a", "b"]
 
 
+def test_a_folder_that_git_does_not_know_is_one_line(tmp_path, monkeypatch):
+    (tmp_path / "tree").mkdir()
+    monkeypatch.setattr(install_lines, "ROOT", tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    with pytest.raises(SystemExit, match="git cannot list the files to install: "):
+        install_lines.copy_tree(tmp_path / "tree")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SystemExit, match="git is not installed"):
+        install_lines.copy_tree(tmp_path / "tree")
+
+
 def test_examples_import_what_the_docs_extra_installs_or_their_own_modules():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras, waiting = project["optional-dependencies"], ["raystream[docs]"]
