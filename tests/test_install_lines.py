@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import sys
 import tomllib
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 
 import pytest
 
+from ci_script import load
+
 ROOT = Path(__file__).resolve().parents[1]
-SCRIPT = ROOT / ".ci" / "install_lines"
-if not SCRIPT.is_file():
-    pytest.skip("CI is not in an installed package", allow_module_level=True)
 
-
-def load():
-    loader = SourceFileLoader("install_lines", str(SCRIPT))
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
-    sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
-    try:
-        loader.exec_module(module)
-    finally:
-        sys.dont_write_bytecode = kept
-    return module
-
-
-install_lines = load()
+install_lines = load("install_lines")
 
 
 def test_all_that_is_printed_is_found():
@@ -79,3 +64,35 @@ def test_lines_that_are_left_out():
     assert reasons[(".[torch]",)].startswith("gigabytes")
     assert install_lines.left_out(["numpy"]) == "none of our distributions"
     assert install_lines.extras_of(["-e", "./lab[c]", "x[d]", ".[a,b]"]) == ["c", "a", "b"]
+
+
+def test_a_folder_that_git_does_not_know_is_one_line(tmp_path, monkeypatch):
+    (tmp_path / "tree").mkdir()
+    monkeypatch.setattr(install_lines, "ROOT", tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    with pytest.raises(SystemExit, match="git cannot list the files to install: "):
+        install_lines.copy_tree(tmp_path / "tree")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SystemExit, match="git is not installed"):
+        install_lines.copy_tree(tmp_path / "tree")
+
+
+def test_examples_import_what_the_docs_extra_installs_or_their_own_modules():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras, waiting = project["optional-dependencies"], ["raystream[docs]"]
+    installed = {re.match(r"[\w-]+", one)[0] for one in project["dependencies"]}
+    while waiting:
+        name, inner = re.match(r"([\w-]+)(?:\[([\w,-]+)\])?", waiting.pop()).groups()
+        installed.add(name)
+        for extra in inner.split(",") if name == "raystream" else ():
+            waiting += extras[extra]
+    smoke, examples = load("install_smoke.py"), ROOT / "examples"
+    for example in examples.rglob("*.py"):
+        folders = [folder for folder in example.parents if folder.is_relative_to(examples)]
+        for module in smoke.imports_of(example):
+            name = module.partition(".")[0]
+            is_own = any(
+                (folder / name).is_dir() or (folder / f"{name}.py").is_file() for folder in folders
+            )
+            is_installed = {"PIL": "pillow"}.get(name, name) in installed
+            assert is_own or is_installed or name in sys.stdlib_module_names, (example.name, module)

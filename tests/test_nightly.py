@@ -312,7 +312,7 @@ def test_unknown_parts_are_refused(fake, capsys):
         (0, 5, 0, 2, ("passed", "3 tests, 2 skipped")),
         (1, 5, 1, 0, ("FAILED", "5 tests")),
         (0, 4, 0, 4, ("nothing ran", "0 tests, 4 skipped")),
-        (5, 0, 0, 0, ("passed", "0 tests")),
+        (5, 0, 0, 0, ("nothing ran", "0 tests")),
         (None, 3, 0, 0, ("ended early", "3 tests")),
         (None, 3, 1, 0, ("FAILED", "3 tests")),
     ],

@@ -17,7 +17,7 @@ origins, directions = scene.camera.rays(width, height)
 
 
 # %%
-# A pixel's ray is at its row and column. What lies behind other things, or inside them, is hit too.
+# A pixel's ray is at its row and column. Objects behind or inside others are hits as well.
 
 
 def pick(column, row):

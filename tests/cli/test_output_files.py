@@ -72,6 +72,12 @@ def test_other_files_are_kept_before_any_work(run, square, forbidden, arguments)
     assert Path(name).read_bytes() == kept
 
 
+def test_a_name_that_frames_cannot_have_is_told_before_force(run, square, forbidden):
+    foreign("square.png")
+    complaint = run("render", square, "--frames", "0:9").complaint
+    assert complaint.startswith("square.png: expected one frame number placeholder")
+
+
 def test_heat_maps_follow_the_rule(run, square, forbidden):
     kept = foreign("square.png")
     assert run("render", square, "--heatmap", "cells").complaint == REFUSAL.format("square.png")

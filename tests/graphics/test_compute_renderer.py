@@ -26,13 +26,13 @@ MODES = {
     "kajiya": {},
 }
 
-EVERYDAY = {("three_boxes", "shadow"), ("cornell", "ao"), ("cornell", "path")}
+IN_CI = {("three_boxes", "shadow"), ("cornell", "ao"), ("cornell", "path")}
 
 CASES = [
     pytest.param(
         name,
         mode,
-        marks=[pytest.mark.exhaustive] * ((name, mode) not in EVERYDAY),
+        marks=[pytest.mark.exhaustive] * ((name, mode) not in IN_CI),
         id=f"{name}-{mode}",
     )
     for name in ("three_boxes", "cubes", "spheres", "cornell", "robots")
@@ -62,7 +62,7 @@ def no_queries(monkeypatch):
 
 @pytest.mark.parametrize(("name", "mode"), CASES)
 def test_images_are_the_cpu_s(name, mode):
-    size = (40, 32) if (name, mode) in EVERYDAY else (96, 96)
+    size = (40, 32) if (name, mode) in IN_CI else (96, 96)
     assert_alike(*pictures(rs.load(name), mode, size))
 
 

@@ -53,7 +53,7 @@ SAMPLES = ("bunny",)
 CHRISTEN = ("three_boxes", "cubes", "spheres")
 TRAVERSALS = {"kdtree": {"traversal": "restart"}}
 
-EVERYDAY = {
+IN_CI = {
     ("three_boxes", "raycast"),
     ("cubes", "shadow"),
     ("three_boxes", "whitted"),
@@ -65,7 +65,7 @@ CASES = [
     pytest.param(
         name,
         mode,
-        marks=[pytest.mark.exhaustive] * ((name, mode) not in EVERYDAY),
+        marks=[pytest.mark.exhaustive] * ((name, mode) not in IN_CI),
         id=f"{name}-{mode}",
     )
     for name in SCENES
@@ -131,8 +131,8 @@ def test_images_and_passes_are_the_cpu_s(name, mode, runs):
     if name in SAMPLES and "RAYSTREAM_SCENES" not in os.environ:
         pytest.skip("needs public models: set RAYSTREAM_SCENES to their folder")
     scene = rs.load(name)
-    is_everyday = (name, mode) in EVERYDAY
-    size = (40, 32) if is_everyday else (96, 96)
+    is_ci = (name, mode) in IN_CI
+    size = (40, 32) if is_ci else (96, 96)
     ours, theirs = pictures(scene, mode, size, SCENES[name])
     assert_alike(ours, theirs)
     # No path hits a point of light.

@@ -51,11 +51,6 @@ class PtxDriver(fake_driver.Driver):
     def allocate(self, byte_count, stream):  # noqa: ARG002
         return _Array(self.memory, byte_count)
 
-    def device(self, number):
-        made = super().device(number)
-        made.properties = SimpleNamespace(multiprocessor_count=2)
-        return made
-
     def cuMemsetD8Async(self, to, value, byte_count, _stream):  # noqa: N802 - NVIDIA's
         ctypes.memset(to, value, byte_count)
         return (0,)
@@ -69,7 +64,6 @@ class PtxDriver(fake_driver.Driver):
         if name not in self._kernels:
             self._kernels[name] = Kernel(ptx.decode(), name)
         kernel = self._kernels[name]
-        kernel.occupancy = SimpleNamespace(max_active_blocks_per_multiprocessor=lambda *_: 1)
         return SimpleNamespace(get_kernel=lambda _entry: kernel)
 
     def launch(self, _stream, config, kernel, *values):

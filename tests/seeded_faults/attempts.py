@@ -8,7 +8,7 @@ from pathlib import Path
 
 from seeded_faults.by_file import CI, EVERYDAY
 from seeded_faults.faults import Fault
-from seeded_faults.runner import BROKEN, CRASHED, OUT_OF_TIME, STUCK, Innocence, Outcome, Runner
+from seeded_faults.runner import BROKEN, CRASHED, OUT_OF_TIME, STUCK, Baseline, Outcome, Runner
 
 #: Verdicts beside EVERYDAY and CI (no everyday test caught it): no test caught it; something
 #: that it needs is not installed; pytest could not run.
@@ -102,10 +102,10 @@ class _Attempt:
             "stop": self._stops_early,
             **plan,
         }
-        patience = self._runner.patience
+        test_timeout = self._runner.test_timeout
         if self._fault.hangs and self.is_caught:
-            patience *= KNOWN_TO_HANG
-        outcome = self._runner.run(arguments, environment, patience, **plan)
+            test_timeout *= KNOWN_TO_HANG
+        outcome = self._runner.run(arguments, environment, test_timeout, **plan)
         for file, one in outcome.files.items():
             for tier in (EVERYDAY, CI):
                 for test in one[tier]:
@@ -125,7 +125,7 @@ class _Attempt:
         self._by[tier].setdefault(file, test)
         self.catches.setdefault(tuple(sorted(environment.items())), []).append(test)
 
-    def settle(self) -> None:
+    def assign_tiers(self) -> None:
         """Find the tier of files that could not be imported; the fault is no longer there."""
         everyday = self._by[EVERYDAY]
         files = [file for file, test in everyday.items() if test == file]
@@ -153,7 +153,7 @@ class _Attempt:
 def try_fault(
     fault: Fault,
     runner: Runner,
-    innocence: Innocence,
+    baseline: Baseline,
     *,
     stops_early: bool,
     hints: Mapping[str, str],
@@ -164,7 +164,7 @@ def try_fault(
     ----------
     fault : Fault
     runner : Runner
-    innocence : Innocence
+    baseline : Baseline
     stops_early : bool
         Whether to stop at the first test that catches it.
     hints : dict of str to str
@@ -174,16 +174,16 @@ def try_fault(
     if fault.missing:
         return Row(digest, NOT_RUN, reason=f"needs {', '.join(fault.missing)}")
     while True:
-        attempt = _Attempt(fault, runner, innocence.false_alarms, stops_early)
+        attempt = _Attempt(fault, runner, baseline.false_positives, stops_early)
         with runner.seeded(fault):
             _run_stages(fault, runner.copy, attempt, hints)
-        alarms = [
+        false_positives = [
             test
             for variables, tests in attempt.catches.items()
-            for test in innocence.check(tests, dict(variables), runner)
+            for test in baseline.check(tests, dict(variables), runner)
         ]
-        if not alarms:
-            attempt.settle()
+        if not false_positives:
+            attempt.assign_tiers()
             return attempt.row(digest)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import importlib.util
 import tomllib
@@ -10,9 +9,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ci_script import load
+
 ROOT = Path(__file__).resolve().parents[2]
 FAULTS = Path(__file__).with_name("faults.toml")
 SOURCES, LAB = "src/raystream", "lab/src/raystream_lab"
+
+#: Hash of a file's code, without comments, docstrings and layout.
+code_hash = load("nightly").code_hash
 
 #: Files that compare tracers with each other or with an oracle, the likeliest to fail first.
 AGREEMENT = (
@@ -68,7 +72,8 @@ class Fault:
     def digest(self, root: Path) -> str:
         """Hash of the entry, except for its description, and of the code of its file."""
         entry = repr(replace(self, what=""))
-        return hashlib.sha256(f"{entry} {code_of(root / self.path)}".encode()).hexdigest()[:16]
+        code = code_hash(self.path, (root / self.path).read_bytes())
+        return hashlib.sha256(f"{entry} {code}".encode()).hexdigest()[:16]
 
     def seeded(self, text: str) -> str:
         """The file's text with the fault.
@@ -119,38 +124,3 @@ def chosen_faults(names: Sequence[str], faults: Iterable[Fault]) -> list[Fault]:
         if not any(name in (fault.name, fault.room) for fault in faults):
             raise SystemExit(f"no fault and no room {name!r}; see --list")
     return [f for f in faults if not names or f.name in names or f.room in names]
-
-
-def code_of(path: Path) -> str:
-    """A Python file's code without comments, docstrings and layout; another file's text.
-
-    The same with every version of Python that has the same syntax tree: a field that is empty, as
-    those are that only later versions have, is left out.
-    """
-    text = path.read_text(encoding="utf-8")
-    return _code_of_node(ast.parse(text)) if path.suffix == ".py" else text
-
-
-def _code_of_node(node: object) -> str:
-    if isinstance(node, list):
-        return f"[{', '.join(map(_code_of_node, node))}]"
-    if not isinstance(node, ast.AST):
-        return repr(node)
-    fields = {name: value for name, value in ast.iter_fields(node) if value not in (None, [])}
-    if isinstance(node, ast.Constant):
-        fields["value"] = node.value
-    if _has_docstring(node):
-        fields["body"] = fields["body"][1:]
-    parts = (f"{name}={_code_of_node(value)}" for name, value in fields.items())
-    return f"{type(node).__name__}({', '.join(parts)})"
-
-
-def _has_docstring(node: ast.AST) -> bool:
-    if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-        return False
-    first = node.body[0] if node.body else None
-    return (
-        isinstance(first, ast.Expr)
-        and isinstance(first.value, ast.Constant)
-        and isinstance(first.value.value, str)
-    )

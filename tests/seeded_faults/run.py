@@ -50,7 +50,7 @@ from seeded_faults.matrix import (
     summary,
     write_matrix,
 )
-from seeded_faults.runner import Innocence, Runner, StoppedError
+from seeded_faults.runner import Baseline, Runner, StoppedError
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -147,7 +147,7 @@ def try_faults(
     """Try faults, with --matrix those whose row is not up to date; `keep` receives each result."""
     stops_early = asked.until_caught or not asked.matrix
     lock = threading.Lock()
-    innocence = Innocence()
+    baseline = Baseline()
 
     def work(fault: Fault, runner: Runner) -> None:
         started = time.monotonic()
@@ -156,7 +156,7 @@ def try_faults(
         found = try_fault(
             fault,
             runner,
-            innocence,
+            baseline,
             stops_early=stops_early,
             hints=row.by if row is not None and is_hint and stops_early else {},
         )
@@ -175,7 +175,7 @@ def try_faults(
             ]
             print(f"{len(chosen) - len(todo)} rows are up to date", flush=True)
         in_parallel(todo, made, work)
-    for test in innocence.false_alarms:
+    for test in baseline.false_positives:
         print(f"fails without any fault: {test}", flush=True)
 
 

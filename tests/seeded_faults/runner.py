@@ -80,14 +80,14 @@ class Runner:
         Where the copy is made; it may exist.
     cache : Path
         Folder of compiled kernels, which all runners share.
-    limit, patience : float
+    limit, test_timeout : float
         Seconds for one run of pytest, and for one test.
     """
 
     def __init__(
-        self, root: Path, folder: Path, cache: Path, limit: float, patience: float
+        self, root: Path, folder: Path, cache: Path, limit: float, test_timeout: float
     ) -> None:
-        self.copy, self.limit, self.patience = folder / "tree", limit, patience
+        self.copy, self.limit, self.test_timeout = folder / "tree", limit, test_timeout
         self._folder = folder
         self._moments = itertools.count(10**9)
         self._stopping = threading.Event()
@@ -136,7 +136,7 @@ class Runner:
         self,
         arguments: Sequence[str],
         environment: Mapping[str, str],
-        patience: float | None = None,
+        test_timeout: float | None = None,
         **plan: object,
     ) -> Outcome:
         """Run pytest in one process, by a plan as in by_file.py.
@@ -147,7 +147,7 @@ class Runner:
             Files of tests, and options.
         environment : dict of str to str
             Variables of the process.
-        patience : float, optional
+        test_timeout : float, optional
             Seconds for one test, in place of the runner's.
         **plan
 
@@ -175,7 +175,7 @@ class Runner:
                 start_new_session=True,
             )
             try:
-                ended = self._watch(process, record, patience or self.patience)
+                ended = self._watch(process, record, test_timeout or self.test_timeout)
             finally:
                 _end(process, mark)
         text = printed.read_text(encoding="utf-8", errors="replace")
@@ -200,7 +200,7 @@ class Runner:
         everyday = {test.partition("::")[0] for test in tiers if tiers[test] == EVERYDAY}
         return tiers | {file: EVERYDAY if file in everyday else CI for file in files}
 
-    def _watch(self, process: subprocess.Popen[bytes], record: Path, patience: float) -> str:
+    def _watch(self, process: subprocess.Popen[bytes], record: Path, test_timeout: float) -> str:
         """Wait for the end, or say why it will not be awaited."""
         started = last = time.monotonic()
         size = 0
@@ -213,7 +213,7 @@ class Runner:
             now, found = time.monotonic(), record.stat().st_size
             if found != size:
                 size, last = found, now
-            if now - last > patience:
+            if now - last > test_timeout:
                 return STUCK
             if now - started > self.limit:
                 return OUT_OF_TIME
@@ -242,7 +242,7 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
                 os.kill(int(environment.parent.name), signal.SIGKILL)
 
 
-class Innocence:
+class Baseline:
     """Which tests pass without any fault; each is tried once for each set of variables."""
 
     def __init__(self) -> None:
@@ -251,7 +251,7 @@ class Innocence:
         self._failing: set[str] = set()
 
     @property
-    def false_alarms(self) -> list[str]:
+    def false_positives(self) -> list[str]:
         """Tests that were found to fail without any fault."""
         with self._lock:
             return sorted(self._failing)

@@ -17,7 +17,7 @@ import pytest
 from seeded_faults import run
 from seeded_faults.attempts import NOT_RUN, NOTHING, Row
 from seeded_faults.by_file import CI, EVERYDAY
-from seeded_faults.faults import AGREEMENT, NOT_TRACED, ROOT, SOURCES, Fault, code_of, read_faults
+from seeded_faults.faults import AGREEMENT, NOT_TRACED, ROOT, SOURCES, Fault, read_faults
 from seeded_faults.matrix import cover, is_current, read_matrix, refreshed, write_matrix
 from seeded_faults.runner import STUCK, Runner
 
@@ -111,21 +111,6 @@ def test_what_is_known_of_a_fault_decides_whether_it_is_tried(tmp_path):
     untried = Row(needy.digest(tmp_path), NOT_RUN)
     assert is_current(untried, needy, tmp_path, stops_early=True)
     assert is_current(row_of(needy, tmp_path), needy, tmp_path, stops_early=True)
-
-
-def test_code_is_without_docstrings_comments_and_layout(tmp_path):
-    path = tmp_path / "x.py"
-    seen = []
-    for text in (
-        "class A:\n    def f(self): return (1, None)",
-        '"""A."""\nclass A:\n    """A."""\n    def f(self):\n        "F."\n        return 1, None',
-        "class A:\n    def f(self): return (1, True)",
-        "class A:\n    def f(self): return (1, [])",
-    ):
-        path.write_text(text)
-        seen.append(code_of(path))
-    assert seen[0] == seen[1]
-    assert len(set(seen)) == 3
 
 
 def test_a_row_loses_tests_that_have_left_their_tier():

@@ -13,7 +13,7 @@ from raystream.cli.brightness import Exposure, parse_exposure
 from raystream.cli.camera_options import CameraOptions
 from raystream.cli.clusters import ClusterOptions
 from raystream.cli.console import BadInputError, refuse, write_bytes
-from raystream.cli.frame_files import IMAGES, AnimationOptions
+from raystream.cli.frame_files import IMAGES, AnimationOptions, FrameFiles
 from raystream.cli.heatmaps import HeatmapOptions
 from raystream.cli.layers import LayerOptions, LayerSelection
 from raystream.cli.lighting import LightingOptions
@@ -164,7 +164,10 @@ class RenderJob:
         size = width, height = options.parse_size(image.size)
         output = image.output or _default_output(scene)
         if output != STDOUT:
-            if not image.is_animation:
+            if image.is_animation:
+                is_one = isinstance(image.animation.parse_frames(), int)
+                FrameFiles.of(output, scene, is_one)  # --force does not mend a wrong name
+            else:
                 inputs = [scene, str(image.lighting.environment or scene)]
                 options.check_output(output, IMAGES, inputs)
             options.check_replaced(output, image.force)

@@ -9,12 +9,12 @@ import numpy as np
 
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import Primitives
+from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
 from raystream.jit.simd import load, store
 from raystream.programs.hits import interval_of
 
-_WORD, _LONG = np.uint64(2), np.uint64(3)  # bytes of a number, as shifts
 _MISS = np.int32(-1)
 
 
@@ -40,7 +40,7 @@ class InstanceIds(NamedTuple):
 @kernel
 def _split(i, instances, numbers, instance_ids):
     """Replace a number by its prim_id, and write its instance; see `split_ids`."""
-    at = i << _WORD
+    at = i << SHIFT_32
     number = load(np.int32, numbers + at)
     if number < np.int32(0):
         store(instance_ids + at, _MISS)
@@ -49,7 +49,7 @@ def _split(i, instances, numbers, instance_ids):
     found = interval_of(
         instances.first_ids, instances.instance_count, instances.halvings, long_number
     )
-    shift = load(np.int64, instances.shifts + (found << _LONG))
+    shift = load(np.int64, instances.shifts + (found << SHIFT_64))
     store(numbers + at, np.int32(long_number + shift))
     store(instance_ids + at, np.int32(found))
 
@@ -57,7 +57,7 @@ def _split(i, instances, numbers, instance_ids):
 @kernel
 def _halve(i, first, numbers):
     """Replace a number by its prim_id, from `first` on two numbers each; see `prim_ids_of`."""
-    at = numbers + (i << _WORD)
+    at = numbers + (i << SHIFT_32)
     number = load(np.int32, at)
     if number >= first:
         store(at, np.int32(first + np.int32(np.int32(number - first) >> np.int32(1))))

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from raystream.jit.constants import BYTES_64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceView, RangeKernel, StreamScope
 from raystream.jit.simd import load, store
 
 #: Most dimensions of an array after adjacent ones have been merged.
 DIRECTIONS = 4
-
-_ZERO, _ONE, _WIDE = np.uint64(0), np.uint64(1), np.uint64(8)
 
 
 @kernel
@@ -24,8 +23,8 @@ def _pack(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
         rest = rest // lengths[k]
     to += i * width * kept_bytes
     for _ in range(width):
-        x = load(np.float64, at) if given_bytes == _WIDE else np.float64(load(np.float32, at))
-        if kept_bytes == _WIDE:
+        x = load(np.float64, at) if given_bytes == BYTES_64 else np.float64(load(np.float32, at))
+        if kept_bytes == BYTES_64:
             store(to, x)
         else:
             store(to, np.float32(x))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -25,8 +25,6 @@ from raystream.kernels.queries import (
     searches,
 )
 from raystream.kernels.tally import ROW, SHADINGS, add_to
-
-_LONG = np.uint64(3)  # one of eight
 
 
 class CountAddresses(NamedTuple):
@@ -130,13 +128,13 @@ def make_kernels(
         scene = RayScene(source, frame, tree, stack, out.status, None)
         goal = Goal(limit, None, ZERO_U64, surfaces, _tally_at(tallies, i))
         search, _ = search_ray(i, scene, goal)
-        store(out.counts + (i << _LONG), np.int64(search.hit_count))
+        store(out.counts + (i << SHIFT_64), np.int64(search.hit_count))
 
     @kernel
     def multi_hit(i, source, frame, tree, tallies, surfaces, out):
-        first = np.uint64(load(np.int64, out.splits + (i << _LONG)))
-        capacity = np.uint64(load(np.int64, out.splits + ((i + ONE_U64) << _LONG))) - first
-        store(out.found + (i << _LONG), np.int64(0))
+        first = np.uint64(load(np.int64, out.splits + (i << SHIFT_64)))
+        capacity = np.uint64(load(np.int64, out.splits + ((i + ONE_U64) << SHIFT_64))) - first
+        store(out.found + (i << SHIFT_64), np.int64(0))
         if capacity == ZERO_U64:
             return
         stack = scratch(stack_bytes)
@@ -145,7 +143,7 @@ def make_kernels(
         scene = RayScene(source, frame, tree, stack, None, None)
         goal = Goal(capacity, out.hits, first, surfaces, tally)
         search, ray = search_ray(i, scene, goal)
-        store(out.found + (i << _LONG), np.int64(search.hit_count))
+        store(out.found + (i << SHIFT_64), np.int64(search.hit_count))
         add_to(tally, SHADINGS, search.hit_count)
         finish_rows(out.hits, first, search.hit_count, ray, True)
 

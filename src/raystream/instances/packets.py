@@ -22,7 +22,7 @@ from raystream.instances.object_rays import WORLD_BYTES, World, WorldLanes, load
 from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import is_usual, ray_numbers
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -110,7 +110,7 @@ def _search_instance(packet, index, leaves, box, rays, groups, goal, inside):
     no_inline()
     instance = InstanceRecord(leaves, index)
     object_ = ObjectRecord(inside.objects, np.uint64(instance.object_id))
-    if object_.nodes == ZERO_U64:
+    if object_.nodes == NULL:
         return False
     count = _load_groups(packet, inside, box, rays, groups, instance, object_)
     if count == ZERO_U64:

@@ -18,7 +18,7 @@ from raystream.instances.object_rays import load_rays
 from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import is_usual
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import f32x16, load, scratch, store
@@ -96,7 +96,7 @@ def _search_instance(tree, index, rays, count, scene, wants_any):
     no_inline()
     instance = InstanceRecord(tree.leaves, index)
     object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
-    if object_.nodes == ZERO_U64:
+    if object_.nodes == NULL:
         return ZERO_U64
     inside = tree.inside
     group_count, ray_count = load_rays(

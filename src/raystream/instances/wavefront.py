@@ -12,7 +12,7 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import WorldRay, object_ray, ray_numbers, scene_ray
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -94,7 +94,7 @@ def _enter(slot, inner, keys, children, source, objects):
     far = ray.t_max
     if slot.prim_id != NO_PRIM:
         far = min(far, local_limit(slot.best_t, ray.t_scale, ray.t_offset))
-    if not (ray.t_min <= far) or object_.nodes == ZERO_U64:
+    if not (ray.t_min <= far) or object_.nodes == NULL:
         return False
     start_ray(inner, keys, children, i, ray, object_.max_coordinate)
     inner.t, inner.t_key = far, t_key(far)

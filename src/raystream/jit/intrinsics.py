@@ -74,19 +74,6 @@ def corners_at(typing_context: Any, at: Any) -> Any:
 
 
 @intrinsic
-def int32_at(typing_context: Any, at: Any, count: Any) -> Any:
-    """An array of `count` int32 at an address, without an owner; see `corners_at`."""
-    if at != types.uint64 or count != types.uint64:
-        return None
-    array = types.Array(types.int32, 1, "C")
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return array_at(context, builder, array, arguments[0], [arguments[1]])
-
-    return array(at, count), generate
-
-
-@intrinsic
 def row_address(typing_context: Any, array: Any, row: Any) -> Any:
     """Address of a row of a two-dimensional array; None if the array is None.
 

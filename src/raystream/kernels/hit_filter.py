@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_U64
+from raystream.jit.constants import BYTES_32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import call_filter, no_inline
 from raystream.jit.simd import count_trailing_zeros, load, scratch, store
@@ -92,7 +92,7 @@ def kept_hits(filter_, bits, hits, prim_id, first):
     uint64
         Bits of the hits that exist.
     """
-    if filter_.function == ZERO_U64:
+    if filter_.function == NULL:
         return bits
     return call_filter(filter_.function, (filter_.context, bits, hits, prim_id, first))
 

@@ -166,7 +166,7 @@ def _is_packed_by_blosc(array: Any) -> bool:
 
 
 def _check_lengths(files: Iterable[Path]) -> None:
-    """Reject a truncated chunk: Blosc reads on behind its end, and reports no error."""
+    """Reject a truncated chunk: Blosc reads past its end, and reports no error."""
     for file in files:
         with contextlib.suppress(FileNotFoundError), file.open("rb") as stream:
             header = stream.read(16)

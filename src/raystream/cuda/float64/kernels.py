@@ -11,14 +11,12 @@ from raystream.cuda.query_kernels import QueryKernels
 from raystream.float64.queries import LANES_BYTES, Searches, write_nearest
 from raystream.float64.ray import prepare_float64
 from raystream.float64.traversal import STACK_BYTES
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.queries import note_status
 from raystream.kernels.ray_source import load_direction, load_origin
-
-_LONG = np.uint64(3)  # eight bytes, as a shift
 
 
 @device
@@ -65,18 +63,18 @@ def make_float64_kernels(searches: Searches) -> QueryKernels:
         memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
         ray = _ray(source, i, frame, out.status)
         total = count(tree, ray, limit, surfaces, memory)
-        store(out.counts + (i << _LONG), np.int64(total))
+        store(out.counts + (i << SHIFT_64), np.int64(total))
 
     @kernel
     def multi_hit(i, source, frame, tree, _tallies, surfaces, out):
-        first = np.uint64(load(np.int64, out.splits + (i << _LONG)))
-        capacity = np.uint64(load(np.int64, out.splits + ((i + ONE_U64) << _LONG))) - first
-        store(out.found + (i << _LONG), np.int64(0))
+        first = np.uint64(load(np.int64, out.splits + (i << SHIFT_64)))
+        capacity = np.uint64(load(np.int64, out.splits + ((i + ONE_U64) << SHIFT_64))) - first
+        store(out.found + (i << SHIFT_64), np.int64(0))
         if capacity == ZERO_U64:
             return
         memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
         ray = _ray(source, i, frame, None)
         kept = keep(tree, ray, capacity, out.hits, first, surfaces, memory)
-        store(out.found + (i << _LONG), np.int64(kept))
+        store(out.found + (i << SHIFT_64), np.int64(kept))
 
     return QueryKernels(*(RangeKernel(one) for one in (first_hit, any_hit, count_hits, multi_hit)))

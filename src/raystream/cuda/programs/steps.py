@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.core.rays import RayStatus
-from raystream.jit.constants import SHIFT_32
+from raystream.jit.constants import NULL, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, store
 from raystream.kernels.ray_source import load_ray
 
-_NOWHERE = np.uint64(0)
-_LONG = np.uint64(3)
 _OPEN = np.uint8(1)
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
@@ -27,9 +25,9 @@ def _open(i, open_rays):
 def _want(i, open_rays, found, latest, room, wanted):
     """Request room for a ray that is open and has filled its last room."""
     wants = load(np.uint8, open_rays + i) == _OPEN
-    if found != _NOWHERE:
-        wants = wants and load(np.int64, found + (i << _LONG)) == latest
-    store(wanted + (i << _LONG), room if wants else np.int64(0))
+    if found != NULL:
+        wants = wants and load(np.int64, found + (i << SHIFT_64)) == latest
+    store(wanted + (i << SHIFT_64), room if wants else np.int64(0))
 
 
 @kernel
@@ -58,7 +56,7 @@ def _note_invalid(i, source, frame, status):
 @kernel
 def _narrow(i, given, narrowed):
     """Convert int64 to int32; values outside its range become -1, which matches no triangle."""
-    value = load(np.int64, given + (i << _LONG))
+    value = load(np.int64, given + (i << SHIFT_64))
     short = np.int32(value)
     store(narrowed + (i << SHIFT_32), short if np.int64(short) == value else _MISS)
 

@@ -290,18 +290,6 @@ class Gpu:
         with self.doing("launching a kernel"):
             launch(stream or self._legacy.native, config, kernel, *values)
 
-    def most_blocks(self, kernel: Any, block_size: int) -> int:
-        """Number of blocks of a kernel that the device runs at once, at least 1.
-
-        Raises
-        ------
-        CudaError
-            If the driver fails.
-        """
-        with self.doing("querying its occupancy"):
-            each = kernel.occupancy.max_active_blocks_per_multiprocessor(block_size, 0)
-            return max(1, int(each) * int(self._device.properties.multiprocessor_count))
-
     def wait(self, stream: Any = None) -> None:
         """Wait until all launches in a stream are done.
 

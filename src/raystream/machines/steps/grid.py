@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
@@ -139,7 +139,7 @@ def set_up(ray, wanted, tree, query, kernel):
     count_step(query, wanted, kernel, STEPS, ZERO_U64)
     line = prepared_ray(ray, query)
     t_in, t_far = clip_to_grid(tree, line, ray.t_min, ray.t_max)
-    is_active = tree.splits != ZERO_U64 and t_in <= t_far
+    is_active = tree.splits != NULL and t_in <= t_far
     if not is_active:
         t_in = t_far = np.float32(0.0)
     coarse = coarse_cells(tree)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.spawn import UNIT
-from raystream.jit.constants import ZERO_U64
+from raystream.jit.constants import NULL, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
@@ -112,7 +112,7 @@ def _toward(x, y, z):
 def _from_sky(lights, is_sky, share, u, v):
     """Sample the sky: directions, densities, and radiance over density."""
     toward, pdf = sphere(u, v), narrow(share * _INV_FOUR_PI)
-    if lights.sky.image != ZERO_U64:
+    if lights.sky.image != NULL:
         toward, relative = sample_image_lanes(lights.sky, u, v, is_sky)
         pdf = pdf * relative
     color = sky_radiance_lanes(lights, toward, is_sky)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
+from raystream.jit.constants import BYTES_32, BYTES_64, ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import gather, load, store
 from raystream.kernels.hits import HitAddresses
@@ -52,7 +52,6 @@ PIXEL = np.dtype(
     ]
 )
 
-_BYTES_32, _BYTES_64 = np.uint64(4), np.uint64(8)
 _3_X_32, _3_X_64 = np.uint64(12), np.uint64(24)
 _INF, _WHOLE = np.float32(np.inf), np.float32(1.0)
 _WHITE = (1.0, 1.0, 1.0)
@@ -128,8 +127,8 @@ def _next_ray(row, columns, at, t_max):
     here = columns.origins + at * _3_X_64
     x, y, z = (
         load(np.float64, here),
-        load(np.float64, here + _BYTES_64),
-        load(np.float64, here + _BYTES_64 + _BYTES_64),
+        load(np.float64, here + BYTES_64),
+        load(np.float64, here + BYTES_64 + BYTES_64),
     )
     return NextRay(True, row, (x, y, z), vector_at(columns.directions, np.int32(at)), t_max)
 
@@ -154,7 +153,7 @@ def begin_pixel(number, shading):
     # The ray is written to row `number` of these columns.
     moved = row - number
     paths = StreamAddresses(
-        rows.paths.pixels + moved * _BYTES_64,
+        rows.paths.pixels + moved * BYTES_64,
         rows.paths.origins + moved * _3_X_64,
         rows.paths.directions + moved * _3_X_32,
         rows.paths.colors,
@@ -169,9 +168,9 @@ def begin_pixel(number, shading):
         shading.sample.number,
         paths,
     )
-    store(rows.paths.numbers + row * _BYTES_32, _INF)
+    store(rows.paths.numbers + row * BYTES_32, _INF)
     for k in range(3):
-        store(rows.paths.colors + row * _3_X_32 + np.uint64(k) * _BYTES_32, _WHOLE)
+        store(rows.paths.colors + row * _3_X_32 + np.uint64(k) * BYTES_32, _WHOLE)
     return _record(
         np.int32(0), ZERO_U64, ZERO_U64, ONE_U64, ZERO_U64, ZERO_U64, ZERO_U64
     ), _path_ray(rows, number, ZERO_U64, ZERO_U64)
@@ -210,7 +209,7 @@ def _next_of(number, pixel, rows, onward_count, path, shadow, shadow_count):
         new = _path_ray(rows, number, half, path)
     elif shadow < shadow_count:
         at = number * rows.shadow_room + shadow
-        t_max = load(np.float32, rows.shadows.numbers + at * _BYTES_32)
+        t_max = load(np.float32, rows.shadows.numbers + at * BYTES_32)
         new = _next_ray(row, rows.shadows, at, t_max)
     else:
         bounce += np.int32(1)

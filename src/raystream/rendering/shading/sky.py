@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.memory import check_memory
-from raystream.jit.constants import BYTES_32, ONE_U64, TWO_U64, ZERO_U64
+from raystream.jit.constants import BYTES_32, NULL, ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.rendering.color import LUMINANCE
@@ -308,7 +308,7 @@ def sky_radiance(lights, x, y, z):
     -------
     tuple of three float64
     """
-    if lights.sky.image == ZERO_U64:
+    if lights.sky.image == NULL:
         return lights.sky.color
     return image_radiance(lights.sky, x, y, z)
 
@@ -323,6 +323,6 @@ def sky_pdf(lights, x, y, z):
     x, y, z : float64
         Of any length above 0.
     """
-    if lights.sky.image == ZERO_U64:
+    if lights.sky.image == NULL:
         return lights.sky_density
     return lights.sky_density * relative_pdf(lights.sky, x, y, z)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -55,7 +55,7 @@ def _rows(rows):
 @device
 def sky_radiance_lanes(lights, toward, mask):
     """`sky_radiance` for 16 directions, of `f32x16`; undefined where the mask is not set."""
-    if lights.sky.image == ZERO_U64:
+    if lights.sky.image == NULL:
         return _colors(lights.sky.color)
     return image_radiance_lanes(lights.sky, toward, mask)
 
@@ -76,7 +76,7 @@ def image_radiance_lanes(sky, toward, mask):
 def sky_pdf_lanes(lights, toward, mask):
     """`sky_pdf` for 16 directions, of `f32x16`; undefined where the mask is not set."""
     density = f32x16(np.float32(lights.sky_density))
-    if lights.sky.image == ZERO_U64:
+    if lights.sky.image == NULL:
         return density
     return density * relative_pdf_lanes(lights.sky, toward, mask)
 

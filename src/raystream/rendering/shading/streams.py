@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     address,
@@ -29,7 +30,7 @@ from raystream.rendering.shading.rows import (
     vector_at,
 )
 
-_1, _ONE = np.int32(1), np.uint64(1)
+_1 = np.int32(1)
 
 #: Rows behind the last one of arrays that kernels write to, since they write whole vectors.
 SLACK = 16
@@ -189,7 +190,7 @@ def put_row(to, pixel, origin, direction, color, number):
     put_vectors(to.columns.origins, row, origin, True)
     put_vectors(to.columns.directions, row, _narrowed(direction), True)
     put_vectors(to.columns.colors, row, _narrowed(color), True)
-    return StreamCursor(to.columns, to.row + _ONE)
+    return StreamCursor(to.columns, to.row + ONE_U64)
 
 
 @device

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
-from raystream.jit.constants import ZERO_U64
+from raystream.jit.constants import NULL
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
@@ -124,7 +124,7 @@ def _extent(a, b, c):
 @device
 def _smooth_normal(tables, vertices, u, v, gx, gy, gz):
     """The interpolated vertex normal on the side of the geometric one, or that one if invalid."""
-    if tables.normals == ZERO_U64:
+    if tables.normals == NULL:
         return gx, gy, gz
     x, y, z = attribute_vector(tables.normals, vertices, u, v)
     length = square_root(x * x + y * y + z * z)
@@ -160,17 +160,17 @@ def _base_point(tables, prim, u, v, dx, dy, dz):
     gx, gy, gz = gx * scale, gy * scale, gz * scale
 
     u, v = widen_number(u), widen_number(v)
-    vertices = vertices_of(tables, prim) if tables.faces != ZERO_U64 else (prim, prim, prim)
+    vertices = vertices_of(tables, prim) if tables.faces != NULL else (prim, prim, prim)
     nx, ny, nz = _smooth_normal(tables, vertices, u, v, gx, gy, gz)
     s, t = u * _NAN, v * _NAN
-    if tables.texcoords != ZERO_U64:
+    if tables.texcoords != NULL:
         s = attribute_number(tables.texcoords, _2, _0, vertices, u, v)
         t = attribute_number(tables.texcoords, _2, _1, vertices, u, v)
     red, green, blue = u * _NULL + _WHOLE, u * _NULL + _WHOLE, u * _NULL + _WHOLE
-    if tables.colors != ZERO_U64:
+    if tables.colors != NULL:
         red, green, blue = attribute_vector(tables.colors, vertices, u, v)
     offset = offset_at(tables, extent, largest(absolute(x), absolute(y), absolute(z)))
-    if tables.offsets != ZERO_U64:
+    if tables.offsets != NULL:
         offset = offset + widen(gather(np.float32, tables.offsets, prim))
     # A normal that faces away, as near silhouettes, would reflect into the surface.
     is_away = nx * dx + ny * dy + nz * dz >= _NULL
@@ -252,7 +252,7 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
 @device
 def with_normal_maps(tables, prim, weights, point, smooth, direction, is_hit):
     """Apply the normal and bump maps of points that have some."""
-    if tables.tangents == ZERO_U64:
+    if tables.tangents == NULL:
         return point
     normal, coat = (point.nx, point.ny, point.nz), (point.cx, point.cy, point.cz)
     is_bent = has_normal_map(tables, point.material) & is_hit

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -129,7 +129,7 @@ def kept_lanes(filter_, taken, t, u, v, prim_id, group, g):
     if own.skip_count != ZERO_U64:
         taken = _unskipped(own, taken, prim_id, first)
     bits = mask_bits(taken)
-    if own.function == ZERO_U64 or bits == ZERO_U64:
+    if own.function == NULL or bits == ZERO_U64:
         return taken
     hits = scratch(FILTERED_BYTES)
     store(hits, world_lanes(t, group.t_scale))

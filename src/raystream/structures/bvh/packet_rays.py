@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -153,7 +153,7 @@ class PacketSource(NamedTuple):
 @device
 def group_rows(order, packet, group):
     """The rays of a group: index of the first one, and their number."""
-    if order.table != ZERO_U64:
+    if order.table != NULL:
         entry = load(np.uint64, order.table + (packet * GROUPS + group) * _ENTRY_BYTES)
         return entry >> _COUNT_BITS, entry & _COUNT_MASK
     limit = _LANES
@@ -170,8 +170,8 @@ def group_rows(order, packet, group):
 @device
 def group_places(order, packet):
     """The `GroupPlaces` of a packet."""
-    table = ZERO_U64
-    if order.table != ZERO_U64:
+    table = NULL
+    if order.table != NULL:
         table = order.table + packet * GROUPS * _ENTRY_BYTES
     first, _ = group_rows(order, packet, ZERO_U64)
     return GroupPlaces(table, first, _LANES if order.width == ZERO_U64 else order.width)
@@ -186,7 +186,7 @@ def group_entry(first, count):
 @device
 def first_ray(places, group):
     """The first ray of a group, as of `group_rows`, which divides by the width of the image."""
-    if places.table != ZERO_U64:
+    if places.table != NULL:
         return load(np.uint64, places.table + group * _ENTRY_BYTES) >> _COUNT_BITS
     return places.first + group * places.step
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import SHIFT_32, ZERO_U64
+from raystream.jit.constants import NULL, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     compress,
@@ -76,7 +76,7 @@ def begin(tree, t_min, t_max, stack, half):
     top : uint64
         Bytes in use of a half; 0 for an empty stack.
     """
-    if tree.nodes == ZERO_U64 or not (t_min <= t_max):
+    if tree.nodes == NULL or not (t_min <= t_max):
         return ZERO_U64
     store(stack, np.int32(0))
     store(stack + half, _ROOT)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_U64
+from raystream.jit.constants import BYTES_32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load, next_float_up, store
 from raystream.kernels.leaf_block import BLOCK, blocks_end
@@ -253,7 +253,7 @@ def clip_to_scene(graph, ray, t_min, t_max):
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
     # A hit lies in its triangle's slab interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
-    return graph.rows != ZERO_U64 and t_in <= t_out, t_in, next_float_up(t_out)
+    return graph.rows != NULL and t_in <= t_out, t_in, next_float_up(t_out)
 
 
 @device
@@ -377,7 +377,7 @@ def near_sector(graph, line, ray, t, number, last):
     uint64
         The sector's address.
     """
-    if graph.starts != ZERO_U64:
+    if graph.starts != NULL:
         start = load(np.int32, graph.starts + (number << _INDEX))
         if start >= np.int32(0):
             known = graph.rows + (np.uint64(start) << _SECTOR)

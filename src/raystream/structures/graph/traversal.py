@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import prefetch, store
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
@@ -31,7 +31,7 @@ _INDEX = np.uint64(2)  # a number's four bytes, as a shift
 @device
 def _note_end(graph, search, sector):
     """Write the sector of a first hit: that in which its search ends."""
-    if graph.ends != ZERO_U64 and search.hit_count != ZERO_U64:
+    if graph.ends != NULL and search.hit_count != ZERO_U64:
         store(graph.ends + (search.first_row << _INDEX), sector_number(graph, sector))
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import SHIFT_32, ZERO_U64
+from raystream.jit.constants import NULL, SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load
 
@@ -53,7 +53,7 @@ def cell_numbers(grid, cell):
 @device
 def child_of(grid, cell):
     """Number of the lattice within a coarse cell; `NO_CHILD` if it is not subdivided."""
-    if grid.children == ZERO_U64:
+    if grid.children == NULL:
         return NO_CHILD
     return load(np.int32, grid.children + (np.uint64(cell) << SHIFT_32))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.kernels.search import is_full, wants_any
@@ -63,7 +63,7 @@ def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
 def traverse(grid, ray, search, stack):
     """Visit the cells along a ray; see `kernels.queries.ray_queries` for the arguments."""
     t_in, t_last = clip_to_grid(grid, ray, search.t_min, search.t_far)
-    if grid.splits == ZERO_U64 or not (t_in <= t_last):
+    if grid.splits == NULL or not (t_in <= t_last):
         return search
     cells = coarse_cells(grid)
     walk, state = begin_walk(cells, ray, t_in)

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, next_float_up
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
@@ -84,7 +84,7 @@ def initialize(tree, ray, t_min, t_max):
     # A hit lies in its triangle's slab interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
     t_end = next_float_up(t_out)
-    is_active = tree.nodes != ZERO_U64 and t_in <= t_out
+    is_active = tree.nodes != NULL and t_in <= t_out
     return is_active, KdState(tree.root, t_in, t_end, t_end, ZERO_U64, False)
 
 

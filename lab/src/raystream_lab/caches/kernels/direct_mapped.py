@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
 from raystream_lab.caches.kernels.trace_access import count_misses, count_reference, lines_of
-
-_NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
 @kernel
@@ -33,7 +31,7 @@ def run_direct(trace, count, line_size, set_count, held, counts):
         count_reference(counts, kind, length, last - line + ONE_U64)
         while line <= last:
             place = line - quotient(line, set_count) * set_count.number
-            at = held + (place << _NUMBER)
+            at = held + (place << SHIFT_64)
             line += ONE_U64
             # Branchless: hits are hard to predict.
             count_misses(counts, kind, np.uint64(load(np.uint64, at) != line))

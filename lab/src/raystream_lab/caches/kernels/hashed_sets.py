@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
@@ -18,7 +18,6 @@ from raystream_lab.caches.kernels.hash_table import home_of
 from raystream_lab.caches.kernels.trace_access import count_misses, count_reference, lines_of
 
 _NONE = np.uint32(0)
-_NUMBER = np.uint64(3)  # log2 of 8 bytes
 _SLOT = np.uint64(2)  # log2 of 4 bytes
 
 
@@ -61,7 +60,7 @@ def _put(numbers, i, number):
 
 @device
 def _key(rings, slot):
-    return load(np.uint64, rings.keys + (slot << _NUMBER))
+    return load(np.uint64, rings.keys + (slot << SHIFT_64))
 
 
 @device
@@ -110,7 +109,7 @@ def _replace(rings, slot, key):
     former = _key(rings, slot)
     if former != ZERO_U64:
         _remove(rings, _place_of(rings, former))
-    store(rings.keys + (slot << _NUMBER), key)
+    store(rings.keys + (slot << SHIFT_64), key)
     _put(rings.table, _place_of(rings, key), slot + ONE_U64)
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.intrinsics import bits_above, sum_above
 from raystream.jit.simd import load, popcount, store
@@ -15,7 +15,6 @@ from raystream.jit.simd import load, popcount, store
 BITS = BLOCK_WORDS = ROW_BLOCKS = 64
 
 _LAST = np.uint64(63)
-_NUMBER = np.uint64(3)  # log2 of 8 bytes
 # Shifts from a time to its word, block and row.
 _WORD, _BLOCK, _ROW = (np.uint64(k) for k in (6, 12, 18))
 _NEAR = np.uint64(4)  # words that are counted one by one
@@ -41,7 +40,7 @@ class RankedBits(NamedTuple):
 
 @device
 def _add(numbers, i, more):
-    at = numbers + (i << _NUMBER)
+    at = numbers + (i << SHIFT_64)
     store(at, load(np.uint64, at) + more)
 
 
@@ -64,7 +63,7 @@ def clear_bit(bits, time):
 @device
 def _part(numbers, i):
     """Address of the group of 64 numbers that contains number i."""
-    return numbers + ((i & ~_LAST) << _NUMBER)
+    return numbers + ((i & ~_LAST) << SHIFT_64)
 
 
 @device
@@ -80,11 +79,11 @@ def count_after(bits, time, now):
     Near bits are counted per word, distant ones per block or row.
     """
     word, last_word = time >> _WORD, now >> _WORD
-    count = popcount(load(np.uint64, bits.words + (word << _NUMBER)) >> (time & _LAST)) - ONE_U64
+    count = popcount(load(np.uint64, bits.words + (word << SHIFT_64)) >> (time & _LAST)) - ONE_U64
     if last_word - word <= _NEAR:
         while word < last_word:
             word += ONE_U64
-            count += popcount(load(np.uint64, bits.words + (word << _NUMBER)))
+            count += popcount(load(np.uint64, bits.words + (word << SHIFT_64)))
         return count
     count += bits_above(_part(bits.words, word), word & _LAST)
     block, last_block = time >> _BLOCK, now >> _BLOCK
@@ -93,5 +92,5 @@ def count_after(bits, time, now):
         row, last_row = time >> _ROW, now >> _ROW
         while row < last_row:
             row += ONE_U64
-            count += load(np.uint64, bits.rows + (row << _NUMBER))
+            count += load(np.uint64, bits.rows + (row << SHIFT_64))
     return count

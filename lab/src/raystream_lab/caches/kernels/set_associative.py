@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
 from raystream_lab.caches.kernels.trace_access import count_misses, count_reference, lines_of
-
-_NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
 @device
@@ -44,7 +42,7 @@ def run_sets(trace, count, line_size, set_count, ways, held, counts):
     counts : uint64
         Address of a row per kind; see `trace_access.COLUMNS`. Updated.
     """
-    row = ways << _NUMBER
+    row = ways << SHIFT_64
     for i in range(count):
         line, last, length, kind = lines_of(trace, np.uint64(i), line_size)
         count_reference(counts, kind, length, last - line + ONE_U64)

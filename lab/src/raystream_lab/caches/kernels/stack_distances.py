@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, prefetch, store
 from raystream_lab.caches.kernels.hash_table import home_of
@@ -30,7 +30,6 @@ from raystream_lab.caches.kernels.trace_access import (
     lines_of,
 )
 
-_NUMBER = np.uint64(3)  # log2 of 8 bytes
 _ENTRY = np.uint64(4)  # log2 of 16 bytes
 _AHEAD = np.uint64(12)  # prefetch distance, in references
 _TIME = np.uint64(8)  # offset of the time in an entry
@@ -99,7 +98,7 @@ def _entry_of(latest, key):
 
 @device
 def _count_distance(histogram, kind, distance):
-    at = histogram.counts + ((kind * histogram.length + distance) << _NUMBER)
+    at = histogram.counts + ((kind * histogram.length + distance) << SHIFT_64)
     store(at, load(np.uint64, at) + ONE_U64)
 
 
@@ -184,7 +183,7 @@ def move_times(latest, words, before):
         entry = latest.entries + (np.uint64(place) << _ENTRY)
         if load(np.uint64, entry) != ZERO_U64:
             time = load(np.uint64, entry + _TIME)
-            at = (time >> np.uint64(6)) << _NUMBER
+            at = (time >> np.uint64(6)) << SHIFT_64
             rank = load(np.uint64, before + at) + count_before(load(np.uint64, words + at), time)
             store(entry + _TIME, rank)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream_lab.caches.kernels.fast_division import quotient
@@ -16,7 +16,6 @@ COLUMNS = ("references", "byte_count", "accesses", "misses")
 
 _BYTES, _ACCESSES, _MISSES = (np.uint64(8 * k) for k in range(1, 4))
 _ROW = np.uint64(5)  # log2 of 32 bytes
-_NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
 class Trace(NamedTuple):
@@ -42,7 +41,7 @@ class Trace(NamedTuple):
 @device
 def lines_of(trace, i, line_size):
     """Load reference i: the first and last line that it touches, its length, its kind."""
-    begin = load(np.uint64, trace.addresses + (i << _NUMBER))
+    begin = load(np.uint64, trace.addresses + (i << SHIFT_64))
     length = np.uint64(load(np.uint8, trace.lengths + i * trace.length_step))
     kind = np.uint64(load(np.uint8, trace.kinds + i * trace.kind_step))
     first = quotient(begin, line_size)
@@ -52,7 +51,7 @@ def lines_of(trace, i, line_size):
 @device
 def first_line(trace, i, line_size):
     """The first line that reference i touches."""
-    return quotient(load(np.uint64, trace.addresses + (i << _NUMBER)), line_size)
+    return quotient(load(np.uint64, trace.addresses + (i << SHIFT_64)), line_size)
 
 
 @device
