@@ -405,6 +405,7 @@ def test_two_mirrors_that_face_each_other_add_up_to_a_geometric_series():
     np.testing.assert_allclose(ends.pixels[4, 4], [1.5, 3.0, 6.0], rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_absorbing_glass():
     glass = rs.Material(
         diffuse=(0.1,) * 3, transmission=(0.9,) * 3, ior=1.5, absorption=(0.2, 1.0, 3.0)

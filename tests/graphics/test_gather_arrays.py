@@ -40,7 +40,9 @@ def test_hits_have_the_same_bits(opened, name, rng):
         assert_same_bits(getattr(found, column), getattr(expected, column))
 
 
-@pytest.mark.parametrize("mode", ["raycast", "whitted", "path"])
+@pytest.mark.parametrize(
+    "mode", ["raycast", "whitted", pytest.param("path", marks=pytest.mark.exhaustive)]
+)
 def test_images_have_the_same_bits(opened, mode):
     scene = rs.load("spheres")
     size = (24, 16)

@@ -528,7 +528,8 @@ def test_bad_instances_are_named() -> None:
         rs.Scene.instances([3], [eye])
     with pytest.raises(TypeError, match="object_ids: expected integers"):
         rs.Scene.instances(one, [eye], [0.5])
-    many = rs.Scene.instances(one, np.tile(eye, (2**31 // one.triangle_count + 1, 1, 1)))
+    large = scene_of(*icosphere(6))
+    many = rs.Scene.instances(large, np.tile(eye, (2**31 // large.triangle_count + 1, 1, 1)))
     with pytest.raises(ValueError, match="triangles in all instances are more than"):
         rs.Tracer(many)
     with pytest.raises(ValueError, match="has no instances"):
