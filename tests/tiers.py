@@ -5,8 +5,8 @@ A plain ``pytest`` runs the everyday tests: one row of each oracle for each kind
 `.ci/nightly` the tests marked ``exhaustive``. The second tier has the tests marked ``ci``, the
 examples of docstrings, and all of the files and folders below.
 
-What is everyday was decided by seeded faults: `seeded_faults/matrix.json` records which test file
-catches which fault.
+Seeded faults judge the division: `seeded_faults/matrix.json` records a test file that catches each,
+and its tier.
 """
 
 from __future__ import annotations
