@@ -26,7 +26,7 @@ CLOSED = {
     ),
     "spindle": (shapes.lathe([1.0], [0.0, 0.5, 2.0], 3), 6, 3**1.5 / 4 * 2 / 3),
     "vase": (shapes.lathe([0.5, 1.0, 0.3], [0.0, 0.1, 0.6, 1.2, 1.3], 9), 54, None),
-    "cylinder": (shapes.cylinder(300), 1200, np.pi),
+    "can": (shapes.lathe([1.0, 1.0], [0.0, 0.0, 1.0, 1.0], 300, smooth=False), 1200, np.pi),
 }
 
 
@@ -93,7 +93,7 @@ def test_lathe_normals_point_outward():
     angle = np.linspace(0.0, np.pi, 22)
     part = shapes.lathe(np.sin(angle[1:-1]), -np.cos(angle), 40)
     np.testing.assert_allclose(part.normals, part.vertices, atol=0.02)
-    assert shapes.cylinder(8).normals is None
+    assert shapes.lathe([1.0, 1.0], [0.0, 0.0, 1.0, 1.0], 8, smooth=False).normals is None
 
 
 def test_grid_is_a_height_field_with_fronts_up():

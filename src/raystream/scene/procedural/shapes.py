@@ -163,11 +163,6 @@ def lathe(radii: ArrayLike, heights: ArrayLike, segments: int, *, smooth: bool =
     return Part(vertices.astype(np.float32), faces, np.zeros(len(faces), np.int32), slopes)
 
 
-def cylinder(segments: int) -> Part:
-    """Make the flat-sided cylinder of radius 1 from y = 0 to 1: 4 segments triangles; closed."""
-    return lathe([1.0, 1.0], [0.0, 0.0, 1.0, 1.0], segments, smooth=False)
-
-
 def grid(x: ArrayLike, z: ArrayLike, heights: ArrayLike) -> Part:
     """Make a height field that faces up; smooth.
 
