@@ -176,13 +176,23 @@ def test_points_with_more_numbers_than_declared(tmp_path: Path) -> None:
         read(tmp_path, head + with_more(SQUARE, b" 3")[:-9])
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_binary_with_more_faces_than_declared(tmp_path: Path, order: str, count: int) -> None:
+    content = tiny.ply_binary(order)
+    content = content.replace(b"element face 4", b"element face %d" % count)
+    with pytest.warns(RaystreamWarning, match=f"dropped: {13 * (4 - count)} bytes that the header"):
+        mesh = read(tmp_path, content)
+    np.testing.assert_array_equal(mesh.faces, tiny.SIDES[:count])
+
+
 def test_rows_need_not_be_lines(tmp_path: Path) -> None:
     for content in (SQUARE.replace(b"\n", b" ") + POLYGONS, SQUARE + POLYGONS.replace(b" ", b"\n")):
         assert read(tmp_path, SOLID + content).faces.tolist() == FANS[:5]
 
 
-def test_a_text_ply_that_is_cut_is_an_error(tmp_path: Path) -> None:
-    content = SOLID + SQUARE + POLYGONS
+@pytest.mark.parametrize("content", [SOLID + SQUARE + POLYGONS, tiny.ply_binary()])
+def test_a_ply_that_is_cut_is_an_error(tmp_path: Path, content: bytes) -> None:
     for cut in range(len(content) - 1):
         with pytest.raises(FileFormatError):
             read(tmp_path, content[:cut])

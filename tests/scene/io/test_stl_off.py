@@ -138,6 +138,13 @@ def test_a_text_stl_that_is_cut_is_an_error(tmp_path: Path, names: list[str], en
                 stl_scene(tmp_path, content[:cut])
 
 
+def test_a_binary_stl_that_is_cut_is_an_error(tmp_path: Path) -> None:
+    content = tiny.stl_binary()
+    for cut in range(1, len(content)):
+        with pytest.raises(FileFormatError):
+            stl(tmp_path, content[:cut])
+
+
 def counted(count: int) -> bytes:
     """Four triangles under a header that claims another number."""
     content = tiny.stl_binary()
@@ -244,6 +251,13 @@ def test_an_off_that_is_cut_is_an_error(tmp_path: Path, content: bytes) -> None:
     for cut in range(1, len(content) - 1):
         with pytest.raises(FileFormatError):
             off(tmp_path, content[:cut])
+
+
+@pytest.mark.parametrize("content", [tiny.OFF + b"3 0 1 2\n", tiny.OFF.replace(b"4 4 0", b"4 3 0")])
+def test_off_with_more_lines_than_declared(tmp_path: Path, content: bytes) -> None:
+    with pytest.warns(RaystreamWarning, match="dropped: 1 lines that the header does not declare"):
+        mesh = off(tmp_path, content)
+    np.testing.assert_array_equal(mesh.faces, tiny.SIDES[: mesh.triangle_count])
 
 
 def test_off_bad_indices(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.colors import byte_colors_to_linear, srgb_to_linear
 from raystream.scene.io.files import read_model_bytes
-from raystream.scene.io.partial import faces_in_range
+from raystream.scene.io.partial import faces_in_range, warn_partial
 from raystream.scene.io.polygons import fan_corners
 from raystream.scene.io.text import Lines, parse_floats, plain_text, shown
 from raystream.scene.mesh import Mesh
@@ -48,7 +48,7 @@ def read_off(path: Path) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For triangles that were skipped.
+        For triangles that were skipped, and for lines that the header does not declare.
     """
     text = _COMMENT.sub(b"", plain_text(read_model_bytes(path)))
     flags, body = _keyword(path, text)
@@ -128,6 +128,9 @@ def _one_per_line(
     sizes = numbers[np.cumsum(words) - words]
     if not ((sizes >= 0) & (sizes == np.floor(sizes)) & (sizes < words)).all():
         raise FileFormatError(path, "a face has fewer corners than it declares")
+    extra = len(rows) - vertex_count - face_count
+    if extra:
+        warn_partial(path, f"dropped: {extra:,} lines that the header does not declare")
     return points, (numbers, words)
 
 

@@ -58,10 +58,16 @@ def read_values(
     Warns
     -----
     RaystreamWarning
-        For numbers of text that the header does not declare.
+        For numbers of text, and records of binary data, that the header does not declare.
     """
     if encoding != "ascii":
-        return _read_all(path, _Binary(path, content, start, encoding), elements)
+        binary = _Binary(path, content, start, encoding)
+        found = _read_all(path, binary, elements)
+        if elements and binary.remaining() >= max(_least_size(binary, elements[-1]), 1):
+            warn_partial(
+                path, f"dropped: {binary.remaining():,} bytes that the header does not declare"
+            )
+        return found
     text = _Text(path, plain_text(content[start:]))
     fault = FileFormatError(path, "is damaged: its rows have more numbers than the header declares")
     try:
@@ -80,13 +86,17 @@ def _read_all(path: Path, reader: _Text | _Binary, elements: list[Element]) -> d
     found = {}
     for element in elements:
         if element.properties and element.count:
-            least = sum(reader.size(p.count_type or p.value_type) for p in element.properties)
-            if element.count > reader.remaining() // least:
+            if element.count > reader.remaining() // _least_size(reader, element):
                 raise _truncated(path, element)
             found[element.name] = reader.read(element)
         else:
             found[element.name] = _no_values(element)
     return found
+
+
+def _least_size(reader: _Text | _Binary, element: Element) -> int:
+    """The size of a record whose lists are empty."""
+    return sum(reader.size(prop.count_type or prop.value_type) for prop in element.properties)
 
 
 def _no_values(element: Element) -> Values:
