@@ -14,7 +14,7 @@ def clearances(heights, spacing, eye, target_height=0.0):
     Parameters
     ----------
     heights : ndarray of shape (H, W)
-        Without holes.
+        NaN where there is no data: in rectangles that leave no edge without a triangle.
     spacing : tuple of two float
     eye : array_like of shape (3,)
     target_height : float

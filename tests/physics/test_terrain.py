@@ -238,6 +238,145 @@ def test_a_hole_hides_nothing_and_is_not_visible():
     assert not behind[np.abs(at_wall - 20) > 3.1].any()
 
 
+SURFACES = ("mesh", "height field")
+NAN = np.nan
+
+
+def across(row, turn=0, count=5):
+    """A raster of equal rows, turned, and the place of a point of its middle row."""
+    heights = np.rot90(np.tile(np.array(row, float), (count, 1)), turn)
+
+    def place(column):
+        cells = np.zeros((count, len(row)))
+        cells[count // 2, column] = 1.0
+        y, x = np.argwhere(np.rot90(cells, turn))[0]
+        return 10.0 * x, 10.0 * y
+
+    def middle(values):
+        return np.rot90(values, -turn)[count // 2]
+
+    return heights, place, middle
+
+
+#: Rows of heights with the eye 10 above the first one; the cells that it sees, by hand.
+HOLES = {
+    "a plateau behind a hole": ([0, 0, 0, NAN, NAN, 100, 100, 100, 100], 0.0, "111..1000"),
+    "masts on it": ([0, 0, 0, NAN, NAN, 100, 100, 100, 100], 8.0, "111..1000"),
+    "high masts on it": ([0, 0, 0, NAN, NAN, 100, 100, 100, 100], 60.0, "111..1111"),
+    "an island between holes": ([0, 0, NAN, 50, 50, NAN, 0, 0, 90], 0.0, "11.10.000"),
+    "a low island": ([0, 0, NAN, 1, 1, NAN, 0, 0, 0], 0.0, "11.11.111"),
+    "a plateau over a low island": ([0, 0, NAN, 1, 1, NAN, 80, 80, 80], 0.0, "11.11.100"),
+    "a slope that falls to the hole": ([0, 0, NAN, NAN, 20, 40, 60, 80, 100], 0.0, "11..11111"),
+    "a valley behind a hole": ([100, 90, NAN, NAN, 0, 0, 0, 0, 0], 0.0, "11..00111"),
+    "a hole behind a ridge": ([0, 0, 100, NAN, NAN, 0, 0, 0, 0], 0.0, "111..0000"),
+    "a hole at the ridge": ([0, 0, 0, NAN, NAN, 0, 0, 0, 0], 0.0, "111..1111"),
+}
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("name", HOLES)
+def test_lines_of_sight_do_not_pass_below_known_ground(name, surface):
+    row, target_height, wanted = HOLES[name]
+    for turn in range(4):
+        heights, place, middle = across(row, turn)
+        ground = rs.terrain(heights, spacing=10.0, surface=surface)
+        seen = ground.viewshed(place(0), height=10.0, target_height=target_height)
+        kinds = middle(np.where(seen.mask, 2, seen.data))
+        assert "".join("01."[kind] for kind in kinds) == wanted, turn
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_a_plateau_behind_a_hole_is_hidden_on_a_curved_earth(surface):
+    heights, place, middle = across([0, 0, 0, NAN, NAN, 100, 100, 100, 100])
+    ground = rs.terrain(heights, spacing=10.0, surface=surface)
+    seen = ground.viewshed(place(0), height=10.0, earth_radius=1e5, refraction=0.1)
+    assert middle(seen).tolist() == [True] * 3 + [None] * 2 + [True] + [False] * 3
+
+
+def check_past_holes(surface, seed):
+    """Compare lines past random holes with profiles; returns how many, and hidden from below."""
+    rng = np.random.default_rng(seed)
+    heights = hills(60, seed, height=80.0)
+    for _ in range(4):
+        row, column = rng.integers(2, 45, 2)
+        heights[row : row + rng.integers(1, 20), column : column + rng.integers(1, 20)] = np.nan
+    windows = np.lib.stride_tricks.sliding_window_view(np.isnan(heights), (2, 2))
+    squares = np.pad(~windows.any(axis=(2, 3)), 1)  # strips of one cell have no triangles
+    heights[~(squares[1:, 1:] | squares[1:, :-1] | squares[:-1, 1:] | squares[:-1, :-1])] = np.nan
+    ground = rs.terrain(heights, spacing=(2.0, 3.0), surface=surface)
+    certain = below = 0
+    for observer in rng.uniform(0, [118.0, 177.0], (6, 2)):
+        if np.isnan(ground.elevation(*observer)):
+            continue
+        eye = [*observer, float(ground.elevation(*observer)) + 3.0]
+        for target_height in (0.0, 1.0):
+            seen = ground.viewshed(observer, height=3.0, target_height=target_height)
+            gap = clearances(heights, (2.0, 3.0), eye, target_height)
+            is_certain = ~np.isnan(heights) & (np.abs(gap) > TOLERANCE * 180.0)
+            assert (seen.data == (gap > 0))[is_certain].all()
+            certain += is_certain.sum()
+        points = np.stack([*np.meshgrid(ground.x, ground.y), heights + 1.0], axis=-1)
+        clear = ~ground.tracer.any_hit(eye, points - eye, t_max=1.0)  # of triangles
+        below += (clear & ~seen.data)[is_certain].sum()
+    return certain, below
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_viewsheds_past_holes_agree_with_profiles(surface):
+    certain, below = np.sum([check_past_holes(surface, seed) for seed in range(4)], axis=0)
+    assert certain > 100_000
+    assert below > 50
+
+
+@pytest.mark.exhaustive
+def test_a_million_lines_past_holes_agree_with_profiles():
+    found = [check_past_holes(SURFACES[seed % 2], seed) for seed in range(4, 50)]
+    certain, below = np.sum(found, axis=0)
+    assert certain > 1_000_000
+    assert below > 1_000
+
+
+#: Rows of heights, 10 apart; which cells are in shadow of a sun behind the last one, by hand.
+SHADOWS = {
+    "a plateau": ([0, 0, 0, NAN, NAN, 100, 100, 100, 100, 100, 100], 20.0, "000..111111"),
+    "a plateau before a hole": ([0, 0, 0, NAN, NAN, 100, 100, 100, NAN], 20.0, "000..111."),
+    "an island": ([0, 0, NAN, 30, 30, NAN, 0, 0], 15.0, "00.11.11"),
+    "two cells of a shadow of 36 m": ([0, 0, 0, 0, NAN, NAN, 30, 30, 30, NAN], 40.0, "1110..111."),
+    "a plain": ([0, 0, 0, NAN, NAN, 0, 0, NAN], 5.0, "111..11."),
+}
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("name", SHADOWS)
+def test_shadows_fall_across_holes(name, surface):
+    row, altitude, wanted = SHADOWS[name]
+    flat = np.float32(math.sin(math.radians(altitude)))
+    for turn, azimuth in enumerate((90.0, 180.0, 270.0, 0.0)):  # rows run north
+        heights, _, middle = across(row, turn)
+        ground = rs.terrain(heights, spacing=10.0, surface=surface)
+        shade = middle(ground.hillshade(azimuth, altitude, shadows=True))
+        kinds = np.where(np.isnan(shade), 2, np.abs(shade - flat) < 1e-6)
+        assert "".join("01."[kind] for kind in kinds) == wanted
+        from_valley = middle(ground.hillshade(azimuth + 180.0, altitude, shadows=True))
+        assert (np.isnan(from_valley) == np.isnan(row)).all()
+        assert from_valley[0] == pytest.approx(flat)
+
+
+def test_no_data_is_not_hidden():
+    heights = across([0, 0, 0, NAN, NAN, 100, 100])[0]
+    for dem in (heights, np.ma.MaskedArray(np.nan_to_num(heights), np.isnan(heights))):
+        seen = rs.terrain(dem, spacing=10.0).viewshed((0.0, 20.0), height=10.0)
+        assert seen[2].tolist() == [True, True, True, None, None, True, False]
+        assert seen.mean() == 4 / 5
+    marked = np.where(np.isnan(heights), -9999, heights).astype(np.int16)
+    seen = rs.terrain(marked, spacing=10.0, nodata=-9999).viewshed((0.0, 20.0), height=10.0)
+    assert (seen.mask == np.isnan(heights)).all()
+    assert not seen.data[seen.mask].any()
+    whole = rs.terrain(np.zeros((4, 4))).viewshed((1.0, 1.0), height=1.0)
+    assert type(whole) is np.ndarray
+    assert whole.dtype == bool
+
+
 def test_bands_do_not_change_the_answer(monkeypatch):
     heights = hills(70, 5)
     ground = rs.terrain(heights)

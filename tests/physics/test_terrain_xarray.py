@@ -74,6 +74,37 @@ def test_missing_heights():
     assert np.isnan(rs.terrain(raster(holes), nodata=-9999).heights).sum() == 1
 
 
+def test_no_data_is_not_hidden():
+    holes = np.tile([0.0, 0, 0, np.nan, np.nan, 100, 100], (5, 1))
+    for dem in (raster(holes), raster(np.nan_to_num(holes, nan=-1.0), attrs={"_FillValue": -1.0})):
+        seen = rs.terrain(dem).viewshed((500.0, 1980.0), height=10.0)
+        assert seen.dtype == np.float32
+        np.testing.assert_array_equal(seen[2], [1, 1, 1, np.nan, np.nan, 1, 0])
+        assert float(seen.mean()) == np.float32(4 / 5)
+
+
+@pytest.mark.parametrize("hole", [1.0, np.nan])
+def test_results_do_not_have_the_encoding_of_the_raster(hole):
+    heights = np.where(HEIGHTS[3, 4] == HEIGHTS, hole, HEIGHTS)
+    dem = raster(heights)
+    dem.encoding = {
+        "dtype": "int16",
+        "_FillValue": -9999,
+        "scale_factor": 0.1,
+        "grid_mapping": "crs",
+    }
+    ground = rs.terrain(dem)
+    seen, shade = ground.viewshed((570.0, 1940.0), height=5.0), ground.hillshade(shadows=True)
+    for result in (seen, shade):
+        assert result.encoding["grid_mapping"] == "crs"
+        variables = xr.conventions.encode_dataset_coordinates(result.to_dataset())[0]
+        written = xr.conventions.encode_cf_variable(variables[result.name])
+        read = xr.conventions.decode_cf_variable(result.name, written)
+        np.testing.assert_array_equal(read.values, result.values)
+        assert written.dtype == (np.uint8 if result is seen else np.float32)
+    assert dem.encoding["dtype"] == "int16"
+
+
 def test_without_coordinates_the_spacing_is_used():
     dem = xr.DataArray(HEIGHTS, dims=("north", "east"))
     assert rs.terrain(dem, spacing=5.0).x[-1] == 70.0

@@ -13,6 +13,9 @@ from raystream.core.rays import as_real_array
 #: Names of dimensions in degrees, which heights are not measured in.
 _ANGLES = frozenset(("lat", "latitude", "lon", "long", "longitude"))
 
+#: Encoding that says where a raster is.
+_PLACE = ("coordinates", "grid_mapping")
+
 
 class Georeference(NamedTuple):
     """Where the cells of a raster are, as the user gave it; see `raystream.terrain`."""
@@ -42,11 +45,26 @@ class Elevation(NamedTuple):
     labels: Any = None
 
     def labelled(self, values: NDArray[Any], name: str) -> Any:
-        """Values of cells with the labels of the raster, if it has any."""
+        """Values of cells with the labels of the raster, if it has any.
+
+        Flags, of dtype bool, are masked where there is no data; those with labels are float32
+        then, and NaN. In files they are bytes, 255 where there is no data.
+        """
+        encoding: dict[str, Any] = {"_FillValue": np.nan}
+        if values.dtype == np.bool_:
+            encoding = {"dtype": "uint8"}
+            is_missing = np.isnan(self.heights)
+            if is_missing.any():
+                if self.labels is None:
+                    return np.ma.MaskedArray(values, is_missing)
+                encoding["_FillValue"] = 255
+                values = np.where(is_missing, np.float32(np.nan), values)
         if self.labels is None:
             return values
         result = self.labels.copy(data=values)
-        result.name, result.attrs = name, {}
+        # The rest of the raster's encoding, such as int16, is that of heights.
+        places = {key: result.encoding[key] for key in _PLACE if key in result.encoding}
+        result.name, result.attrs, result.encoding = name, {}, places | encoding
         return result
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

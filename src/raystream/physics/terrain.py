@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from raystream.core.rays import as_number, as_real_array
 from raystream.jit.threads import Progress
 from raystream.physics.elevation import Elevation, Georeference, elevation_of
 from raystream.physics.hillshade import brightness, direction_to_sun
-from raystream.physics.terrain_mesh import triangulated
+from raystream.physics.terrain_mesh import hole_edges, triangulated, walls
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -122,8 +123,10 @@ class Terrain:
         -------
         ndarray of shape (H, W), bool, or DataArray
             Whether the line from the eye to the centre of each cell is clear: no triangle is in
-            the way except those around that cell. False where there is no data. A DataArray, named
-            "viewshed", if the terrain was made from one.
+            the way except those around that cell, and it does not pass below the ground behind
+            cells without data. If there are such cells, a masked array, in which they are masked,
+            and False beneath. A DataArray, named "viewshed", if the terrain was made from one; then
+            float32 if there are cells without data: 1, 0, and NaN for these.
 
         Raises
         ------
@@ -136,9 +139,10 @@ class Terrain:
 
         Notes
         -----
-        The ground is made of flat triangles. Lines that clear the ground by less than 2**-20 of the
-        terrain's size (1 cm in 10 km) may be reported either way. Rays are traced in bands of rows,
-        which bounds the memory.
+        The ground is made of flat triangles, and there are none next to cells without data: lines
+        pass there at any height, and are blocked where they meet known ground from below. Lines
+        that clear the ground by less than 2**-20 of the terrain's size (1 cm in 10 km) may be
+        reported either way. Rays are traced in bands of rows, which bounds the memory.
 
         With `earth_radius`, cells at a distance d from the observer on the map are lowered by
         (1 - refraction) d**2 / (2 earth_radius), and lines are straight [1]_. That is a sphere's
@@ -194,9 +198,9 @@ class Terrain:
         -------
         ndarray of shape (H, W), float32, or DataArray
             Cosine of the angle between the sun and the ground's normal, 0 to 1; 0 where the ground
-            faces away or, with `shadows`, in shadow; NaN where there is no data, or no neighbour in
-            the row or in the column. A DataArray, named "hillshade", if the terrain was made from
-            one.
+            faces away or, with `shadows`, in the shadow of known ground; NaN where there is no
+            data, or no neighbour in the row or in the column. A DataArray, named "hillshade", if
+            the terrain was made from one.
 
         Raises
         ------
@@ -286,13 +290,35 @@ class Terrain:
         The triangles around a vertex are never in the way: they lie below a line that begins above
         the ground and ends above the vertex, and only rounding makes it hit them before it ends.
         """
-        hits = self.tracer.first_hit(origins, directions, t_max=1.0)
-        is_clear = ~hits.is_hit
-        rows = np.flatnonzero(hits.is_hit)
-        a, b, c = self._samples_of(hits.prim_id[rows]).T
-        ends = vertices[rows]
-        is_clear[rows] = (a == ends) | (b == ends) | (c == ends)
+        is_clear = _reach_ends(self.tracer, origins, directions, vertices, self._samples_of)
+        if self._walls is None:
+            return is_clear
+        tracer, edges = self._walls
+        rows = np.flatnonzero(is_clear)
+        origins, directions = np.broadcast_arrays(origins, directions)
+        is_clear[rows] = _reach_ends(
+            tracer, origins[rows], directions[rows], vertices[rows], lambda ids: edges[ids // 2]
+        )
         return is_clear
+
+    @cached_property
+    def _walls(self) -> tuple[Tracer, NDArray[np.int64]] | None:
+        """Walls below the ground around holes, and the cells at the ends of each; None without.
+
+        A line can only come below known ground through triangles or through these. Like the
+        triangles around a vertex, the walls beneath it are never in the way of a line that ends
+        there: it meets their planes at its end.
+        """
+        edges = hole_edges(self.heights)
+        if not len(edges):
+            return None
+        check_memory(
+            BYTES_PER_CELL * len(edges),
+            f"the ground around cells without data, with {len(edges):,} edges, would",
+            "fill in single cells",
+        )
+        scene = Scene([Mesh(*walls(self._elevation, edges))], up=(0.0, 0.0, 1.0))
+        return Tracer(scene, **self._options), edges
 
     def _samples_of(self, prim_ids: NDArray[np.int32]) -> NDArray[Any]:
         """The cells at the corners of triangles, by number, shape (N, 3)."""
@@ -413,6 +439,21 @@ def _built(
         raise ValueError(_NO_TRIANGLES)
     scene = Scene([Mesh(vertices, faces, name="terrain")], up=(0.0, 0.0, 1.0), name="terrain")
     return Terrain(elevation, Tracer(scene, progress=progress, **options), options)
+
+
+def _reach_ends(
+    tracer: Tracer,
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    vertices: NDArray[np.intp],
+    cells_of: Callable[[NDArray[np.int32]], NDArray[Any]],
+) -> NDArray[np.bool_]:
+    """Whether rays first hit a triangle with their end among its cells, or none."""
+    hits = tracer.first_hit(origins, directions, t_max=1.0)
+    is_clear = ~hits.is_hit
+    rows = np.flatnonzero(hits.is_hit)
+    is_clear[rows] = (cells_of(hits.prim_id[rows]) == vertices[rows, None]).any(axis=1)
+    return is_clear
 
 
 def _place(observer: Any) -> NDArray[np.float64]:

@@ -47,6 +47,18 @@ def test_polygons_become_fans_in_file_order(tmp_path: Path) -> None:
     ]
 
 
+def test_a_cut_in_the_last_corner(tmp_path: Path) -> None:
+    """OBJ has no end: where the rest is an OBJ file, too, a cut cannot be told."""
+    for form in ("{0}/{0}/{0}", "{0}//{0}", "{0}/{0}", "{0}"):
+        rows = SQUARE.replace("v", "vt") + SQUARE.replace("v", "vn") + SQUARE
+        text = rows + "f " + " ".join(form.format(n) for n in (1, 2, 3))
+        for end in ("", " ", " # a/b", "\n", "\r"):
+            assert read(tmp_path, text + end).triangle_count == 1
+        for cut in range(len(text) - len(form.format(3)) + 1, len(text)):
+            with pytest.raises(FileFormatError, match="is truncated: its last line ends with"):
+                read(tmp_path, text[:cut])
+
+
 def test_relative_indices_count_from_their_own_line(tmp_path: Path) -> None:
     scene = read(tmp_path, SQUARE + "f -4 -3 -2\nv 9 9 9\nf -5 -4 -1\nf 1 -1 2\n")
     assert only_mesh(scene).faces.tolist() == [[0, 1, 2], [0, 1, 4], [0, 4, 1]]

@@ -123,6 +123,81 @@ def test_bad_indices(tmp_path: Path) -> None:
         read(tmp_path, head + SQUARE + b"3 0 1 9\n" * 4)
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"Created by Blender3D 247 - www.blender.org, source file: ",
+        b"Created by ply2vert",
+        b"author: someone",
+        b"element-wise model of a vertex",
+    ],
+)
+def test_lines_without_the_word_comment(tmp_path: Path, line: bytes) -> None:
+    for content in (tiny.ply_text(), tiny.ply_binary()):
+        mesh = read(tmp_path, content.replace(b"comment tiny", line))
+        np.testing.assert_array_equal(mesh.faces, tiny.SIDES)
+
+
+def with_more(rows: bytes, more: bytes) -> bytes:
+    return rows.replace(b"\n", more + b"\n")
+
+
+LIST = "property list uchar int vertex_indices"
+SOLID = header("element vertex 5", *XYZ, "element face 3", LIST)
+POLYGONS = b"3 0 1 2\n5 0 1 2 4 3\n3 0 1 3\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "dropped"),
+    [
+        (SOLID + with_more(SQUARE, b" 0 0 1") + POLYGONS, 15),
+        (SOLID + SQUARE + with_more(POLYGONS, b" 255 0"), 6),
+        (SOLID + with_more(SQUARE, b" 7") + with_more(POLYGONS, b" 7") + b"\n\n", 8),
+        (SOLID + SQUARE.replace(b"1 1 0", b"1 1 0 9") + POLYGONS, 1),
+        (SOLID + SQUARE + POLYGONS.replace(b"4 3\n", b"4 3 8 8\r\n\n"), 2),
+        (SOLID + SQUARE + POLYGONS + b"3 0 1 2\n", 4),
+    ],
+)
+def test_text_rows_with_more_numbers_than_declared(
+    tmp_path: Path, content: bytes, dropped: int
+) -> None:
+    with pytest.warns(RaystreamWarning, match=f"dropped: {dropped} numbers that the header does"):
+        mesh = read(tmp_path, content)
+    assert mesh.faces.tolist() == FANS[:5]
+    assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 2, 0]]
+
+
+def test_points_with_more_numbers_than_declared(tmp_path: Path) -> None:
+    head = header("element vertex 5", *XYZ)
+    with pytest.warns(RaystreamWarning, match="dropped: 5 numbers"):
+        mesh = read(tmp_path, head + with_more(SQUARE, b" 3"))
+    assert mesh.vertices[:, 2].tolist() == [0] * 5
+    with pytest.raises(FileFormatError, match="rows have more numbers than the header declares"):
+        read(tmp_path, head + with_more(SQUARE, b" 3")[:-9])
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_binary_with_more_faces_than_declared(tmp_path: Path, order: str, count: int) -> None:
+    content = tiny.ply_binary(order)
+    content = content.replace(b"element face 4", b"element face %d" % count)
+    with pytest.warns(RaystreamWarning, match=f"dropped: {13 * (4 - count)} bytes that the header"):
+        mesh = read(tmp_path, content)
+    np.testing.assert_array_equal(mesh.faces, tiny.SIDES[:count])
+
+
+def test_rows_need_not_be_lines(tmp_path: Path) -> None:
+    for content in (SQUARE.replace(b"\n", b" ") + POLYGONS, SQUARE + POLYGONS.replace(b" ", b"\n")):
+        assert read(tmp_path, SOLID + content).faces.tolist() == FANS[:5]
+
+
+@pytest.mark.parametrize("content", [SOLID + SQUARE + POLYGONS, tiny.ply_binary()])
+def test_a_ply_that_is_cut_is_an_error(tmp_path: Path, content: bytes) -> None:
+    for cut in range(len(content) - 1):
+        with pytest.raises(FileFormatError):
+            read(tmp_path, content[:cut])
+
+
 FACE = ("element face 1", "property list uchar int vertex_indices")
 HUGE = "999999999999999"
 

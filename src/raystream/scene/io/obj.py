@@ -59,7 +59,9 @@ def read_obj(path: Path) -> Scene:
     RaystreamWarning
         For triangles, material libraries and textures that were skipped.
     """
-    text = plain_text(read_model_bytes(path))
+    content = read_model_bytes(path)
+    _require_whole_corner(path, content)
+    text = plain_text(content)
     if b"\\" in text:
         text = _CONTINUED.sub(b" ", text)
     if b".#" in text:
@@ -85,6 +87,15 @@ def read_obj(path: Path) -> Scene:
 
 
 _VERTEX, _TEXCOORD, _NORMAL, _FACE, _STATEMENT = 1, 2, 3, 4, 5
+
+
+def _require_whole_corner(path: Path, content: bytes) -> None:
+    """Find a cut in a face's last corner, which then lacks indices that the others have."""
+    last_line = content[max(content.rfind(b"\n"), content.rfind(b"\r")) + 1 :]
+    words = last_line.partition(b"#")[0].split()
+    filled = [[bool(part) for part in word.split(b"/")] for word in words[1:]]
+    if words[:1] == [b"f"] and filled and filled[-1] != filled[0]:
+        raise FileFormatError(path, f"is truncated: its last line ends with {shown(words[-1])}")
 
 
 def _without_comments(text: bytes) -> bytes:

@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.colors import byte_colors_to_linear, srgb_to_linear
 from raystream.scene.io.files import read_model_bytes
-from raystream.scene.io.partial import faces_in_range
+from raystream.scene.io.partial import faces_in_range, warn_partial
 from raystream.scene.io.polygons import fan_corners
 from raystream.scene.io.text import Lines, parse_floats, plain_text, shown
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
-_KEYWORD = re.compile(rb"(ST)?(C)?(N)?(4)?(n)?OFF(?=\s)")
+_KEYWORD = re.compile(rb"(ST)?(C)?(N)?(4)?(n)?OFF(?=[\s\d])")
 _COMMENT = re.compile(rb"#[^\n]*")
+
+#: Numbers of rows one after the other, and their count in each row.
+_Table = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def read_off(path: Path) -> Scene:
@@ -45,23 +48,24 @@ def read_off(path: Path) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For triangles that were skipped.
+        For triangles that were skipped, and for lines that the header does not declare.
     """
     text = _COMMENT.sub(b"", plain_text(read_model_bytes(path)))
     flags, body = _keyword(path, text)
     lines = Lines(plain_text(body))
     rows = np.flatnonzero(lines.word_counts)
     vertex_count, face_count, rows = _counts(path, lines, rows)
-    if vertex_count + face_count > len(rows):
-        raise FileFormatError(
-            path,
-            f"is truncated: the header declares {vertex_count:,} vertices and {face_count:,} "
-            f"faces, but there are {len(rows):,} lines",
-        )
-    vertex_rows = rows[:vertex_count]
-    face_rows = rows[vertex_count : vertex_count + face_count]
-    vertices, normals, colors = _vertices(path, lines, vertex_rows, flags)
-    faces = _faces(path, lines, face_rows)
+    least = 6 if "normal" in flags else 3
+    try:
+        points, polygons = _one_per_line(path, lines, rows, (vertex_count, face_count), least)
+    except FileFormatError:
+        widths = [least + 4, least + 3] if "color" in flags else [least]
+        found = _many_per_line(path, lines, rows, (vertex_count, face_count), widths)
+        if found is None:
+            raise
+        points, polygons = found
+    vertices, normals, colors = _vertices(*points, flags)
+    faces = _faces(*polygons)
     faces = faces[faces_in_range(path, faces, vertex_count)]
     mesh = Mesh(vertices, faces, normals=normals, colors=colors)
     return Scene([mesh], name=path.name)
@@ -94,9 +98,7 @@ def _counts(
     return int(words[0]), int(words[1]), rows[1:]
 
 
-def _numbers(
-    path: Path, lines: Lines, rows: NDArray[np.int64], least: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _numbers(path: Path, lines: Lines, rows: NDArray[np.int64], least: int) -> _Table:
     """Parse the numbers of lines, and count them line by line."""
     counts = lines.word_counts[rows]
     if len(counts) and int(counts.min()) < least:
@@ -110,17 +112,62 @@ def _numbers(
         raise FileFormatError(path, "a value is not a number") from None
 
 
+def _one_per_line(
+    path: Path, lines: Lines, rows: NDArray[np.int64], counts: tuple[int, int], least: int
+) -> tuple[_Table, _Table]:
+    """Read vertices and faces, the first numbers of a line each."""
+    vertex_count, face_count = counts
+    if vertex_count + face_count > len(rows):
+        raise FileFormatError(
+            path,
+            f"is truncated: the header declares {vertex_count:,} vertices and {face_count:,} "
+            f"faces, but there are {len(rows):,} lines",
+        )
+    points = _numbers(path, lines, rows[:vertex_count], least)
+    numbers, words = _numbers(path, lines, rows[vertex_count : vertex_count + face_count], 1)
+    sizes = numbers[np.cumsum(words) - words]
+    if not ((sizes >= 0) & (sizes == np.floor(sizes)) & (sizes < words)).all():
+        raise FileFormatError(path, "a face has fewer corners than it declares")
+    extra = len(rows) - vertex_count - face_count
+    if extra:
+        warn_partial(path, f"dropped: {extra:,} lines that the header does not declare")
+    return points, (numbers, words)
+
+
+def _many_per_line(
+    path: Path, lines: Lines, rows: NDArray[np.int64], counts: tuple[int, int], widths: list[int]
+) -> tuple[_Table, _Table] | None:
+    """Read vertices, then faces, in lines of any length.
+
+    None unless the vertices end at the end of a line, and the faces at the end of the file: so a
+    truncated file is not taken for one of these.
+    """
+    vertex_count, face_count = counts
+    numbers, words = _numbers(path, lines, rows, 1)
+    ends = np.cumsum(words)
+    for width in widths:
+        begin = width * vertex_count
+        if begin > len(numbers) or begin not in ends:
+            continue
+        polygons, position = [], begin
+        while position < len(numbers) and 3 <= numbers[position] < len(numbers) - position:
+            polygons.append(1 + int(numbers[position]))
+            position += polygons[-1]
+        if position == len(numbers) and len(polygons) == face_count:
+            points = numbers[:begin], np.full(vertex_count, width)
+            return points, (numbers[begin:], np.asarray(polygons, np.int64))
+    return None
+
+
 def _vertices(
-    path: Path, lines: Lines, rows: NDArray[np.int64], flags: frozenset[str]
+    numbers: NDArray[np.float64], counts: NDArray[np.int64], flags: frozenset[str]
 ) -> tuple[NDArray[np.float64], NDArray[Any] | None, NDArray[np.float32] | None]:
-    """Read position, normal and colour, where the keyword announces them."""
-    normal_width = 3 if "normal" in flags else 0
-    least = 3 + normal_width
-    numbers, counts = _numbers(path, lines, rows, least)
+    """Position, normal and colour, where the keyword announces them."""
     starts = (np.cumsum(counts) - counts)[:, None]
     vertices = numbers[starts + np.arange(3)]
-    normals = None
-    if normal_width:
+    normals, least = None, 3
+    if "normal" in flags:
+        least = 6
         with np.errstate(over="ignore"):
             normals = numbers[starts + np.arange(3, 6)].astype(np.float32)
     if "color" not in flags or not len(counts) or int(counts.min()) < least + 3:
@@ -130,13 +177,9 @@ def _vertices(
     return vertices, normals, byte_colors_to_linear(encoded) if whole else srgb_to_linear(encoded)
 
 
-def _faces(path: Path, lines: Lines, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    numbers, words = _numbers(path, lines, rows, 1)
+def _faces(numbers: NDArray[np.float64], words: NDArray[np.int64]) -> NDArray[np.int64]:
     starts = np.cumsum(words) - words
-    sizes = numbers[starts]
-    if not ((sizes >= 0) & (sizes == np.floor(sizes)) & (sizes < words)).all():
-        raise FileFormatError(path, "a face has fewer corners than it declares")
-    corners, _ = fan_corners(sizes.astype(np.int64), starts + 1)
+    corners, _ = fan_corners(numbers[starts].astype(np.int64), starts + 1)
     indices = numbers[corners]
     whole = (indices == np.floor(indices)) & (np.abs(indices) < 2.0**40)
     return np.where(whole, indices, -1.0).astype(np.int64)

@@ -93,7 +93,7 @@ def read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
                 elements.append(Element(words[1], _element_count(words[2])))
             elif words[0] == "property":
                 elements[-1].properties.append(_property(words[1:]))
-            else:
+            elif elements:  # before them, some exporters write bare comments
                 raise ValueError(words[0])
         except (KeyError, IndexError, ValueError):
             raise FileFormatError(path, f"cannot read the PLY header line {shown(line)}") from None

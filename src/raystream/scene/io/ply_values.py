@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
+from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.ply_layout import Element
-from raystream.scene.io.text import parse_floats, plain_text, shown
+from raystream.scene.io.text import Lines, parse_floats, plain_text, shown
 
 
 @dataclass
@@ -53,21 +54,49 @@ def read_values(
     ------
     FileFormatError
         If the file has less than the header declares, or a value is not a number.
+
+    Warns
+    -----
+    RaystreamWarning
+        For numbers of text, and records of binary data, that the header does not declare.
     """
-    source = _Text(path, content[start:]) if encoding == "ascii" else None
-    binary = _Binary(path, content, start, encoding) if source is None else None
-    reader = source or binary
-    assert reader is not None
+    if encoding != "ascii":
+        binary = _Binary(path, content, start, encoding)
+        found = _read_all(path, binary, elements)
+        if elements and binary.remaining() >= max(_least_size(binary, elements[-1]), 1):
+            warn_partial(
+                path, f"dropped: {binary.remaining():,} bytes that the header does not declare"
+            )
+        return found
+    text = _Text(path, plain_text(content[start:]))
+    fault = FileFormatError(path, "is damaged: its rows have more numbers than the header declares")
+    try:
+        found = _read_all(path, text, elements)
+        if not text.remaining():
+            return found
+    except FileFormatError as error:
+        fault = error
+    rows = text.read_rows(elements)
+    if rows is None:
+        raise fault
+    return rows
+
+
+def _read_all(path: Path, reader: _Text | _Binary, elements: list[Element]) -> dict[str, Values]:
     found = {}
     for element in elements:
         if element.properties and element.count:
-            least = sum(reader.size(p.count_type or p.value_type) for p in element.properties)
-            if element.count > reader.remaining() // least:
+            if element.count > reader.remaining() // _least_size(reader, element):
                 raise _truncated(path, element)
             found[element.name] = reader.read(element)
         else:
             found[element.name] = _no_values(element)
     return found
+
+
+def _least_size(reader: _Text | _Binary, element: Element) -> int:
+    """The size of a record whose lists are empty."""
+    return sum(reader.size(prop.count_type or prop.value_type) for prop in element.properties)
 
 
 def _no_values(element: Element) -> Values:
@@ -90,11 +119,10 @@ class _Text:
     """Values as words; positions count words."""
 
     def __init__(self, path: Path, text: bytes) -> None:
-        self.path = path
+        self.path, self.text = path, text
         self.position = 0
-        words = plain_text(text)
         try:
-            self.numbers = parse_floats(words, len(words.split()))
+            self.numbers = parse_floats(text, len(text.split()))
         except ValueError:
             raise FileFormatError(path, "a value is not a number") from None
 
@@ -157,6 +185,52 @@ class _Text:
                 for name, (counts, parts) in lists.items()
             },
         )
+
+    def read_rows(self, elements: list[Element]) -> dict[str, Values] | None:
+        """Read all elements with one row per line, and warn of numbers that are left over.
+
+        Returns None unless each row has its line, with enough numbers.
+        """
+        counts = Lines(self.text).word_counts
+        stops = np.cumsum(counts[counts > 0])
+        found, first, extra = {}, 0, 0
+        for element in elements:
+            if not (element.properties and element.count):
+                found[element.name] = _no_values(element)
+                continue
+            ends = stops[first : first + element.count]
+            places = np.concatenate([[stops[first - 1] if first else 0], ends[:-1]])
+            if len(ends) < element.count:
+                return None
+            values = Values()
+            for prop in element.properties:
+                if (places >= ends).any():
+                    return None
+                numbers = self.numbers[places]
+                places = places + 1
+                if not prop.count_type:
+                    values.scalars[prop.name] = numbers
+                    continue
+                is_whole = numbers == np.floor(numbers)
+                if not (is_whole & (numbers >= 0) & (numbers <= ends - places)).all():
+                    return None
+                lengths = numbers.astype(np.int64)
+                values.lists[prop.name] = (lengths, self.numbers[_runs(places, lengths)])
+                places = places + lengths
+            found[element.name] = values
+            extra += int((ends - places).sum())
+            first += element.count
+        extra += len(self.numbers) - int(stops[first - 1] if first else 0)
+        warn_partial(self.path, f"dropped: {extra:,} numbers that the header does not declare")
+        return found
+
+
+def _runs(
+    starts: NDArray[np.int64], lengths: NDArray[np.int64], step: int = 1
+) -> NDArray[np.int64]:
+    """The positions of lists, one after the other."""
+    within = np.arange(int(lengths.sum())) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return np.repeat(starts, lengths) + within * step
 
 
 def _list_count(path: Path, value: float, limit: int) -> int:
@@ -274,8 +348,7 @@ class _Binary:
     ) -> NDArray[Any]:
         """Gather lists at any offsets into one array."""
         size = self.size(value_type)
-        within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
-        places = np.repeat(starts, counts) + within * size
+        places = _runs(starts, counts, size)
         letters = np.frombuffer(self.content, np.uint8)
         taken = letters[places[:, None] + np.arange(size)]
         return np.frombuffer(taken.tobytes(), self.order + value_type)

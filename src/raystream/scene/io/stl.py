@@ -11,22 +11,40 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import read_model_bytes
-from raystream.scene.io.text import BYTE_ORDER_MARK, parse_floats, plain_text
+from raystream.scene.io.part_names import number_meshes
+from raystream.scene.io.partial import warn_partial
+from raystream.scene.io.text import BYTE_ORDER_MARK, decoded, parse_floats, plain_text, shown
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
 _HEADER_BYTES = 84
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
-#: A solid's name may be any words, such as "vertex".
-_NAMES = re.compile(rb"^ *(end)?solid\b[^\n]*?(?=facet +normal|$)", re.MULTILINE)
+#: A file with more solids becomes one mesh: a mesh costs far more than a triangle.
+MAX_SOLIDS = 10_000
+
+#: The word of a statement, and the solid's name: any words, such as "vertex".
+_STATEMENT = re.compile(rb"solid\b([^\n]*?)(?=facet +normal|$)", re.MULTILINE)
+
+#: A facet of text, word by word; the places of its keywords, and of the corners' numbers.
+_LAYOUT = (
+    b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet"
+).split()
+_KEYWORDS = [(place, word) for place, word in enumerate(_LAYOUT) if word != b"0"]
+_NUMBERS = [place for place, word in enumerate(_LAYOUT) if word == b"0"][3:]
+
+#: Facets in any other layout: a letter for each word that matters.
+_LETTERS = {b"facet": b"f", b"vertex": b"v", b"endfacet": b"e"}
+_FACETS = re.compile(rb"(?:fvvve)*+")
+_CORNERS = re.compile(rb"f?(v*)")
+_SPLIT_ENDS = re.compile(rb"\bend +(?=facet|loop)")
 
 
 def read_stl(path: Path) -> Scene:
-    """Read an STL file into a scene of one mesh.
+    """Read an STL file into a scene of one mesh for each solid.
 
     Corners are not welded: every triangle has its own three vertices. Facet normals are
-    ignored: they follow from the corners.
+    ignored: they follow from the corners. Solids without facets are left out, if others have some.
 
     Parameters
     ----------
@@ -36,18 +54,35 @@ def read_stl(path: Path) -> Scene:
     Returns
     -------
     Scene
+        Meshes of text files are named by their solids, and numbered where names repeat; a binary
+        file is one mesh without a name.
 
     Raises
     ------
     FileFormatError
-        If the file cannot be read, is not STL, or is truncated.
+        If the file cannot be read, is not STL, is truncated, or its facets are not triangles.
+
+    Warns
+    -----
+    RaystreamWarning
+        For more than `MAX_SOLIDS` solids, which become one mesh.
     """
     content = read_model_bytes(path)
-    corners = (
-        _binary_corners(path, content) if _is_binary(content) else _text_corners(path, content)
-    )
-    faces = np.arange(len(corners) * 3, dtype=np.int64).reshape(-1, 3)
-    return Scene([Mesh(corners.reshape(-1, 3), faces)], name=path.name)
+    if _is_binary(content):
+        parts = [("", _binary_corners(path, content))]
+    else:
+        solids = _solids(path, plain_text(content))
+        parts = [(name, _text_corners(path, name, body)) for name, body in solids]
+    parts = [part for part in parts if len(part[1])] or parts[:1]
+    if len(parts) > MAX_SOLIDS:
+        warn_partial(path, f"its {len(parts):,} solids are more than {MAX_SOLIDS:,}: one mesh")
+        parts = [("", np.concatenate([corners for _, corners in parts]))]
+    meshes = []
+    for name, corners in parts:
+        faces = np.arange(len(corners) * 3, dtype=np.int64).reshape(-1, 3)
+        meshes.append(Mesh(corners.reshape(-1, 3), faces, name=name))
+    number_meshes(meshes)
+    return Scene(meshes, name=path.name)
 
 
 def _is_binary(content: bytes) -> bool:
@@ -73,26 +108,81 @@ def _binary_corners(path: Path, content: bytes) -> NDArray[Any]:
             f"is truncated or not STL: {count:,} triangles need {declared:,} bytes, "
             f"but it has {len(content):,}",
         )
-    if count == 0 and len(content) >= _HEADER_BYTES + _FACET.itemsize:
-        raise FileFormatError(path, "is damaged: data after a declared count of no triangles")
+    more = (len(content) - declared) // _FACET.itemsize
+    if more:
+        raise FileFormatError(
+            path,
+            f"is damaged: data for {more:,} triangles after a declared count of "
+            f"{f'{count:,}' if count else 'no'} triangles",
+        )
     facets = np.frombuffer(content, _FACET, count, _HEADER_BYTES)
     return facets["corners"].astype(np.float32)
 
 
-def _text_corners(path: Path, content: bytes) -> NDArray[Any]:
-    text = plain_text(content).lower()
-    words = _NAMES.sub(b"", text).split()
-    places = [i for i, word in enumerate(words) if word == b"vertex"]
-    if not places and b"endsolid" not in text:
-        raise FileFormatError(path, "is truncated: it ends before its first triangle")
-    if len(places) % 3:
-        raise FileFormatError(path, f"is truncated: {len(places):,} corners, not a multiple of 3")
-    if places and places[-1] + 3 >= len(words):
-        raise FileFormatError(path, "is truncated: the last corner has no position")
-    numbers = b" ".join([b" ".join(words[i + 1 : i + 4]) for i in places])
+def _solids(path: Path, text: bytes) -> list[tuple[str, bytes]]:
+    """The name of each solid, and the words of its facets in lower case."""
+    lowered = text.lower()
+    solids: list[tuple[str, bytes]] = []
+    name, position, is_open = "", 0, False
+    for match in _STATEMENT.finditer(lowered):
+        body = lowered[position : match.start()].rstrip(b" ")
+        is_end = body.endswith(b"end")
+        if is_end != is_open:
+            raise FileFormatError(
+                path,
+                f"is damaged: 'solid' and 'endsolid' do not alternate after solid {name!r:.60}",
+            )
+        if is_end:
+            solids.append((name, body[:-3]))
+        else:
+            _require_blank(path, body)
+            name = " ".join(decoded(text[match.start(1) : match.end(1)]).split())
+        position, is_open = match.end(), not is_open
+    if is_open:
+        raise FileFormatError(path, f"is truncated: solid {name!r:.60} has no 'endsolid'")
+    _require_blank(path, lowered[position:])
+    return solids
+
+
+def _require_blank(path: Path, text: bytes) -> None:
+    if text.strip():
+        raise FileFormatError(path, f"is truncated or damaged: {shown(text)} outside of a solid")
+
+
+def _text_corners(path: Path, name: str, body: bytes) -> NDArray[Any]:
+    words = body.split()
+    width = len(_LAYOUT)
+    count, rest = divmod(len(words), width)
+    if not rest and all(words[place::width].count(word) == count for place, word in _KEYWORDS):
+        numbers = [b""] * (9 * count)
+        for column, place in enumerate(_NUMBERS):
+            numbers[column::9] = words[place::width]
+    else:
+        if b"end " in body:
+            words = _SPLIT_ENDS.sub(b"end", body).split()
+        marks = [i for i, word in enumerate(words) if word in _LETTERS]
+        count = _facet_count(path, name, b"".join([_LETTERS[words[i]] for i in marks]))
+        places = [i for i in marks if words[i] == b"vertex"]
+        numbers = [b" ".join(words[i + 1 : i + 4]) for i in places]
     try:
-        corners = parse_floats(numbers, 3 * len(places)).reshape(-1, 3, 3)
+        corners = parse_floats(b" ".join(numbers), 9 * count).reshape(-1, 3, 3)
     except ValueError:
         raise FileFormatError(path, "a corner's position is not three numbers") from None
     with np.errstate(over="ignore"):
         return corners.astype(np.float32)
+
+
+def _facet_count(path: Path, name: str, letters: bytes) -> int:
+    """Count facets, and check that each has three corners and an end."""
+    facets = _FACETS.match(letters)
+    corners = _CORNERS.match(letters, facets.end() if facets else 0)
+    assert facets
+    assert corners
+    count = facets.end() // 5
+    if facets.end() < len(letters):
+        found = len(corners[1])
+        fault = "has no end" if found == 3 else f"has {found} corners, not 3"
+        raise FileFormatError(
+            path, f"is truncated or damaged: facet {count + 1:,} of solid {name!r:.60} {fault}"
+        )
+    return count
