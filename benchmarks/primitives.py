@@ -124,8 +124,9 @@ class MitsubaSpheres:
         self.scene = mitsuba.load_dict(shape)
 
     def rays(self, origins: np.ndarray, directions: np.ndarray) -> Any:
-        points, vectors = (np.ascontiguousarray(a.T) for a in (origins, directions))
-        rays = self.mi.Ray3f(self.mi.Point3f(points), self.mi.Vector3f(vectors))
+        mi, unravel = self.mi, self.dr.unravel
+        points, vectors = (mi.Float(np.ravel(one)) for one in (origins, directions))
+        rays = mi.Ray3f(unravel(mi.Point3f, points), unravel(mi.Vector3f, vectors))
         self.dr.eval(rays)
         self.dr.sync_thread()
         return rays

@@ -13,6 +13,7 @@ def made(**ratios: dict[str, float]) -> BenchResult:
     settings = {"size": [8, 6], "sets": [], "repeats": 1, "warm_up_rounds": 1, "seed": 0}
     result = BenchResult({"cpu": "abacus", "threads": 2}, "2026-01-02", settings)
     result.own, result.peers = ["raystream"], ["best", "worst"]
+    result.watertight = ["raystream", "worst"]
     result.peaks = Peaks(1e9, 5e8, 1e8)
     for name, sets in ratios.items():
         scene = SceneResult(name, 12, is_complete=True)

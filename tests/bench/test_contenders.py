@@ -22,11 +22,11 @@ from raystream.bench.runner import geometry_of
 from raystream.bench.worker import OUTCOME, load_geometry, save_geometry, save_rays
 
 #: Peers with tests that are not watertight, or with looser boxes, may differ more.
-LIMITS = {"open3d": 2e-3, "embreex": 2e-3, "mitsuba": 2e-3, "mitsuba-robust": 2e-3, "warp": 2e-2}
-LIMITS |= {"fcpw": 2e-3, "libigl": 1e-9}
+LIMITS = dict.fromkeys(("open3d", "embreex", "embreex-robust", "fcpw"), 2e-3)
+LIMITS |= {"mitsuba": 2e-3, "mitsuba-robust": 2e-3, "warp": 2e-2, "libigl": 1e-9}
 
 #: Peers that find all hits, and closest points.
-MULTI_PEERS = ("open3d", "embreex")
+MULTI_PEERS = ("open3d", "embreex", "embreex-robust")
 POINT_PEERS = tuple(name for name, peer in PEERS.items() if peer.for_points)
 
 #: Spheres and cubes touch the floor: where two surfaces are in one place, both peers that find
@@ -77,9 +77,11 @@ def test_peer_agrees(name):
         assert rays["figures"]["mrays_per_second"][name] > 0.0
 
 
-def test_robust_mitsuba_lets_no_ray_through_an_edge(tmp_path):
+@pytest.mark.parametrize("name", ["raystream", "open3d", "embreex-robust", "mitsuba-robust"])
+def test_watertight_contenders_let_no_ray_through_an_edge(name, tmp_path):
     """Rays at the middles of a sphere's edges, from within and from afar."""
-    need_peer("mitsuba-robust")
+    if name != "raystream":
+        need_peer(name)
     vertices, faces = icosphere(4)
     vertices, faces = vertices.astype(np.float32), faces.astype(np.int32)
     save_geometry(tmp_path, Geometry(vertices, faces))
@@ -88,10 +90,11 @@ def test_robust_mitsuba_lets_no_ray_through_an_edge(tmp_path):
     directions = np.concatenate([middles, middles]) - origins
     save_rays(tmp_path, Rays(origins.astype(np.float32), directions.astype(np.float32), np.inf))
     try:
-        process = ContenderProcess(Entry("robust", "mitsuba-robust", {}), 1)
+        process = ContenderProcess(Entry("robust", name, {}), 1)
     except ContenderError as error:
         pytest.skip(str(error))
     try:
+        assert process.about["watertight"]
         process.ask("build", folder=str(tmp_path), measured=False)
         for mode in process.about["modes"]:
             folder = str(tmp_path)

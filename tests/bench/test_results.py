@@ -69,7 +69,7 @@ def test_rays_that_need_no_test_have_no_share(tmp_path):
         rays.counts = Counts(0.0, 0.0, 0.0)
     assert result.share(rays) is None
     assert roofline_table(result).rows == []
-    assert [table.rows[0][6] for table in speed_tables(result)] == ["–", "–"]
+    assert [table.rows[0][7] for table in speed_tables(result)] == ["–", "–"]
     write_result(path, result)
     assert read_result(path) == result
     result.scenes[0].sets[0].counts = Counts(5.0, 2.0, 0.5)
@@ -85,6 +85,7 @@ def test_the_stored_form_holds_everything(tmp_path):
     ao = stored["scenes"][0]["sets"][0]
     assert ao["figures"]["ratio_to_best_peer"] == {"raystream": 2.0}
     assert ao["figures"]["best_peer"] == "best"
+    assert ao["figures"]["ratio_to_best_watertight_peer"] == 18.0
     assert stored["scenes"][0]["builds"]["raystream"]["memory"] == {"kept": 100, "peak": 200}
 
 

@@ -36,6 +36,7 @@ _SHOWN = {
     "raystream": "raystream",
     "open3d": "Open3D",
     "embreex": "embreex (trimesh)",
+    "embreex-robust": "embreex, robust",
     "mitsuba": "Mitsuba",
     "mitsuba-robust": "Mitsuba, robust",
 }

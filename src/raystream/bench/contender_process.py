@@ -42,8 +42,8 @@ class ContenderProcess:
     Attributes
     ----------
     about : dict
-        ``version``, ``notes``, ``modes``, ``queries``, and the ``seconds`` of the import, a small
-        build and the queries of some rays or points.
+        ``version``, ``notes``, ``modes``, ``queries``, ``watertight``, and the ``seconds`` of the
+        import, a small build and the queries of some rays or points.
 
     Raises
     ------

@@ -71,12 +71,14 @@ class Verdict(NamedTuple):
         return self.goal is None or self.least >= self.goal.least
 
 
-def judge(result: BenchResult) -> list[Verdict]:
+def judge(result: BenchResult, *, watertight: bool = False) -> list[Verdict]:
     """Compare the ratios of each set with its goal, over all scenes of a result.
 
     Parameters
     ----------
     result : BenchResult
+    watertight : bool
+        Whether to compare with the best of the watertight peers, not of all.
 
     Returns
     -------
@@ -86,7 +88,7 @@ def judge(result: BenchResult) -> list[Verdict]:
     ratios: dict[str, dict[str, float]] = {}
     for scene in result.scenes:
         for rays in scene.sets:
-            ratio = result.ratio(rays)
+            ratio = result.ratio(rays, watertight=watertight)
             if ratio is not None:
                 ratios.setdefault(rays.name, {})[scene.scene] = ratio
     return [_verdict(name, one) for name, one in ratios.items()]

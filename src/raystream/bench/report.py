@@ -62,13 +62,15 @@ def speed_tables(result: BenchResult) -> list[Table]:
 
 
 def _speed_table(result: BenchResult, scene: SceneResult) -> Table:
-    columns = ["rays", "count", *result.labels, "x best peer", "share", "min diff", "max diff"]
+    columns = ["rays", "count", *result.labels, "x best peer", "x best watertight peer"]
+    columns += ["share", "min diff", "max diff"]
     rows = [
         [
             rays.name,
             f"{rays.ray_count:,}",
             *(_speed(rays, label) for label in result.labels),
             _ratio(result.ratio(rays)),
+            _ratio(result.ratio(rays, watertight=True)),
             _share_of(result.share(rays)),
             *_differing(rays),
         ]
@@ -122,11 +124,13 @@ def roofline_table(result: BenchResult) -> Table:
 
 def goal_table(result: BenchResult) -> Table:
     """The ratios to the best peer over all scenes, beside the goals."""
-    columns = ["rays", "median", "goal", "least", "goal", "in", "met"]
-    return Table("Times the best peer", columns, [_goal_row(one) for one in judge(result)])
+    columns = ["rays", "median", "goal", "least", "goal", "in", "met", "watertight peers", "least"]
+    watertight = {one.name: one for one in judge(result, watertight=True)}
+    rows = [_goal_row(one, watertight.get(one.name)) for one in judge(result)]
+    return Table("Times the best peer, and the best of those that are watertight", columns, rows)
 
 
-def _goal_row(one: Verdict) -> list[str]:
+def _goal_row(one: Verdict, watertight: Verdict | None) -> list[str]:
     goals = (_NONE, _NONE) if one.goal is None else (f"{one.goal.median:g}", f"{one.goal.least:g}")
     met = "both" if one.meets_median else "least"
     if not one.meets_least:
@@ -139,6 +143,7 @@ def _goal_row(one: Verdict) -> list[str]:
         goals[1],
         one.worst_scene,
         _NONE if one.goal is None else met,
+        *(_ratio(watertight and getattr(watertight, name)) for name in ("median", "least")),
     ]
 
 

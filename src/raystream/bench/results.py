@@ -161,6 +161,8 @@ class BenchResult:
         which is the numerator of ratios; and the peers.
     versions, notes : dict of str to str
         By contender.
+    watertight : list of str
+        Contenders that let no ray through the edge between two triangles.
     absent : dict of str to str
         By peer: why it is unavailable, and what to do.
     skipped : dict of str to str
@@ -176,6 +178,7 @@ class BenchResult:
     peers: list[str] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
+    watertight: list[str] = field(default_factory=list)
     absent: dict[str, str] = field(default_factory=dict)
     skipped: dict[str, str] = field(default_factory=dict)
     scenes: list[SceneResult] = field(default_factory=list)
@@ -185,9 +188,10 @@ class BenchResult:
         """All contenders that took part."""
         return [*self.own, *self.peers]
 
-    def ratio(self, rays: SetResult) -> float | None:
-        """Speed of raystream relative to the best peer's on a set."""
-        return rays.ratio(self.own[0], rays.best_peer(self.peers)) if self.own else None
+    def ratio(self, rays: SetResult, *, watertight: bool = False) -> float | None:
+        """Speed of raystream relative to the best peer's on a set, or the best watertight one's."""
+        peers = [one for one in self.peers if not watertight or one in self.watertight]
+        return rays.ratio(self.own[0], rays.best_peer(peers)) if self.own else None
 
     def share(self, rays: SetResult) -> float | None:
         """Speed of raystream relative to the set's roofline; None without figures or tests."""
@@ -217,6 +221,7 @@ class BenchResult:
             "mode": {label: rays.best_mode(label) for label in rays.seconds},
             "best_peer": best,
             "ratio_to_best_peer": {label: rays.ratio(label, best) for label in self.own},
+            "ratio_to_best_watertight_peer": self.ratio(rays, watertight=True),
             "share_of_roofline": self.share(rays),
         }
 

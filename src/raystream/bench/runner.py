@@ -203,6 +203,7 @@ class Bench:
         versions: dict[str, str] = {}
         notes: dict[str, str] = {}
         absent: dict[str, str] = {}
+        watertight: list[str] = []
         for entry in plan.entries:
             try:
                 about = self._start(entry)
@@ -213,6 +214,8 @@ class Bench:
                 continue
             (own if entry.name == "raystream" else peers).append(entry.label)
             versions[entry.label] = about["version"]
+            if about["watertight"]:
+                watertight.append(entry.label)
             if about["notes"]:
                 notes[entry.label] = about["notes"]
         if result.scenes and versions != result.versions:
@@ -221,7 +224,7 @@ class Bench:
                 + _changes(result.versions, versions)
             )
         result.own, result.peers, result.absent = own, peers, absent
-        result.versions, result.notes = versions, notes
+        result.versions, result.notes, result.watertight = versions, notes, watertight
 
     def has(self, name: str) -> bool:
         """Whether a scene has been measured completely."""

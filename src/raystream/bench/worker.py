@@ -130,6 +130,7 @@ class _Worker:
             "notes": contender.notes,
             "modes": contender.modes,
             "queries": sorted(contender.queries),
+            "watertight": contender.is_watertight,
             "seconds": time.perf_counter() - started,
         }
 

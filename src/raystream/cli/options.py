@@ -43,7 +43,16 @@ DEFAULT_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branchin
 #: Ray sets of a benchmark; those by default, and on request.
 DEFAULT_SETS = ("primary", "image", "shadow", "ao", "bounce", "random", "multi")
 RAY_SETS = (*DEFAULT_SETS, "random_multi", "closest", "closest_near", "closest_grid")
-PEERS = ("open3d", "embreex", "mitsuba", "mitsuba-robust", "warp", "fcpw", "libigl")
+PEERS = (
+    "open3d",
+    "embreex",
+    "embreex-robust",
+    "mitsuba",
+    "mitsuba-robust",
+    "warp",
+    "fcpw",
+    "libigl",
+)
 
 
 def complete(names: Collection[str]) -> Callable[[str], list[str]]:

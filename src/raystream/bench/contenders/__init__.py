@@ -44,6 +44,7 @@ _MITSUBA_HINT = (
     "DRJIT_LIBLLVM_PATH)"
 )
 _MITSUBA = ("mitsuba", "drjit"), _MITSUBA_HINT
+_EMBREEX = f"{_FOLDER}.embreex:Embreex", ("embreex",), "pip install embreex"
 
 #: The peers by name, in the order of the tables' columns.
 PEERS: Mapping[str, Peer] = MappingProxyType(
@@ -54,7 +55,8 @@ PEERS: Mapping[str, Peer] = MappingProxyType(
             "pip install open3d; it also needs the system's libusb-1.0, libGL and libgomp",
             for_points=True,
         ),
-        "embreex": Peer(f"{_FOLDER}.embreex:Embreex", ("embreex",), "pip install embreex"),
+        "embreex": Peer(*_EMBREEX),
+        "embreex-robust": Peer(*_EMBREEX, {"robust": True}),
         "mitsuba": Peer(f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA),
         "mitsuba-robust": Peer(
             f"{_FOLDER}.mitsuba:Mitsuba", *_MITSUBA, {"embree_use_robust_intersections": True}

@@ -193,12 +193,15 @@ class Contender(ABC):
         A note for readers of its figures.
     has_instances : bool
         Whether it builds scenes of instances.
+    is_watertight : bool
+        Whether its documentation says that no ray passes between two triangles at their edge.
     """
 
     modes: ClassVar[tuple[str, ...]] = ("",)
     queries: frozenset[Query] = frozenset(("first", "any", "multi"))
     notes: ClassVar[str] = ""
     has_instances: ClassVar[bool] = False
+    is_watertight: bool = False
 
     @abstractmethod
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:

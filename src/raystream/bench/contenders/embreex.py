@@ -30,7 +30,15 @@ _STEP = 1e-6
 
 
 class Embreex(Contender):
-    """``EmbreeScene.run`` on blocks of rays, from several Python threads."""
+    """``EmbreeScene.run`` on blocks of rays, from several Python threads.
+
+    Parameters
+    ----------
+    threads : int
+    options : mapping
+        Of the scene: ``robust``, whether Embree's tests let no ray through an edge (embreex's
+        default: False).
+    """
 
     notes = (
         "a call runs on one thread but releases the GIL, so it is called from several threads "
@@ -38,7 +46,9 @@ class Embreex(Contender):
         "hits that are close together"
     )
 
-    def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
+    def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
+        self._options = dict(options)
+        self.is_watertight = bool(options.get("robust"))
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads)
         self._scene: Any = None
@@ -51,7 +61,7 @@ class Embreex(Contender):
 
     def build(self, geometry: Geometry) -> None:
         """Add the triangles; the first ray triggers the build."""
-        scene = EmbreeScene()
+        scene = EmbreeScene(**self._options)
         TriangleMesh(scene=scene, vertices=geometry.vertices, indices=geometry.faces)
         one = np.ones((1, 3), np.float32)
         scene.run(one, one)

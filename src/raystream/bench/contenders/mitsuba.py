@@ -33,6 +33,7 @@ class Mitsuba(Contender):
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
         self._options = dict(options)
+        self.is_watertight = bool(options.get("embree_use_robust_intersections"))
         mitsuba.set_variant(_VARIANT)
         drjit.set_thread_count(threads)
         try:
@@ -94,8 +95,12 @@ def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:
 
 
 def _rays(rays: Rays) -> Any:
-    origins, directions = rays.rows()
-    made = mitsuba.Ray3f(mitsuba.Point3f(origins.T), mitsuba.Vector3f(directions.T))
+    # An array of rows, unravelled: Dr.Jit shares NumPy's memory, and its kernel reads the rows as
+    # they are. Point3f(origins.T) copies them three times over.
+    origins, directions = (mitsuba.Float(one.ravel()) for one in rays.rows())
+    made = mitsuba.Ray3f(
+        drjit.unravel(mitsuba.Point3f, origins), drjit.unravel(mitsuba.Vector3f, directions)
+    )
     if np.isfinite(rays.t_max):
         made.maxt = mitsuba.Float(rays.t_max)
     return made

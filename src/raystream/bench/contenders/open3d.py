@@ -24,6 +24,7 @@ class Open3D(Contender):
     """``cast_rays``, ``test_occlusions``, ``list_intersections``, ``compute_closest_points``."""
 
     queries = frozenset(("first", "any", "multi", "closest"))
+    is_watertight = True
     notes = (
         "cast_rays also returns weights and normals, and takes no t_max; list_intersections "
         "does not sort, so its hits are sorted here with NumPy"

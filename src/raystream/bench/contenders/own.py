@@ -28,6 +28,7 @@ class Raystream(Contender):
     """A `Tracer` with the given options."""
 
     has_instances = True
+    is_watertight = True
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
         set_thread_count(threads)
