@@ -160,11 +160,66 @@ def test_meshes_may_be_added_later():
     assert scene.count_intersections(rays).tolist() == [3]
 
 
-def test_rays_through_edges_hit_both_triangles():
+def towards(points, direction=(0, 0, -1)):
+    """Rays that pass exactly through points, from three directions before them."""
+    points = np.asarray(points, np.float32)
+    direction = np.broadcast_to(np.asarray(direction, np.float32), points.shape)
+    return np.concatenate([points - 3 * direction, direction], axis=-1)
+
+
+def test_a_ray_through_a_diagonal_of_a_box_crosses_two_faces():
+    """As in Open3D's own tests: from outside, from inside, and beside it."""
     scene = scene_of(cube())
-    diagonal = np.array([[0.5, 0.5, 3, 0, 0, -1], [0, 0, 3, 0, 0, -1]], np.float32)
-    assert scene.count_intersections(diagonal)[0] == 4
-    assert (scene.cast_rays(diagonal)["t_hit"] == 2).all()  # the corner is hit, too
+    rays = [[0.5, 0.5, -1, 0, 0, 1], [0.5, 0.5, 0.5, 0, 0, 1], [10, 10, 10, 1, 0, 0]]
+    assert scene.count_intersections(rays).tolist() == [2, 1, 0]
+    listed = scene.list_intersections(rays)
+    assert listed["t_hit"].tolist() == [1.0, 2.0, 0.5]
+    assert listed["ray_splits"].tolist() == [0, 2, 3, 3]
+    assert listed["ray_ids"].tolist() == [0, 0, 1]
+    found = scene.cast_rays(rays)
+    assert found["t_hit"].tolist() == [1.0, 0.5, np.inf]
+    assert found["primitive_ids"][0] <= listed["primitive_ids"][0]  # of both triangles, the first
+
+
+def test_the_edge_of_two_triangles_is_crossed_once():
+    square = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]]
+    rays = towards(np.linspace([0.25, 0.25, 0], [1.75, 1.75, 0], 7))
+    for faces in ([[0, 1, 2], [0, 2, 3]], [[0, 1, 2], [0, 3, 2]]):  # one turned over
+        scene = scene_of((square, faces))
+        assert (scene.count_intersections(rays) == 1).all()
+        assert (scene.list_intersections(rays)["t_hit"] == 3).all()
+
+
+def test_a_vertex_is_crossed_once():
+    vertices, faces = icosphere(2)
+    scene = scene_of((vertices, faces))
+    inwards = towards(vertices, -vertices)
+    assert scene.count_intersections(inwards).dtype == np.int32
+    assert (scene.count_intersections(inwards) == 2).all()
+    assert (scene.count_intersections(towards(vertices, vertices)) % 2 == 0).all()
+    fan = [[np.cos(a), np.sin(a), 0] for a in np.arange(6) * np.pi / 3]
+    around = scene_of(([[0, 0, 0], *fan], [[0, 1 + k, 1 + (k + 1) % 6] for k in range(6)]))
+    assert around.count_intersections(towards([[0, 0, 0]])).tolist() == [1]
+
+
+def test_each_geometry_is_crossed_by_itself():
+    """Equal ones, and boxes that share a face, on the diagonals of which rays pass."""
+    vertices, faces = cube()
+    for offset, t in (([0, 0, 0], [2, 2, 3, 3]), ([0, 0, 1], [2, 3, 3, 4])):
+        scene = scene_of((vertices + offset, faces), (vertices, faces))
+        rays = [[0.5, 0.5, 3 + offset[2], 0, 0, -1]]
+        assert scene.count_intersections(rays).tolist() == [4]
+        listed = scene.list_intersections(rays)
+        assert listed["t_hit"].tolist() == t
+        assert sorted(listed["geometry_ids"].tolist()) == [0, 0, 1, 1]
+
+
+def test_what_a_ray_grazes_is_seen_but_crossed_an_even_number_of_times():
+    scene = scene_of(cube())
+    corner = towards([[1, 1, 1], [1, 0, 1]])
+    assert (scene.cast_rays(corner)["t_hit"] == 3).all()
+    assert scene.test_occlusions(corner).all()
+    assert (scene.count_intersections(corner) % 2 == 0).all()
 
 
 def test_a_scene_far_from_the_origin():

@@ -11,6 +11,7 @@ need("numba_cuda")
 
 import raystream as rs
 from conftest import assert_same_bits
+from dark_views import DARK_VIEWS
 from meshes import cube, icosphere
 from raystream.core.errors import RaystreamError
 from raystream.cuda.rendering.tables import TableMemory, plain
@@ -136,6 +137,20 @@ def test_pictures_are_the_processor_s(gpu, name):
         assert np.isclose(ours, theirs, rtol=1e-3, atol=1e-4).mean() > 0.95
     else:
         assert_same_bits(ours, theirs)
+
+
+@pytest.mark.filterwarnings("ignore:the scene's own lights")
+@pytest.mark.parametrize("name", DARK_VIEWS)
+@pytest.mark.parametrize("build", ["host", "device"])
+def test_dark_views_get_the_processor_s_lights_by_default(gpu, name, build):
+    """Also with a structure that is on the device only."""
+    scene = DARK_VIEWS[name]()
+    ours, theirs = (
+        rs.render(rs.Tracer(scene, "bvh", device), "shadow", (7, 6)).pixels
+        for device in (rs.Cuda(build=build), "cpu")
+    )
+    assert np.median(theirs) > 0.01
+    assert_same_bits(ours, theirs)
 
 
 @pytest.fixture

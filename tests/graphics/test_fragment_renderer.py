@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from dark_views import DARK_VIEWS
 from graphics.fragment_counts import counted_fragments, counts_of
 from raystream.graphics import backend
 from raystream.graphics.errors import GraphicsError
@@ -289,6 +290,17 @@ def test_glass_takes_more_room(monkeypatch):
     assert sum(ours.figures["passes"].values()) == pytest.approx(
         sum(theirs.figures["passes"].values()), rel=0.01
     )
+
+
+@pytest.mark.filterwarnings("ignore:the scene's own lights")
+@pytest.mark.parametrize("name", DARK_VIEWS)
+def test_dark_views_get_the_cpu_s_lights_by_default(name):
+    """Those of one program on the CPU, too, which makes no passes."""
+    scene = DARK_VIEWS[name]()
+    ours, theirs = pictures(scene, "shadow", (24, 18))
+    assert_alike(ours, theirs)
+    assert_alike(ours, rs.render(scene, "shadow", (24, 18)))
+    assert np.median(theirs.pixels) > 0.01
 
 
 def test_too_many_paths_behind_glass_are_an_error(monkeypatch):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from dark_views import DARK_VIEWS
 from graphics.edges import edge_distance
 
 pytestmark = pytest.mark.usefixtures("opened")
@@ -113,11 +114,12 @@ def test_cameras_that_do_not_project_so_are_refused():
         visibility(rs.Scene([wall(z=-2.0)]), SIZE, camera=camera)
 
 
-@pytest.mark.parametrize("name", ["cornell", "spheres"])
+@pytest.mark.filterwarnings("ignore:the scene's own lights")
+@pytest.mark.parametrize("name", ["cornell", "spheres", *DARK_VIEWS])
 def test_shadows_on_what_was_rasterised_are_those_of_mode_shadow(name):
     from raystream.graphics import hybrid
 
-    scene = rs.load(name)
+    scene = DARK_VIEWS[name]() if name in DARK_VIEWS else rs.load(name)
     camera = scene.camera_for(SIZE[0] / SIZE[1])
     tracer = rs.Tracer(scene)
     image = hybrid(tracer, SIZE, camera=camera)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 
 import numpy as np
 import pytest
 
 import raystream as rs
+from conftest import assert_same_bits, tier
+from dark_views import DARK_VIEWS, box, closed_room, far_lamp
+from raystream.rendering import view_light
 from raystream.rendering.integrator import make_context
 from raystream.rendering.lighting import ADDED, needs_light
 from raystream.rendering.render import RENDERERS
@@ -16,31 +20,6 @@ from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.tone import auto_exposure
 
 SIZE = (32, 24)
-
-
-def box(side, center=(0.0, 0.0, 0.0)):
-    """A closed box of twelve triangles."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
-    return rs.Mesh(corners * (side / 2) + center, faces)
-
-
-def closed_room(**attributes):
-    """A room with a block, seen from inside; the sun shines outside."""
-    return rs.Scene(
-        [box(8.0), box(2.0, (1.0, -3.0, 0.0))],
-        lights=[rs.DirectionalLight((0.2, -1.0, 0.1), (3.0, 3.0, 3.0))],
-        camera=rs.Camera((-3.5, 0.0, 3.5), (1.0, -2.0, 0.0), fov=70),
-        **attributes,
-    )
-
-
-def far_lamp():
-    """A long wall, and a lamp that lights its other end only."""
-    wall = rs.Mesh([[0, 0, 0], [1000, 0, 0], [1000, 4, 0], [0, 4, 0]], [[0, 1, 2], [0, 2, 3]])
-    lamp = rs.PointLight((998.0, 2.0, 0.5), (4000.0, 4000.0, 4000.0))
-    return rs.Scene([wall], lights=[lamp], camera=rs.Camera((3, 2, 5), (3, 2, 0)))
 
 
 @pytest.mark.parametrize("make", [closed_room, far_lamp])
@@ -122,6 +101,72 @@ def test_the_choice_is_the_same_on_all_structures_and_threads():
         with pytest.warns(rs.RaystreamWarning, match="do not reach"):
             found = rs.render(scene, "path", SIZE, 4, structure).pixels
         np.testing.assert_array_equal(found, expected)
+
+
+def decided(tracer, mode="shadow", size=SIZE):
+    renderer = RENDERERS[mode]
+    options, samples = renderer.check(renderer.complete({})), Sampler.of("sobol", 0, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rs.RaystreamWarning)
+        return view_light.decide(renderer, tracer, None, size, samples, options)
+
+
+@pytest.mark.filterwarnings("ignore:the scene's own lights")
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        pytest.param(name, mode, marks=tier(is_everyday=mode == "shadow"))
+        for name in DARK_VIEWS
+        for mode in ("shadow", "whitted", "kajiya", "path")
+    ],
+)
+def test_passes_show_what_one_program_does(name, mode):
+    """Images by the defaults, on a machine whose queries take thousands of passes."""
+    scene = DARK_VIEWS[name]()
+    branching, passes = (
+        rs.render(rs.Tracer(scene, "grid", machine=machine), mode, SIZE, 2)
+        for machine in ("branching", "multipass")
+    )
+    assert passes.figures["passes"]["eye rays"] >= 2  # in one loop, but for the trial
+    assert_same_bits(passes.pixels, branching.pixels)
+    assert np.median(passes.pixels) > 0.01
+
+
+def test_brute_force_of_many_triangles_is_not_what_decides(monkeypatch):
+    scene, traced = rs.load("spheres"), []
+    assert len(scene.triangles) > 8
+    monkeypatch.setattr(view_light, "_MOST_BY_BRUTE_FORCE", 8)
+    shows = view_light._shows
+    monkeypatch.setattr(
+        view_light,
+        "_shows",
+        lambda renderer, seen: traced.append(seen.tracer) or shows(renderer, seen),
+    )
+    for structure in ("brute", "grid"):
+        tracer = rs.Tracer(scene, structure)
+        context = decided(tracer)
+        assert context.tracer is tracer
+        assert context.bands is None
+    assert [one.structure.name for one in traced] == ["bvh", "grid"]
+
+
+def test_there_is_no_trial_that_changes_nothing(monkeypatch):
+    """Of a scene without lights, which gets a light at the eye anyway; or by request."""
+    monkeypatch.setattr(view_light, "_shows", None)
+    scene = DARK_VIEWS["unlit_room"]()
+    for mode in ("raycast", "shadow", "whitted"):
+        image = rs.render(scene, mode, SIZE)
+        assert_same_bits(image.pixels, rs.render(scene, mode, SIZE, lights="added").pixels)
+    for lights in ("file", "added"):
+        rs.render(closed_room(), "shadow", SIZE, lights=lights)
+    rs.render(closed_room(), "vis", SIZE)
+
+
+def test_pages_and_the_viewer_decide_for_the_default_size():
+    assert inspect.signature(rs.render).parameters["size"].default == view_light.USUAL_SIZE
+    scene = DARK_VIEWS["unlit_room"]().replace(camera=None)
+    context = decided(rs.Tracer(scene), size=(40, 20))
+    assert context.camera == scene.camera_for(2.0)
 
 
 def test_lights_that_are_off_and_empty_views_stay_dark():

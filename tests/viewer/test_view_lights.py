@@ -7,10 +7,15 @@ import threading
 import warnings
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import raystream as rs
+from dark_views import DARK_VIEWS
 from raystream.rendering.lighting import MEASURED
+from raystream.rendering.render import RENDERERS
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.view_light import USUAL_SIZE, decide, kept_choice, usual_context
 from raystream.viewer import view_lights
 from raystream.viewer.jobs import Job
 from raystream.viewer.settings import Settings
@@ -74,6 +79,42 @@ def test_a_choice_is_made_once_without_warnings(scenes, monkeypatch):
             one.join()
     assert found == ["added"] * 4
     assert len(asked) == 1
+
+
+@pytest.mark.parametrize("name", DARK_VIEWS)
+@pytest.mark.parametrize("mode", ["whitted", pytest.param("path", marks=pytest.mark.ci)])
+def test_lights_are_those_that_an_image_has_by_default(name, mode):
+    scene = DARK_VIEWS[name]()
+    settings = replace(SETTINGS, mode=mode)
+    cache = TracerCache(scene, None)
+    one = cache._prepare(settings, Job(lambda *_: None))
+    context = replace(one.context, options=settings.mode_options)
+    found = ViewLights().lit(one, mode, context, scene.camera)
+    renderer = RENDERERS[mode]
+    samples = Sampler.of("sobol", 0, renderer.default_samples)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rs.RaystreamWarning)
+        usual = decide(renderer, one.tracer, None, USUAL_SIZE, samples, dict(settings.mode_options))
+    assert found.chosen_lights == kept_choice(usual)
+    shown = renderer.trace(usual_context(renderer, found, scene.camera), range(500, 502), 0)
+    np.testing.assert_array_equal(shown, renderer.trace(usual, range(500, 502), 0))
+    assert shown.any()
+
+
+def test_another_device_keeps_the_lights_of_the_first_view():
+    """The camera has moved to the lamp until then."""
+    scene, lights = wall(998.0), ViewLights()
+    first, passes = (
+        TracerCache(scene, None)._prepare(replace(SETTINGS, **key), Job(lambda *_: None))
+        for key in ({}, {"structure": "grid", "machine": "multipass"})
+    )
+    assert first.key != passes.key
+    near = rs.Camera((998, 2, 5), (998, 2, 0))
+    found = [
+        lights.lit(one, "whitted", replace(one.context, options=SETTINGS.mode_options), camera)
+        for one, camera in ((first, scene.camera), (passes, near))
+    ]
+    assert [one.chosen_lights for one in found] == ["added"] * 2
 
 
 @pytest.mark.ci

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from dark_views import DARK_VIEWS
 from meshes import icosphere
+from raystream.graphics.rendering.scene_buffers import light_samples, punctual_rows
+from raystream.rendering.render import RENDERERS
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.view_light import USUAL_SIZE, decide
 from raystream.web.export import _with_known_textures
+from raystream.web.scene_data import page_scene
 from web.pages import Exported, browser  # noqa: F401  a fixture
 
 
@@ -26,6 +32,20 @@ def test_the_light_at_the_eye_follows(browser, tmp_path):  # noqa: F811
         assert not page.problems
     assert before.min() > 0.1
     np.testing.assert_allclose(after, before, rtol=0.1)
+
+
+@pytest.mark.filterwarnings("ignore:the scene's own lights")
+@pytest.mark.parametrize("name", DARK_VIEWS)
+def test_pages_have_the_lights_that_images_have_by_default(name):
+    scene = DARK_VIEWS[name]()
+    made = page_scene([rs.Tracer(scene)], scene.camera)
+    for mode in ("raycast", "shadow", "whitted", "path"):
+        renderer = RENDERERS[mode]
+        samples = Sampler.of("sobol", 0, renderer.default_samples)
+        options = renderer.check(renderer.complete({}))
+        usual = decide(renderer, rs.Tracer(scene), None, USUAL_SIZE, samples, options)
+        expected = light_samples(usual) if mode == "path" else punctual_rows(usual).ravel()
+        np.testing.assert_array_equal(made.arrays[made.manifest["modes"][mode]["lights"]], expected)
 
 
 def test_other_textures_are_left_out(tmp_path):

@@ -57,8 +57,10 @@ class RaycastingScene(PointMethods):
     - Vertices and rays may be float64, and indices of any integer type. Scenes far from the origin
       are traced relative to their centre.
     - `list_intersections` is ordered by distance within each ray.
-    - A ray through an edge or a vertex hits all triangles there, never none; among equally near
-      ones, `cast_rays` reports the first that was added.
+    - `count_intersections` and `list_intersections` have one intersection each time a ray passes
+      through a surface, also exactly at an edge or a vertex; where it only grazes a surface, none
+      or two. In `cast_rays` and `test_occlusions` a ray hits all triangles that it touches, never
+      none; among equally near ones, `cast_rays` reports the first that was added.
     - All distances in [tnear, tfar] count, both ends included.
     - Distances of points are computed in float64, and inside tests count crossings correctly at
       edges and vertices, so that ``nsamples=1`` is enough for closed meshes.
@@ -182,7 +184,7 @@ class RaycastingScene(PointMethods):
         return results_like(rays)(seen)
 
     def count_intersections(self, rays: Any, nthreads: int = 0) -> Any:
-        """Count the triangles that each ray hits.
+        """Count how often each ray passes through the surfaces.
 
         Parameters
         ----------
@@ -193,8 +195,8 @@ class RaycastingScene(PointMethods):
         Returns
         -------
         array or tensor of shape S, int32
-            A ray through an edge or a vertex counts all triangles there; to count how often it
-            passes through the surface, use ``count_hits(..., crossings="surfaces")`` of a `Tracer`.
+            Exactly at an edge or a vertex too: from outside, it is even for closed meshes. To
+            count all triangles there, use ``count_hits`` of a `Tracer`.
 
         Raises
         ------
@@ -202,11 +204,11 @@ class RaycastingScene(PointMethods):
             If the rays are not real numbers of shape (..., 6).
         """
         operator.index(nthreads)
-        counts = self._tracer().count_hits(*as_rays(rays))
+        counts = self._tracer().count_hits(*as_rays(rays), crossings="surfaces")
         return results_like(rays)(counts.astype(np.int32))
 
     def list_intersections(self, rays: Any, nthreads: int = 0) -> dict[str, Any]:
-        """Find all triangles that each ray hits.
+        """Find all places where each ray passes through a surface; see `count_intersections`.
 
         Parameters
         ----------
@@ -234,7 +236,7 @@ class RaycastingScene(PointMethods):
             If the hits do not fit into memory.
         """
         operator.index(nthreads)
-        many = self._tracer().multi_hit(*as_rays(rays))
+        many = self._tracer().multi_hit(*as_rays(rays), crossings="surfaces")
         like = results_like(rays)
         wide = np.uint32 if len(many.t) <= self.INVALID_ID else np.int64
         rows = {"ray_splits": many.ray_splits.astype(wide), "ray_ids": many.ray_id.astype(wide)}

@@ -16,14 +16,10 @@ from raystream.graphics.raster import Visibility, visibility
 from raystream.rendering.arguments import check_camera, check_size, make_tracer
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import (
-    Band,
-    PathStream,
-    RenderContext,
-    make_context,
-)
+from raystream.rendering.integrator import Band, PathStream, RenderContext
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.view_light import decide
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -75,13 +71,13 @@ def hybrid(
     check_camera(camera)
     width, height = check_size(size)
     tracer = _tracer_of(scene, structure, device, options)
-    view = camera or tracer.scene.camera_for(width / height)
     shadow = RENDERERS["shadow"]
     chosen = shadow.check(shadow.options)
-    context = make_context(tracer, view, (width, height), Sampler.of("sobol", 0, 1), chosen)
+    centered = Sampler.of("sobol", 0, 1)
+    context = decide(shadow, tracer, camera, (width, height), centered, chosen)
     if context.opacity is not None:
         raise ValueError("scene: some surfaces are not opaque, which rasterising does not support")
-    seen = visibility(tracer.scene, (width, height), camera=view, adapter=adapter)
+    seen = visibility(tracer.scene, (width, height), camera=context.camera, adapter=adapter)
     pixels = np.zeros((height, width, 3), np.float32)
     rows = max(1, _MOST_RAYS // (width * max(shadow.rays_per_pixel(context), 1)))
     for first in range(0, height, rows):

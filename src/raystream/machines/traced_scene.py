@@ -283,12 +283,6 @@ class TracedScene:
         self._set(scene, old.moved(old.triangles.moved(scene.placements)))
         return UpdateReport(True, time.perf_counter() - started, math.nan, math.nan)
 
-    @property
-    def has_cheap_queries(self) -> bool:
-        """Whether a query of few rays is quick, as on the branching CPU: no passes, no GPU."""
-        capabilities = self._backend.capabilities
-        return not (capabilities.shading or capabilities.loops)
-
     def save(self, path: str | PathLike[str]) -> None:
         """Write the built structure and its triangles to a file.
 

@@ -35,12 +35,12 @@ MEASURED = "measured"
 LEAST_LIGHT = 1e-3
 
 #: Modes of paths, which see the background and the sky.
-_PATHS = ("kajiya", "path")
+PATHS = ("kajiya", "path")
 
 #: The light that modes add if lights are too weak. Other modes ignore lights.
 ADDED = {
     **dict.fromkeys(("raycast", "shadow", "whitted"), "a light at the eye"),
-    **dict.fromkeys(_PATHS, "a sun and a sky"),
+    **dict.fromkeys(PATHS, "a sun and a sky"),
 }
 
 #: Radiance of the sky that is added, and of a white surface that faces the sun beside it, without
@@ -196,10 +196,10 @@ def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
     """
     if mode not in ADDED or not (scene.lights or scene.area_lights):
         return ""
-    seen = scene.background if mode in _PATHS else (0.0, 0.0, 0.0)
+    seen = scene.background if mode in PATHS else (0.0, 0.0, 0.0)
     if not needs_light(scene, lights, background=seen):
         return ""
-    has_all = lights == "added" and mode in _PATHS
+    has_all = lights == "added" and mode in PATHS
     return "a sun, a sky and a light at the eye" if has_all else ADDED[mode]
 
 

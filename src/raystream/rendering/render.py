@@ -11,7 +11,7 @@ from raystream.jit.threads import Progress
 from raystream.rendering.ao import AO
 from raystream.rendering.arguments import check_camera, check_size, make_tracer
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import Integrator, make_context
+from raystream.rendering.integrator import Integrator
 from raystream.rendering.kajiya import KAJIYA
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
@@ -21,7 +21,7 @@ from raystream.rendering.progressive import render_samples
 from raystream.rendering.raycast import RAYCAST
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shadow import SHADOW
-from raystream.rendering.view_light import lit
+from raystream.rendering.view_light import decide
 from raystream.rendering.vis import VIS
 from raystream.rendering.whitted import WHITTED
 from raystream.rendering.xray import XRAY
@@ -156,9 +156,8 @@ def render(
     chosen = renderer.check(renderer.complete({name: options.pop(name) for name in own}))
     numbers = Sampler.of(sampler, seed, samples)
     tracer = make_tracer(scene, structure, device, options)
-    view = camera or tracer.scene.camera_for(width / height)
-    context = make_context(tracer, view, (width, height), numbers, chosen, wanted, lights)
-    context = lit(renderer, context)
+    size = width, height
+    context = decide(renderer, tracer, camera, size, numbers, chosen, wanted, lights)
     return render_samples(
         renderer, context, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
     )

@@ -1,9 +1,9 @@
-"""View light: lights added where a scene's own do not reach what the camera sees."""
+"""Decisions for a view: its camera, and lights where a scene's own do not reach what it sees."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from raystream.core.errors import RaystreamWarning
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.color import LUMINANCE
-from raystream.rendering.integrator import Integrator, RenderContext
-from raystream.rendering.lighting import ADDED, MEASURED, added_light, is_dark_by_intent
+from raystream.rendering.integrator import Integrator, RenderContext, make_context
+from raystream.rendering.lighting import (
+    ADDED,
+    MEASURED,
+    PATHS,
+    added_light,
+    is_dark_by_intent,
+    needs_light,
+)
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
@@ -25,6 +33,55 @@ _STRIPS, _ROWS, _BLOCKS = 6, 2, 8
 #: A view is dark if no more than this share of the blocks with surfaces is this bright: a tenth of
 #: a screen's range, encoded. Lights of the scene itself may be meant to light little.
 _LEAST_SHARE, _LEAST_SHARE_IF_ADDED, _LEAST_LUMINANCE = 0.05, 0.25, 0.01
+
+#: Size of the images for which the viewer and pages choose lights: the default of `render`.
+USUAL_SIZE = 1024, 768
+
+#: Most triangles that a trial searches by brute force; a BVH of more is built in less time.
+_MOST_BY_BRUTE_FORCE = 4096
+
+
+def decide(
+    renderer: Integrator,
+    tracer: Tracer,
+    camera: Camera | None,
+    size: tuple[int, int],
+    sampler: Sampler,
+    options: Mapping[str, Any],
+    layers: Sequence[str] = (),
+    lights: str = "auto",
+) -> RenderContext:
+    """Decide what a view needs, once for all devices: its camera, and its lights.
+
+    Parameters
+    ----------
+    renderer : Integrator
+    tracer : Tracer
+        Of the scene, on any device and machine, with any structure.
+    camera : Camera, optional
+        [default: `Scene.camera_for` the size]
+    size : (int, int)
+    sampler : Sampler
+    options : mapping
+        Of the renderer, as its `check` returns them.
+    layers : sequence of str
+    lights : {"auto", "file", "added"}
+        See `lit`, which warns.
+
+    Returns
+    -------
+    RenderContext
+        Its ``camera`` and ``chosen_lights`` hold the decisions. Given to `make_context`, on any
+        device or machine, they make the same view.
+    """
+    view = camera or tracer.scene.camera_for(size[0] / size[1])
+    return lit(renderer, make_context(tracer, view, size, sampler, options, layers, lights))
+
+
+def usual_context(renderer: Integrator, context: RenderContext, camera: Camera) -> RenderContext:
+    """The context as in an image by the defaults of `render`, whatever the size of a window."""
+    usual = Sampler.of("sobol", 0, renderer.default_samples)
+    return replace(context, sampler=usual).seen_by(camera, USUAL_SIZE)
 
 
 def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
@@ -42,8 +99,10 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
 
     Notes
     -----
-    The same for any number of threads and on all structures. No trial is rendered by multipass
-    machines, whose queries may take thousands of passes, and on CUDA.
+    The CPU decides, without passes, whatever the tracer's device and machine: rounding on another
+    device, or a structure, changes nothing. The structure is the tracer's own, unless it is brute
+    force in a large scene. There is no trial where it cannot change the image: in modes that add
+    nothing but a light at the eye, which the scene has already.
     """
     chosen = well_lit(renderer, context)
     scene, asked = context.tracer.scene, context.chosen_lights
@@ -57,19 +116,35 @@ def lit(renderer: Integrator, context: RenderContext) -> RenderContext:
             f"the scene's own lights {why}: added {added} (lights='file' or --lights file uses "
             "only the scene's own)",
             RaystreamWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     return chosen
 
 
 def well_lit(renderer: Integrator, context: RenderContext) -> RenderContext:
     """The context of `lit`, without a warning."""
-    is_tried = context.chosen_lights == "auto" and context.tracer.has_cheap_queries
-    if is_tried and _may_add(renderer, context) and not _shows(renderer, context):
-        lighter = context.with_lights("added")
-        if _shows(renderer, lighter):  # paths without bounces see no light that is added
-            return lighter
-    return context
+    tracer = context.tracer
+    if context.chosen_lights != "auto" or not _may_add(renderer, context):
+        return context
+    if renderer.name not in PATHS and needs_light(tracer.scene):  # has all that would be added
+        return context
+    seen = replace(context, tracer=_on_cpu(tracer), bands=None)
+    if _shows(renderer, seen):
+        return context
+    lighter = seen.with_lights("added")
+    if not _shows(renderer, lighter):  # paths without bounces see no light that is added
+        return context
+    return replace(lighter, tracer=tracer).with_bands()
+
+
+def _on_cpu(tracer: Tracer) -> Tracer:
+    """A tracer of the same scene on the CPU, for a few rays: no passes, no other rounding."""
+    structure = tracer.structure
+    if structure.name == "brute" and len(structure.triangles) > _MOST_BY_BRUTE_FORCE:
+        return Tracer(tracer.scene)
+    if (tracer.device, tracer.machine) == ("cpu", "branching"):
+        return tracer
+    return Tracer.of_structure(structure, tracer.scene)
 
 
 def _may_add(renderer: Integrator, context: RenderContext) -> bool:

@@ -21,8 +21,8 @@ _LEAST_BYTES = 28
 #: Compression: a page is usually near, and waits.
 _LEVEL = 1
 
-#: Size of the view for which lights are chosen.
-_TRIAL_SIZE = 64, 64
+#: A size for contexts: the page has its own.
+_SIZE = 64, 64
 
 
 def browser_support(prepared: PreparedTracer) -> Message:
@@ -74,7 +74,7 @@ def packed_scene(
         contexts = {
             mode: _context(prepared, replace(settings, mode=mode), camera, lights) for mode in MODES
         }
-        made = page_scene([prepared.tracer], camera, _TRIAL_SIZE, contexts=contexts)
+        made = page_scene([prepared.tracer], camera, contexts=contexts)
     size = sum(array.nbytes for array in made.arrays.values())
     if size > MAX_BYTES:
         raise RaystreamError(
@@ -98,7 +98,7 @@ def _context(
     prepared: PreparedTracer, settings: Settings, camera: Camera, lights: ViewLights
 ) -> RenderContext:
     context = replace(prepared.context, options=settings.mode_options)
-    return lights.lit(prepared, settings.mode, context, camera).seen_by(camera, _TRIAL_SIZE)
+    return lights.lit(prepared, settings.mode, context, camera).seen_by(camera, _SIZE)
 
 
 def _plain(camera: Camera) -> Camera:

@@ -1,4 +1,4 @@
-"""The lights that a mode adds to a dark scene, chosen for its first view."""
+"""The lights that a mode adds to a dark scene, chosen for its first view on any device."""
 
 from __future__ import annotations
 
@@ -8,16 +8,10 @@ from weakref import WeakKeyDictionary
 
 from raystream.rendering.integrator import RenderContext
 from raystream.rendering.render import RENDERERS
-from raystream.rendering.view_light import kept_choice, well_lit
+from raystream.rendering.view_light import kept_choice, usual_context, well_lit
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.viewer.tracers import PreparedTracer
-
-#: Side of the view for which lights are chosen; see `view_light.well_lit`.
-_TRIAL_SIZE = 64
-
-#: Maximum number of remembered choices for a scene.
-_MAX_CHOICES = 64
 
 
 class ViewLights:
@@ -25,12 +19,14 @@ class ViewLights:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._choices: WeakKeyDictionary[Scene, dict[object, str]] = WeakKeyDictionary()
+        self._choices: WeakKeyDictionary[Scene, dict[str, str]] = WeakKeyDictionary()
 
     def lit(
         self, prepared: PreparedTracer, mode: str, context: RenderContext, camera: Camera
     ) -> RenderContext:
         """Return the context with the lights that the mode's first view needs.
+
+        They are those of `render` by its defaults, and do not change with the device.
 
         Parameters
         ----------
@@ -41,13 +37,11 @@ class ViewLights:
         camera : Camera
             The view, if it is the mode's first one.
         """
-        what = prepared.key, mode
         with self._lock:
             choices = self._choices.setdefault(prepared.tracer.scene, {})
-            chosen = choices.get(what)
+            chosen = choices.get(mode)
             if chosen is None:
-                if len(choices) >= _MAX_CHOICES:
-                    choices.clear()
-                seen = context.seen_by(camera, (_TRIAL_SIZE, _TRIAL_SIZE))
-                chosen = choices[what] = kept_choice(well_lit(RENDERERS[mode], seen))
+                renderer = RENDERERS[mode]
+                seen = usual_context(renderer, context, camera)
+                chosen = choices[mode] = kept_choice(well_lit(renderer, seen))
         return replace(context, chosen_lights=chosen)

@@ -151,7 +151,7 @@ def export_page(
         check_supported(Tracer(scene, "brute"), view)
         tracers = [Tracer(scene, one) for one in wanted]
     found = tracers[0].scene
-    made = page_scene(tracers, camera or found.camera_for(PAGE_ASPECT), (width, height))
+    made = page_scene(tracers, camera or found.camera_for(PAGE_ASPECT))
     seen = camera or found.camera_for(width / height)
     image = render(tracers[0], "raycast", (width, height), samples=4, camera=seen)
     parts = PageParts(

@@ -22,7 +22,7 @@ from raystream.rendering.integrator import RenderContext, make_context
 from raystream.rendering.lighting import needs_light
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.view_light import lit
+from raystream.rendering.view_light import lit, usual_context
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 from raystream.web.geometry import structure_arrays, triangle_arrays
@@ -35,9 +35,6 @@ MODES = ("raycast", "shadow", "whitted", "ao", "path")
 
 #: Samples per pixel, after which a page rests.
 SAMPLES = 256
-
-#: Longest side of the image of which samples decide whether lights are added.
-_TRIAL_SIZE = 64
 
 #: Arrays of `surface_arrays` that the page makes of the vertices.
 _CORNERS = "the corners of triangles"
@@ -73,7 +70,7 @@ def check_supported(tracer: Tracer, camera: Camera) -> None:
         Of the scene, with any structure.
     camera : Camera
     """
-    reason = unsupported_by_pages(_context(tracer, camera, (1, 1), MODES[0]))
+    reason = unsupported_by_pages(_context(tracer, camera, MODES[0]))
     if reason is not None:
         raise RaystreamError(f"export: {reason}")
 
@@ -81,7 +78,6 @@ def check_supported(tracer: Tracer, camera: Camera) -> None:
 def page_scene(
     tracers: Sequence[Tracer],
     camera: Camera,
-    size: tuple[int, int],
     *,
     contexts: Mapping[str, RenderContext] | None = None,
 ) -> PageScene:
@@ -92,20 +88,18 @@ def page_scene(
     tracers : sequence of Tracer
         Of one scene, one for each structure; the first one is first seen.
     camera : Camera
-    size : (int, int)
-        Of the image whose light decides whether lights are added.
     contexts : mapping of str to RenderContext, optional
-        Of each mode, with its options and lights [default: those of `render`].
+        Of each mode, with its options and lights [default: those that `render` has and
+        decides by its defaults].
     """
     scene = tracers[0].scene
     arrays: dict[str, NDArray[Any]] = dict(triangle_arrays(scene.triangles, scene.attributes.faces))
     files = {"compute.wgsl", "rendering/compute.wgsl", *_SHARED}
     modes_made: dict[str, Any] = {}
-    shrink = max(*size, _TRIAL_SIZE) / _TRIAL_SIZE
-    trial = max(int(size[0] / shrink), 1), max(int(size[1] / shrink), 1)
     for name in MODES:
         if contexts is None:
-            context = lit(RENDERERS[name], _context(tracers[0], camera, trial, name))
+            context = _context(tracers[0], camera, name)
+            context = lit(RENDERERS[name], usual_context(RENDERERS[name], context, camera))
         else:
             context = contexts[name]
         mode = mode_of(RENDERERS[name].stages)
@@ -114,7 +108,7 @@ def page_scene(
             arrays.update(_surfaces(context))
         modes_made[name] = _add_mode(arrays, name, context, mode)
         files.add(mode.shader)
-    context = _context(tracers[0], camera, trial, MODES[0])
+    context = _context(tracers[0], camera, MODES[0])
     modes_made["heatmap"] = _add_mode(arrays, "heatmap", context, COUNTS)
     arrays["ramp"] = ramp_words()
     structures = {}
@@ -172,11 +166,11 @@ _SHARED = (
 )
 
 
-def _context(tracer: Tracer, camera: Camera, size: tuple[int, int], name: str) -> RenderContext:
+def _context(tracer: Tracer, camera: Camera, name: str) -> RenderContext:
     renderer = RENDERERS[name]
     sampler = Sampler.of("sobol", 0, SAMPLES)
     chosen = renderer.check(renderer.complete({}))
-    return make_context(tracer, camera, size, sampler, chosen)
+    return make_context(tracer, camera, (1, 1), sampler, chosen)
 
 
 def _surfaces(context: RenderContext) -> Mapping[str, NDArray[Any]]:
