@@ -91,6 +91,7 @@ def lidar_returns(
     divergence: float = 0.0,
     sub_rays: int = 1,
     separation: float = 0.0,
+    min_range: float = 0.0,
     progress: Progress | None = None,
 ) -> LidarReturns:
     """Emit pulses and compute their returns.
@@ -99,7 +100,8 @@ def lidar_returns(
     ----------
     tracer : Tracer
     origins, directions, t_min, t_max
-        As in `Tracer.first_hit`: one ray per pulse, its axis.
+        As in `Tracer.first_hit`: one ray per pulse, its axis. A pulse passes through what is nearer
+        than `t_min`, as if that were not there: see `min_range`.
     max_returns : int
         Maximum number of returns to keep per pulse, the nearest ones.
     reflectance : mapping, or array_like of shape () or (M,), real
@@ -119,6 +121,9 @@ def lidar_returns(
     separation : float
         Echoes less than this distance behind the first echo of a return belong to that return:
         half the length of a pulse, in scene units.
+    min_range : float
+        Least range of the sensor, in scene units. A nearer return is dropped, as in a real sensor:
+        the pulse does not reach what is behind a surface that is too near and lets nothing through.
     progress : callable, optional
         Called with (pulses done, pulses).
 
@@ -175,6 +180,7 @@ def lidar_returns(
         _count("sub_rays", sub_rays),
         math.tan(math.radians(_check("divergence", divergence, 0.0, MAX_DIVERGENCE) / 2)),
         _check("separation", separation, 0.0, math.inf),
+        _check("min_range", min_range, 0.0, math.inf),
     )
     scan = Scan(tracer, batch, surfaces, receiver)
     counts, status = np.zeros(len(batch), np.int64), np.zeros(len(batch), np.uint8)

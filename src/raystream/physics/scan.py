@@ -46,7 +46,7 @@ class Receiver(NamedTuple):
     max_returns, sub_rays : int
     spread : float
         Tangent of half the angle of a pulse's cone.
-    separation : float
+    separation, min_range : float
         Scene units.
     """
 
@@ -54,6 +54,7 @@ class Receiver(NamedTuple):
     sub_rays: int
     spread: float
     separation: float
+    min_range: float
 
 
 class _Echoes(NamedTuple):
@@ -106,7 +107,8 @@ class Scan:
         strongest = order[np.lexsort((-energy, number))[first]]
 
         # Step 3: keep the nearest of those detected.
-        kept = np.flatnonzero(intensity >= self._surfaces.threshold)
+        is_detected = intensity >= self._surfaces.threshold
+        kept = np.flatnonzero(is_detected & (mean >= self._receiver.min_range))
         kept = kept[_rank(pulse[kept]) < self._receiver.max_returns]
         pulse, mean, strongest = pulse[kept], mean[kept], strongest[kept]
         counts[rows] = np.bincount(pulse, minlength=len(axes))
@@ -165,7 +167,7 @@ class Scan:
                 status[rows] = hits.status[::sub_rays]
             echoes = self._follow(axes[rays], hits)
             is_done = echoes.is_spent | (hits.counts < limit)
-            if sub_rays == 1 and self._receiver.separation == 0.0:
+            if sub_rays == 1 and self._receiver.separation == self._receiver.min_range == 0.0:
                 is_done |= echoes.detected_count >= self._receiver.max_returns
             kept = np.flatnonzero(is_done[hits.ray_id] & (echoes.energy > 0.0))
             parts.append(
