@@ -13,6 +13,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import parallel_for
 from raystream.physics.pulses import Echoes, Surfaces, follow_pulses, merge_echoes
 from raystream.physics.thickness import direction_lengths
+from raystream.programs.filters import Bound
 from raystream.tracer import Tracer
 
 #: Surfaces traced at first per ray, where some transmit.
@@ -69,13 +70,18 @@ class _Echoes(NamedTuple):
 
 
 class Scan:
-    """A tracer and pulses, to be traced in blocks."""
+    """A tracer and pulses, to be traced in blocks; `on_hit` is the filter of its queries."""
 
     def __init__(
-        self, tracer: Tracer, batch: RayBatch, surfaces: Surfaces, receiver: Receiver
+        self,
+        tracer: Tracer,
+        batch: RayBatch,
+        surfaces: Surfaces,
+        receiver: Receiver,
+        on_hit: Bound | None = None,
     ) -> None:
         self._tracer, self._batch, self._surfaces = tracer, batch, surfaces
-        self._receiver = receiver
+        self._receiver, self._on_hit = receiver, on_hit
 
     def returns(self, rows: slice, counts: NDArray[np.int64], status: NDArray[np.uint8]) -> Returns:
         """Trace a block of pulses.
@@ -162,6 +168,7 @@ class Scan:
                 t_max=batch.t_max[rows][pulses],
                 max_hits=limit,
                 crossings="surfaces",
+                on_hit=self._on_hit,
             )
             if not parts:
                 status[rows] = hits.status[::sub_rays]

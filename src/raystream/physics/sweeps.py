@@ -39,6 +39,7 @@ class _PulseOptions(TypedDict, total=False):
     sub_rays: int
     separation: float
     min_range: float
+    cutouts: bool
 
 
 class _Pulses(NamedTuple):
@@ -169,7 +170,7 @@ def lidar_sweep(
     **pulses
         As in `lidar_returns`: ``t_min``, ``t_max``, ``max_returns``, ``reflectance``,
         ``transmission``, ``threshold``, ``divergence``, ``sub_rays``, ``separation``,
-        ``min_range``. Directions are of unit length: ``min_range`` and ``t_max`` are
+        ``min_range``, ``cutouts``. Directions are of unit length: ``min_range`` and ``t_max`` are
         the sensor's ranges in scene units.
 
     Returns
@@ -181,7 +182,7 @@ def lidar_sweep(
 
     Raises
     ------
-    ValueError, TypeError
+    ValueError, TypeError, RaystreamError
         As `lidar_returns`, or if the motion does not cover the sweep, or an argument is out of
         range.
 
