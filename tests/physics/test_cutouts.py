@@ -7,7 +7,7 @@ import pytest
 
 import raystream as rs
 from cards import DOWN, KINDS, card, cut_out, over_ground
-from conftest import assert_same_bits
+from conftest import assert_same_bits, skip_without_adapter
 from meshes import cube
 from raystream.core.errors import RaystreamError
 from raystream.programs.cutouts import cutouts_of
@@ -46,6 +46,18 @@ def test_every_structure_and_machine_has_the_same_returns(structure, machine, rn
     )
     for name in ("ray_splits", "ranges", "intensity", "prim_id"):
         assert_same_bits(getattr(found, name), getattr(expected, name))
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("placed", [False, True])
+def test_graphics_devices_pass_through_holes(placed) -> None:
+    skip_without_adapter()
+    tracer = rs.Tracer(over_ground(placed=placed), device="graphics")
+    assert rs.lidar_returns(tracer, ORIGINS, DOWN).ranges.tolist() == [6.0, 5.0, 6.0]
+    assert rs.thickness(tracer, ORIGINS, DOWN).unpaired_mesh_id.tolist() == [1, 0, 1, 1]
+    below = np.array(ORIGINS) * [1, 1, 0] - [0, 0, 0.5]
+    seen = rs.visibility(tracer, ORIGINS, below).diagonal()
+    assert seen.tolist() == [True, False, True]
 
 
 def test_sub_rays_share_the_energy_between_a_card_and_what_its_hole_shows() -> None:

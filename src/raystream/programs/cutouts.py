@@ -16,8 +16,8 @@ from raystream.core.scene_checks import check_triangles
 #: need `physics`, whose analyses need this, so that neither room can be before the other.
 _OPACITY = "raystream.rendering.opacity"
 
-#: Opacity by scene, without solid meshes: textures are decoded once, not for each call.
-_known: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
+#: Opacity by scene, and by which meshes are solid: tables are made once, not for each call.
+_known: WeakKeyDictionary[Any, dict[bytes, Any]] = WeakKeyDictionary()
 
 
 def cutouts_of(tracer: Any, is_wanted: bool, is_solid: NDArray[np.bool_] | None = None) -> Any:
@@ -62,9 +62,10 @@ def cutouts_of(tracer: Any, is_wanted: bool, is_solid: NDArray[np.bool_] | None 
 
 
 def _opacity_of(scene: Any, triangles: Any, is_solid: NDArray[np.bool_] | None) -> Any:
-    make = importlib.import_module(_OPACITY).Opacity.of
-    if is_solid is not None and is_solid.any():
-        return make(scene, None, np.repeat(is_solid, np.diff(triangles.mesh_splits)))
-    if scene not in _known:
-        _known[scene] = make(scene, None)
-    return _known[scene]
+    known = _known.setdefault(scene, {})
+    key = b"" if is_solid is None else is_solid.tobytes()
+    if key not in known:
+        counts = np.diff(triangles.mesh_splits)
+        solid = None if is_solid is None else np.repeat(is_solid, counts)
+        known[key] = importlib.import_module(_OPACITY).Opacity.of(scene, None, solid)
+    return known[key]
