@@ -19,7 +19,7 @@ COLUMNS = {
     "first_hit": ("t", "u", "v", "prim_id", "mesh_id", "status"),
     "any_hit": ("hit",),
     "count_hits": ("count",),
-    "multi_hit": ("ray_splits", "t", "u", "v", "prim_id", "status"),
+    "multi_hit": ("ray_splits", "t", "u", "v", "prim_id", "mesh_id", "status"),
 }
 
 

@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from instanced import random_transforms
+from meshes import cube
+from raystream.cli.zarr_query import QUERIES
 
 FIGURES = {
     "output",
@@ -85,7 +88,7 @@ def test_all_hits_are_the_librarys(run, tmp_path, options, structure):
     )
     expected = rs.Tracer(rs.load("cornell"), structure).multi_hit(**given, **options)
     found = arrays("hits.npz")
-    assert set(found) == {"ray_splits", "t", "u", "v", "prim_id", "status"}
+    assert set(found) == {"ray_splits", "t", "u", "v", "prim_id", "mesh_id", "status"}
     for name, array in found.items():
         np.testing.assert_array_equal(array, getattr(expected, name))
     figures = result.figures
@@ -95,6 +98,41 @@ def test_all_hits_are_the_librarys(run, tmp_path, options, structure):
     assert (figures["rays"], figures["invalid_rays"]) == (500, 0)
     assert figures["hits"] == len(expected.t) > 100
     assert figures["rays_hit"] == np.count_nonzero(np.diff(expected.ray_splits))
+
+
+INSTANCES = {
+    "first": {"t", "u", "v", "prim_id", "mesh_id", "instance_id", "status"},
+    "multi": {"ray_splits", "t", "u", "v", "prim_id", "mesh_id", "instance_id", "status"},
+    "any": {"hit"},
+    "count": {"count"},
+}
+
+
+@pytest.mark.parametrize("kind", INSTANCES)
+def test_hits_in_instances_say_which(run, tmp_path, monkeypatch, kind):
+    """The same columns as in a Zarr store."""
+    scene = instanced_cubes()
+    monkeypatch.setattr("raystream.scene.load.load", lambda name, **more: scene)
+    rng = np.random.default_rng(2)
+    origins = rng.uniform(-6.0, 6.0, (200, 3))
+    given = {"origins": origins, "directions": rng.uniform(-4.0, 4.0, (200, 3)) - origins}
+    np.savez(tmp_path / "rays.npz", **given)
+    run("query", "cubes", "rays.npz", "-o", "hits.npz", f"--{kind}")
+    found = arrays("hits.npz")
+    assert set(found) == INSTANCES[kind]
+    expected = getattr(rs.Tracer(scene), QUERIES[kind])(**given)
+    for name, array in found.items():
+        wanted = expected if kind in ("any", "count") else getattr(expected, name)
+        np.testing.assert_array_equal(array, wanted)
+        assert array.dtype == wanted.dtype
+    if "instance_id" in found:
+        assert len(np.unique(found["instance_id"])) > 6
+
+
+def instanced_cubes() -> rs.Scene:
+    vertices, faces = cube()
+    two = rs.Scene([rs.Mesh(vertices, faces), rs.Mesh(vertices + 2.0, faces)])
+    return rs.Scene.instances(two, random_transforms(np.random.default_rng(1), 8, 4.0))
 
 
 def test_saved_structure_is_traced(run, tmp_path, square, rays):

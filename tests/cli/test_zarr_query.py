@@ -49,6 +49,19 @@ def test_all_hits_are_the_librarys(run, rays):
     assert set(figures["seconds"]) - {"compile"} == {"load", "build", "trace", "read", "write"}
 
 
+@pytest.mark.parametrize("kind", ["first", "any", "multi", "count"])
+def test_files_of_both_kinds_have_the_same_arrays(run, rays, tmp_path, kind):
+    np.savez(tmp_path / "rays.npz", **rays)
+    run(*ASKED, f"--{kind}")
+    run("query", "cornell", "rays.npz", "-o", "hits.npz", f"--{kind}")
+    stored = read_store(Path("hits.zarr"))
+    with np.load("hits.npz") as found:
+        assert set(found) == set(stored)
+        for name in found:
+            np.testing.assert_array_equal(found[name], stored[name])
+            assert found[name].dtype == stored[name].dtype
+
+
 def test_figures_for_people(run, rays):
     out = run(*ASKED, "--any", "--block-rays", 300).out
     assert out.startswith("hits.zarr: 1,000 rays, ")

@@ -11,6 +11,7 @@ need("distributed")
 
 import raystream as rs
 from conftest import assert_same_bits
+from meshes import cube
 
 SIZE = (32, 24)
 
@@ -66,6 +67,56 @@ def test_workers_take_the_choice_of_lights(client):
         assert_same_image(found, rs.render(weak, **asked))
         means.append(found.pixels.mean())
     assert means[0] > 0.3 > 0.01 > means[1]
+
+
+def closed_room():
+    """A room with a sun outside, so that what the camera sees is dark."""
+    vertices, faces = cube()
+    sun = rs.DirectionalLight((0.2, -1.0, 0.1), (3.0, 3.0, 3.0))
+    camera = rs.Camera((-3.5, 0.0, 3.5), (1.0, -2.0, 0.0), fov=70)
+    return rs.Scene([rs.Mesh(8.0 * vertices - 4.0, faces)], lights=[sun], camera=camera)
+
+
+def far_lamp():
+    """A long wall, and a lamp that lights its other end only."""
+    wall = rs.Mesh([[0, 0, 0], [1000, 0, 0], [1000, 4, 0], [0, 4, 0]], [[0, 1, 2], [0, 2, 3]])
+    lamp = rs.PointLight((998.0, 2.0, 0.5), (4000.0, 4000.0, 4000.0))
+    return rs.Scene([wall], lights=[lamp], camera=rs.Camera((3, 2, 5), (3, 2, 0)))
+
+
+@pytest.mark.parametrize("make", [closed_room, far_lamp])
+@pytest.mark.parametrize("mode", ["whitted", "path"])
+def test_a_view_in_the_dark_warns_and_resumes_as_it_does_here(
+    client, tmp_path, monkeypatch, make, mode
+):
+    monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
+    scene, warning = make(), "do not reach what the camera sees: added"
+    asked = {"mode": mode, "size": SIZE}
+    with pytest.warns(rs.RaystreamWarning, match=warning):
+        expected = rs.render(scene, samples=4, **asked)
+    done = []
+    for first, then in ((rs.cluster.render, rs.render), (rs.render, rs.cluster.render)):
+        asked["checkpoint"] = tmp_path / f"{first.__module__}.npz"
+        for ask, samples in ((first, 2), (then, 4)):
+            done.clear()
+            more = {"client": client} if ask is rs.cluster.render else {}
+            with pytest.warns(rs.RaystreamWarning, match=warning) as seen:
+                found = ask(
+                    scene,
+                    samples=samples,
+                    progress=lambda now, _: done.append(now),
+                    **more,
+                    **asked,
+                )
+            assert seen[0].filename == __file__
+        assert done[0] == 2 * SIZE[0] * SIZE[1]
+        assert_same_image(found, expected)
+
+
+def test_lights_of_the_file_are_not_added_to(client):
+    found = rs.cluster.render(closed_room(), "path", SIZE, lights="file", client=client)
+    assert_same_image(found, rs.render(closed_room(), "path", SIZE, lights="file"))
+    assert found.pixels.max() == 0.0
 
 
 @pytest.mark.parametrize("machine", ["branching", "multipass"])

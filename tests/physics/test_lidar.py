@@ -180,3 +180,57 @@ def test_limits_and_nothing(canopy):
 def test_bad_arguments(canopy, arguments, message):
     with pytest.raises(ValueError, match=message):
         rs.lidar_returns(canopy, [0, 0, 1], DOWN, **arguments)
+
+
+# The least range of a sensor
+
+WALLS = [0.2, 3.0, 4.0]
+
+
+def walls() -> rs.Tracer:
+    meshes = [sheet(-z, k) for k, z in enumerate(WALLS)]
+    return tracer_of(*meshes, materials=[rs.Material(f"{k}") for k in range(3)])
+
+
+@pytest.mark.parametrize(
+    ("options", "ranges"),
+    [
+        ({}, [0.2]),
+        ({"min_range": 0.5}, []),  # the beam ends at the wall that is too near
+        ({"t_min": 0.5}, [3.0]),  # as if that were not there
+        ({"min_range": 0.5, "transmission": 0.5}, [3.0, 4.0]),
+        ({"min_range": 3.5, "transmission": 0.5}, [4.0]),
+        ({"min_range": 0.5, "transmission": 0.5, "max_returns": 1}, [3.0]),
+        ({"min_range": 0.5, "transmission": {"0": 0.5}}, [3.0]),
+        ({"min_range": 0.5, "transmission": 0.5, "separation": 2.0}, [3.0 + 1.0 / 3.0]),
+        ({"min_range": 0.5, "transmission": 0.5, "sub_rays": 3, "separation": 0.1}, [3.0, 4.0]),
+        ({"min_range": 9.0, "transmission": 0.5}, []),
+    ],
+)
+def test_returns_nearer_than_the_least_range_are_dropped(options, ranges) -> None:
+    found = rs.lidar_returns(walls(), [0.1, 0.3, 0.0], DOWN, **options)
+    assert found.ranges == pytest.approx(ranges)
+    assert found.return_number.tolist() == list(range(1, len(ranges) + 1))
+    assert found.return_count.tolist() == [len(ranges)] * len(ranges)
+
+
+def test_a_range_is_in_scene_units_whatever_the_direction() -> None:
+    for length in (0.01, 1.0, 100.0):
+        found = rs.lidar_returns(
+            walls(), [0.1, 0.3, 0.0], [0, 0, -length], min_range=3.5, transmission=0.5
+        )
+        assert found.ranges == pytest.approx([4.0])
+
+
+def test_sweeps_have_a_least_range() -> None:
+    pattern = rs.sweep_patterns.SweepPattern([[0, 0, -1]] * 2, [0.0, 1.0], period=1.0)
+    nearer = rs.SensorTrack([0.0, 1.0], [[0.1, 0.3, 3.0], [0.1, 0.3, 0.3]])
+    found = rs.lidar_sweep(walls(), pattern, nearer, min_range=0.6)
+    assert found.counts.tolist() == [1, 0]
+    assert found.ranges == pytest.approx([3.2])
+
+
+@pytest.mark.parametrize("value", [-1.0, np.nan])
+def test_a_wrong_least_range_is_refused(value) -> None:
+    with pytest.raises(ValueError, match="min_range"):
+        rs.lidar_returns(walls(), [0.0, 0.0, 1.0], DOWN, min_range=value)

@@ -36,12 +36,6 @@ CROSSINGS = ("triangles", "surfaces")
 #: Arrays of a ray file; the first two are required.
 RAY_ARRAYS = ("origins", "directions", "t_min", "t_max")
 
-#: Arrays written for each kind of query.
-COLUMNS = {
-    "first": ("t", "u", "v", "prim_id", "mesh_id", "status"),
-    "multi": ("ray_splits", "t", "u", "v", "prim_id", "status"),
-}
-
 
 @dataclass(frozen=True)
 class QueryOptions:
@@ -139,7 +133,8 @@ def query(
     """Trace the rays of a file and write their hits to a file.
 
     The hits are arrays: t, u, v, prim_id, mesh_id, status with --first; hit with --any;
-    ray_splits, t, u, v, prim_id, status with --multi; count with --count.
+    ray_splits, t, u, v, prim_id, mesh_id, status with --multi; count with --count. In a scene
+    with instances, --first and --multi also write instance_id.
 
     Rays in a Zarr store are traced block by block in bounded memory.
     """
@@ -235,6 +230,9 @@ def _run(
     """Trace rays: call a query with its arguments, and collect what is written."""
     import numpy as np
 
+    from raystream.core.instanced_triangles import InstancedTriangles
+    from raystream.ray_files.hit_store import Columns
+
     found = getattr(tracer, QUERIES[kind])(**arguments, progress=progress)
     if kind == "any":
         hit_count = int(np.count_nonzero(found))
@@ -247,6 +245,8 @@ def _run(
         rays_hit, hit_count = int(np.count_nonzero(found.counts)), len(found.t)
     else:
         rays_hit = hit_count = int(np.count_nonzero(found.is_hit))
-    arrays = {name: getattr(found, name) for name in COLUMNS[kind]}
+    has_instances = isinstance(tracer.structure.triangles, InstancedTriangles)
+    columns = Columns.of(QUERIES[kind], has_instances)  # those of a Zarr store
+    arrays = {name: getattr(found, name) for name in (*columns.of_rows, *columns.of_rays)}
     invalid_count = int(np.count_nonzero(found.status))
     return _Results(arrays, found.status.size, invalid_count, rays_hit, hit_count)

@@ -23,6 +23,7 @@ from raystream.rendering.limits import Limits
 from raystream.rendering.progressive import render_samples
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
@@ -93,7 +94,7 @@ def render(
     Warns
     -----
     RaystreamWarning
-        While there are no workers, until one joins.
+        While there are no workers, until one joins; and as `raystream.render`.
 
     Examples
     --------
@@ -117,12 +118,13 @@ def render(
     chosen = renderer.check(own)
     numbers = Sampler.of(sampler, seed, limits.samples)
     bundle = pack_tracer(scene, structure, device, options, for_rendering=True)
-    # Nothing is traced in this process.
+    # Only the choice of lights is traced in this process: its warning and checkpoints need it.
     here = Tracer(scene, "brute") if isinstance(scene, Scene) else scene
     view = camera or here.scene.camera_for(width / height)
     context = make_context(here, view, (width, height), numbers, chosen, wanted, lights)
+    context = lit(renderer, context)
     drawn = sampler, seed, limits.samples
-    spec = image_spec(mode, (width, height), view, drawn, own, wanted, lights)
+    spec = image_spec(mode, (width, height), view, drawn, own, wanted, context.chosen_lights)
     with open_client(client) as found:
         uploader = uploader_of(found)
         digest = uploader.send(bundle)

@@ -24,7 +24,6 @@ from raystream.rendering.render import RENDERERS
 from raystream.rendering.sample_bands import Sampled, trace_sample
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.aovs import AovBuffers
-from raystream.rendering.view_light import lit
 from raystream.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -59,10 +58,12 @@ def image_spec(
 
     Parameters
     ----------
-    mode, size, camera, options, layers, lights
+    mode, size, camera, options, layers
         See `raystream.render`.
     sampler : (str, int, int)
         Its name, the seed, and the number of samples.
+    lights : str
+        The choice of `view_light.lit`.
     """
     return json.dumps(
         {
@@ -112,7 +113,7 @@ def _context(digest: str, image_spec: str) -> RenderContext:
     width, height = asked["size"]
     with warnings.catch_warnings():  # the client has already warned
         warnings.simplefilter("ignore", RaystreamWarning)
-        context = make_context(
+        return make_context(
             tracer_of(digest),
             Camera(**asked["camera"]),
             (width, height),
@@ -121,7 +122,6 @@ def _context(digest: str, image_spec: str) -> RenderContext:
             asked["layers"],
             asked["lights"],
         )
-        return lit(renderer, context)  # the same on all workers
 
 
 class Samples:

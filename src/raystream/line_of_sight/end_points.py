@@ -19,6 +19,7 @@ from raystream.core.scene_checks import check_triangles
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.core.triangles import MAX_COORDINATE, Triangles
 from raystream.line_of_sight.placed_ends import FAR_UNITS, PlacedPlanes, placed_planes
+from raystream.programs.filters import Bound
 from raystream.tracer import Tracer
 
 #: Other ends within this many of its own distances of a point's plane are in that plane.
@@ -183,7 +184,11 @@ def _skipped(
 
 
 def is_clear(
-    tracer: Tracer, starts: EndPoints, stops: EndPoints, front_only: bool
+    tracer: Tracer,
+    starts: EndPoints,
+    stops: EndPoints,
+    front_only: bool,
+    on_hit: Bound | None = None,
 ) -> NDArray[np.bool_]:
     """Whether nothing is between points.
 
@@ -194,6 +199,8 @@ def is_clear(
         Of shapes that broadcast to a shape S; segments run from the first to the second.
     front_only : bool
         Whether points on surfaces see only what is in front of their triangle.
+    on_hit : Bound, optional
+        The filter of what may hide a point.
 
     Returns
     -------
@@ -250,7 +257,8 @@ def is_clear(
         wide = [np.broadcast_to(ids, (*shape, ids.shape[-1])) for ids in lists]
         skipped = np.concatenate(wide, axis=-1).reshape(-1, sum(ids.shape[-1] for ids in lists))
     rays = origins.reshape(-1, 3), directions.reshape(-1, 3)
-    blocked = tracer.any_hit(*rays, t_max=1.0, skip_prim_ids=skipped).reshape(shape)
+    blocked = tracer.any_hit(*rays, t_max=1.0, on_hit=on_hit, skip_prim_ids=skipped)
+    blocked = blocked.reshape(shape)
     clear &= is_same | ~blocked
     return clear
 

@@ -107,11 +107,13 @@ class Emitter:
     patch : int
     two_sided : bool
         Whether half of the rays leave from the back.
+    opacity : Opacity, optional
+        What is cut out, see `programs.cutouts`.
     """
 
-    def __init__(self, patches: Patches, patch: int, two_sided: bool) -> None:
+    def __init__(self, patches: Patches, patch: int, two_sided: bool, opacity: Any = None) -> None:
         rows = slice(patches.splits[patch], patches.splits[patch + 1])
-        self._patches, self._two_sided = patches, two_sided
+        self._patches, self._two_sided, self._opacity = patches, two_sided, opacity
         self._prim_ids, self._shares = patches.prim_ids[rows], patches.shares[rows]
         self._lows = np.concatenate([[0.0], self._shares[:-1]])
         self._table: _TriangleTable | None = None
@@ -127,7 +129,7 @@ class Emitter:
         Returns
         -------
         origins, directions : ndarray of shape (n, 3), float64
-            World space; unit length.
+            World space; unit length. NaN where the point is cut out.
         """
         x, y, p, q = numbers.T.astype(np.float64) + _HALF_STEP
         shares = self._shares
@@ -153,6 +155,8 @@ class Emitter:
         directions = (radius * np.cos(turn))[:, None] * tangent
         directions += (radius * np.sin(turn))[:, None] * other
         directions += np.sqrt(1.0 - p)[:, None] * normal
+        if self._opacity:
+            directions[~self._opacity.at(self._prim_ids[chosen], u, v)] = np.nan
         return self._patches.triangles.to_world(origins), directions
 
     def _triangles(self, chosen: NDArray[np.intp]) -> _TriangleTable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.balance import Shares, balanced
 from raystream.line_of_sight.patches import Emitter, Patches, make_patches, patch_ids
+from raystream.programs.cutouts import cutouts_of
 from raystream.rendering.sampling.sampler import MAX_SAMPLES, Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -28,6 +29,13 @@ _BLOCK = 1 << 17
 
 #: Matrices of N x N numbers, and while factors are balanced.
 _MATRICES, _BALANCED_MATRICES = 2, 16
+
+
+class _Tracing(TypedDict, total=False):
+    """Options of how rays are traced."""
+
+    cutouts: bool
+    progress: Progress | None
 
 
 class ViewFactors(NamedTuple):
@@ -47,7 +55,8 @@ class ViewFactors(NamedTuple):
         Share that hits a triangle of no patch, or the back of a patch.
     other_errors : ndarray of shape (N,), float64
     areas : ndarray of shape (N,), float64
-        Area of one side, in squared scene units.
+        Area of one side, in squared scene units; of a patch with cut-outs, an estimate from the
+        points at which its rays start.
     ray_counts : ndarray of shape (N,), int64
         Rays cast from each patch.
     """
@@ -72,7 +81,7 @@ def view_factors(
     two_sided: bool = False,
     reciprocity: bool = False,
     seed: int = 0,
-    progress: Progress | None = None,
+    **tracing: Unpack[_Tracing],
 ) -> ViewFactors:
     """Compute the view factors (form factors, configuration factors) between patches.
 
@@ -99,8 +108,11 @@ def view_factors(
         ``areas[i] * factors[i, j]`` is symmetric, and rows still sum to 1: see Notes.
     seed : int
         Seed of the samples, 0 to 2**32 - 1.
-    progress : callable, optional
-        Called with (patches done, patches).
+    **tracing
+        ``cutouts`` (bool): whether surfaces neither radiate nor receive, and hide nothing, where
+        they are cut out: where the opacity of their material is below its ``alpha_cutoff``, or
+        below a half without one; False makes all of it surface [default: True]. ``progress``
+        (callable): called with (patches done, patches).
 
     Returns
     -------
@@ -111,7 +123,8 @@ def view_factors(
     Raises
     ------
     ValueError
-        If a patch has no area, or a shape or number is wrong.
+        If a patch has no area, or a shape or number is wrong; or if there are cut-outs, and the
+        tracer counts.
     TypeError
         If `patches` are not integers, or `scene` is neither a scene nor a tracer.
     MemoryError
@@ -153,6 +166,7 @@ def view_factors(
     """
     if not isinstance(scene, Scene | Tracer):
         raise TypeError(f"scene: expected a Scene or Tracer, got {type(scene).__name__}")
+    cutouts, progress = _tracing(**tracing)
     tracer = scene if isinstance(scene, Tracer) else Tracer(scene)
     per_replicate = _power_of_two("rays", rays)
     most = max(_power_of_two("max_rays", max_rays), per_replicate)
@@ -167,18 +181,20 @@ def view_factors(
     count = int(ids.max(initial=-1)) + 1
     matrices = _BALANCED_MATRICES if reciprocity else _MATRICES
     check_memory(8 * matrices * count**2, f"view_factors: {count:,} x {count:,} factors would")
-    caster = _Caster(tracer, make_patches(ids, triangles), sampler, bool(two_sided))
+    opacity = cutouts_of(tracer, cutouts)
+    caster = _Caster(tracer, make_patches(ids, triangles), sampler, bool(two_sided), opacity)
+    areas = caster.patches.areas.copy()
     shares = Shares(*(np.empty((count, width)) for width in (count, count, 2, 2)))
     ray_counts = np.zeros(count, np.int64)
     for patch in range(count):
-        row, errors, ray_counts[patch] = caster.row(
+        row, errors, ray_counts[patch], area_share = caster.row(
             patch, per_replicate, most, target_error or math.inf
         )
+        areas[patch] *= area_share
         shares.factors[patch], shares.sinks[patch] = row[:count], row[count:]
         shares.errors[patch], shares.sink_errors[patch] = errors[:count], errors[count:]
         if progress:
             progress(patch + 1, count)
-    areas = caster.patches.areas
     if reciprocity and count:
         shares = balanced(shares, areas)
     return ViewFactors(
@@ -191,6 +207,13 @@ def view_factors(
         areas,
         ray_counts,
     )
+
+
+def _tracing(
+    *, cutouts: bool = True, progress: Progress | None = None
+) -> tuple[bool, Progress | None]:
+    """The options of `_Tracing`; TypeError for others."""
+    return cutouts, progress
 
 
 def _power_of_two(name: str, rays: int) -> int:
@@ -209,10 +232,11 @@ class _Caster(NamedTuple):
     patches: Patches
     sampler: Sampler
     two_sided: bool
+    opacity: Any
 
     def row(
         self, patch: int, samples: int, most: int, target: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int, float]:
         """Shares of a patch's rays with their standard errors, and the number of rays.
 
         Parameters
@@ -228,10 +252,17 @@ class _Caster(NamedTuple):
         shares, errors : ndarray of shape (N + 2,), float64
             Of the patches, of nothing, and of triangles of no patch.
         ray_count : int
+        area_share : float
+            Share of the patch's points that are not cut out.
+
+        Raises
+        ------
+        ValueError
+            If all are.
         """
         width = len(self.patches.areas) + 2
-        counts = np.zeros((REPLICATES, width), np.int64)
-        emitter = Emitter(self.patches, patch, self.two_sided)
+        counts, cast = np.zeros((REPLICATES, width), np.int64), np.zeros(REPLICATES, np.int64)
+        emitter = Emitter(self.patches, patch, self.two_sided, self.opacity)
         done = 0
         while True:
             for begin in range(done, samples, _BLOCK // REPLICATES):
@@ -242,21 +273,36 @@ class _Caster(NamedTuple):
                     np.tile(np.arange(begin, end), REPLICATES),
                     count=4,
                 )
-                counts += self._count(emitter.rays(numbers), width)
+                found, cast_now = self._count(emitter.rays(numbers), width)
+                counts += found
+                cast += cast_now
             done = samples
-            total = REPLICATES * samples
-            # The replicates' mean has this standard error; less than a ray is not resolved.
-            errors = counts.std(axis=0, ddof=1) / (samples * math.sqrt(REPLICATES))
+            total = int(cast.sum())
+            if total == 0:
+                raise ValueError(
+                    f"patches: patch {patch} is cut out at all {REPLICATES * samples:,} points at "
+                    "which its rays would start; use -1 for its triangles, or cutouts=False"
+                )
+            shares = counts.sum(axis=0) / total
+            # The replicates' mean has this standard error; less than a ray is not resolved. A share
+            # of a number of rays that varies is a ratio: what counts is how far replicates are from
+            # the share of their own rays.
+            spread = (counts - shares * (cast - samples)[:, None]).std(axis=0, ddof=1)
+            errors = spread / (total / REPLICATES * math.sqrt(REPLICATES))
             errors = np.maximum(errors, 1.0 / total)
             if errors.max() <= target or samples >= most:
-                return counts.sum(axis=0) / total, errors, total
+                return shares, errors, total, total / (REPLICATES * samples)
             samples *= 2
 
     def _count(
         self, rays: tuple[NDArray[np.float64], NDArray[np.float64]], width: int
-    ) -> NDArray[np.int64]:
-        """Rays by replicate, of which each has as many in a row, and by what they meet first."""
-        prim_ids = self.tracer.first_hit(*rays).prim_id
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rays by replicate, of which each has as many in a row, and by what they meet first.
+
+        And the number of rays of each replicate: those without a direction are not cast.
+        """
+        on_hit = self.opacity and self.opacity.on_hit
+        prim_ids = self.tracer.first_hit(*rays, on_hit=on_hit).prim_id
         rows = np.flatnonzero(prim_ids >= 0)
         hit = prim_ids[rows]
         found = self.patches.ids[hit]
@@ -266,5 +312,7 @@ class _Caster(NamedTuple):
         target = np.full(len(prim_ids), width - 2)
         target[rows] = np.where(found < 0, width - 1, found)
         replicates = np.arange(len(prim_ids)) // (len(prim_ids) // REPLICATES)
-        bins = np.bincount(replicates * width + target, minlength=REPLICATES * width)
-        return bins.reshape(REPLICATES, width)
+        is_cast = ~np.isnan(rays[1][:, 0]) if self.opacity else np.ones(len(prim_ids), bool)
+        cells = (replicates * width + target)[is_cast]
+        bins = np.bincount(cells, minlength=REPLICATES * width).reshape(REPLICATES, width)
+        return bins, bins.sum(axis=1)

@@ -31,6 +31,7 @@ from raystream.line_of_sight.sparse_rows import (
     write_rows,
 )
 from raystream.line_of_sight.tiles import LEAST_TILE, MOST_TILE, Tile, Tiles
+from raystream.programs.cutouts import cutouts_of
 from raystream.ray_files.identity import scene_digest
 from raystream.tracer import Tracer
 
@@ -63,6 +64,7 @@ def visibility(
     skip_b: Any = None,
     out: str | PathLike[str] | None = None,
     max_memory: int | None = None,
+    cutouts: bool = True,
     progress: Progress | None = None,
 ) -> Any:
     """Find which points see each other.
@@ -91,6 +93,10 @@ def visibility(
     max_memory : int, optional
         Maximum number of bytes to use, excluding the tracer and the given points [default: the
         memory that is free].
+    cutouts : bool
+        Whether points see each other through cut-outs: where the opacity of a surface's material is
+        below its ``alpha_cutoff``, or below a half without one. False makes all of it surface.
+        Points on surfaces are taken as they are given, cut out or not.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -106,7 +112,8 @@ def visibility(
     Raises
     ------
     ValueError
-        If a shape, name or option is wrong, or the hits are of another scene.
+        If a shape, name or option is wrong, or the hits are of another scene; or if there are
+        cut-outs, and the tracer counts.
     TypeError
         If numbers are not real, or `skip_a` or `skip_b` are not integers.
     MemoryError
@@ -119,7 +126,7 @@ def visibility(
         If a Zarr group cannot be written.
     RaystreamError
         If the package zarr is needed and not installed; if the scene's instances are in worlds; or
-        for hits, `out` and triangles to skip in a scene with spheres, or in float64.
+        for hits, `out`, cut-outs and triangles to skip in a scene with spheres, or in float64.
 
     Notes
     -----
@@ -169,7 +176,8 @@ def visibility(
         check_triangles("out", triangles)
     starts = end_points("a", a, skip_a, triangles)
     stops = starts if b is None else end_points("b", b, skip_b, triangles)
-    job = _Job(tracer, starts, stops, bool(front_only), form, b is None)
+    opacity = cutouts_of(tracer, cutouts)
+    job = _Job(tracer, starts, stops, bool(front_only), form, b is None, opacity)
     tiles, limit = job.plan(path is not None, max_memory)
     if path is not None and path.suffix == ".zarr":
         return job.stored(path, tiles, progress)
@@ -204,6 +212,7 @@ class _Job(NamedTuple):
     front_only: bool
     form: str
     is_half: bool
+    opacity: Any = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -274,7 +283,7 @@ class _Job(NamedTuple):
         """Whether the points of a tile see each other, of its shape."""
         starts, stops = self.starts.at(tile.rows), self.stops.at(tile.columns)
         pairs = starts.at((slice(None), None)), stops.at((None, slice(None)))
-        return is_clear(self.tracer, *pairs, self.front_only)
+        return self._is_clear(*pairs)
 
     def trace_ordered(self, tile: Tile) -> NDArray[np.bool_]:
         """The same; of one set of points, segments run from the lower number to the higher."""
@@ -286,7 +295,11 @@ class _Job(NamedTuple):
         i = np.arange(rows.start, rows.stop)[:, None]
         j = np.arange(columns.start, columns.stop)
         ends = self.starts.at(np.minimum(i, j)), self.starts.at(np.maximum(i, j))
-        return is_clear(self.tracer, *ends, self.front_only)
+        return self._is_clear(*ends)
+
+    def _is_clear(self, starts: EndPoints, stops: EndPoints) -> NDArray[np.bool_]:
+        on_hit = self.opacity and self.opacity.on_hit
+        return is_clear(self.tracer, starts, stops, self.front_only, on_hit)
 
     def stored(self, path: Path, tiles: Tiles, progress: Progress | None) -> Any:
         """Trace the tiles into a Zarr group, or what is left of them."""
@@ -392,6 +405,7 @@ class _Job(NamedTuple):
             "points_digest": digest.hexdigest(),
             "scene_digest": scene_digest(self.tracer.structure.triangles),
             "device": self.tracer.device,
+            **({"cutouts": self.opacity.digest()} if self.opacity else {}),
         }
 
 

@@ -17,6 +17,7 @@ from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import check_tracer, end_points, is_clear
 from raystream.line_of_sight.image_frame import seen_from
 from raystream.line_of_sight.surface_points import surface_points
+from raystream.programs.cutouts import cutouts_of
 from raystream.rendering.arguments import check_size
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
@@ -59,6 +60,7 @@ def visible_faces(
     size: tuple[int, int] = (1024, 768),
     *,
     points_per_face: int = 1,
+    cutouts: bool = True,
     progress: Progress | None = None,
 ) -> VisibleFaces:
     """Find the triangles that a camera sees, and the number of pixels that each covers.
@@ -75,6 +77,10 @@ def visible_faces(
     points_per_face : int
         Points of each triangle, its centre first, whose visibility is tested if the triangle
         covers no pixel's centre; 0 tests none.
+    cutouts : bool
+        Whether a surface is neither seen nor hides anything where it is cut out: where the opacity
+        of its material is below its ``alpha_cutoff``, or below a half without one. False makes all
+        of it surface.
     progress : callable, optional
         Called with (rays done, rays): the number of rays may fall after the image.
 
@@ -85,7 +91,8 @@ def visible_faces(
     Raises
     ------
     ValueError, TypeError
-        If an argument has the wrong shape, type or range.
+        If an argument has the wrong shape, type or range; or if there are cut-outs, and the tracer
+        counts.
     MemoryError
         If the counts do not fit into memory.
 
@@ -122,20 +129,23 @@ def visible_faces(
     count = int(triangles.first_ids[-1]) if is_placed else len(triangles)
     needed = _LOOKING_BYTES if is_placed and points else _COUNT_BYTES
     check_memory(needed * count, f"counts of {count:,} faces would")
+    opacity = cutouts_of(tracer, cutouts)
+    on_hit = opacity and opacity.on_hit
     counts = np.zeros(count, np.int64)
     rows = max(_BLOCK // width, 1)
     total = width * height
     x = np.arange(width) + 0.5
     for first in range(0, height, rows):
         y = np.arange(first, min(first + rows, height))[:, None] + 0.5
-        found = _numbers(tracer.first_hit(*camera.rays(width, height, x, y)), triangles)
+        hits = tracer.first_hit(*camera.rays(width, height, x, y), on_hit=on_hit)
+        found = _numbers(hits, triangles)
         ids, pixels = np.unique(found[found >= 0], return_counts=True)
         counts[ids] += pixels
         if progress:
             progress(min(first + rows, height) * width, total)
     is_seen = counts > 0
     if points:
-        _look_for_others(tracer, camera, (width, height), points, is_seen, progress)
+        _look_for_others(tracer, camera, (width, height), points, is_seen, opacity, progress)
     numbers = np.flatnonzero(is_seen)
     prim_ids, instance_ids = _split(numbers, triangles)
     return VisibleFaces(prim_ids, counts[numbers], instance_ids)
@@ -179,6 +189,7 @@ def _look_for_others(
     size: tuple[int, int],
     points: int,
     is_seen: NDArray[np.bool_],
+    opacity: Any,
     progress: Progress | None,
 ) -> None:
     """Trace rays to points of the faces that are not seen yet."""
@@ -197,10 +208,14 @@ def _look_for_others(
             centers = surface_points(tracer, prim_ids, u, v, instance_ids if is_placed else None)
             stops = end_points("faces", centers, None, triangles)
             origins, is_inside = seen_from(camera, size, stops.positions)
-            inside = np.flatnonzero(is_inside & stops.is_valid)
+            is_inside &= stops.is_valid
+            if opacity:
+                is_inside &= opacity.at(prim_ids, centers.u, centers.v)
+            inside = np.flatnonzero(is_inside)
             if len(inside):
                 starts = end_points("eyes", origins[inside], None, triangles)
-                clear = is_clear(tracer, starts, stops.at(inside), front_only=False)
+                on_hit = opacity and opacity.on_hit
+                clear = is_clear(tracer, starts, stops.at(inside), False, on_hit)
                 is_seen[faces[inside[clear]]] = True
             if progress:
                 progress(min(pixels + number * len(others) + begin + len(faces), total), total)

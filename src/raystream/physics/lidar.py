@@ -19,6 +19,7 @@ from raystream.physics.group_values import group_values
 from raystream.physics.library_results import LibraryLidarReturns, in_library_of
 from raystream.physics.pulses import Surfaces
 from raystream.physics.scan import Receiver, Returns, Scan
+from raystream.programs.cutouts import cutouts_of
 from raystream.tracer import Tracer
 
 __all__ = ["LidarReturns", "lidar_returns"]
@@ -91,6 +92,8 @@ def lidar_returns(
     divergence: float = 0.0,
     sub_rays: int = 1,
     separation: float = 0.0,
+    min_range: float = 0.0,
+    cutouts: bool = True,
     progress: Progress | None = None,
 ) -> LidarReturns:
     """Emit pulses and compute their returns.
@@ -99,7 +102,8 @@ def lidar_returns(
     ----------
     tracer : Tracer
     origins, directions, t_min, t_max
-        As in `Tracer.first_hit`: one ray per pulse, its axis.
+        As in `Tracer.first_hit`: one ray per pulse, its axis. A pulse passes through what is nearer
+        than `t_min`, as if that were not there: see `min_range`.
     max_returns : int
         Maximum number of returns to keep per pulse, the nearest ones.
     reflectance : mapping, or array_like of shape () or (M,), real
@@ -119,6 +123,12 @@ def lidar_returns(
     separation : float
         Echoes less than this distance behind the first echo of a return belong to that return:
         half the length of a pulse, in scene units.
+    min_range : float
+        Least range of the sensor, in scene units. A nearer return is dropped, as in a real sensor:
+        the pulse does not reach what is behind a surface that is too near and lets nothing through.
+    cutouts : bool
+        Whether pulses pass where a surface is cut out: where the opacity of its material is below
+        its ``alpha_cutoff``, or below a half without one. False makes all of it surface.
     progress : callable, optional
         Called with (pulses done, pulses).
 
@@ -130,7 +140,11 @@ def lidar_returns(
     Raises
     ------
     ValueError, TypeError
-        As `Tracer.first_hit`, or if another argument is out of range.
+        As `Tracer.first_hit`, or if another argument is out of range; or if there are cut-outs, and
+        the tracer counts.
+    RaystreamError
+        If the scene is in float64, its instances are in worlds, or there are cut-outs beside
+        spheres or height fields.
 
     Notes
     -----
@@ -175,8 +189,10 @@ def lidar_returns(
         _count("sub_rays", sub_rays),
         math.tan(math.radians(_check("divergence", divergence, 0.0, MAX_DIVERGENCE) / 2)),
         _check("separation", separation, 0.0, math.inf),
+        _check("min_range", min_range, 0.0, math.inf),
     )
-    scan = Scan(tracer, batch, surfaces, receiver)
+    opacity = cutouts_of(tracer, cutouts)
+    scan = Scan(tracer, batch, surfaces, receiver, opacity and opacity.on_hit)
     counts, status = np.zeros(len(batch), np.int64), np.zeros(len(batch), np.uint8)
     parts = [scan.returns(slice(0, 0), counts, status)]  # no pulses: the columns' dtypes
     size = max(1, _SUB_RAYS_PER_BLOCK // receiver.sub_rays)

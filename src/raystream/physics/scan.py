@@ -13,6 +13,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import parallel_for
 from raystream.physics.pulses import Echoes, Surfaces, follow_pulses, merge_echoes
 from raystream.physics.thickness import direction_lengths
+from raystream.programs.filters import Bound
 from raystream.tracer import Tracer
 
 #: Surfaces traced at first per ray, where some transmit.
@@ -46,7 +47,7 @@ class Receiver(NamedTuple):
     max_returns, sub_rays : int
     spread : float
         Tangent of half the angle of a pulse's cone.
-    separation : float
+    separation, min_range : float
         Scene units.
     """
 
@@ -54,6 +55,7 @@ class Receiver(NamedTuple):
     sub_rays: int
     spread: float
     separation: float
+    min_range: float
 
 
 class _Echoes(NamedTuple):
@@ -68,13 +70,18 @@ class _Echoes(NamedTuple):
 
 
 class Scan:
-    """A tracer and pulses, to be traced in blocks."""
+    """A tracer and pulses, to be traced in blocks; `on_hit` is the filter of its queries."""
 
     def __init__(
-        self, tracer: Tracer, batch: RayBatch, surfaces: Surfaces, receiver: Receiver
+        self,
+        tracer: Tracer,
+        batch: RayBatch,
+        surfaces: Surfaces,
+        receiver: Receiver,
+        on_hit: Bound | None = None,
     ) -> None:
         self._tracer, self._batch, self._surfaces = tracer, batch, surfaces
-        self._receiver = receiver
+        self._receiver, self._on_hit = receiver, on_hit
 
     def returns(self, rows: slice, counts: NDArray[np.int64], status: NDArray[np.uint8]) -> Returns:
         """Trace a block of pulses.
@@ -106,7 +113,8 @@ class Scan:
         strongest = order[np.lexsort((-energy, number))[first]]
 
         # Step 3: keep the nearest of those detected.
-        kept = np.flatnonzero(intensity >= self._surfaces.threshold)
+        is_detected = intensity >= self._surfaces.threshold
+        kept = np.flatnonzero(is_detected & (mean >= self._receiver.min_range))
         kept = kept[_rank(pulse[kept]) < self._receiver.max_returns]
         pulse, mean, strongest = pulse[kept], mean[kept], strongest[kept]
         counts[rows] = np.bincount(pulse, minlength=len(axes))
@@ -160,12 +168,13 @@ class Scan:
                 t_max=batch.t_max[rows][pulses],
                 max_hits=limit,
                 crossings="surfaces",
+                on_hit=self._on_hit,
             )
             if not parts:
                 status[rows] = hits.status[::sub_rays]
             echoes = self._follow(axes[rays], hits)
             is_done = echoes.is_spent | (hits.counts < limit)
-            if sub_rays == 1 and self._receiver.separation == 0.0:
+            if sub_rays == 1 and self._receiver.separation == self._receiver.min_range == 0.0:
                 is_done |= echoes.detected_count >= self._receiver.max_returns
             kept = np.flatnonzero(is_done[hits.ray_id] & (echoes.energy > 0.0))
             parts.append(

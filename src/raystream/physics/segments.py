@@ -28,6 +28,7 @@ from raystream.physics.pairing import (
 )
 from raystream.physics.placed_crossings import PlacedSolids, classify_placed_crossings
 from raystream.physics.thickness import Segments, Thickness, Unpaired, direction_lengths
+from raystream.programs.cutouts import cutouts_of
 from raystream.tracer import Tracer
 
 #: Rays of the first block, and at most of any.
@@ -48,6 +49,7 @@ def thickness(
     t_min: Any = 0.0,
     t_max: Any = np.inf,
     ends: Literal["report", "clip"] = "report",
+    cutouts: bool = True,
     progress: Progress | None = None,
 ) -> Thickness:
     """Find where rays enter and leave closed meshes.
@@ -62,6 +64,11 @@ def thickness(
         clip it to the interval, if the mesh is closed. To clip, rays are traced to their last
         crossing, so that a ray that starts inside is recognised even if its interval ends before
         any surface.
+    cutouts : bool
+        Whether rays pass where the surface of a mesh that is not closed is cut out: where the
+        opacity of its material is below its ``alpha_cutoff``, or below a half without one. A closed
+        mesh is a solid, whatever its surface shows: its cut-outs always count as surface. A ray
+        through a hole in its skin would be left with an exit or an entry.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -73,7 +80,8 @@ def thickness(
     Raises
     ------
     ValueError, TypeError
-        As `Tracer.first_hit`, or if `ends` is unknown.
+        As `Tracer.first_hit`, or if `ends` is unknown, or if there are cut-outs, and the tracer
+        counts.
     MemoryError
         If there is not enough memory for the crossings of a block.
 
@@ -109,7 +117,7 @@ def thickness(
     check_triangles("thickness", tracer.structure.triangles)
     check_no_worlds("thickness", tracer.structure.triangles)
     batch = RayBatch(origins, directions, t_min, t_max)
-    worker = _Worker(tracer, batch, ends == "clip")
+    worker = _Worker(tracer, batch, ends == "clip", cutouts)
     splits = np.zeros(len(batch) + 1, np.int64)
     status = np.zeros(len(batch), np.uint8)
     parts = []
@@ -135,7 +143,7 @@ def thickness(
 class _Worker:
     """A tracer and a batch, processed in blocks of rays."""
 
-    def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool) -> None:
+    def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool, cutouts: bool) -> None:
         self._tracer, self._batch, self._clips = tracer, batch, clips
         structure = tracer.structure
         self._triangles = structure.triangles
@@ -144,6 +152,8 @@ class _Worker:
         self._frame = SceneFrame.of(self._triangles)
         self.solids: Solids = solids_of(self._triangles) if placed is None else placed.solids
         self._material_ids = tracer.scene.attributes.material_ids
+        opacity = cutouts_of(tracer, cutouts, self.solids.is_closed)
+        self._on_hit = opacity and opacity.on_hit
 
     def blocks(self, progress: Progress | None) -> Iterator[tuple[slice, MultiHits]]:
         """Crossings block by block; at least one block, even if without rays."""
@@ -158,6 +168,7 @@ class _Worker:
                 t_min=self._batch.t_min[rows],
                 t_max=np.inf if self._clips else self._batch.t_max[rows],
                 crossings="surfaces",
+                on_hit=self._on_hit,
                 progress=_within(progress, rows, total),
             )
             yield rows, hits

@@ -38,6 +38,8 @@ class _PulseOptions(TypedDict, total=False):
     divergence: float
     sub_rays: int
     separation: float
+    min_range: float
+    cutouts: bool
 
 
 class _Pulses(NamedTuple):
@@ -167,8 +169,9 @@ def lidar_sweep(
         Called with (pulses done, pulses).
     **pulses
         As in `lidar_returns`: ``t_min``, ``t_max``, ``max_returns``, ``reflectance``,
-        ``transmission``, ``threshold``, ``divergence``, ``sub_rays``, ``separation``. Directions
-        are of unit length: ``t_max`` is the sensor's range in scene units.
+        ``transmission``, ``threshold``, ``divergence``, ``sub_rays``, ``separation``,
+        ``min_range``, ``cutouts``. Directions are of unit length: ``min_range`` and ``t_max`` are
+        the sensor's ranges in scene units.
 
     Returns
     -------
@@ -179,7 +182,7 @@ def lidar_sweep(
 
     Raises
     ------
-    ValueError, TypeError
+    ValueError, TypeError, RaystreamError
         As `lidar_returns`, or if the motion does not cover the sweep, or an argument is out of
         range.
 

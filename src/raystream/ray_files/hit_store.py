@@ -26,12 +26,13 @@ _HITS = {
     "u": ColumnType("float32", np.nan),
     "v": ColumnType("float32", np.nan),
     "prim_id": ColumnType("int32", _NOT_TRACED),
+    "mesh_id": ColumnType("int32", _NOT_TRACED),
 }
 _STATUS = {"status": ColumnType("uint8", 255)}
 
 #: Columns of each query: arrays of the rays' shape, and arrays of rows.
 COLUMNS: dict[str, dict[str, ColumnType]] = {
-    "first_hit": {**_HITS, "mesh_id": ColumnType("int32", _NOT_TRACED), **_STATUS},
+    "first_hit": {**_HITS, **_STATUS},
     "any_hit": {"hit": ColumnType("bool", False)},
     "count_hits": {"count": ColumnType("int64", -1)},
     "multi_hit": _STATUS,

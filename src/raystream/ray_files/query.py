@@ -89,9 +89,9 @@ def query_zarr(
         A folder for a Zarr group, v3; a complete group of hits is replaced. ``first_hit`` writes
         ``t``, ``u``, ``v``, ``prim_id``, ``mesh_id`` and ``status``, ``any_hit`` writes ``hit``,
         and ``count_hits`` writes ``count``; each of shape S. ``multi_hit`` writes ``status``
-        of shape S, ``ray_splits`` of shape (N + 1,), and ``t``, ``u``, ``v``, ``prim_id`` of
-        shape (K,). In a scene with instances, ``first_hit`` and ``multi_hit`` also write
-        ``instance_id``. The bits equal those of tracing all rays at once.
+        of shape S, ``ray_splits`` of shape (N + 1,), and ``t``, ``u``, ``v``, ``prim_id``,
+        ``mesh_id`` of shape (K,). In a scene with instances, ``first_hit`` and ``multi_hit`` also
+        write ``instance_id``. The bits equal those of tracing all rays at once.
     query : {"first_hit", "any_hit", "multi_hit", "count_hits"}
     max_hits : int, optional
         ``multi_hit`` only: keep the nearest hits of each ray.

@@ -1,19 +1,22 @@
 """Opacity: cut-outs and partly transparent surfaces, as a filter of queries.
 
 All queries of a renderer take `Opacity.filter` as ``on_hit``, so that rays pass through during
-traversal. Scenes of opaque materials have no filter.
+traversal. Scenes of opaque materials have no filter. Analyses do not leave anything to chance:
+see `programs.cutouts`, and `Opacity.on_hit`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
+from raystream.jit.threads import parallel_for
 from raystream.programs.filters import Bound
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.shading.opacity import (
@@ -22,6 +25,7 @@ from raystream.rendering.shading.opacity import (
     PARTIAL,
     FilteredRays,
     OpacityTables,
+    find_points,
     is_there,
 )
 from raystream.rendering.shading.textures import Atlas, TextureTables, address_of
@@ -30,6 +34,12 @@ from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
 
+#: Points per call of a kernel: about a millisecond.
+_CHUNK = 1 << 14
+
+#: Analyses see a surface without a cut-off where its opacity is at least this.
+_HALF = np.float32(0.5)
+
 
 class Opacity:
     """The filter of a scene that is not opaque, made by `of`.
@@ -37,20 +47,30 @@ class Opacity:
     Parameters
     ----------
     tables : OpacityTables
-    seed : int
+    seed : int or None
         Of the random numbers that decide on partly transparent surfaces.
     kept : object
         The arrays at the tables' addresses, to keep them alive.
     """
 
-    def __init__(self, tables: OpacityTables, seed: int, kept: object) -> None:
+    def __init__(self, tables: OpacityTables, seed: int | None, kept: object) -> None:
         self._tables = tables
-        self._seed = np.uint32(seed & 0xFFFFFFFF)
+        self._seed = np.uint32((seed or 0) & 0xFFFFFFFF)
         self._kept = kept
 
     @classmethod
-    def of(cls, scene: Scene, seed: int) -> Opacity | None:
+    def of(
+        cls, scene: Scene, seed: int | None, is_solid: NDArray[np.bool_] | None = None
+    ) -> Opacity | None:
         """The opacity of a scene; None if all materials in use are opaque.
+
+        Parameters
+        ----------
+        scene : Scene
+        seed : int or None
+            None leaves nothing to chance: without a cut-off, surfaces have one of a half.
+        is_solid : ndarray of shape (F,), bool, optional
+            Triangles that are opaque, whatever their material.
 
         Warns
         -----
@@ -59,14 +79,20 @@ class Opacity:
         """
         if all(material.is_opaque for material in scene.materials):
             return None
-        material_ids = scene.attributes.material_ids
+        material_ids, materials = scene.attributes.material_ids, list(scene.materials)
+        if is_solid is not None:  # one more material, which is opaque
+            material_ids = np.where(is_solid, np.int32(len(materials)), material_ids)
+            materials.append(Material())
         used = np.unique(material_ids)
-        textures, kinds, kept = _pack(scene.materials, used)
+        textures, kinds, kept = _pack(materials, used)
         if not kinds[used].any():
             return None
-        cutoffs = [material.alpha_cutoff or 0.0 for material in scene.materials]
-        numbers = np.array([[m.opacity for m in scene.materials], cutoffs], np.float32)
+        cutoffs = [material.alpha_cutoff or 0.0 for material in materials]
+        numbers = np.array([[m.opacity for m in materials], cutoffs], np.float32)
         numbers = np.ascontiguousarray(numbers.T)
+        if seed is None:
+            is_partial = kinds == PARTIAL
+            numbers[is_partial, 1], kinds[is_partial] = _HALF, MASKED
         vertices = VertexAttributes.of(scene)
         tables = OpacityTables(
             address_of(material_ids),
@@ -86,12 +112,55 @@ class Opacity:
         rays = FilteredRays(self._tables, self._seed, *places)
         return Bound(is_there, rays, (self, origins, directions))
 
+    @property
+    def on_hit(self) -> Bound:
+        """The filter for any rays, of an opacity without a seed."""
+        return self.filter(*np.empty((2, 0, 3)))
+
+    def at(self, prim_ids: NDArray[Any], u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether points of triangles are there, of an opacity without a seed.
+
+        Parameters
+        ----------
+        prim_ids, u, v : ndarray of shape (N,)
+            Triangles, not -1, and weights of vertices 1 and 2.
+
+        Returns
+        -------
+        ndarray of shape (N,), bool
+        """
+        found = np.empty(len(prim_ids), np.bool_)
+        points = np.ascontiguousarray(prim_ids, np.int32), u.astype(float), v.astype(float)
+        bound = self.on_hit
+
+        def body(begin: int, end: int) -> None:
+            find_points(begin, end, *points, bound.constants, found)
+
+        parallel_for(body, len(found), _CHUNK)
+        return found
+
+    def digest(self) -> str:
+        """A hash of everything that decides what is there."""
+        digest = hashlib.sha256()
+        for array in _arrays_in(self._kept):
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
+
 
 def filter_of(
     opacity: Opacity | None, origins: NDArray[np.float64], directions: NDArray[np.float32]
 ) -> Bound | None:
     """`Opacity.filter`, or None if there is no opacity."""
     return None if opacity is None else opacity.filter(origins, directions)
+
+
+def _arrays_in(kept: object) -> Iterator[NDArray[Any]]:
+    """The arrays of nested tuples."""
+    if isinstance(kept, np.ndarray):
+        yield kept
+    elif isinstance(kept, tuple):
+        for one in kept:
+            yield from _arrays_in(one)
 
 
 def _pack(

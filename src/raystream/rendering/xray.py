@@ -62,7 +62,7 @@ def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
     else:
         directions = paths.directions.astype(np.float64)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        found = thickness(context.tracer, paths.origins, directions)
+        found = thickness(context.tracer, paths.origins, directions, cutouts=False)
         passed = attenuation(found, context.options["absorption"], incomplete="ignore")
         band.radiance[paths.pixels - band.first_pixel] += passed[:, None].astype(np.float32)
     return PathStream(paths.first(0))

@@ -55,7 +55,8 @@ class Material:
         lights.
     opacity : float
         1 is solid, 0 is invisible (MTL ``d``, glTF alpha); multiplied by the texture
-        ``"opacity"``. It is the fraction of rays that see the surface.
+        ``"opacity"``. It is the fraction of an image's rays that see the surface. Analyses such as
+        `lidar_returns` see it where this is at least a half; queries of a `Tracer` always do.
     roughness, metallic : float or None
         glTF's parameters; None if the file has none.
     normal_reflectance : Color

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device_call
+from raystream.jit.cpu import device_call, kernel
 from raystream.jit.simd import as_int32, as_uint32, float_as_bits, gather, load
 from raystream.rendering.sampling.hashing import as_float, mix
 from raystream.rendering.shading.surface_points import material_of
@@ -84,6 +84,15 @@ def is_there(hit: Any, rays: Any) -> bool:
         return True
     result: bool = _is_there(hit.prim_id, hit.instance_id, hit.u, hit.v, hit.ray, kind, rays)
     return result
+
+
+@kernel
+def find_points(begin, end, prim_ids, u, v, rays, found):
+    """Write whether points of triangles, rows begin to end, are there; none is left to chance."""
+    for i in range(np.uint64(begin), np.uint64(end)):
+        prim_id = prim_ids[i]
+        kind = gather(np.int32, rays.tables.kinds, material_of(rays.tables, prim_id))
+        found[i] = kind == OPAQUE or _is_there(prim_id, _0, u[i], v[i], i, kind, rays)
 
 
 @device_call
