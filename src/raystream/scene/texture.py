@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from raystream.core.errors import FileFormatError
 
 #: a, b, c, d, e, f: u and v become a u + b v + c and d u + e v + f.
 Affine = tuple[float, float, float, float, float, float]
+
+#: Tags of TIFF files: bits of a number, and 0 where white is 0.
+_BITS_PER_SAMPLE, _PHOTOMETRIC = 258, 262
 
 #: Larger images are rejected before decoding: a few kilobytes can claim terabytes.
 MAX_TEXTURE_PIXELS = 1 << 28
@@ -97,12 +100,14 @@ class Texture:
         Returns
         -------
         ndarray of shape (H, W, C), uint8
-            C is 1, 3 or 4; encoded values (sRGB for colours), top row first.
+            C is 1, 3 or 4; encoded values (sRGB for colours), top row first. Greys of more than 8
+            bits are rounded to bytes: white is 65535 (4095 of 12 bits), and 1 in floats.
 
         Raises
         ------
         FileFormatError
-            If the image cannot be read, or has more than `MAX_TEXTURE_PIXELS` pixels.
+            If the image cannot be read, or has more than `MAX_TEXTURE_PIXELS` pixels, or greys of
+            32 bits below 0 or above white.
         """
         if self._pixels is None:
             self._pixels = self._decode()
@@ -144,19 +149,61 @@ class Texture:
                     width, height = image.size
                     if width * height > MAX_TEXTURE_PIXELS:
                         raise FileFormatError(label, f"image of {width}x{height} is too large")
-                    mode = (
-                        "RGBA" if "A" in image.getbands() or "transparency" in image.info else "RGB"
-                    )
-                    mode = "L" if image.mode == "L" else mode
-                    pixels = np.asarray(image.convert(mode), np.uint8)
+                    return pixels_of(image)
         except FileFormatError:
             raise
         except Exception as error:  # Pillow raises many kinds for damaged files
             raise FileFormatError(label, f"cannot read this image ({error})") from error
-        return pixels[:, :, None] if pixels.ndim == 2 else pixels
 
     def __repr__(self) -> str:
         return f"Texture({self.name!r}, wrap={self.wrap!r})"
+
+
+def pixels_of(image: Any) -> NDArray[np.uint8]:
+    """Decode an image of any mode that Pillow opens.
+
+    Parameters
+    ----------
+    image : PIL.Image.Image
+        White is 65535 in greys of 16 and 32 bits, 4095 in those of 12 bits, and 1 in floats.
+
+    Returns
+    -------
+    ndarray of shape (H, W, C), uint8
+        C is 1 for greys, 4 with alpha or a transparent colour, and otherwise 3.
+
+    Raises
+    ------
+    ValueError
+        If greys of 32 bits or floats are below 0, above white, or NaN: what is white is unknown.
+    """
+    if image.mode.startswith(("I", "F")):
+        return _deep_greys(image)
+    has_alpha = "A" in image.getbands() or "transparency" in image.info
+    grey = "L" if image.mode == "L" else "RGB"
+    pixels = np.asarray(image.convert("RGBA" if has_alpha else grey), np.uint8)
+    return pixels[:, :, None] if pixels.ndim == 2 else pixels
+
+
+def _deep_greys(image: Any) -> NDArray[np.uint8]:
+    """Greys of more than 8 bits. Pillow's own conversion makes 255 and more white."""
+    tags = getattr(image, "tag_v2", {})
+    bits = tags.get(_BITS_PER_SAMPLE, (16,))[0]
+    white = 1.0 if image.mode == "F" else float((1 << min(bits, 16)) - 1)
+    values = np.asarray(image)
+    low, high = float(values.min()), float(values.max())
+    if not (low >= 0.0 and high <= white):
+        raise ValueError(
+            f"its greys are from {low:g} to {high:g}, not from 0 to {white:g}; "
+            "scale them, and save it with 8 or 16 bits"
+        )
+    greys = np.rint(values / (white / 255.0)).astype(np.uint8)[:, :, None]
+    greys = 255 - greys if tags.get(_PHOTOMETRIC) == 0 else greys
+    transparent = image.info.get("transparency")
+    if transparent is None:
+        return greys
+    alpha = np.where(values == transparent, 0, 255).astype(np.uint8)[:, :, None]
+    return np.concatenate([greys, greys, greys, alpha], axis=2)
 
 
 def _alpha_of(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
