@@ -50,33 +50,34 @@ class Opacity:
 
     @classmethod
     def of(cls, scene: Scene, seed: int) -> Opacity | None:
-        """The opacity of a scene; None if all materials in use are opaque.
+        """The opacity of a scene; None if all materials in use, and vertices, are opaque.
 
         Warns
         -----
         RaystreamWarning
             For each texture that cannot be read; the material's constant is then used.
         """
-        if all(material.is_opaque for material in scene.materials):
+        if scene.is_opaque:
             return None
         material_ids = scene.attributes.material_ids
         used = np.unique(material_ids)
-        textures, kinds, kept = _pack(scene.materials, used)
+        textures, kinds, kept = _pack(scene.materials, used, scene.attributes.faint_materials)
         if not kinds[used].any():
             return None
         cutoffs = [material.alpha_cutoff or 0.0 for material in scene.materials]
         numbers = np.array([[m.opacity for m in scene.materials], cutoffs], np.float32)
         numbers = np.ascontiguousarray(numbers.T)
-        vertices = VertexAttributes.of(scene)
+        vertices, alphas = VertexAttributes.of(scene), scene.attributes.alphas
         tables = OpacityTables(
             address_of(material_ids),
             address_of(vertices.faces),
             address_of(vertices.texcoords),
+            address_of(alphas),
             address_of(kinds),
             address_of(numbers),
             textures,
         )
-        return cls(tables, seed, (material_ids, vertices, kinds, numbers, kept))
+        return cls(tables, seed, (material_ids, vertices, alphas, kinds, numbers, kept))
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound:
         """The filter (``on_hit``) of queries for these rays, of shape (N, 3)."""
@@ -95,9 +96,12 @@ def filter_of(
 
 
 def _pack(
-    materials: Sequence[Material], used: NDArray[np.int32]
+    materials: Sequence[Material], used: NDArray[np.int32], faint: frozenset[int]
 ) -> tuple[TextureTables, NDArray[np.int32], object]:
-    """Opacity textures, kinds of materials, and the arrays to keep alive; see `pack_textures`."""
+    """Opacity textures, kinds of materials, and the arrays to keep alive; see `pack_textures`.
+
+    Materials in `faint` have vertices that are not opaque.
+    """
     kinds = np.full(len(materials), OPAQUE, np.int32)
     of_material = np.full(len(materials), -1, np.int32)
     known: dict[int, int] = {}
@@ -113,7 +117,8 @@ def _pack(
                 known[id(texture)] = atlas.add(texels, texture)
         of_material[index] = -1 if texture is None else known[id(texture)]
         least = 1.0 if material.alpha_cutoff is None else material.alpha_cutoff
-        if material.opacity < least or (of_material[index] >= 0 and least > 0.0):
+        varies = of_material[index] >= 0 or index in faint
+        if material.opacity < least or (varies and least > 0.0):
             kinds[index] = PARTIAL if material.alpha_cutoff is None else MASKED
     kept: tuple[NDArray[Any], ...] = (
         *atlas.arrays(),
