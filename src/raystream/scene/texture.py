@@ -18,6 +18,12 @@ from raystream.core.errors import FileFormatError
 #: a, b, c, d, e, f: u and v become a u + b v + c and d u + e v + f.
 Affine = tuple[float, float, float, float, float, float]
 
+#: Behaviour outside [0, 1]: of both axes, or of u and of v.
+Wrap = Literal["repeat", "clamp", "mirror"]
+Wraps = Wrap | tuple[Wrap, Wrap]
+
+WRAPS = ("repeat", "clamp", "mirror")
+
 #: Tags of TIFF files: bits of a number, and 0 where white is 0.
 _BITS_PER_SAMPLE, _PHOTOMETRIC = 258, 262
 
@@ -52,8 +58,9 @@ class Texture:
         values (sRGB for colours); C is 1, 3 or 4.
     name : str, optional
         Defaults to the file's name.
-    wrap : {"repeat", "clamp"}
-        Behaviour outside [0, 1].
+    wrap : {"repeat", "clamp", "mirror"} or tuple of two of these
+        Behaviour outside [0, 1], of both axes, or along u and along v: "mirror" repeats the image
+        with every other copy reversed.
     transform : tuple of six float, optional
         a, b, c, d, e, f: the image is looked up at u' = a u + b v + c and v' = d u + e v + f, where
         u and v are a mesh's coordinates and v points up [default: unchanged]. It moves normal and
@@ -70,11 +77,10 @@ class Texture:
         source: str | PathLike[str] | bytes | NDArray[np.uint8],
         *,
         name: str = "",
-        wrap: Literal["repeat", "clamp"] = "repeat",
+        wrap: Wraps = "repeat",
         transform: Affine | None = None,
     ) -> None:
-        if wrap not in ("repeat", "clamp"):
-            raise ValueError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
+        self.wraps = _wraps(wrap)
         if transform is not None:
             a, b, c, d, e, f = _numbers(transform)
             transform = a, b, c, d, e, f
@@ -88,11 +94,15 @@ class Texture:
             )
         self.path = source if isinstance(source, Path) else None
         self.name = name or (self.path.name if self.path else "")
-        self.wrap = wrap
         self.transform = transform
         self._encoded = source if isinstance(source, bytes) else None
         self._pixels = source if isinstance(source, np.ndarray) else None
         self._made: tuple[Texture, Callable[[NDArray[np.uint8]], NDArray[np.uint8]]] | None = None
+
+    @property
+    def wrap(self) -> Wraps:
+        """As `wraps`, of u and v; one word if both have the same."""
+        return self.wraps[0] if self.wraps[0] == self.wraps[1] else self.wraps
 
     def pixels(self) -> NDArray[np.uint8]:
         """Decode the image; cached.
@@ -219,6 +229,13 @@ def _check_pixels(pixels: NDArray[np.uint8]) -> None:
         raise ValueError(
             f"source: expected pixels of shape (H, W, C), C 1, 3 or 4, got {pixels.shape}"
         )
+
+
+def _wraps(wrap: Any) -> tuple[Wrap, Wrap]:
+    both = tuple(wrap) if isinstance(wrap, (tuple, list)) else (wrap, wrap)
+    if len(both) != 2 or not all(one in WRAPS for one in both):
+        raise ValueError(f"wrap: expected one of {', '.join(WRAPS)}, or two, got {wrap!r}")
+    return both[0], both[1]
 
 
 def _numbers(transform: Affine) -> list[float]:
