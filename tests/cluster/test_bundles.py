@@ -27,7 +27,7 @@ def rich_scene() -> rs.Scene:
     picture = rs.Texture(
         rng.integers(0, 255, (4, 5, 3), np.uint8),
         name="p",
-        wrap="clamp",
+        wrap=("mirror", "clamp"),
         transform=(1, 0, 0.5, 0, 2, 1 / 3),
     )
     materials = [
@@ -37,6 +37,7 @@ def rich_scene() -> rs.Scene:
     ]
     vertices = rng.random((6, 3))
     faces = [[0, 1, 2], [3, 4, 5]]
+    pale = np.column_stack([vertices, vertices[:, 0]])
     attributes = {"normals": vertices, "colors": vertices, "texcoords": vertices[:, :2]}
     lights = [
         rs.PointLight((1, 2, 3), falloff="none"),
@@ -48,7 +49,7 @@ def rich_scene() -> rs.Scene:
     return rs.Scene(
         [
             rs.Mesh(vertices, faces, material_ids=[0, 1], name="one", **attributes),
-            rs.Mesh(vertices.astype(np.float32) + 2, faces[:1], material_ids=2),
+            rs.Mesh(vertices.astype(np.float32) + 2, faces[:1], material_ids=2, colors=pale),
             rs.Mesh(np.empty((0, 3)), np.empty((0, 3), int)),
         ],
         materials=materials,
@@ -79,7 +80,7 @@ def test_a_scene_comes_out_as_it_went_in():
     assert picture is found.materials[0].textures["opacity"]
     assert picture is found.materials[2].textures["diffuse"]
     assert_same_bits(picture.pixels(), scene.materials[0].textures["diffuse"].pixels())
-    assert (picture.name, picture.wrap) == ("p", "clamp")
+    assert (picture.name, picture.wrap) == ("p", ("mirror", "clamp"))
     assert picture.transform == (1, 0, 0.5, 0, 2, 1 / 3)
     with pytest.raises(rs.FileFormatError):
         found.materials[2].textures["bump"].pixels()

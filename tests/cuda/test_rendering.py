@@ -39,7 +39,11 @@ MATERIALS = [
     rs.Material(
         "floor",
         diffuse=(0.8, 0.7, 0.6),
-        textures={"diffuse": bitmap(4, 8, transform=(0.5, -0.7, 0.1, 0.8, 0.4, -0.3))},
+        textures={
+            "diffuse": bitmap(
+                4, 8, wrap=("mirror", "clamp"), transform=(0.5, -0.7, 0.1, 0.8, 0.4, -0.3)
+            )
+        },
     ),
     rs.Material("lamp", diffuse=(0.2, 0.2, 0.2), emission=(4.0, 3.0, 2.0)),
     rs.Material("gloss", diffuse=(0.3, 0.3, 0.1), specular=(0.4, 0.4, 0.6), shininess=30.0),

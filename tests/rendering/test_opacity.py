@@ -10,6 +10,7 @@ from conftest import assert_same_bits
 from meshes import cube
 from raystream.core.errors import RaystreamWarning
 from raystream.rendering.opacity import Opacity
+from raystream.rendering.vertex_attributes import VertexAttributes
 from z_test import assert_mean, assert_zero
 
 BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -26,6 +27,14 @@ def plate(z, material=0, size=4.0):
     vertices = np.column_stack([size * corners, np.full(4, z)])
     texcoords, faces = (corners + 1) / 2, [[0, 1, 2], [0, 2, 3]]
     return rs.Mesh(vertices, faces, material_ids=np.full(2, material), texcoords=texcoords)
+
+
+def faint(alphas, material=0):
+    """The same plate with an alpha at each corner, from the lower left counterclockwise."""
+    mesh = plate(0, material)
+    colors = np.column_stack([np.ones((4, 3)), alphas])
+    attributes = {"texcoords": mesh.texcoords, "material_ids": mesh.material_ids}
+    return rs.Mesh(mesh.vertices, mesh.faces, colors=colors, **attributes)
 
 
 def masked(pixels, **looks):
@@ -130,6 +139,40 @@ def test_opacity_between_texels_is_bilinear():
     assert_mean(rs.render(scene, "path", (32, 32), 16, sampler="random"), 0.6)
 
 
+@pytest.mark.parametrize("alphas", [[0, 1, 1, 0], [0, 0, 1, 1]])
+def test_the_alpha_of_vertices_is_interpolated(alphas):
+    """Times an opacity of 0.8, it reaches the cutoff at 5/8 of the way from 0 to 1."""
+    material = rs.Material(opacity=0.8, alpha_cutoff=0.5)
+    camera = rs.Camera((0, 0, 1), (0, 0, 0), fov=2 * np.degrees(np.arctan(4)))  # all of the plate
+    scene = rs.Scene([faint(alphas)], materials=[material], camera=camera)
+    is_there = rs.render(scene, "vis", (32, 32)).pixels.any(axis=2)
+    expected = np.zeros((32, 32), bool)
+    expected[:, 20:] = True
+    np.testing.assert_array_equal(is_there, expected if alphas[1] else expected.T[::-1])
+
+
+def test_the_alpha_of_vertices_is_a_share_of_rays():
+    """Without a cutoff; the plate behind it has no alpha."""
+    materials = [rs.Material(diffuse=BLACK), rs.Material(diffuse=BLACK, opacity=0.5)]
+    meshes = [faint([0.25] * 4), plate(-1, 1, 9)]
+    scene = rs.Scene(meshes, materials=materials, background=WHITE, camera=AHEAD)
+    assert_mean(rs.render(scene, "path", (32, 32), 16, sampler="random"), 0.75 * 0.5)
+
+
+def test_what_glows_with_an_alpha_is_no_area_light():
+    glowing = rs.Material(emission=(1, 1, 1))
+    assert len(rs.Scene([plate(0)], materials=[glowing]).area_lights) == 1
+    assert len(rs.Scene([faint([1] * 4)], materials=[glowing]).area_lights) == 1
+    assert rs.Scene([faint([1, 1, 1, 0.5])], materials=[glowing]).area_lights == []
+
+
+def test_primitives_beside_an_alpha_are_refused():
+    balls = rs.Scene.spheres([[0, 0, 2.0]], 1.0)
+    scene = rs.Scene.combine([rs.Scene([faint([0.5] * 4)]), balls]).replace(camera=AHEAD)
+    with pytest.raises(rs.RaystreamError, match="not opaque"):
+        rs.render(scene, "vis", (8, 8))
+
+
 @pytest.mark.ci
 @pytest.mark.parametrize("structure", ["kdtree", "grid", "graph", "brute"])
 def test_all_structures_show_the_same(structure):
@@ -140,6 +183,7 @@ def test_all_structures_show_the_same(structure):
         mesh = plate(z, 1 + int(2 * z) % 2, 1.5)
         tilt = rng.normal(0.0, 0.2, 3)
         meshes.append(mesh.moved(mesh.vertices + mesh.vertices * tilt + rng.normal(0, 0.3, 3)))
+    meshes.append(faint([0.25, 0.5, 0.75, 1.0]).moved(plate(1.2, size=1.5).vertices))
     materials = [rs.Material(), masked(COLUMNS, alpha_cutoff=0.5), masked(COLUMNS, opacity=0.6)]
     lights = [rs.PointLight((1, 2, 5), (90, 90, 90))]
     camera = rs.Camera((0.3, 0.2, 9), (0, 0, 0), fov=30)
@@ -176,6 +220,8 @@ def test_opaque_scenes_have_no_filter():
         masked(solid, alpha_cutoff=1.0),
         masked(COLUMNS, alpha_cutoff=0.0),
     ]
+    assert Opacity.of(rs.Scene([faint([1.0] * 4)]), 0) is None
+    assert Opacity.of(rs.Scene([faint([1, 1, 1, 0.5])]), 0) is not None
     unused = rs.Material(opacity=0.5)
     for material in opaque:
         assert Opacity.of(rs.Scene([plate(0)], materials=[material, unused]), 0) is None
@@ -201,3 +247,23 @@ def test_opacity_that_cannot_be_read_is_left_out(tmp_path):
     material = rs.Material(textures={"opacity": rs.Texture(tmp_path / "a.png")})
     with pytest.warns(RaystreamWarning, match=r"a\.png"):
         assert Opacity.of(rs.Scene([plate(0)], materials=[material]), 0) is None
+
+
+def test_meshes_with_and_without_an_alpha_are_joined():
+    """Neither the colours nor the other meshes change."""
+    colors = np.random.default_rng(5).random((4, 4)).astype(np.float32)
+    corners = plate(0)
+    meshes = [
+        rs.Mesh(corners.vertices, corners.faces, colors=colors[:, :3]),
+        corners,
+        rs.Mesh(corners.vertices, corners.faces, colors=colors, material_ids=1),
+    ]
+    scene = rs.Scene(meshes, materials=[rs.Material(), rs.Material()])
+    whole = np.ones((12, 4), np.float32)
+    whole[:4, :3], whole[8:] = colors[:, :3], colors
+    assert_same_bits(scene.attributes.colors, whole)
+    assert_same_bits(VertexAttributes.of(scene).colors, whole[:, :3].copy())
+    assert scene.attributes.faint_materials == {1}
+    assert not scene.is_opaque
+    assert rs.Scene(meshes[:2]).attributes.colors.shape == (8, 3)
+    assert rs.Scene(meshes[:2]).is_opaque

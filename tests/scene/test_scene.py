@@ -22,7 +22,7 @@ TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
         (TRIANGLE, [[0, 1, -1]], {}, ValueError, "faces: vertex index -1"),
         (TRIANGLE, [[0, 1, 2**40]], {}, ValueError, "faces: vertex index"),
         (TRIANGLE, [[0, 1, 2]], {"normals": [[0, 0, 1]]}, ValueError, "normals: expected shape"),
-        (TRIANGLE, [[0, 1, 2]], {"colors": np.zeros((3, 4))}, ValueError, "colors"),
+        (TRIANGLE, [[0, 1, 2]], {"colors": np.zeros((3, 5))}, ValueError, "colors"),
         (TRIANGLE, [[0, 1, 2]], {"texcoords": "no"}, TypeError, "texcoords"),
         (TRIANGLE, [[0, 1, 2]], {"material_ids": [0, 0]}, ValueError, "material_ids"),
         (TRIANGLE, [[0, 1, 2]], {"material_ids": -1}, ValueError, "material_ids"),
@@ -80,7 +80,7 @@ def test_area_lights_follow_from_materials():
         (lambda: rs.SpotLight((0, 0, 0), (0, 0, 1), outer_angle=91), "outer_angle"),
         (lambda: rs.DirectionalLight((0, 0, 0)), "direction"),
         (lambda: rs.EnvironmentLight((0, 0)), "radiance"),
-        (lambda: rs.Texture(np.zeros((1, 1, 3), np.uint8), wrap="mirror"), "wrap"),
+        (lambda: rs.Texture(np.zeros((1, 1, 3), np.uint8), wrap="border"), "wrap"),
     ],
 )
 def test_bad_looks_are_named(make, words):

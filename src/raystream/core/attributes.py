@@ -65,16 +65,42 @@ class Attributes:
 
     @cached_property
     def colors(self) -> NDArray[np.float32] | None:
-        """Linear RGB of shape (V, 3), float32; 1 where a mesh has none, None if none has any."""
-        return self._joined([mesh.colors for mesh in self._meshes], 3, 1.0)
+        """Linear RGB of shape (V, 3), float32; 1 where a mesh has none, None if none has any.
+
+        Of shape (V, 4), with alpha, if a mesh has that; others have an alpha of 1.
+        """
+        tables = [mesh.colors for mesh in self._meshes]
+        width = max((one.shape[1] for one in tables if one is not None), default=3)
+        return self._joined(tables, width, 1.0)
+
+    @cached_property
+    def alphas(self) -> NDArray[np.float32] | None:
+        """The alpha of colours, shape (V, 1), float32; None if it is 1 everywhere."""
+        if all(mesh.colors is None or mesh.colors.shape[1] == 3 for mesh in self._meshes):
+            return None
+        assert self.colors is not None
+        alphas = np.ascontiguousarray(self.colors[:, 3:])
+        return None if (alphas == 1.0).all() else alphas
+
+    @cached_property
+    def faint_materials(self) -> frozenset[int]:
+        """Materials of triangles with a vertex whose alpha is below 1."""
+        if self.alphas is None:
+            return frozenset()
+        is_faint = ~(self.alphas[self.faces, 0] >= 1.0).all(axis=1)
+        return frozenset(self.material_ids[is_faint].tolist())
 
     def _joined(
         self, tables: Sequence[NDArray[np.float32] | None], width: int, missing: float
     ) -> NDArray[np.float32] | None:
         if all(table is None for table in tables):
             return None
-        parts = [
-            np.full((len(mesh.vertices), width), missing, np.float32) if table is None else table
-            for mesh, table in zip(self._meshes, tables, strict=True)
-        ]
+        parts = []
+        for mesh, table in zip(self._meshes, tables, strict=True):
+            part = table
+            if part is None or part.shape[1] < width:
+                part = np.full((len(mesh.vertices), width), missing, np.float32)
+                if table is not None:
+                    part[:, : table.shape[1]] = table
+            parts.append(part)
         return np.concatenate(parts)

@@ -62,7 +62,7 @@ class Opacity:
     def of(
         cls, scene: Scene, seed: int | None, is_solid: NDArray[np.bool_] | None = None
     ) -> Opacity | None:
-        """The opacity of a scene; None if all materials in use are opaque.
+        """The opacity of a scene; None if all materials in use, and vertices, are opaque.
 
         Parameters
         ----------
@@ -77,14 +77,14 @@ class Opacity:
         RaystreamWarning
             For each texture that cannot be read; the material's constant is then used.
         """
-        if all(material.is_opaque for material in scene.materials):
+        if scene.is_opaque:
             return None
         material_ids, materials = scene.attributes.material_ids, list(scene.materials)
         if is_solid is not None:  # one more material, which is opaque
             material_ids = np.where(is_solid, np.int32(len(materials)), material_ids)
             materials.append(Material())
         used = np.unique(material_ids)
-        textures, kinds, kept = _pack(materials, used)
+        textures, kinds, kept = _pack(materials, used, scene.attributes.faint_materials)
         if not kinds[used].any():
             return None
         cutoffs = [material.alpha_cutoff or 0.0 for material in materials]
@@ -93,16 +93,17 @@ class Opacity:
         if seed is None:
             is_partial = kinds == PARTIAL
             numbers[is_partial, 1], kinds[is_partial] = _HALF, MASKED
-        vertices = VertexAttributes.of(scene)
+        vertices, alphas = VertexAttributes.of(scene), scene.attributes.alphas
         tables = OpacityTables(
             address_of(material_ids),
             address_of(vertices.faces),
             address_of(vertices.texcoords),
+            address_of(alphas),
             address_of(kinds),
             address_of(numbers),
             textures,
         )
-        return cls(tables, seed, (material_ids, vertices, kinds, numbers, kept))
+        return cls(tables, seed, (material_ids, vertices, alphas, kinds, numbers, kept))
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound:
         """The filter (``on_hit``) of queries for these rays, of shape (N, 3)."""
@@ -164,9 +165,12 @@ def _arrays_in(kept: object) -> Iterator[NDArray[Any]]:
 
 
 def _pack(
-    materials: Sequence[Material], used: NDArray[np.int32]
+    materials: Sequence[Material], used: NDArray[np.int32], faint: frozenset[int]
 ) -> tuple[TextureTables, NDArray[np.int32], object]:
-    """Opacity textures, kinds of materials, and the arrays to keep alive; see `pack_textures`."""
+    """Opacity textures, kinds of materials, and the arrays to keep alive; see `pack_textures`.
+
+    Materials in `faint` have vertices that are not opaque.
+    """
     kinds = np.full(len(materials), OPAQUE, np.int32)
     of_material = np.full(len(materials), -1, np.int32)
     known: dict[int, int] = {}
@@ -182,7 +186,8 @@ def _pack(
                 known[id(texture)] = atlas.add(texels, texture)
         of_material[index] = -1 if texture is None else known[id(texture)]
         least = 1.0 if material.alpha_cutoff is None else material.alpha_cutoff
-        if material.opacity < least or (of_material[index] >= 0 and least > 0.0):
+        varies = of_material[index] >= 0 or index in faint
+        if material.opacity < least or (varies and least > 0.0):
             kinds[index] = PARTIAL if material.alpha_cutoff is None else MASKED
     kept: tuple[NDArray[Any], ...] = (
         *atlas.arrays(),

@@ -14,6 +14,7 @@ from raystream.core.memory import check_memory
 from raystream.rendering.arguments import MAX_PIXELS
 from raystream.rendering.color import decode_srgb
 from raystream.rendering.software_tag import SOFTWARE
+from raystream.scene.texture import pixels_of
 
 #: Memory per pixel: as decoded bytes, and as linear float32.
 _BYTES_PER_PIXEL = 20
@@ -71,13 +72,9 @@ def read_png(path: str) -> NDArray[np.float32]:
                     raise FileFormatError(path, f"image of {width}x{height} is too large")
                 byte_count = width * height * _BYTES_PER_PIXEL
                 check_memory(byte_count, f"{path}: an image of {width}x{height} would")
-                if image.mode.startswith("I"):
-                    grey = np.rint(np.asarray(image) / 257.0).astype(np.uint8)
-                    encoded = np.repeat(grey[:, :, None], 3, axis=2)
-                else:
-                    encoded = np.asarray(image.convert("RGB"), np.uint8)
+                encoded = pixels_of(image)[:, :, :3]
     except (FileFormatError, MemoryError):
         raise
     except Exception as error:  # Pillow raises many types for corrupt files
         raise FileFormatError(path, f"is not a complete .png file ({error})") from error
-    return decode_srgb(encoded)
+    return decode_srgb(np.repeat(encoded, 3 // encoded.shape[2], axis=2))

@@ -151,6 +151,8 @@ def _digest(scene: Scene) -> str:
         add(plain)
         for _, texture in sorted(material.textures.items()):
             add(texture.wrap)
+            if texture.transform is not None:
+                add(texture.transform)
             try:
                 add(texture.pixels())
             except FileFormatError:  # not rendered either

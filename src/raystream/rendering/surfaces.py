@@ -59,7 +59,7 @@ def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables |
     """The tables of the objects of a scene with instances, or of the meshes beside primitives."""
     triangles: Any = scene.triangles
     if isinstance(triangles, Primitives):
-        if not all(material.is_opaque for material in scene.materials):
+        if not scene.is_opaque:
             raise RaystreamError(f"materials that are not opaque: {NOT_TRIANGLES}")
         return MeshTables.of(arrays)
     if not isinstance(triangles, InstancedTriangles):

@@ -70,4 +70,5 @@ class VertexAttributes(NamedTuple):
         if not (known.normals is None and known.texcoords is None and known.colors is None):
             check_rows(known.vertex_count, 3, "vertices with attributes")
             faces = known.faces
-        return cls(known.normals, known.texcoords, known.colors, faces)
+        colors = None if known.colors is None else np.ascontiguousarray(known.colors[:, :3])
+        return cls(known.normals, known.texcoords, colors, faces)

@@ -23,8 +23,9 @@ class Mesh:
         Vertex indices of each triangle, counter-clockwise seen from the front.
     normals : array_like of shape (V, 3), float, optional
         Shading normals; need not be unit length.
-    colors : array_like of shape (V, 3), float, optional
-        Linear RGB in [0, 1], multiplied by the material's diffuse colour.
+    colors : array_like of shape (V, 3) or (V, 4), float, optional
+        Linear RGB in [0, 1], multiplied by the material's diffuse colour; and an alpha in [0, 1],
+        multiplied by the material's opacity.
     texcoords : array_like of shape (V, 2), float, optional
         Texture coordinates; (0, 0) is the lower left corner of the image.
     material_ids : int or array_like of shape (F,), integer, optional
@@ -64,7 +65,8 @@ class Mesh:
         self.vertices = _vertices(vertices)
         self.faces = _faces(faces, len(self.vertices))
         self.normals = _attribute("normals", normals, (len(self.vertices), 3))
-        self.colors = _attribute("colors", colors, (len(self.vertices), 3))
+        count = len(self.vertices)
+        self.colors = _attribute("colors", colors, (count, 3), (count, 4))
         self.texcoords = _attribute("texcoords", texcoords, (len(self.vertices), 2))
         self.material_ids = _material_ids(material_ids, len(self.faces))
         self.name = str(name)
@@ -155,15 +157,18 @@ def _faces(faces: ArrayLike, vertex_count: int) -> NDArray[np.int32]:
 
 
 def _attribute(
-    name: str, values: ArrayLike | None, shape: tuple[int, int]
+    name: str, values: ArrayLike | None, *shapes: tuple[int, int]
 ) -> NDArray[np.float32] | None:
     if values is None:
         return None
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
-    if array.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape} to match the vertices, got {array.shape}")
+    if array.shape not in shapes:
+        expected = " or ".join(map(str, shapes))
+        raise ValueError(
+            f"{name}: expected shape {expected} to match the vertices, got {array.shape}"
+        )
     return _kept(array, np.float32)
 
 

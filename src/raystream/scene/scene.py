@@ -434,6 +434,11 @@ class Scene(PrimitiveScene):
         return Timeline(*self.camera_track.times, FPS if fps is None else fps)
 
     @property
+    def is_opaque(self) -> bool:
+        """Whether every ray that reaches a surface hits it: no material or vertex is faint."""
+        return not self.attributes.faint_materials and all(m.is_opaque for m in self.materials)
+
+    @property
     def area_lights(self) -> list[AreaLight]:
         """The emissive triangles, one entry per mesh and emissive material.
 
@@ -443,7 +448,7 @@ class Scene(PrimitiveScene):
         triangles are listed once, but emit light in each instance.
         """
         lights: list[AreaLight] = []
-        others = self.primitive_materials
+        others = {*self.primitive_materials, *self.attributes.faint_materials}
         first = 0
         emissive = {
             index: material.emission

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raystream.scene.texture import MAX_TEXTURE_PIXELS, Texture
+from raystream.scene.texture import MAX_TEXTURE_PIXELS, Texture, Wraps
 
 __all__ = ["baked", "checker", "noise"]
 
@@ -22,7 +22,7 @@ def baked(
     size: tuple[int, int] = (512, 512),
     *,
     encoding: Encoding = "srgb",
-    wrap: Literal["repeat", "clamp"] = "repeat",
+    wrap: Wraps = "repeat",
     name: str = "",
 ) -> Texture:
     """Make a texture from a function of texture coordinates.

@@ -149,8 +149,6 @@ def unsupported(context: RenderContext) -> str | None:
         return "materials with a roughness"
     if any(not TEXTURES.issuperset(one.textures) for one in used):
         return "textures other than diffuse ones"
-    if any(texture.transform for one in used for texture in one.textures.values()):
-        return "textures with a transform"
     if context.punctual.sky.image or context.lights.sky.image:
         return "skies with an image"
     if any(isinstance(light, SpotLight) for light in scene.lights):

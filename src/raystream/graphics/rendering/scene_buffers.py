@@ -23,8 +23,8 @@ from raystream.rendering.shading.textures import ROLES, texture_arrays
 from raystream.rendering.vertex_attributes import VertexAttributes
 from raystream.scene.material import Material
 
-#: Texture coordinates of a vertex without any; texture of a material without one.
-_UNKNOWN, _NO_TEXTURE = 1e30, (0, 0, 0, 0)
+#: Texture coordinates of a vertex without any; words of a material's texture.
+_UNKNOWN, _TEXTURE_WORDS = 1e30, 10
 
 #: Columns of materials that only count if the renderer has their kind of lobe.
 _OF_KINDS = (
@@ -102,10 +102,11 @@ def _vertex_rows(vertices: VertexAttributes) -> NDArray[np.float32]:
 
 
 def _texels(materials: Sequence[Material]) -> NDArray[np.uint32]:
-    """The place of each material's diffuse texture, four words each, then all texels."""
+    """The place of each material's diffuse texture, zeros without one, then all texels."""
     texels, places, of_material, *_ = texture_arrays(materials)
-    rows = np.zeros((len(materials), 4), np.uint32)
+    rows = np.zeros((len(materials), _TEXTURE_WORDS), np.uint32)
     for row, texture in zip(rows, of_material[:, ROLES.index("diffuse")], strict=True):
-        row[:] = places[texture, :4] if texture >= 0 else _NO_TEXTURE
-    rows[:, 0] += 4 * len(materials)
+        if texture >= 0:
+            row[:] = places[texture].view(np.uint32)
+    rows[:, 0] += _TEXTURE_WORDS * len(materials)
     return np.concatenate([rows.ravel(), texels.view(np.uint32).ravel()])

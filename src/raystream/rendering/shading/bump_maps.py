@@ -9,15 +9,22 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import absolute, as_int32, gather, maximum, minimum, select
-from raystream.rendering.shading.textures import nearest_texels, wrapped
+from raystream.jit.simd import absolute, any_lane, as_int32, gather, maximum, minimum, select
+from raystream.rendering.shading.textures import (
+    CLAMPED_U,
+    CLAMPED_V,
+    MIRRORED_U,
+    MIRRORED_V,
+    nearest_texels,
+    wrapped,
+)
 
-_0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
+_0, _1, _2, _BEFORE = (np.int32(k) for k in (0, 1, 2, -1))
 _NULL, _HALF, _WHOLE, _INF = map(np.float32, (0.0, 0.5, 1.0, np.inf))
 
 
 @device
-def _four(index, size, is_clamped):
+def _four(index, size, is_clamped, is_mirrored):
     """The texels at an index minus 1 and plus 0, 1 and 2."""
     here = wrapped(index, size, is_clamped)
     last = as_int32(size - _1)
@@ -26,15 +33,19 @@ def _four(index, size, is_clamped):
     behind = wrapped(as_int32(after + _1), size, is_clamped)
     # Neighbours of an index outside a clamped texture may be outside, too.
     return (
-        select(is_clamped, _within(as_int32(index - _1), last), before),
+        select(is_clamped, _within(as_int32(index - _1), last, is_mirrored), before),
         here,
-        select(is_clamped, _within(as_int32(index + _1), last), after),
-        select(is_clamped, _within(as_int32(index + _2), last), behind),
+        select(is_clamped, _within(as_int32(index + _1), last, is_mirrored), after),
+        select(is_clamped, _within(as_int32(index + _2), last, is_mirrored), behind),
     )
 
 
 @device
-def _within(index, last):
+def _within(index, last, is_mirrored):
+    if any_lane(is_mirrored):
+        # The first texel's neighbour is itself, and then the second one.
+        past = select(index > last, as_int32(last + last + _1 - index), index)
+        index = select(is_mirrored, select(index < _0, as_int32(_BEFORE - index), past), index)
     return minimum(maximum(index, _0), last)
 
 
@@ -66,11 +77,13 @@ def bump_slopes(tables, texture, u, v):
         0 where u or v is not finite.
     """
     is_known = (absolute(u) < _INF) & (absolute(v) < _INF)
-    first, width, height, is_clamped, left, top, across, down = nearest_texels(
+    first, width, height, bits, left, top, across, down, slopes = nearest_texels(
         tables, texture, select(is_known, u, _HALF), select(is_known, v, _HALF), _WHOLE
     )
-    x0, x1, x2, x3 = _four(left, width, is_clamped)
-    y0, y1, y2, y3 = _four(top, height, is_clamped)
+    is_clamped_u, is_clamped_v = (bits & CLAMPED_U) != _0, (bits & CLAMPED_V) != _0
+    is_mirrored_u, is_mirrored_v = (bits & MIRRORED_U) != _0, (bits & MIRRORED_V) != _0
+    x0, x1, x2, x3 = _four(left, width, is_clamped_u, is_mirrored_u)
+    y0, y1, y2, y3 = _four(top, height, is_clamped_v, is_mirrored_v)
     a1 = _height(tables, first, width, x1, y0)
     a2 = _height(tables, first, width, x2, y0)
     b0 = _height(tables, first, width, x0, y1)
@@ -88,6 +101,6 @@ def bump_slopes(tables, texture, u, v):
     at_left = _between(c1, d1, down) - _between(a1, b1, down)
     at_right = _between(c2, d2, down) - _between(a2, b2, down)
     return (
-        select(is_known, _between(upper, lower, down), _NULL),
-        select(is_known, _between(at_left, at_right, across), _NULL),
+        select(is_known, slopes[0] * _between(upper, lower, down), _NULL),
+        select(is_known, slopes[1] * _between(at_left, at_right, across), _NULL),
     )

@@ -42,6 +42,8 @@ class OpacityTables(NamedTuple):
     ----------
     material_ids, faces, texcoords
         See `SceneTables`; faces and texcoords are 0 if missing.
+    alphas : uint64
+        Of shape (V, 1), float32: the alpha of vertices; 0 if it is 1 everywhere.
     kinds : uint64
         Of shape (M,), int32: `OPAQUE`, `MASKED` or `PARTIAL`.
     numbers : uint64
@@ -53,6 +55,7 @@ class OpacityTables(NamedTuple):
     material_ids: np.uint64
     faces: np.uint64
     texcoords: np.uint64
+    alphas: np.uint64
     kinds: np.uint64
     numbers: np.uint64
     textures: TextureTables
@@ -113,9 +116,14 @@ def _alpha(tables, prim, material, u, v):
     """Opacity at a point of a triangle, float64."""
     alpha = np.float64(gather(np.float32, tables.numbers, as_int32(material * _2)))
     texture = gather(np.int32, tables.textures.of_material, material)
-    if texture < _0 or tables.texcoords == _NONE:
+    has_texture = texture >= _0 and tables.texcoords != _NONE
+    if not has_texture and tables.alphas == _NONE:
         return alpha
     vertices = vertices_of(tables, prim)
+    if tables.alphas != _NONE:
+        alpha = alpha * attribute_number(tables.alphas, _1, _0, vertices, u, v)
+    if not has_texture:
+        return alpha
     s = attribute_number(tables.texcoords, _2, _0, vertices, u, v)
     t = attribute_number(tables.texcoords, _2, _1, vertices, u, v)
     grey, _, _ = texture_color(tables.textures, texture, s, t, tables.textures.plain)

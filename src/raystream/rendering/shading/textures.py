@@ -46,14 +46,24 @@ ROLES = (
 
 _NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
 
-_NULL, _HALF, _WHOLE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_NULL, _HALF, _WHOLE, _TWO = map(np.float32, (0.0, 0.5, 1.0, 2.0))
 _INF = np.float32(np.inf)
 _ROLES = np.int32(len(ROLES))
 
 _0, _1, _2, _3, _4, _5, _6, _7, _8, _9, _PLACE = (np.int32(k) for k in range(11))
 
-#: Bits of a texture's row: clamped, and transformed.
-_CLAMPED, _TRANSFORMED = np.int32(1), np.int32(2)
+#: Bits of a texture's row.
+CLAMPED_U, _TRANSFORMED, CLAMPED_V, MIRRORED_U, MIRRORED_V = (np.int32(1 << k) for k in range(5))
+MIRRORED = np.int32(MIRRORED_U | MIRRORED_V)
+_OF_U, _OF_V = np.int32(CLAMPED_U | MIRRORED_U), np.int32(CLAMPED_V | MIRRORED_V)
+
+#: Bits by `Texture.wraps`. Mirrored coordinates are folded into [0, 1], and then clamped: beyond
+#: its first and its last texel, a mirrored image has the same texels again.
+_WRAP_BITS = {
+    "repeat": np.int32(0),
+    "clamp": np.int32(CLAMPED_U | CLAMPED_V),
+    "mirror": np.int32(CLAMPED_U | CLAMPED_V | MIRRORED),
+}
 _BYTE, _SHIFT_8, _SHIFT_16 = np.uint32(0xFF), np.uint32(8), np.uint32(16)
 
 #: Most texels of a scene: kernels index them with int32.
@@ -69,8 +79,9 @@ class TextureTables(NamedTuple):
         Of shape (K, 4), uint8: sRGB and an unused byte, row by row, the top one first. Bump maps
         have float32 heights in the same bytes.
     places : uint64
-        Of shape (T, 10), int32: first texel, width, height, bits of what applies (1: clamped, 2:
-        transformed), and the six numbers of `Texture.transform`, float32.
+        Of shape (T, 10), int32: first texel, width, height, bits of what applies (1 and 4: clamped
+        along u and v, 2: transformed, 8 and 16: mirrored along u and v, and then clamped), and the
+        six numbers of `Texture.transform`, float32.
     of_material : uint64
         Of shape (M, 13), int32: each material's texture by role; -1 for none.
     normal_scales : uint64
@@ -214,7 +225,7 @@ class Atlas:
         if self._count + height * width > _MAX_TEXELS:
             raise MemoryError(f"textures: more than {_MAX_TEXELS:,} texels in one scene")
         row = np.zeros(int(_PLACE), np.int32)
-        row[:4] = self._count, width, height, _CLAMPED * (texture.wrap == "clamp")
+        row[:4] = self._count, width, height, _wrap_bits(texture)
         if texture.transform is not None:
             row[3] |= _TRANSFORMED
             with np.errstate(over="ignore"):
@@ -235,6 +246,12 @@ def _heights_of(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     linear = texels.reshape(-1, 4)[:, :3] @ (np.array(LUMINANCE, np.float32) / np.float32(255.0))
     heights: NDArray[np.uint8] = linear.astype(np.float32).view(np.uint8).reshape(texels.shape)
     return heights
+
+
+def _wrap_bits(texture: Texture) -> np.int32:
+    """The bits of a texture's behaviour outside [0, 1], of each axis."""
+    along_u, along_v = (_WRAP_BITS[wrap] for wrap in texture.wraps)
+    return np.int32((along_u & _OF_U) | (along_v & _OF_V))
 
 
 def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
@@ -307,6 +324,17 @@ def _transformed(tables, texture, u, v, is_transformed):
 
 
 @device
+def _folded(place, is_mirrored):
+    """A coordinate of a mirrored image, within [0, 1], where it is one; and 1 or -1, its slope."""
+    within = place - _TWO * floor(place * _HALF)
+    slope = place * _NULL + _WHOLE
+    return (
+        select(is_mirrored, minimum(within, _TWO - within), place),
+        select(is_mirrored & (within > _WHOLE), -slope, slope),
+    )
+
+
+@device
 def nearest_texels(tables, texture, u, v, beyond):
     """The four texels whose centres surround a point.
 
@@ -319,26 +347,33 @@ def nearest_texels(tables, texture, u, v, beyond):
 
     Returns
     -------
-    first, width, height, is_clamped
+    first, width, height, bits
         The texture's row of `places`.
     left, top : int32
         The texel at the upper left; from -1 on, unless the texture is clamped.
     across, down : float32
         The fraction between it and the next.
+    slopes : tuple of two float32
+        1 along u and v, -1 in the reversed copies of a mirrored image.
     """
     first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
     width, height = _texture_size(tables, texture)
     bits = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3))
-    is_clamped, is_transformed = (bits & _CLAMPED) != _0, (bits & _TRANSFORMED) != _0
+    is_transformed = (bits & _TRANSFORMED) != _0
     if any_lane(is_transformed):
         u, v = _transformed(tables, texture, u, v, is_transformed)
+    along_u, along_v = u * _NULL + _WHOLE, v * _NULL + _WHOLE
+    if any_lane((bits & MIRRORED) != _0):
+        u, along_u = _folded(u, (bits & MIRRORED_U) != _0)
+        v, along_v = _folded(v, (bits & MIRRORED_V) != _0)
     most = _WHOLE + beyond
-    u = select(is_clamped, minimum(maximum(u, -beyond), most), u - floor(u))
-    v = select(is_clamped, minimum(maximum(v, -beyond), most), v - floor(v))
+    u = select((bits & CLAMPED_U) != _0, minimum(maximum(u, -beyond), most), u - floor(u))
+    v = select((bits & CLAMPED_V) != _0, minimum(maximum(v, -beyond), most), v - floor(v))
     x, y = u * as_float32(width) - _HALF, (_WHOLE - v) * as_float32(height) - _HALF
     left, top = floor(x), floor(y)
     across, down = as_float32(x - left), as_float32(y - top)
-    return first, width, height, is_clamped, as_int32(left), as_int32(top), across, down
+    slopes = as_float32(along_u), as_float32(along_v)
+    return first, width, height, bits, as_int32(left), as_int32(top), across, down, slopes
 
 
 @device_call
@@ -360,12 +395,13 @@ def texture_color(tables, texture, u, v, values):
     tuple of three float32, or f32x16
     """
     is_known = (absolute(u) < _INF) & (absolute(v) < _INF)
-    first, width, height, is_clamped, left, top, across, down = nearest_texels(
+    first, width, height, bits, left, top, across, down, _ = nearest_texels(
         tables, texture, select(is_known, u, _HALF), select(is_known, v, _HALF), _NULL
     )
-    right = wrapped(as_int32(left + _1), width, is_clamped)
-    bottom = wrapped(as_int32(top + _1), height, is_clamped)
-    left, top = wrapped(left, width, is_clamped), wrapped(top, height, is_clamped)
+    is_clamped_u, is_clamped_v = (bits & CLAMPED_U) != _0, (bits & CLAMPED_V) != _0
+    right = wrapped(as_int32(left + _1), width, is_clamped_u)
+    bottom = wrapped(as_int32(top + _1), height, is_clamped_v)
+    left, top = wrapped(left, width, is_clamped_u), wrapped(top, height, is_clamped_v)
     upper = _mixed(
         _texel(tables, values, first, width, left, top),
         _texel(tables, values, first, width, right, top),

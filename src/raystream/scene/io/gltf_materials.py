@@ -65,12 +65,16 @@ def read_materials(file: GltfFile) -> tuple[list[Material], list[Texcoords]]:
     return [material for material, _ in found], [texcoords for _, texcoords in found]
 
 
+def uses_alpha(entry: Node) -> bool:
+    """Whether the alpha of a material, and of its textures and vertices, counts."""
+    return entry.get("alphaMode", "OPAQUE") in ("MASK", "BLEND")
+
+
 def _material(file: GltfFile, entry: Node, reader: TextureReader) -> tuple[Material, Texcoords]:
     surface = file.child(entry, "pbrMetallicRoughness")
     red, green, blue, alpha = file.numbers(surface, "baseColorFactor", (1.0, 1.0, 1.0, 1.0))
     base = _positive((red, green, blue))
-    mode = entry.get("alphaMode", "OPAQUE")
-    is_solid, is_mask = mode not in ("MASK", "BLEND"), mode == "MASK"
+    is_solid, is_mask = not uses_alpha(entry), entry.get("alphaMode") == "MASK"
     fields: dict[str, Any] = {
         "name": str(entry.get("name", "")),
         "opacity": 1.0 if is_solid else _share(alpha),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.scene.io.gltf_accessors import read_accessor
 from raystream.scene.io.gltf_draco import DracoMesh
 from raystream.scene.io.gltf_file import GltfFile, Node
+from raystream.scene.io.gltf_materials import uses_alpha
 from raystream.scene.io.gltf_morphs import MorphTargets, morph_target_count, read_morph_targets
 from raystream.scene.io.gltf_skins import Influences
 from raystream.scene.io.gltf_texcoords import Texcoords
@@ -94,7 +95,7 @@ class PrimitiveReader:
             vertices.astype(np.float32),
             faces[self.checks.usable(faces, len(vertices))],
             normals=arrays.get("NORMAL", (3,)),
-            colors=None if colors is None else np.clip(np.nan_to_num(colors[:, :3]), 0.0, 1.0),
+            colors=None if colors is None else self._colors(colors, material),
             texcoords=None if texcoords is None else place.apply(texcoords),
             material_ids=material,
             name=name,
@@ -102,6 +103,14 @@ class PrimitiveReader:
         self._budget.spend(mesh)
         targets = read_morph_targets(file, primitive, len(vertices), mesh.normals is not None)
         return Part(mesh, targets, arrays.influences())
+
+    def _colors(self, colors: NDArray[Any], material: int) -> NDArray[Any]:
+        """``COLOR_0``; without its alpha where that is 1, or not used by the material."""
+        colors = np.clip(np.nan_to_num(colors), 0.0, 1.0)
+        is_default = material == len(self._texcoords) - 1
+        if colors.shape[1] == 3 or is_default or (colors[:, 3] == 1.0).all():
+            return colors[:, :3]
+        return colors if uses_alpha(self._file.entry("materials", material)) else colors[:, :3]
 
 
 class _Attributes:

@@ -9,14 +9,16 @@ from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.gltf_texcoords import Texcoords, shared_texcoords
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import shown
-from raystream.scene.texture import Affine, Texture
+from raystream.scene.texture import Affine, Texture, Wrap, Wraps
 
-_CLAMP_TO_EDGE = 33071
 _REPEAT = 10497
+
+#: Behaviour outside [0, 1] by ``wrapS`` and ``wrapT``; unknown ones repeat.
+_WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror", _REPEAT: "repeat"}
 
 
 class TextureReader:
-    """Makes textures, one per image, wrap mode and transform.
+    """Makes textures, one per image, behaviour outside [0, 1] and transform.
 
     Parameters
     ----------
@@ -27,7 +29,7 @@ class TextureReader:
         self.file = file
         self._missing: list[str] = []
         self._left_out: Counter[str] = Counter()
-        self._made: dict[tuple[int, bool, Affine | None], Texture | None] = {}
+        self._made: dict[tuple[int, Wraps, Affine | None], Texture | None] = {}
         self._alphas: dict[int, Texture] = {}
 
     def textures(self, uses: Mapping[str, Node]) -> tuple[dict[str, Texture], Texcoords]:
@@ -84,16 +86,16 @@ class TextureReader:
         if image is None:
             return None
         sampler = file.index(entry, "sampler")
-        wraps = {} if sampler is None else file.entry("samplers", sampler)
-        clamp = all(
-            file.integer(wraps, key, _REPEAT) == _CLAMP_TO_EDGE for key in ("wrapS", "wrapT")
+        modes = {} if sampler is None else file.entry("samplers", sampler)
+        along_u, along_v = (
+            _WRAPS.get(file.integer(modes, name, _REPEAT), "repeat") for name in ("wrapS", "wrapT")
         )
-        key = (image, clamp, transform)
+        key = (image, (along_u, along_v), transform)
         if key not in self._made:
-            self._made[key] = self._image(image, clamp, transform)
+            self._made[key] = self._image(*key)
         return self._made[key]
 
-    def _image(self, index: int, clamp: bool, transform: Affine | None) -> Texture | None:
+    def _image(self, index: int, wrap: Wraps, transform: Affine | None) -> Texture | None:
         file = self.file
         entry = file.entry("images", index)
         name = str(entry.get("name", "")) or f"image {index}"
@@ -104,11 +106,9 @@ class TextureReader:
         elif (uri := file.uri(entry)).startswith("data:"):
             source = file.decoded(uri)
         if source is not None:
-            return Texture(
-                source, name=name, wrap="clamp" if clamp else "repeat", transform=transform
-            )
+            return Texture(source, name=name, wrap=wrap, transform=transform)
         found = file.sibling(uri)
         if found is None:
             self._missing.append(shown(uri.encode()))
             return None
-        return Texture(found, wrap="clamp" if clamp else "repeat", transform=transform)
+        return Texture(found, wrap=wrap, transform=transform)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import decoded, plain_text
 from raystream.scene.material import Color, Material
-from raystream.scene.texture import Texture
+from raystream.scene.texture import Affine, Texture, Wrap
 
 #: Illumination models with ray traced reflection (Wavefront's numbering).
 MIRROR_MODELS = frozenset({3, 4, 5, 6, 7})
@@ -54,6 +55,17 @@ _OPTION_WORDS = {
     "-t": 3,
 }
 
+#: Words of each option of a texture.
+_Options = Mapping[str, Sequence[str]]
+
+#: Larger numbers of options are clamped: float32 holds them times usual coordinates.
+_MOST = 1e30
+
+#: What may be wrong with textures.
+_MISSING = "textures not found next to it"
+_TURBULENT = "the turbulence (-t) of textures is not supported; they are shown without it"
+_UNLIKE = "maps of metal (map_Pm) are shown with the -s, -o and -clamp of their material's map_Pr"
+
 
 def read_mtl(path: Path) -> dict[str, Material]:
     """Read a material library.
@@ -61,8 +73,11 @@ def read_mtl(path: Path) -> dict[str, Material]:
     Colours are linear. The ambient colour is ignored: in practice, `Ka` repeats `Kd`. Models 3
     to 7 reflect with `Ks`. The refracting models 4, 6, 7 and 9 have the transmittance `Tf`,
     and a `d` below 1 is part of their refraction, but ``map_d`` is not. Invalid numbers are
-    replaced by defaults. Texture options read are ``-clamp``, and ``-bm`` of bump and normal
-    maps.
+    replaced by defaults. Texture options read are ``-clamp``, ``-s``, ``-o``, and ``-bm`` of bump
+    and normal maps.
+
+    A texture is looked up at s u + o, where s and o are the first two numbers of ``-s`` and ``-o``,
+    as Blender and three.js read them: a larger ``-s`` repeats the image more often.
 
     A material with roughness `Pr` or metal `Pm` (or ``map_Pr``, ``map_Pm``), as newer programs
     write them, has these in place of `Ks`, `Ns` and the model, and `Ni` sets its reflectance; also
@@ -87,7 +102,8 @@ def read_mtl(path: Path) -> dict[str, Material]:
     Warns
     -----
     RaystreamWarning
-        Once, for missing textures.
+        Once for missing textures, once for turbulence (``-t``), which is not supported, and once
+        for maps of roughness and metal whose options differ.
     """
     text = plain_text(read_model_bytes(path))
     materials: dict[str, dict[str, str]] = {}
@@ -102,26 +118,16 @@ def read_mtl(path: Path) -> dict[str, Material]:
             materials.setdefault(_without_comment(rest), current)
         else:
             current[word] = rest
-    missing: list[str] = []
-    textures: dict[tuple[str, bool], Texture | None] = {}
-    made = {
-        name: _material(path, name, entries, textures, missing)
-        for name, entries in materials.items()
-    }
-    if missing:
-        listed = ", ".join(repr(name[:60]) for name in missing[:5])
-        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-        warn_partial(path, f"textures not found next to it: {listed}{more}")
+    textures = _Textures(path)
+    made = {name: _material(name, entries, textures) for name, entries in materials.items()}
+    for reason, names in textures.faults.items():
+        listed = ", ".join(repr(name[:60]) for name in names[:5])
+        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+        warn_partial(path, f"{reason}: {listed}{more}")
     return made
 
 
-def _material(
-    path: Path,
-    name: str,
-    entries: dict[str, str],
-    textures: dict[tuple[str, bool], Texture | None],
-    missing: list[str],
-) -> Material:
+def _material(name: str, entries: dict[str, str], textures: _Textures) -> Material:
     default = Material()
     model = int(_number(entries.get("illum", ""), 2.0))
     specular = _color(entries.get("ks", ""), default.specular)
@@ -132,17 +138,18 @@ def _material(
     scales = {"bump": default.bump_scale, "normal": default.normal_scale}
     for word, role in _TEXTURE_ROLES.items():
         if entries.get(word):
-            texture = _texture(path, entries[word], textures, missing)
+            options, file = _split_options(entries[word])
+            texture = textures.find(file, options)
             if texture is not None:
                 maps[role] = texture
                 if role in scales:
-                    scales[role] = _multiplier(entries[word], scales[role])
+                    scales[role] = _multiplier(options, scales[role])
     pair = maps.pop("roughness", None), maps.pop("metallic", None)
     rough = {} if refracts else _rough(entries, *pair)
     if rough:
         specular, model = default.specular, 0
         maps = {role: texture for role, texture in maps.items() if role != "specular"}
-        maps |= _metallic_roughness(*pair)
+        maps |= _metallic_roughness(*pair, textures)
     return Material(
         name=name,
         diffuse=_color(entries.get("kd", ""), default.diffuse),
@@ -182,12 +189,19 @@ def _share(entries: dict[str, str], word: str, default: float) -> float:
     return min(1.0, max(0.0, _number(entries.get(word, ""), default)))
 
 
-def _metallic_roughness(rough: Texture | None, metal: Texture | None) -> dict[str, Texture]:
+def _metallic_roughness(
+    rough: Texture | None, metal: Texture | None, textures: _Textures
+) -> dict[str, Texture]:
     """The two maps as one, as in glTF."""
     first = metal if rough is None else rough
     if first is None:
         return {}
-    unread = Texture(np.zeros((1, 1, 3), np.uint8), name=first.name, wrap=first.wrap)
+    second = first if metal is None else metal
+    if (first.wraps, first.transform) != (second.wraps, second.transform):
+        textures.add_fault(_UNLIKE, second.name)
+    unread = Texture(
+        np.zeros((1, 1, 3), np.uint8), name=first.name, wrap=first.wrap, transform=first.transform
+    )
     return {"metallic_roughness": unread.changed(partial(_joined, rough, metal))}
 
 
@@ -255,38 +269,70 @@ def _color(text: str, default: Color) -> Color:
     return values[0], values[1], values[2]
 
 
-def _texture(
-    path: Path,
-    statement: str,
-    textures: dict[tuple[str, bool], Texture | None],
-    missing: list[str],
-) -> Texture | None:
-    name, clamp = _texture_name(statement)
-    key = (name, clamp)
-    if key not in textures:
-        found = find_sibling(path, name)
-        if found is None and name not in missing:
-            missing.append(name)
-        textures[key] = Texture(found, wrap="clamp" if clamp else "repeat") if found else None
-    return textures[key]
+class _Textures:
+    """Makes the textures of a library, one per file, wrap and transform.
+
+    Attributes
+    ----------
+    faults : dict of str to list of str
+        Files of textures by what is wrong with them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.faults: dict[str, list[str]] = {}
+        self._path = path
+        self._made: dict[tuple[str, Wrap, Affine | None], Texture | None] = {}
+
+    def find(self, name: str, options: _Options) -> Texture | None:
+        """The texture of a statement, by its file and options; None if there is no such file."""
+        wrap: Wrap = "clamp" if [*map(str.lower, options.get("-clamp", []))] == ["on"] else "repeat"
+        transform = _transform(options)
+        key = (name, wrap, transform)
+        if key not in self._made:
+            found = find_sibling(self._path, name)
+            self._made[key] = Texture(found, wrap=wrap, transform=transform) if found else None
+        if self._made[key] is None:
+            self.add_fault(_MISSING, name)
+        elif any(_numbers(options.get("-t", []))):
+            self.add_fault(_TURBULENT, name)
+        return self._made[key]
+
+    def add_fault(self, fault: str, name: str) -> None:
+        """Note what is wrong with a texture, once."""
+        names = self.faults.setdefault(fault, [])
+        if name not in names:
+            names.append(name)
 
 
-def _texture_name(statement: str) -> tuple[str, bool]:
-    """Split a texture statement into the file name, which may contain spaces, and ``-clamp``."""
-    options, name = _split_options(statement)
-    return name, options.get("-clamp") == "on"
+def _transform(options: _Options) -> Affine | None:
+    """`Texture.transform` of ``-s`` and ``-o``; None if they move nothing."""
+    across, up = _pair(options.get("-s", []), 1.0)
+    right, higher = _pair(options.get("-o", []), 0.0)
+    transform = (across, 0.0, right, 0.0, up, higher)
+    return None if transform == (1.0, 0.0, 0.0, 0.0, 1.0, 0.0) else transform
 
 
-def _multiplier(statement: str, default: float) -> float:
+def _pair(words: Sequence[str], default: float) -> tuple[float, float]:
+    """The numbers along u and v; the default for what is missing or not finite."""
+    across, up, *_ = (*_numbers(words), default, default)
+    return _bounded(across, default), _bounded(up, default)
+
+
+def _bounded(value: float, default: float) -> float:
+    """A number that float32 holds, and its products with coordinates, too."""
+    return min(max(-_MOST, value), _MOST) if math.isfinite(value) else default
+
+
+def _multiplier(options: _Options, default: float) -> float:
     """Read ``-bm``, a bump map's multiplier."""
-    value = _number(_split_options(statement)[0].get("-bm", ""), default)
-    return min(max(-1e30, value), 1e30)
+    first, *_ = (*_numbers(options.get("-bm", [])), default)
+    return _bounded(first, default)
 
 
-def _split_options(statement: str) -> tuple[dict[str, str], str]:
-    """Split a texture statement into the first word of each option, and the rest."""
+def _split_options(statement: str) -> tuple[_Options, str]:
+    """Split a texture statement into the words of each option, and the file's name."""
     rest = _without_comment(statement)
-    options: dict[str, str] = {}
+    options: dict[str, Sequence[str]] = {}
     while rest.startswith("-"):
         words = rest.split()
         option = words[0].lower()
@@ -294,14 +340,15 @@ def _split_options(statement: str) -> tuple[dict[str, str], str]:
             break
         skip = 1 + _OPTION_WORDS[option]
         if option in ("-o", "-s", "-t"):
-            skip = 1 + sum(1 for _ in _leading_numbers(words[1:4]))
-        options[option] = words[1] if skip > 1 and len(words) > 1 else ""
+            skip = 1 + len(_numbers(words[1:4]))
+        options[option] = words[1:skip]
         parts = rest.split(None, skip)
         rest = parts[skip] if len(parts) > skip else ""
     return options, rest
 
 
-def _leading_numbers(words: list[str]) -> list[float]:
+def _numbers(words: Sequence[str]) -> list[float]:
+    """The numbers before the first word that is not a number."""
     numbers: list[float] = []
     for word in words:
         try:
