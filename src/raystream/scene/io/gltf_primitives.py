@@ -90,9 +90,11 @@ class PrimitiveReader:
         colors = arrays.get("COLOR_0", (3, 4))
         order = arrays.order()
         faces = _triangles(order, mode)
+        good = self.checks.usable(faces, len(vertices))
         mesh = Mesh(
             vertices.astype(np.float32),
-            faces[self.checks.usable(faces, len(vertices))],
+            faces[good],
+            face_ids=np.flatnonzero(good),
             normals=arrays.get("NORMAL", (3,)),
             colors=None if colors is None else np.clip(np.nan_to_num(colors[:, :3]), 0.0, 1.0),
             texcoords=None if texcoords is None else place.apply(texcoords),
