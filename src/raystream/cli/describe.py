@@ -82,7 +82,8 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
 
 def _mesh_byte_count(mesh: Mesh) -> int:
     arrays = (mesh.vertices, mesh.faces, mesh.material_ids, *_attributes(mesh).values())
-    return sum(array.nbytes for array in arrays)
+    faces = 0 if mesh.face_ids is None else mesh.face_ids.nbytes
+    return faces + sum(array.nbytes for array in arrays)
 
 
 def _attributes(mesh: Mesh) -> dict[str, np.ndarray]:

@@ -19,6 +19,12 @@ class _Mesh(Protocol):
     colors: NDArray[np.float32] | None
     texcoords: NDArray[np.float32] | None
     material_ids: NDArray[np.int32]
+    face_ids: NDArray[np.int32] | None
+
+
+def faces_of(mesh: _Mesh) -> NDArray[np.int32]:
+    """The face of each triangle of a mesh, shape (F,), int32."""
+    return np.arange(len(mesh.faces), dtype=np.int32) if mesh.face_ids is None else mesh.face_ids
 
 
 class Attributes:
@@ -44,6 +50,16 @@ class Attributes:
         """The material of each triangle, by prim_id, shape (F,), int32."""
         ids = [mesh.material_ids for mesh in self._meshes]
         return np.concatenate([np.zeros(0, np.int32), *ids])
+
+    @cached_property
+    def face_ids(self) -> NDArray[np.int32] | None:
+        """The face of each triangle within its mesh, by prim_id, shape (F,), int32.
+
+        None if each triangle of every mesh is a face.
+        """
+        if all(mesh.face_ids is None for mesh in self._meshes):
+            return None
+        return np.concatenate([faces_of(mesh) for mesh in self._meshes])
 
     @cached_property
     def faces(self) -> NDArray[np.int32]:

@@ -54,6 +54,22 @@ class HitColumns:
         return np.where(self.prim_id < 0, -1, self.prim_id - first).astype(np.int32)
 
     @cached_property
+    def face_id(self) -> NDArray[np.int32]:
+        """Face of the mesh, int32, of the hits' shape; a miss has -1.
+
+        The polygon that the triangle belongs to, in the order of the file: see `Mesh.face_ids`.
+        `mesh_prim_id` where each triangle is a face, and for spheres and height fields.
+        """
+        attributes = self._triangles.attributes
+        table = None if attributes is None else attributes.face_ids
+        if table is None:
+            return self.mesh_prim_id
+        faces = self.mesh_prim_id.copy()
+        is_known = (self.prim_id >= 0) & (self.prim_id < len(table))
+        faces[is_known] = table[self.prim_id[is_known]]
+        return faces
+
+    @cached_property
     def positions(self) -> NDArray[np.float64]:
         """Points on the triangles, shape (..., 3), float64, world space; a miss has NaN.
 

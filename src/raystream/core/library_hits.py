@@ -7,7 +7,15 @@ from typing import Any
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.libraries import Library, as_index, library_of
 
-_DERIVED = ("instance_id", "mesh_id", "mesh_prim_id", "material_id", "positions", "normals")
+_DERIVED = (
+    "instance_id",
+    "mesh_id",
+    "mesh_prim_id",
+    "face_id",
+    "material_id",
+    "positions",
+    "normals",
+)
 _SHADING = ("shading_normals", "texcoords")
 _COLUMNS = ("t", "u", "v", "prim_id", *_DERIVED, *_SHADING)
 
@@ -54,7 +62,7 @@ class LibraryHits(LibraryColumns):
     ----------
     t, u, v, prim_id, status, sectors
         See `Hits`; of shape S, on the device of the rays.
-    instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
+    instance_id, mesh_id, mesh_prim_id, face_id, material_id, positions, normals, shading_normals, texcoords
         See `Hits`. For rays on a GPU, only `host` has them, except `instance_id` in scenes with
         instances.
 
@@ -62,7 +70,7 @@ class LibraryHits(LibraryColumns):
     -----
     With xarray they have the dimensions and coordinates of `origins`, or of `directions` if
     `origins` is not a DataArray, except where the two are broadcast to another shape.
-    """
+    """  # noqa: E501 - numpydoc wants the names in one line
 
     _of_rays = frozenset((*_COLUMNS, "status", "sectors", "is_hit"))
     _of_rows = frozenset()
@@ -106,7 +114,7 @@ class LibraryMultiHits(LibraryColumns):
     ----------
     ray_splits, t, u, v, prim_id, status
         See `MultiHits`.
-    counts, ray_id, instance_id, mesh_id, mesh_prim_id, material_id, positions, normals, shading_normals, texcoords
+    counts, ray_id, instance_id, mesh_id, mesh_prim_id, face_id, material_id, positions, normals, shading_normals, texcoords
         See `MultiHits`. For rays on a GPU, only `host` has them, except `instance_id` in scenes
         with instances.
     """  # noqa: E501 - numpydoc wants the names in one line

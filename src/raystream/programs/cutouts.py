@@ -44,7 +44,7 @@ def cutouts_of(tracer: Any, is_wanted: bool, is_solid: NDArray[np.bool_] | None 
         If there are cut-outs, and the tracer counts.
     """
     scene = tracer.scene
-    if not is_wanted or all(material.is_opaque for material in scene.materials):
+    if not is_wanted or scene.is_opaque:
         return None
     triangles = tracer.structure.triangles
     opacity = None

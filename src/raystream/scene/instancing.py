@@ -240,4 +240,5 @@ def _placed(mesh: Mesh, matrix: NDArray[np.float64], inverse: NDArray[np.float64
         texcoords=mesh.texcoords,
         material_ids=mesh.material_ids,
         name=mesh.name,
+        face_ids=mesh.face_ids,
     )

@@ -46,7 +46,7 @@ def load(
     Returns
     -------
     Scene
-        Its triangles keep the file's order; polygons become triangle fans.
+        Its triangles keep the file's order; polygons are cut into triangles, see `Mesh.face_ids`.
 
     Raises
     ------
@@ -59,8 +59,8 @@ def load(
     -----
     RaystreamWarning
         If only part of the file could be used: triangles without area or with indices out of
-        range, missing textures. Also if it contains no triangles: the scene is then empty, and
-        every ray misses.
+        range, polygons that cross themselves, missing textures. Also if it contains no triangles:
+        the scene is then empty, and every ray misses.
 
     Examples
     --------

@@ -32,6 +32,9 @@ class Mesh:
         Index of each triangle's material in :attr:`Scene.materials`.
     name : str, optional
         Label; need not be unique.
+    face_ids : array_like of shape (F,), integer, optional
+        The face of each triangle, from 0: triangles of one polygon have the same. Readers number
+        the polygons of a file within each mesh [default: each triangle is a face, None].
 
     Raises
     ------
@@ -41,7 +44,16 @@ class Mesh:
         If an array's dtype is of the wrong kind.
     """
 
-    __slots__ = ("colors", "faces", "material_ids", "name", "normals", "texcoords", "vertices")
+    __slots__ = (
+        "colors",
+        "face_ids",
+        "faces",
+        "material_ids",
+        "name",
+        "normals",
+        "texcoords",
+        "vertices",
+    )
 
     vertices: NDArray[Any]
     faces: NDArray[np.int32]
@@ -50,6 +62,7 @@ class Mesh:
     texcoords: NDArray[np.float32] | None
     material_ids: NDArray[np.int32]
     name: str
+    face_ids: NDArray[np.int32] | None
 
     def __init__(
         self,
@@ -61,6 +74,7 @@ class Mesh:
         texcoords: ArrayLike | None = None,
         material_ids: ArrayLike = 0,
         name: str = "",
+        face_ids: ArrayLike | None = None,
     ) -> None:
         self.vertices = _vertices(vertices)
         self.faces = _faces(faces, len(self.vertices))
@@ -70,6 +84,7 @@ class Mesh:
         self.texcoords = _attribute("texcoords", texcoords, (len(self.vertices), 2))
         self.material_ids = _material_ids(material_ids, len(self.faces))
         self.name = str(name)
+        self.face_ids = _face_ids(face_ids, len(self.faces))
 
     @property
     def triangle_count(self) -> int:
@@ -184,6 +199,20 @@ def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]
         raise ValueError(f"material_ids: {int(array.min())} is negative")
     # One number for all faces is kept once.
     return np.broadcast_to(_kept(array, np.int32), (face_count,))
+
+
+def _face_ids(face_ids: ArrayLike | None, face_count: int) -> NDArray[np.int32] | None:
+    """The numbers, or None if each triangle is a face."""
+    if face_ids is None:
+        return None
+    array = np.asarray(face_ids)
+    if array.size and array.dtype.kind not in "iu":
+        raise TypeError(f"face_ids: expected integers, got dtype {array.dtype}")
+    if array.shape != (face_count,):
+        raise ValueError(f"face_ids: expected shape ({face_count},), got {array.shape}")
+    if face_count and not (array.min() >= 0 and array.max() < 2**31):
+        raise ValueError(f"face_ids: expected 0 to 2**31 - 1, got {array.min()} to {array.max()}")
+    return None if np.array_equal(array, np.arange(face_count)) else _kept(array, np.int32)
 
 
 def _kept(array: NDArray[Any], dtype: type) -> NDArray[Any]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.scene.io.aff_words import Words
 from raystream.scene.io.partial import IndexCheck
-from raystream.scene.io.polygons import distinct_corners
+from raystream.scene.io.polygons import cut_polygons, distinct_corners
 from raystream.scene.mesh import Mesh
 
 #: Slices of spheres and cones around their axis; spheres have half as many stacks from pole to
@@ -54,7 +54,8 @@ class Shape:
 def merged(shapes: list[Shape]) -> list[Shape]:
     """Merge consecutive shapes with the same texture and the same attributes.
 
-    Files of polygons have one shape per polygon; the order of triangles is preserved.
+    Files of polygons have one shape per polygon, which is a face; the order of triangles is
+    preserved.
     """
     runs = groupby(shapes, key=_likeness)
     return [shape for _, run in runs for shape in _joined(list(run))]
@@ -77,6 +78,7 @@ def _joined(run: list[Shape]) -> list[Shape]:
         np.concatenate([m.faces + first for m, first in zip(meshes, firsts, strict=True)]),
         normals=_all_of([mesh.normals for mesh in meshes]),
         texcoords=_all_of([mesh.texcoords for mesh in meshes]),
+        face_ids=np.repeat(np.arange(len(meshes)), [mesh.triangle_count for mesh in meshes]),
     )
     return [Shape(joined, run[0].texture)]
 
@@ -96,7 +98,7 @@ def read_shape(keyword: bytes, words: Words, checks: IndexCheck) -> Shape | None
     words : Words
         The words that follow.
     checks : IndexCheck
-        Records indices out of range.
+        Counts what is wrong with triangles and polygons.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def read_shape(keyword: bytes, words: Words, checks: IndexCheck) -> Shape | None
     if keyword == b"m":
         return _mesh(words, checks)
     if keyword in (b"p", b"pp"):
-        return _polygon(words, with_normals=keyword == b"pp")
+        return _polygon(words, checks, with_normals=keyword == b"pp")
     if keyword in (b"tt", b"ttt", b"ttp"):
         return _textured_triangle(words, with_normals=keyword != b"tt")
     if keyword == b"tpa":
@@ -149,7 +151,8 @@ def _indexed(
     rows: NDArray[np.int64], tables: list[NDArray[Any]], kinds: list[str], checks: IndexCheck
 ) -> Mesh:
     """Combine the tables' indices into one per corner; attribute indices are clamped."""
-    rows = rows[checks.usable(rows[:, 0], len(tables[0]))]
+    good = checks.usable(rows[:, 0], len(tables[0]))
+    rows = rows[good]
     for place, table in enumerate(tables[1:], 1):
         rows[:, place] = np.clip(rows[:, place], 0, max(len(table) - 1, 0))
     indices = rows.transpose(0, 2, 1).reshape(-1, len(tables))
@@ -158,16 +161,19 @@ def _indexed(
     for place, kind in enumerate(kinds, 1):
         if len(tables[place]):
             attributes[kind] = tables[place][indices[kept, place]]
+    attributes["face_ids"] = np.flatnonzero(good)
     return Mesh(tables[0][indices[kept, 0]], places.reshape(-1, 3), **attributes)
 
 
-def _polygon(words: Words, *, with_normals: bool) -> Shape:
+def _polygon(words: Words, checks: IndexCheck, *, with_normals: bool) -> Shape:
     width = 6 if with_normals else 3
     count = words.count(width)
     rows = words.floats(count * width).reshape(count, width)
-    corner = np.arange(1, max(count - 1, 1))
-    faces = np.stack([np.zeros_like(corner), corner, corner + 1], axis=1)
-    return Shape(Mesh(rows[:, :3], faces, normals=rows[:, 3:] if with_normals else None))
+    points = rows[:, :3]
+    cut = cut_polygons(np.array([count]), np.array([0]), np.arange(count), points)
+    checks.crossed_count += cut.crossed_count
+    normals = rows[:, 3:] if with_normals else None
+    return Shape(Mesh(points, cut.corners, normals=normals, face_ids=cut.polygon_ids))
 
 
 def _textured_triangle(words: Words, *, with_normals: bool) -> Shape:

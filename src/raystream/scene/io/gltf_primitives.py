@@ -91,9 +91,11 @@ class PrimitiveReader:
         colors = arrays.get("COLOR_0", (3, 4))
         order = arrays.order()
         faces = _triangles(order, mode)
+        good = self.checks.usable(faces, len(vertices))
         mesh = Mesh(
             vertices.astype(np.float32),
-            faces[self.checks.usable(faces, len(vertices))],
+            faces[good],
+            face_ids=np.flatnonzero(good),
             normals=arrays.get("NORMAL", (3,)),
             colors=None if colors is None else self._colors(colors, material),
             texcoords=None if texcoords is None else place.apply(texcoords),

@@ -81,6 +81,7 @@ def placed(mesh: Mesh, matrix: NDArray[np.float64], material_id: int | None = No
         texcoords=mesh.texcoords,
         material_ids=mesh.material_ids if material_id is None else material_id,
         name=mesh.name,
+        face_ids=mesh.face_ids,
     )
 
 

@@ -35,9 +35,9 @@ _KNOWN_WORDS = frozenset({b"g", b"o", b"mtllib", b"usemtl"})
 def read_obj(path: Path) -> Scene:
     """Read an OBJ file and its MTL files.
 
-    Triangles keep the file's order; polygons become fans. There is one mesh per ``o`` object,
-    else one for the whole file; groups are ignored. Vertices with several normals or texture
-    coordinates are duplicated. Lines, points, curves and smoothing groups are skipped.
+    Triangles keep the file's order; polygons are cut into triangles. There is one mesh per ``o``
+    object, else one for the whole file; groups are ignored. Vertices with several normals or
+    texture coordinates are duplicated. Lines, points, curves and smoothing groups are skipped.
 
     Parameters
     ----------
@@ -298,7 +298,8 @@ def _meshes(
         cuts, names = cuts[:0], [""]
     edges = [0, *cuts.tolist(), len(corners.lines)]
     meshes = []
-    for name, first, stop in zip(names, edges[:-1], edges[1:], strict=True):
+    starts = [0, *sections.object_lines][: len(names)]
+    for name, line, first, stop in zip(names, starts, edges[:-1], edges[1:], strict=True):
         if first == stop:
             continue
         used, faces = corners.shared(first, stop, whole=first == 0 and stop == edges[-1])
@@ -311,6 +312,7 @@ def _meshes(
                 texcoords=corners.texcoords_of(used[:, 1]) if corners.has_texcoords else None,
                 colors=None if colors is None else colors[points],
                 material_ids=material_ids[first:stop],
+                face_ids=corners.face_ids_from(line, first, stop),
                 name=name,
             )
         )

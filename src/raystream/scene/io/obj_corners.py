@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.partial import faces_in_range, warn_partial
-from raystream.scene.io.polygons import distinct_corners, fan_corners
+from raystream.scene.io.polygons import distinct_corners, polygon_triangles
 from raystream.scene.io.text import Lines, parse_integers, shown
 
 _SLASH = ord("/")
@@ -32,6 +32,10 @@ class Corners:
         For each corner: indices of vertex, texture coordinate (-1: none) and normal.
     lines : ndarray of shape (F,), int64
         The line of each triangle, non-decreasing.
+    face_ids : ndarray of shape (F,), int64
+        The face of each triangle, numbered over the file.
+    face_lines : ndarray of shape (P,), int64
+        The line of each face, those without triangles among them.
     texcoords, normals : ndarray of shape (T, 2) and (N, 3), float32
         `normals` also has face normals of triangles without normals in the file.
     has_texcoords, has_normals : bool
@@ -41,10 +45,16 @@ class Corners:
     vertex_count: int
     indices: NDArray[np.int64]
     lines: NDArray[np.int64]
+    face_ids: NDArray[np.int64]
+    face_lines: NDArray[np.int64]
     texcoords: NDArray[np.float32]
     normals: NDArray[np.float32]
     has_texcoords: bool
     has_normals: bool
+
+    def face_ids_from(self, line: int, first: int, stop: int) -> NDArray[np.int64]:
+        """Faces of triangles first .. stop - 1, numbered from the first one at or after a line."""
+        return self.face_ids[first:stop] - np.searchsorted(self.face_lines, line)
 
     def texcoords_of(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
         """Look up texture coordinates; (0, 0) for corners without."""
@@ -119,10 +129,11 @@ def read_corners(
     too_few = int(np.count_nonzero(counts < 3))
     if too_few:
         warn_partial(path, f"skipped {too_few:,} faces with fewer than three corners")
-    fans, polygon_ids = fan_corners(counts, np.cumsum(counts) - counts)
+    begins = np.cumsum(counts) - counts
+    fans, face_ids = polygon_triangles(path, counts, begins, corners[:, 0], vertices)
     triangles = corners[fans]
     good = faces_in_range(path, triangles[:, :, 0], len(vertices))
-    triangles, triangle_lines = triangles[good], face_lines[polygon_ids[good]]
+    triangles, face_ids = triangles[good], face_ids[good]
     _forget_missing(path, triangles)
 
     has_normals = bool((triangles[:, :, 2] >= 0).any())
@@ -130,7 +141,15 @@ def read_corners(
         normals = _with_face_normals(triangles, vertices, normals)
     has_texcoords = bool((triangles[:, :, 1] >= 0).any())
     return Corners(
-        len(vertices), triangles, triangle_lines, texcoords, normals, has_texcoords, has_normals
+        len(vertices),
+        triangles,
+        face_lines[face_ids],
+        face_ids,
+        face_lines,
+        texcoords,
+        normals,
+        has_texcoords,
+        has_normals,
     )
 
 

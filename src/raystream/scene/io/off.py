@@ -13,7 +13,7 @@ from raystream.core.errors import FileFormatError
 from raystream.scene.io.colors import byte_colors_to_linear, srgb_to_linear
 from raystream.scene.io.files import read_model_bytes
 from raystream.scene.io.partial import faces_in_range, warn_partial
-from raystream.scene.io.polygons import fan_corners
+from raystream.scene.io.polygons import polygon_triangles
 from raystream.scene.io.text import Lines, parse_floats, plain_text, shown
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -28,7 +28,7 @@ _Table = tuple[NDArray[np.float64], NDArray[np.int64]]
 def read_off(path: Path) -> Scene:
     """Read an OFF, COFF, NOFF or CNOFF file into a scene of one mesh.
 
-    Polygons become fans of triangles in file order; colours of faces are ignored.
+    Polygons are cut into triangles, in file order; colours of faces are ignored.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ def read_off(path: Path) -> Scene:
             raise
         points, polygons = found
     vertices, normals, colors = _vertices(*points, flags)
-    faces = _faces(*polygons)
-    faces = faces[faces_in_range(path, faces, vertex_count)]
-    mesh = Mesh(vertices, faces, normals=normals, colors=colors)
+    faces, face_ids = _faces(path, *polygons, vertices)
+    good = faces_in_range(path, faces, vertex_count)
+    mesh = Mesh(vertices, faces[good], normals=normals, colors=colors, face_ids=face_ids[good])
     return Scene([mesh], name=path.name)
 
 
@@ -177,9 +177,15 @@ def _vertices(
     return vertices, normals, byte_colors_to_linear(encoded) if whole else srgb_to_linear(encoded)
 
 
-def _faces(numbers: NDArray[np.float64], words: NDArray[np.int64]) -> NDArray[np.int64]:
+def _faces(
+    path: Path,
+    numbers: NDArray[np.float64],
+    words: NDArray[np.int64],
+    vertices: NDArray[Any],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     starts = np.cumsum(words) - words
-    corners, _ = fan_corners(numbers[starts].astype(np.int64), starts + 1)
-    indices = numbers[corners]
-    whole = (indices == np.floor(indices)) & (np.abs(indices) < 2.0**40)
-    return np.where(whole, indices, -1.0).astype(np.int64)
+    counts = numbers[starts].astype(np.int64)
+    whole = (numbers == np.floor(numbers)) & (np.abs(numbers) < 2.0**40)
+    indices = np.where(whole, numbers, -1.0).astype(np.int64)
+    corners, face_ids = polygon_triangles(path, counts, starts + 1, indices, vertices)
+    return indices[corners], face_ids

@@ -18,8 +18,20 @@ def warn_partial(path: Path, reason: str) -> None:
     warnings.warn(f"{path}: {reason}", RaystreamWarning, stacklevel=2)
 
 
+def warn_crossed(path: Path, count: int) -> None:
+    """Warn about polygons that could not be cut into triangles as they should, if there are any."""
+    if count:
+        warn_partial(
+            path,
+            f"{count:,} polygons became triangle fans, which may cover more than the polygons: "
+            "their outlines cross themselves, or have too many corners",
+        )
+
+
 class IndexCheck:
     """Finds triangles with vertex indices out of range, over a whole file.
+
+    `crossed_count` counts polygons whose outlines cross themselves; see `cut_polygons`.
 
     Parameters
     ----------
@@ -31,6 +43,7 @@ class IndexCheck:
         self.path = path
         self.triangle_count = 0
         self.bad_count = 0
+        self.crossed_count = 0
 
     def usable(self, faces: NDArray[Any], vertex_count: int) -> NDArray[np.bool_]:
         """Find the triangles whose vertex indices are in range.
@@ -53,13 +66,14 @@ class IndexCheck:
         return good
 
     def report(self) -> None:
-        """Warn once about triangles out of range.
+        """Warn once about triangles out of range, and once about polygons.
 
         Raises
         ------
         FileFormatError
             If there were triangles and none is usable.
         """
+        warn_crossed(self.path, self.crossed_count)
         if self.bad_count == 0:
             return
         reason = f"{self.bad_count:,} triangles refer to vertices that do not exist"

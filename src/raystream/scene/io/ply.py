@@ -14,7 +14,7 @@ from raystream.scene.io.files import read_model_bytes
 from raystream.scene.io.partial import faces_in_range
 from raystream.scene.io.ply_layout import Element, read_header
 from raystream.scene.io.ply_values import Values, read_values
-from raystream.scene.io.polygons import fan_corners
+from raystream.scene.io.polygons import polygon_triangles
 from raystream.scene.io.text import BYTE_ORDER_MARK
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -26,8 +26,8 @@ _TEXCOORD_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture
 def read_ply(path: Path) -> Scene:
     """Read a PLY file into a scene of one mesh.
 
-    Polygons become fans of triangles in file order; triangle strips follow the faces. Vertex
-    properties x y z, nx ny nz, red green blue, and s t or u v are read.
+    Polygons are cut into triangles, in file order; triangle strips follow the faces, each triangle
+    a face. Vertex properties x y z, nx ny nz, red green blue, and s t or u v are read.
 
     Parameters
     ----------
@@ -58,11 +58,12 @@ def read_ply(path: Path) -> Scene:
     vertices = _stacked(vertex, ("x", "y", "z"))
     if vertices.dtype.kind != "f" or vertices.dtype.itemsize > 4:
         vertices = _narrowed(vertices, elements)
-    faces = np.concatenate([_faces(path, found), _strips(found)])
-    faces = faces[faces_in_range(path, faces, len(vertices))]
+    faces, face_ids = _faces(path, found, vertices)
+    good = faces_in_range(path, faces, len(vertices))
     mesh = Mesh(
         vertices,
-        faces,
+        faces[good],
+        face_ids=face_ids[good],
         normals=_optional(vertex, ("nx", "ny", "nz")),
         colors=_colors(vertex, elements),
         texcoords=next(
@@ -126,16 +127,30 @@ def _indices(values: NDArray[Any]) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def _faces(path: Path, found: dict[str, Values]) -> NDArray[np.int64]:
+def _faces(
+    path: Path, found: dict[str, Values], vertices: NDArray[Any]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The triangles of polygons, then those of strips, and the face of each."""
+    polygons, face_ids, face_count = _polygons(path, found, vertices)
+    strips = _strips(found)
+    more = np.arange(face_count, face_count + len(strips))
+    return np.concatenate([polygons, strips]), np.concatenate([face_ids, more])
+
+
+def _polygons(
+    path: Path, found: dict[str, Values], vertices: NDArray[Any]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """The triangles of polygons, the polygon of each, and the number of polygons."""
     lists = found.get("face", Values()).lists
     for name in _INDEX_NAMES:
         if name in lists:
             counts, values = lists[name]
-            corners, _ = fan_corners(counts, np.cumsum(counts) - counts)
-            return _indices(values)[corners]
+            starts, indices = np.cumsum(counts) - counts, _indices(values)
+            corners, face_ids = polygon_triangles(path, counts, starts, indices, vertices)
+            return indices[corners], face_ids, len(counts)
     if lists:
         raise FileFormatError(path, f"its faces have no list {_INDEX_NAMES[0]}")
-    return np.empty((0, 3), np.int64)
+    return np.empty((0, 3), np.int64), np.empty(0, np.int64), 0
 
 
 def _strips(found: dict[str, Values]) -> NDArray[np.int64]:

@@ -1,9 +1,154 @@
-"""Polygons: triangulation into fans, and sharing of equal corners."""
+"""Polygons: cut into triangles, and sharing of equal corners."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+
+from raystream.scene.io.ear_clipping import clip_ears
+from raystream.scene.io.partial import warn_crossed
+
+#: A fan may have triangles that face backwards with less area than this times the square of the
+#: polygon's size: corners in line that were rounded to float32.
+_ROUNDED = 1e-7
+
+#: Corners examined at a time: their coordinates fit into a cache.
+_BLOCK = 1 << 15
+
+
+class Cut(NamedTuple):
+    """Polygons as triangles.
+
+    Attributes
+    ----------
+    corners : ndarray of shape (F, 3), int64
+        Positions in the caller's list of corners.
+    polygon_ids : ndarray of shape (F,), int64
+        The polygon of each triangle, non-decreasing.
+    crossed_count : int
+        Polygons that are fans although they are not convex, as their outlines cross themselves.
+    """
+
+    corners: NDArray[np.int64]
+    polygon_ids: NDArray[np.int64]
+    crossed_count: int
+
+
+def polygon_triangles(
+    path: Path,
+    counts: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    indices: NDArray[Any],
+    vertices: NDArray[Any],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut the polygons of a file into triangles, with a warning; see `cut_polygons`.
+
+    Returns
+    -------
+    corners, polygon_ids
+        See `Cut`.
+    """
+    cut = cut_polygons(counts, starts, indices, vertices)
+    warn_crossed(path, cut.crossed_count)
+    return cut.corners, cut.polygon_ids
+
+
+def cut_polygons(
+    counts: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    indices: NDArray[Any],
+    vertices: NDArray[Any],
+) -> Cut:
+    """Cut polygons into triangles: fans where they are right, as in convex ones, else ears.
+
+    Parameters
+    ----------
+    counts, starts : ndarray of shape (P,), int64
+        See `fan_corners`.
+    indices : ndarray of shape (C,), integer
+        The vertex of each corner in the caller's list, of any value: polygons with indices out of
+        range become fans.
+    vertices : ndarray of shape (V, 3), float
+    """
+    corners, polygon_ids = fan_corners(counts, starts)
+    if int(counts.max(initial=0)) < 4 or len(vertices) == 0:
+        return Cut(corners, polygon_ids, 0)
+    folded = _folded(counts, starts, indices, vertices)
+    if len(folded) == 0:
+        return Cut(corners, polygon_ids, 0)
+    places = _places(counts[folded], starts[folded])
+    points = vertices[indices[places].astype(np.int64)].astype(np.float64)
+    ears, is_cut = clip_ears(points, counts[folded])
+    is_replaced = np.zeros(len(counts), bool)
+    is_replaced[folded[is_cut]] = True
+    corners[is_replaced[polygon_ids]] = places[ears]
+    return Cut(corners, polygon_ids, len(folded) - int(np.count_nonzero(is_cut)))
+
+
+def _places(counts: NDArray[np.int64], starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Positions of the corners of some polygons in the caller's list, one polygon after another."""
+    firsts = np.cumsum(counts) - counts
+    return np.arange(int(counts.sum())) + np.repeat(starts - firsts, counts)
+
+
+def _folded(
+    counts: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    indices: NDArray[Any],
+    vertices: NDArray[Any],
+) -> NDArray[np.int64]:
+    """Find polygons whose fans have triangles that face backwards, in increasing order."""
+    found = [np.zeros(0, np.int64)]
+    for count in np.flatnonzero(np.bincount(counts)).tolist():
+        if count > 3:
+            alike = np.flatnonzero(counts == count)
+            step = max(1, _BLOCK // count)
+            for first in range(0, len(alike), step):
+                part = alike[first : first + step]
+                vertex = indices.take(starts[part] + np.arange(count)[:, None])
+                found.append(part[_is_folded(vertex, vertices)])
+    return np.sort(np.concatenate(found))
+
+
+def _is_folded(vertex: NDArray[Any], vertices: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether each fan has triangles that face backwards; False with indices out of range.
+
+    Parameters
+    ----------
+    vertex : ndarray of shape (N, P), integer
+        The corners of polygons of N corners.
+    vertices : ndarray of shape (V, 3), float
+    """
+    inside = (vertex >= 0) & (vertex < len(vertices))
+    if not inside.all():
+        vertex = np.where(inside, vertex, 0)
+    points = vertices.take(vertex, axis=0)
+    axes = np.moveaxis(points, -1, 0).astype(np.float64, order="C")
+    with np.errstate(all="ignore"):
+        x, y, z = axes[:, 1:] - axes[:, :1]
+        twice = np.stack(
+            [
+                y[:-1] * z[1:] - z[:-1] * y[1:],
+                z[:-1] * x[1:] - x[:-1] * z[1:],
+                x[:-1] * y[1:] - y[:-1] * x[1:],
+            ]
+        )
+        normals = twice.sum(axis=1)
+        along = (twice * normals[:, None]).sum(axis=0).min(axis=0)
+        squares = (normals * normals).sum(axis=0)
+        folded = (along < 0.0) | (squares == 0.0)
+        if not folded.any():
+            return folded
+        size = np.abs((x, y, z)).max(axis=(0, 1))
+        least = _ROUNDED * size * size
+        largest = (twice * twice).sum(axis=0).max(axis=0)
+        folded = (along < -least * np.sqrt(squares)) | (squares <= least * least)
+        # With no area at all there is nothing to mend.
+        folded &= (largest > least * least) & np.isfinite(squares)
+    return folded & inside.all(axis=0)
 
 
 def fan_corners(
