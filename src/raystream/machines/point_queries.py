@@ -150,7 +150,8 @@ class PointQueries(RayCaster):
         -------
         ndarray of shape S, float64
             World units: `ClosestPoints.distance`, negative where `contains` is true. Infinite
-            beyond `max_distance`, NaN for points with a coordinate that is NaN or infinite.
+            beyond `max_distance`, NaN for points with a coordinate that is NaN or infinite. Where
+            solids overlap, the nearest surface may be that of one within another.
 
         Raises
         ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -45,8 +46,8 @@ class PlacedSolids:
     ----------
     solids : Solids
         Of the scene's meshes, each in the space of its object.
-    is_closed, volumes : ndarray of shape (L,), bool and float64
-        Of each solid; see `Solids`.
+    is_closed : ndarray of shape (L,), bool
+        Of each solid.
     corners : ndarray of shape (F, 3, 3), float32
         By prim_id, each in its object's local frame.
     records : tuple of two uint64
@@ -75,9 +76,7 @@ class PlacedSolids:
         self._shifts = self._first_solids[:-1] - first_meshes[:-1][ids]
         rows = np.arange(self._first_solids[-1]) - np.repeat(self._shifts, of_instances)
         self.is_closed: NDArray[np.bool_] = self.solids.is_closed[rows]
-        linear = triangles.instances.transforms[:, :, :3]
-        sizes = np.repeat(np.abs(np.linalg.det(linear)), of_instances)
-        self.volumes: NDArray[np.float64] = self.solids.volumes[rows] * sizes
+        self._rows, self._counts = rows, of_instances
         self.corners = triangles.object_corners()
         self._instances = instance_records(triangles, np.arange(len(ids)))
         self._objects = object_records(structure.objects)
@@ -86,6 +85,13 @@ class PlacedSolids:
             for one in (self._instances, self._objects)
         ]
         self.records = _RecordsAt(*addresses)
+
+    @cached_property
+    def volumes(self) -> NDArray[np.float64]:
+        """Absolute volumes of the solids, shape (L,), in world units; see `Solids`."""
+        linear = self._triangles.instances.transforms[:, :, :3]
+        sizes = np.repeat(np.abs(np.linalg.det(linear)), self._counts)
+        return self.solids.volumes[self._rows] * sizes
 
     @classmethod
     def of(cls, structure: InstancedStructure) -> PlacedSolids:

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.errors import RaystreamWarning
 from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
 from raystream.core.scene_checks import check_no_worlds, check_triangles
+from raystream.core.triangles import Triangles
 from raystream.instances.structure import InstancedStructure
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import Solids, solids_of
+from raystream.machines.winding import inside_by_winding
 from raystream.physics.library_results import LibraryThickness, in_library_of
+from raystream.physics.nesting import displaced, overlap_text, ranks_of
 from raystream.physics.pairing import (
     NO_ROW,
     Crossings,
@@ -48,6 +54,7 @@ def thickness(
     t_min: Any = 0.0,
     t_max: Any = np.inf,
     ends: Literal["report", "clip"] = "report",
+    nested: Literal["both", "inner"] = "both",
     progress: Progress | None = None,
 ) -> Thickness:
     """Find where rays enter and leave closed meshes.
@@ -62,6 +69,10 @@ def thickness(
         clip it to the interval, if the mesh is closed. To clip, rays are traced to their last
         crossing, so that a ray that starts inside is recognised even if its interval ends before
         any surface.
+    nested : {"both", "inner"}
+        Where meshes overlap, as a pipe in concrete does that has no hole for it: give each of
+        them its whole segment, with a `RaystreamWarning` that names some of the meshes; or let
+        the inner one displace the others, so that segments do not overlap.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -73,7 +84,7 @@ def thickness(
     Raises
     ------
     ValueError, TypeError
-        As `Tracer.first_hit`, or if `ends` is unknown.
+        As `Tracer.first_hit`, or if `ends` or `nested` is unknown.
     MemoryError
         If there is not enough memory for the crossings of a block.
 
@@ -86,13 +97,20 @@ def thickness(
     their union, and a part that faces inward is a cavity. Unpaired crossings are
     reported. At equal t entries come first: parts that touch make one segment.
 
+    With ``nested="inner"``, a point in several meshes belongs to the one of the smallest volume,
+    which for a mesh within another is the inner one; of equal volumes, to the later mesh or
+    instance. Closed meshes displace open ones. A segment that another one divides becomes several,
+    of the same mesh and material, whose `entry_prim_id` or `exit_prim_id` is that triangle of the
+    other mesh where they begin or end.
+
     A mesh that is closed and has a negative volume faces inward: its sides are swapped, and
     `Thickness.mesh_is_flipped` says so.
 
     A ray from outside leaves a closed mesh as often as it enters it, even through edges and
     vertices. Where it grazes a silhouette within rounding errors, the exit may come before the
     entry. Without a t_max this case is recognised and gives a segment of length 0; with one, both
-    crossings are reported as unpaired.
+    crossings are reported as unpaired. A mesh that triangles without area close is left as often
+    only by rays that pass them at more than the rounding errors.
 
     Examples
     --------
@@ -106,10 +124,27 @@ def thickness(
     """
     if ends not in ("report", "clip"):
         raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
+    if nested not in ("both", "inner"):
+        raise ValueError(f"nested: expected 'both' or 'inner', got {nested!r}")
     check_triangles("thickness", tracer.structure.triangles)
     check_no_worlds("thickness", tracer.structure.triangles)
     batch = RayBatch(origins, directions, t_min, t_max)
-    worker = _Worker(tracer, batch, ends == "clip")
+    found, overlaps = find_segments(tracer, batch, ends == "clip", nested == "inner", progress)
+    if overlaps and nested == "both":
+        text = overlap_text(overlaps, found.mesh_names)
+        warnings.warn(text, RaystreamWarning, stacklevel=2)
+    return in_library_of(origins, directions, found, LibraryThickness)
+
+
+def find_segments(
+    tracer: Tracer,
+    batch: RayBatch,
+    clips: bool = False,
+    displaces: bool = False,
+    progress: Progress | None = None,
+) -> tuple[Thickness, set[tuple[int, int]]]:
+    """The segments of `thickness`, and the pairs of meshes that overlap on some ray."""
+    worker = _Worker(tracer, batch, clips, displaces)
     splits = np.zeros(len(batch) + 1, np.int64)
     status = np.zeros(len(batch), np.uint8)
     parts = []
@@ -129,14 +164,23 @@ def thickness(
             [material.name for material in tracer.scene.materials],
         ),
     )
-    return in_library_of(origins, directions, found, LibraryThickness)
+    return found, worker.overlaps
 
 
 class _Worker:
-    """A tracer and a batch, processed in blocks of rays."""
+    """A tracer and a batch, processed in blocks of rays.
 
-    def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool) -> None:
+    Attributes
+    ----------
+    solids : Solids
+    overlaps : set of (int, int)
+        Pairs of meshes that overlap on some ray.
+    """
+
+    def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool, displaces: bool) -> None:
         self._tracer, self._batch, self._clips = tracer, batch, clips
+        self._displaces = displaces
+        self.overlaps: set[tuple[int, int]] = set()
         structure = tracer.structure
         self._triangles = structure.triangles
         placed = PlacedSolids.of(structure) if isinstance(structure, InstancedStructure) else None
@@ -187,8 +231,57 @@ class _Worker:
 
         parallel_for(body, count, _CHUNK)
         del kept
-        segments = self._segments(rows, crossings, pairs, t_min, t_max)
-        return pairs.counts, segments, self._unpaired(rows, crossings, pairs)
+        if self._clips and self.solids.has_slivers.any():
+            self._check_beginnings(rows, crossings, pairs)
+        counts, segments = pairs.counts, self._segments(rows, crossings, pairs, t_min, t_max)
+        if pairs.overlaps.any():
+            self._note_overlaps(crossings, pairs)
+            if self._displaces:
+                lengths = direction_lengths(self._batch, rows)
+                solid_ids = crossings.mesh_id[pairs.exits[_used(crossings.splits, counts)[0]]]
+                ranks = self._ranks[solid_ids]
+                counts, segments = displaced(segments, counts, ranks, pairs.overlaps, lengths)
+        return counts, segments, self._unpaired(rows, crossings, pairs)
+
+    @cached_property
+    def _ranks(self) -> NDArray[np.int64]:
+        return ranks_of((self._placed or self.solids).volumes)
+
+    def _check_beginnings(self, rows: slice, crossings: Crossings, pairs: Pairs) -> None:
+        """Report as unpaired an exit that only seems to follow a beginning inside.
+
+        A ray from outside may slip through a mesh beside a triangle without area, which is rare.
+        """
+        used, ray = _used(crossings.splits, pairs.counts)
+        solid_id = crossings.mesh_id[pairs.exits[used]]
+        mesh_id, _ = self._mesh_and_instance(solid_id)
+        doubtful = (pairs.entries[used] == NO_ROW) & self.solids.has_slivers[mesh_id]
+        for solid in np.unique(solid_id[doubtful]):
+            some = np.flatnonzero(doubtful & (solid_id == solid))
+            i = rows.start + ray[some]
+            starts = self._batch.t_min[i, None] * self._batch.directions[i].astype(np.float64)
+            starts += self._batch.origins[i]
+            if self._placed is None:
+                is_inside = inside_by_winding(_part(self._triangles, solid), starts)
+            else:
+                triangles, mesh, starts = self._placed.in_object(solid, starts)
+                is_inside = inside_by_winding(_part(triangles, mesh), starts)
+            for k in some[~is_inside][::-1]:  # from the last: later rows move
+                _unpair(ray[k], used[k], crossings, pairs)
+
+    def _note_overlaps(self, crossings: Crossings, pairs: Pairs) -> None:
+        """Add to `overlaps`."""
+        used, _ = _used(crossings.splits, np.where(pairs.overlaps == 2, pairs.counts, 0))
+        used = used[pairs.beneath[used] != NO_ROW]
+        one, other = (crossings.mesh_id[pairs.exits[k]] for k in (used, pairs.beneath[used]))
+        # Pairs as numbers, which are sorted faster than rows.
+        count = int(max(one.max(initial=0), other.max(initial=0))) + 1
+        codes = np.unique(np.minimum(one, other) * np.int64(count) + np.maximum(one, other))
+        low, high = (
+            self._mesh_and_instance(solid_id.astype(np.int32))[0].tolist()
+            for solid_id in np.divmod(codes, count)
+        )
+        self.overlaps.update((min(pair), max(pair)) for pair in zip(low, high, strict=True))
 
     def _classifier(
         self, source: RaySource, hits: MultiHits, crossings: Crossings
@@ -267,6 +360,27 @@ class _Worker:
             crossings.kind[unpaired] & np.uint8(1),
             instance_id,
         )
+
+
+def _part(triangles: Triangles, mesh: int) -> Triangles:
+    """One mesh of several."""
+    first, last = triangles.mesh_splits[mesh : mesh + 2]
+    splits = np.array([0, last - first])
+    corners = triangles.corners[first:last]
+    return Triangles.from_local(corners, splits, triangles.center, triangles.scale)
+
+
+def _unpair(ray: int, place: int, crossings: Crossings, pairs: Pairs) -> None:
+    """Make the exit of a segment unpaired."""
+    first, last = crossings.splits[ray], crossings.splits[ray] + pairs.counts[ray]
+    unpaired = pairs.unpaired[first : first + pairs.unpaired_counts[ray] + 1]
+    unpaired[-1] = pairs.exits[place]
+    unpaired.sort()
+    for column in (pairs.entries, pairs.exits):
+        column[place : last - 1] = column[place + 1 : last].copy()
+    pairs.beneath[first:last] = NO_ROW
+    pairs.counts[ray] -= 1
+    pairs.unpaired_counts[ray] += 1
 
 
 def _used(
