@@ -39,7 +39,8 @@ tracer = rs.Tracer(scene)
 pixel = 0.0015
 x, y = np.meshgrid(pixel * np.arange(-300, 300), pixel * np.arange(420, -20, -1))
 origins = np.stack([x, y, np.full_like(x, 2.0)], axis=-1)
-found = rs.thickness(tracer, origins, [0.0, 0.0, -1.0])
+# Where parts overlap, within their tolerances, the smaller one counts.
+found = rs.thickness(tracer, origins, [0.0, 0.0, -1.0], nested="inner")
 assert found.is_complete.all()
 print(f"{found.mesh_id.size:,} crossings of parts by {x.size:,} rays")
 
@@ -64,7 +65,7 @@ print("wrote xray_engine.png")
 # %%
 # A shotline across the first cylinder, below its piston, with the length in each part.
 
-line = rs.thickness(tracer, [-0.15, 0.325, 1.0], [0.0, 0.0, -1.0])
+line = rs.thickness(tracer, [-0.15, 0.325, 1.0], [0.0, 0.0, -1.0], nested="inner")
 for number, length in zip(line.mesh_id, line.path_length, strict=True):
     print(f"{1000 * length:5.1f} mm of {line.mesh_names[number]}")
 names = [line.mesh_names[number] for number in line.mesh_id]
@@ -76,5 +77,6 @@ assert names == ["block", "liner 1", "rod 1", "liner 1", "block"]
 size = [int(number) for number in sys.argv[1].split("x")] if len(sys.argv) > 1 else (320, 240)
 samples = int(sys.argv[2]) if len(sys.argv) > 2 else 4
 camera = rs.Camera((-0.2, 0.42, 1.5), (0.0, 0.27, 0.0), fov=25.0)
-rs.render(tracer, "xray", size, samples=samples, camera=camera, absorption=20.0).save("engine.png")
+solid = {"absorption": 20.0, "nested": "inner"}
+rs.render(tracer, "xray", size, samples=samples, camera=camera, **solid).save("engine.png")
 print(f"wrote engine.png: {scene.triangle_count:,} triangles, {samples} samples")

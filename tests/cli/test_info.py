@@ -63,6 +63,10 @@ def test_it_says_whether_meshes_are_closed(run, tmp_path):
     halves = ["o a", *faces[:2], "o b", *faces[2:]]
     (tmp_path / "halves.obj").write_text(corners + "\n".join(halves))
     assert shown("halves.obj") == "0 of 2; together they are"
+    # The edge from (0, 0, 1) to (0, 1, 0) is split on one side; a triangle without area closes it.
+    split = "v 0 0.5 0.5\n" + "\n".join([*faces[:2], "f 1 4 5", "f 1 5 3", faces[3], "f 4 3 5"])
+    (tmp_path / "split.obj").write_text(corners + split)
+    assert shown("split.obj") == "yes"
     (tmp_path / "empty.obj").write_text("")
     assert shown("empty.obj") is None
 

@@ -153,6 +153,8 @@ def test_time_ends_a_picture(run):
         (["--mode", "path", "--option", "max_bounces=true"], "max_bounces: expected an integer"),
         (["--mode", "path", "--option", "light_samples=1"], "light_samples: expected true or"),
         (["--mode", "ao", "--option", "distance=far"], "distance: expected a number"),
+        (["--mode", "xray", "--option", "nested=3"], "nested: expected a name"),
+        (["--mode", "xray", "--option", "nested=x"], "nested: expected 'both' or 'inner'"),
         (["--mode", "ao", "--option", "distance=NaN"], "--option: distance: expected"),
         (["--mode", "ao", "--option", f"distance=1{'0' * 400}"], "distance: is too large"),
         (["--mode", "ao", "--option", "rays=0"], "--option: rays: expected 1"),

@@ -52,6 +52,7 @@ def test_counts_are_known_before_pieces_are_made(target):
     assert make_engine(target).triangle_count == count
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 @pytest.mark.parametrize("target", [2000, 12_000, 36_000, ONE_SIZE])
 def test_solids_hardly_overlap(target):
     found = shotlines(rs.Tracer(make_engine(target)), 20_000)
@@ -83,6 +84,7 @@ def overlaps(found):
     return shared
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 def test_a_line_along_a_cylinder_meets_its_parts_from_the_cover_to_the_table(tracer):
     lift = -FLOOR
     x = crank_drive.CYLINDERS[1] - 0.02  # through the intake valve's stem

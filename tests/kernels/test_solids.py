@@ -7,7 +7,8 @@ import pytest
 
 import raystream as rs
 from meshes import cube, dented_sphere, grid_floor, icosphere, soup
-from raystream.kernels.solids import solids_of
+from raystream.kernels.solids import open_edges, solids_of
+from slivers import FORMS, split_box
 from solid_meshes import box_mesh, joined
 
 
@@ -72,3 +73,42 @@ def test_negative_zero_is_zero():
     corners = vertices[faces]
     corners[::2][corners[::2] == 0.0] = -0.0
     assert facts(rs.Mesh(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3))) == [(True, False)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_triangles_without_area_may_close_a_mesh(form):
+    vertices, faces = FORMS[form]()
+    solids = solids_of(rs.Scene([rs.Mesh(vertices, faces)]).triangles)
+    assert solids.is_closed.tolist() == [True]
+    assert solids.is_closed_together
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if form != "sphere":
+        assert solids.volumes.tolist() == pytest.approx([np.prod(high - low)], rel=1e-6)
+        assert solids.has_slivers.tolist() == [True]
+    assert facts(rs.Mesh(vertices, faces[:, ::-1])) == [(True, True)]
+    # Without the last of them, or another triangle, the mesh is open.
+    assert facts(rs.Mesh(vertices, faces[:-1])) == [(False, False)]
+    assert facts(rs.Mesh(vertices, faces[1:])) == [(False, False)]
+
+
+def test_triangles_without_area_do_not_open_a_mesh():
+    vertices, faces = cube()
+    middle = np.vstack([vertices, (vertices[0] + vertices[1]) / 2])
+    dangling = rs.Mesh(middle, np.vstack([faces, [[0, 8, 1]]]))
+    closed = rs.Mesh(*split_box())
+    solids = solids_of(rs.Scene([dangling, closed, rs.Mesh(middle, [[0, 8, 1]])]).triangles)
+    assert solids.is_closed.tolist() == [True, True, False]
+    assert solids.has_slivers.tolist() == [False, True, False]
+    assert solids.is_empty.tolist() == [False, False, True]
+
+
+def test_open_edges():
+    vertices, faces = cube()
+    box, far = rs.Mesh(vertices, faces), rs.Mesh(vertices + [7, 0, 0], faces[:-2])
+    found = open_edges(rs.Scene([box, far, rs.Mesh(*split_box())]).triangles)
+    assert found.mesh_ids.tolist() == [1]
+    quad = {tuple(point) for point in far.vertices[faces[-2:].ravel()].tolist()}
+    assert {tuple(end) for end in found.ends.reshape(-1, 3).tolist()} == quad
+    assert len(found.ends) == 4
+    whole = open_edges(rs.Scene([box]).triangles)
+    assert len(whole.ends) == len(whole.mesh_ids) == 0

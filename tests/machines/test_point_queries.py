@@ -11,7 +11,7 @@ import raystream as rs
 from meshes import cube, dented_sphere, grid_floor, icosphere, soup
 from raystream.core.closest_points import ClosestPoints
 from raystream.machines.inside import _DIRECTIONS
-from solid_meshes import box_mesh, sphere_mesh, tracer_of
+from solid_meshes import box_mesh, joined, sphere_mesh, tracer_of
 
 
 @pytest.fixture(scope="module")
@@ -282,8 +282,59 @@ def test_solids_within_solids():
         assert shell.contains(points, method=method).tolist() == [False, True, False]
     np.testing.assert_allclose(shell.winding_number(points), [0, 1, 0], atol=1e-12)
     doubled = tracer_of(sphere_mesh(radius=3), sphere_mesh(radius=1))
-    assert doubled.contains(points).tolist() == [False, True, False]
-    assert doubled.contains(points, method="winding").tolist() == [True, True, False]
+    for method in ("rays", "winding"):
+        assert doubled.contains(points, method=method).tolist() == [True, True, False]
+    assert (doubled.signed_distance(points) < 0).tolist() == [True, True, False]
+
+
+def overlapping_solids():
+    """Nested, crossing, equal, with a cavity, and in one mesh; the boxes that are solid."""
+    boxes = [([0, 0, 0], [4, 3, 2]), ([1, 1, 0.5], [2, 2, 1.5]), ([3, 1, 1], [6, 2, 4]),
+             ([3, 1, 1], [6, 2, 4]), ([-2, -1, -1], [0.5, 1, 1])]  # fmt: skip
+    meshes = [box_mesh(*box) for box in boxes]
+    yield "meshes", boxes, meshes
+    yield "one mesh", boxes, [joined(*meshes)]
+    yield "inward", boxes, [rs.Mesh(mesh.vertices, mesh.faces[:, ::-1]) for mesh in meshes]
+    yield (
+        "open parts",
+        boxes,
+        [rs.Mesh(mesh.vertices, mesh.faces[part::2]) for mesh in meshes for part in (0, 1)],
+    )
+
+
+@pytest.mark.parametrize("k", range(4))
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_points_in_several_solids_are_inside(k, structure):
+    _, boxes, meshes = list(overlapping_solids())[k]
+    tracer = tracer_of(*meshes, structure=structure)
+    points = np.random.default_rng(21).uniform([-3, -2, -2], [7, 4, 5], (4000, 3))
+    inside = np.array([((points > low) & (points < high)).all(axis=1) for low, high in boxes])
+    assert (inside.sum(axis=0) > 1).sum() > 100
+    np.testing.assert_array_equal(tracer.contains(points), inside.any(axis=0))
+    np.testing.assert_array_equal(tracer.contains(np.float32(points)), inside.any(axis=0))
+    np.testing.assert_array_equal(tracer.signed_distance(points) < 0, inside.any(axis=0))
+
+
+def test_overlapping_solids_far_away_and_their_progress():
+    boxes = np.array([[[0, 0, 0], [4, 3, 2]], [[1, 1, 0.5], [2, 2, 1.5]]]) + [1e6, 2e6, -1e6]
+    tracer = tracer_of(*(box_mesh(*box) for box in boxes))
+    steps = []
+    points = boxes.mean(axis=1) + np.random.default_rng(2).normal(size=(2000, 2, 3))
+    found = tracer.contains(points, progress=lambda *step: steps.append(step))
+    expected = ((points > boxes[0, 0]) & (points < boxes[0, 1])).all(axis=-1)
+    np.testing.assert_array_equal(found, expected)
+    assert steps == sorted(steps)
+    assert steps[-1][0] == steps[-1][1]
+
+
+def test_a_cavity_of_a_cavity():
+    radii = (5, 4, 3, 2)  # a shell within a shell; and a solid through both walls
+    shells = [sphere_mesh(radius=r, flipped=k % 2 == 1) for k, r in enumerate(radii)]
+    tracer = tracer_of(*shells, box_mesh([-9, -0.5, -0.5], [9, 0.5, 0.5]))
+    points = [[0.1, r, 0.2] for r in (0, 1, 2.5, 3.5, 4.5, 6)]
+    assert tracer.contains(points).tolist() == [True, False, True, False, True, False]
+    line = [[x, 0.1, 0.2] for x in (2.5, 3.5, 4.5, 6, 9.5)]
+    assert tracer.contains(line).tolist() == [True, True, True, True, False]
 
 
 def test_open_surfaces_need_winding_numbers():

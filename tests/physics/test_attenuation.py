@@ -22,6 +22,7 @@ def tracer():
     return tracer_of(*meshes, materials=MATERIALS)
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 def test_an_assembly_of_boxes(tracer, rng):
     origins, directions = rays_from_outside(rng, 5000)
     found = rs.thickness(tracer, origins, directions)

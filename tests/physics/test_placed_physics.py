@@ -94,6 +94,7 @@ def assert_thickness(scene, origins, directions, structure="bvh", **options) -> 
     return found
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 @pytest.mark.parametrize("structure", ["bvh", "brute"])
 @pytest.mark.parametrize("ends", ["report", "clip"])
 def test_every_instance_is_a_solid_of_its_own(structure, ends, rng) -> None:
@@ -107,6 +108,7 @@ def test_every_instance_is_a_solid_of_its_own(structure, ends, rng) -> None:
     assert len(np.unique(found.instance_id)) > 20
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 def test_equal_instances_count_twice() -> None:
     scene = rs.Scene.instances(objects()[1], np.tile(np.eye(3, 4), (3, 1, 1)))
     found = rs.thickness(rs.Tracer(scene), [0.2, 0.3, 5.0], [0.0, 0.0, -2.0])
@@ -119,6 +121,7 @@ def test_equal_instances_count_twice() -> None:
     assert passed == pytest.approx(np.exp(-1.5 * height), rel=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 @given(st.integers(0, 2**20), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from([1.0, 1e-4]))
 @settings(max_examples=25)
 def test_closed_meshes_are_left_as_often_as_entered(seed, size, thinness) -> None:
@@ -139,6 +142,7 @@ def test_closed_meshes_are_left_as_often_as_entered(seed, size, thinness) -> Non
     assert found.mesh_is_closed.all()
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 def test_thickness_is_that_of_the_flattened_scene(rng) -> None:
     scene = random_scene(rng, 30)
     closed = scene.with_transforms(scene.placements.transforms)

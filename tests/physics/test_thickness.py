@@ -89,7 +89,8 @@ def test_parts_that_touch_make_one_segment_whichever_comes_first():
 
 def test_overlapping_meshes_have_segments_of_their_own():
     meshes = box_mesh([0, 0, 0], [2, 1, 1]), box_mesh([1, 0, 0], [3, 1, 1])
-    found = rs.thickness(tracer_of(*meshes), [-1.0, 0.5, 0.4], X)
+    with pytest.warns(rs.RaystreamWarning, match="thickness: meshes overlap.*0 and 1"):
+        found = rs.thickness(tracer_of(*meshes), [-1.0, 0.5, 0.4], X)
     assert spans(found) == [(1.0, 3.0), (2.0, 4.0)]
     assert found.mesh_id.tolist() == [0, 1]
     assert found.total_length().item() == 4.0
@@ -218,6 +219,7 @@ def test_rays_through_edges_and_vertices_are_complete(rng):
         assert (found.path_length >= 0).all()
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 @pytest.mark.parametrize("name", EVERY_QUERY)
 def test_every_structure_gives_the_same_bits(name, rng):
     meshes = (
@@ -242,6 +244,7 @@ def test_every_structure_gives_the_same_bits(name, rng):
         assert len(found.unpaired_t) > 10
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 def test_blocks_change_nothing(monkeypatch, rng):
     tracer = tracer_of(sphere_mesh(level=2), box_mesh([0, 0, 0], [2, 2, 2]))
     origins, directions = rays_from_outside(rng, 6000)

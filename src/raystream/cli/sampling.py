@@ -217,6 +217,8 @@ def _converted(where: str, value: Any, default: Any) -> Any:
         kind, is_right = "true or false", isinstance(value, bool)
     elif isinstance(default, int):
         kind, is_right = "an integer", is_number and isinstance(value, int)
+    elif isinstance(default, str):
+        kind, is_right = "a name", isinstance(value, str)
     else:
         kind, is_right = "a number", is_number or value == "inf"
     if not is_right:

@@ -1,4 +1,4 @@
-"""Whether meshes are closed, and which side of their triangles is the inside."""
+"""Whether meshes are closed, where they are not, and which side of their triangles is inside."""
 
 from __future__ import annotations
 
@@ -30,11 +30,17 @@ class Solids(NamedTuple):
     ----------
     is_closed : ndarray of shape (M,), bool
         Whether the triangles that can be hit traverse every edge as often in one direction as in
-        the other. Vertices with equal positions count as one.
+        the other; or else, whether all finite triangles do. Vertices with equal positions count as
+        one.
     is_flipped : ndarray of shape (M,), bool
         Whether it is closed and its normals point inward: its signed volume is negative.
     is_empty : ndarray of shape (M,), bool
         Whether no triangle of it can be hit; then it is not closed.
+    has_slivers : ndarray of shape (M,), bool
+        Whether triangles without area are needed to close it. They cannot be hit, so that a ray
+        within rounding errors of one may miss the mesh there, or cross it twice.
+    volumes : ndarray of shape (M,), float64
+        Absolute volumes in world units; infinite for meshes that are not closed.
     is_closed_together : bool
         Whether all meshes as one are closed: those of a file may be parts of one surface. True
         without any triangle.
@@ -43,7 +49,24 @@ class Solids(NamedTuple):
     is_closed: NDArray[np.bool_]
     is_flipped: NDArray[np.bool_]
     is_empty: NDArray[np.bool_]
+    has_slivers: NDArray[np.bool_]
+    volumes: NDArray[np.float64]
     is_closed_together: bool
+
+
+class OpenEdges(NamedTuple):
+    """Edges that triangles traverse more often in one direction than in the other.
+
+    Attributes
+    ----------
+    mesh_ids : ndarray of shape (M,), int64
+        The meshes with triangles at those edges, in increasing order.
+    ends : ndarray of shape (K, 2, 3), float64
+        World space, in order of the first triangle of each.
+    """
+
+    mesh_ids: NDArray[np.int64]
+    ends: NDArray[np.float64]
 
 
 _known: WeakKeyDictionary[Triangles, Solids] = WeakKeyDictionary()
@@ -63,8 +86,72 @@ def solids_of(triangles: Triangles) -> Solids:
     return found
 
 
+def open_edges(triangles: Triangles) -> OpenEdges:
+    """Find the edges at which the meshes that are not closed, as one, are open."""
+    meshes = np.repeat(np.arange(len(triangles.mesh_splits) - 1), np.diff(triangles.mesh_splits))
+    is_open = ~solids_of(triangles).is_closed[meshes]
+    solid, slivers = triangles.prim_ids, _slivers(triangles)
+    solid, slivers = solid[is_open[solid]], slivers[is_open[slivers]]
+    found = _unmatched(triangles, solid, meshes)
+    if len(slivers):  # they close some edges, or they are what is left over
+        both = _unmatched(triangles, np.sort(np.concatenate([solid, slivers])), meshes)
+        found = min(found, both, key=lambda edges: len(edges.ends))
+    return found
+
+
+def _unmatched(
+    triangles: Triangles, prim_ids: NDArray[np.int32], meshes: NDArray[np.int64]
+) -> OpenEdges:
+    corners = triangles.corners[prim_ids]
+    # Numbers of positions: hashes, as sorting the positions themselves takes ten times as long.
+    bits = (corners + np.float32(0.0)).view(np.uint32).astype(np.uint64)  # -0 becomes 0
+    ids = bits[:, :, 0] * _STEP
+    for axis in (1, 2):
+        ids = ((ids ^ (ids >> np.uint64(29))) + bits[:, :, axis]) * _FIRST
+    starts, ends = ids.ravel(), np.roll(ids, -1, axis=1).ravel()
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    edges = (low ^ (low >> np.uint64(31))) * _SECOND + high
+    _, firsts, which = np.unique(edges, return_index=True, return_inverse=True)
+    excess = np.bincount(which, (starts < ends).astype(float) - (starts > ends))
+    is_open = excess != 0.0
+    row, side = np.divmod(np.sort(firsts[is_open]), 3)
+    local = np.stack([corners[row, side], corners[row, (side + 1) % 3]], axis=1)
+    owners = prim_ids[np.flatnonzero(is_open[which]) // 3]
+    return OpenEdges(np.unique(meshes[owners]), triangles.to_world(local))
+
+
+def _slivers(triangles: Triangles) -> NDArray[np.int32]:
+    """The triangles that are finite and have no area."""
+    if not triangles.degenerate_count:
+        return np.zeros(0, np.int32)
+    rest = np.ones(len(triangles), bool)
+    rest[triangles.prim_ids] = False
+    ids = np.flatnonzero(rest)
+    return ids[np.isfinite(triangles.corners[ids]).all(axis=(1, 2))].astype(np.int32)
+
+
 def _analyse(triangles: Triangles) -> Solids:
-    prim_ids = triangles.prim_ids
+    count = len(triangles.mesh_splits) - 1
+    edges, volumes, filled = _sums(triangles, triangles.prim_ids)
+    is_closed = filled & (edges == 0)
+    has_slivers = np.zeros(count, bool)
+    is_closed_together = bool(edges.sum() == 0)
+    if not is_closed[filled].all():
+        slivers = _slivers(triangles)
+        if len(slivers):
+            all_edges = edges + _sums(triangles, slivers)[0]
+            has_slivers = filled & ~is_closed & (all_edges == 0)
+            is_closed |= has_slivers
+            is_closed_together |= bool(all_edges[~is_closed].sum() == 0)
+    sizes = np.where(is_closed, np.abs(volumes) / (6.0 * triangles.scale**3), np.inf)
+    is_flipped = is_closed & (volumes < 0.0)
+    return Solids(is_closed, is_flipped, ~filled, has_slivers, sizes, is_closed_together)
+
+
+def _sums(
+    triangles: Triangles, prim_ids: NDArray[np.int32]
+) -> tuple[NDArray[np.uint64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Sums of hashes and volumes of some triangles of each mesh; whether it has any of them."""
     edges = np.empty(len(prim_ids), np.uint64)
     volumes = np.empty(len(prim_ids))
 
@@ -74,12 +161,12 @@ def _analyse(triangles: Triangles) -> Solids:
     parallel_for(body, len(prim_ids), _CHUNK)
     splits = np.searchsorted(prim_ids, triangles.mesh_splits)
     filled = np.diff(splits) > 0
-    is_closed, is_flipped = filled.copy(), np.zeros(len(filled), bool)
+    sums = np.zeros(len(filled), np.uint64), np.zeros(len(filled))
     if filled.any():
         firsts = splits[:-1][filled]
-        is_closed[filled] = np.add.reduceat(edges, firsts) == 0
-        is_flipped[filled] = np.add.reduceat(volumes, firsts) < 0.0
-    return Solids(is_closed, is_flipped & is_closed, ~filled, bool(edges.sum() == 0))
+        for total, parts in zip(sums, (edges, volumes), strict=True):
+            total[filled] = np.add.reduceat(parts, firsts)
+    return *sums, filled
 
 
 @kernel

@@ -7,9 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.rays import RayBatch
 from raystream.core.scene_checks import check_plain
-from raystream.jit.threads import Progress
-from raystream.kernels.solids import solids_of
+from raystream.jit.threads import Progress, parallel_for
+from raystream.kernels.crossing_sides import net_exits
+from raystream.kernels.ray import SceneFrame
+from raystream.kernels.ray_source import RaySource
+from raystream.kernels.solids import open_edges, solids_of
 from raystream.machines.winding import inside_by_winding
 
 if TYPE_CHECKING:
@@ -25,8 +29,11 @@ _DIRECTIONS = (
 #: Steps of an equal part of a query.
 _STEPS = 1 << 20
 
-#: Meshes that an error names.
+#: Meshes and edges that an error names.
 _MOST_NAMED = 3
+
+#: Points whose crossings are stored at once, and of a call of a kernel.
+_POINTS_PER_CALL, _RAYS_PER_CALL = 1 << 20, 1 << 13
 
 
 class InsideTest:
@@ -52,48 +59,89 @@ class InsideTest:
         self._uses_rays = method == "rays"
         if self._uses_rays and not solids_of(self._triangles).is_closed_together:
             raise ValueError(
-                f"method='rays' cannot tell inside from outside: {self._open_meshes()} open, or "
-                "faces are oriented inconsistently; use method='winding'"
+                f"method='rays' cannot tell inside from outside: {self._open_meshes()}; "
+                "use method='winding'"
             )
 
     def _open_meshes(self) -> str:
-        """Name the meshes that are not closed, some of them if they are many."""
-        solids = solids_of(self._triangles)
-        open_ids = np.flatnonzero(~solids.is_closed & ~solids.is_empty)
+        """Name the meshes that are not closed and their open edges, some of them if many."""
+        found = open_edges(self._triangles)
+        open_ids = found.mesh_ids
         names = [self._tracer.scene.meshes[i].name for i in open_ids[:_MOST_NAMED]]
         shown = [
             f"{i} ({name!r:.40})" if name else str(i)
             for i, name in zip(open_ids, names, strict=False)
         ]
-        if len(open_ids) > len(shown):
-            shown.append(f"{len(open_ids) - len(shown):,} more")
-        many = "meshes" if len(open_ids) > 1 else "mesh"
-        listed = " and ".join(filter(None, (", ".join(shown[:-1]), shown[-1])))
-        return f"{many} {listed} {'are' if len(open_ids) > 1 else 'is'}"
+        many = ("meshes", "are") if len(open_ids) > 1 else ("mesh", "is")
+        edges = [
+            " to ".join(f"({x:.6g}, {y:.6g}, {z:.6g})" for x, y, z in pair)
+            for pair in found.ends[:_MOST_NAMED]
+        ]
+        count = len(found.ends)
+        return (
+            f"{many[0]} {_listed(shown, len(open_ids))} {many[1]} open, or faces are oriented "
+            f"inconsistently, at {count:,} edge{'s' if count > 1 else ''}: {_listed(edges, count)}"
+        )
 
     def inside(self, points: NDArray[Any], progress: Progress | None) -> NDArray[np.bool_]:
         """Test points of shape S + (3,); the result has shape (N,)."""
         points = points.reshape(-1, 3)
         if not self._uses_rays:
             return inside_by_winding(self._triangles, points, progress)
-        count = len(points)
-        crossed = np.zeros(count, np.uint8)
-        for k, direction in enumerate(_DIRECTIONS):
+        count, parts = len(points), len(_DIRECTIONS) + 2
+        crossed, escapes = np.zeros(count, np.uint8), np.zeros(count, bool)
+        for k in range(len(_DIRECTIONS)):
             counts = self._tracer.count_hits(
                 points,
-                np.array(direction, np.float32),
+                _direction(k),
                 crossings="surfaces",
-                progress=share_of(progress, k, 1, 4),
+                progress=share_of(progress, k, 1, parts),
             )
             crossed += (counts & 1).astype(np.uint8)
+            escapes |= counts == 0
         inside: NDArray[np.bool_] = crossed == len(_DIRECTIONS)
-        doubtful = np.flatnonzero((crossed != 0) & ~inside)
+        # An even number of crossings: outside, or in several solids at once.
+        even = np.flatnonzero((crossed == 0) & ~escapes)
+        rest = share_of(progress, len(_DIRECTIONS), 1, parts)
+        calls = -(-len(even) // _POINTS_PER_CALL)
+        for call, some in enumerate(np.array_split(even, calls) if calls else ()):
+            part = share_of(rest, call, 1, calls)
+            inside[some] = self._net_exits(points[some], part) != 0
+        doubtful = np.flatnonzero((crossed != 0) & (crossed != len(_DIRECTIONS)))
         if len(doubtful):
-            rest = share_of(progress, 3, 1, 4)
+            rest = share_of(progress, parts - 1, 1, parts)
             inside[doubtful] = inside_by_winding(self._triangles, points[doubtful], rest)
         elif progress:
-            progress(count, count)
+            progress(parts * _STEPS, parts * _STEPS)
         return inside
+
+    def _net_exits(self, points: NDArray[Any], progress: Progress | None) -> NDArray[np.int64]:
+        """Winding numbers of points in a closed surface, by the crossings of one ray."""
+        found = self._tracer.multi_hit(
+            points, _direction(0), crossings="surfaces", progress=progress
+        )
+        rays = RayBatch(points, _direction(0), 0.0, np.inf)
+        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
+        corners, frame = self._triangles.corners, SceneFrame.of(self._triangles)
+        exits = np.empty(len(points), np.int64)
+
+        def body(begin: int, end: int) -> None:
+            net_exits(begin, end, source, frame, corners, found.ray_splits, found.prim_id, exits)
+
+        parallel_for(body, len(points), _RAYS_PER_CALL)
+        del kept
+        return exits
+
+
+def _direction(k: int) -> NDArray[np.float32]:
+    return np.array(_DIRECTIONS[k], np.float32)
+
+
+def _listed(shown: list[str], total: int) -> str:
+    """Join phrases, the last by "and"; how many more there are, if not all are shown."""
+    if total > len(shown):
+        shown = [*shown, f"{total - len(shown):,} more"]
+    return " and ".join(filter(None, (", ".join(shown[:-1]), shown[-1])))
 
 
 def share_of(progress: Progress | None, first: int, parts: int, total: int) -> Progress | None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.closest_points import ClosestPoints
+from raystream.core.hits import MultiHits
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_real_array
 from raystream.core.scene_checks import check_plain
@@ -149,7 +150,8 @@ class PointQueries(RayCaster):
         -------
         ndarray of shape S, float64
             World units: `ClosestPoints.distance`, negative where `contains` is true. Infinite
-            beyond `max_distance`, NaN for points with a coordinate that is NaN or infinite.
+            beyond `max_distance`, NaN for points with a coordinate that is NaN or infinite. Where
+            solids overlap, the nearest surface may be that of one within another.
 
         Raises
         ------
@@ -191,8 +193,9 @@ class PointQueries(RayCaster):
             World space.
         method : {"rays", "winding"}
             Count the crossings of three rays in different directions with a closed surface; where
-            they disagree, the winding number decides. Or use winding numbers for all points, which
-            also suits open surfaces: inside is where they are above 1/2 or below -1/2.
+            they disagree, the winding number decides, and where solids may overlap, the sides of
+            the crossings. Or use winding numbers for all points, which also suits open surfaces:
+            inside is where they are above 1/2 or below -1/2.
         progress : callable, optional
             Called with (steps done, steps).
 
@@ -205,7 +208,8 @@ class PointQueries(RayCaster):
         ------
         ValueError
             If a shape does not fit; if `method` is unknown; or if it is ``"rays"``, and the scene's
-            surface is not closed: then the parity of crossings means nothing.
+            surface is not closed, with the open meshes and the first of their open edges: then the
+            parity of crossings means nothing.
         TypeError
             If the points are not real numbers.
 
@@ -213,9 +217,12 @@ class PointQueries(RayCaster):
         -----
         Supported on every structure, device and machine. The surface is that of all meshes
         together, and it is closed if its triangles traverse each edge as often in one direction as
-        in the other. With ``"rays"``, a point within two closed meshes at once is outside: inside
-        and outside alternate in nested meshes. With ``"winding"`` it is inside, if the faces of
-        both have the same orientation.
+        in the other; vertices with equal coordinates are one. Triangles without area count if they
+        are needed to close it, as those of a file whose edges are split on one side only.
+
+        A point within several closed meshes, or overlapping parts of one, is inside. A mesh
+        that faces inward within one that faces outward is a cavity. Both methods find points whose
+        winding number is not 0.
 
         Rays begin at the points rounded to float32 in the scene's local frame: a point on the
         surface, or nearer to it than the rounding error, may count as inside or outside.
@@ -295,6 +302,12 @@ class PointQueries(RayCaster):
         self, origins: Any, directions: Any, *, crossings: Any = ..., progress: Any = None
     ) -> NDArray[np.int64]:
         """See `Tracer.count_hits`."""
+
+    @abstractmethod
+    def multi_hit(
+        self, origins: Any, directions: Any, *, crossings: Any = ..., progress: Any = None
+    ) -> MultiHits:
+        """See `Tracer.multi_hit`."""
 
     def _nearest(
         self, points: Any, k: int | None, max_distance: Any, progress: Progress | None

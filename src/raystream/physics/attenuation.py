@@ -53,8 +53,9 @@ def attenuation(
 
     Notes
     -----
-    Where segments of different meshes overlap, both count. Scattering is not modelled: the
-    result is the fraction of the primary beam.
+    Where segments of different meshes overlap, both count: `thickness` warns of it, and with
+    ``nested="inner"`` there is no overlap. Scattering is not modelled: the result is the fraction
+    of the primary beam.
 
     Examples
     --------

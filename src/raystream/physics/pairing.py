@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
+from raystream.kernels.crossing_sides import faces_ray
 from raystream.kernels.ray import PAD, prepare_ray
 from raystream.kernels.ray_source import load_ray
 
@@ -112,6 +113,11 @@ class Pairs(NamedTuple):
         entry before the ray's interval.
     unpaired : ndarray of shape (K,), int64
         Rows of the unpaired crossings.
+    overlaps : ndarray of shape (N,), uint8
+        0 if no two of a ray's segments overlap, 1 if they do so within rounding errors, and 2 if
+        they really do.
+    beneath : ndarray of shape (K,), int64
+        For each segment, another one that it really overlaps, as a place in `exits`, or `NO_ROW`.
     """
 
     counts: NDArray[np.int64]
@@ -119,14 +125,17 @@ class Pairs(NamedTuple):
     entries: NDArray[np.int64]
     exits: NDArray[np.int64]
     unpaired: NDArray[np.int64]
+    overlaps: NDArray[np.uint8]
+    beneath: NDArray[np.int64]
 
     @classmethod
     def empty(cls, ray_count: int, row_count: int) -> Pairs:
         """Allocate, not initialised."""
         rays, rows = (ray_count,), (row_count,)
         counts, unpaired_counts = np.empty(rays, np.int64), np.empty(rays, np.int64)
-        entries, exits, unpaired = (np.empty(rows, np.int64) for _ in range(3))
-        return cls(counts, unpaired_counts, entries, exits, unpaired)
+        entries, exits, unpaired, beneath = (np.empty(rows, np.int64) for _ in range(4))
+        overlaps = np.empty(rays, np.uint8)
+        return cls(counts, unpaired_counts, entries, exits, unpaired, overlaps, beneath)
 
 
 @kernel
@@ -180,7 +189,7 @@ def classify_crossing(row, local, ray, frame, corners, is_flipped, crossings):
     reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
     aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.t_scale
     prim_id = crossings.prim_id[row]
-    enters = _faces_ray(ray, corners, prim_id) != is_flipped
+    enters = faces_ray(ray, corners, prim_id) != is_flipped
     crossings.kind[row] = _ENTRY if enters else _EXIT
     cosine = _cosine(ray, corners, prim_id)
     crossings.slack[row] = aside / cosine + _ROUNDING * abs(crossings.t[row])
@@ -197,29 +206,6 @@ def _mesh_of(prim_id, mesh_splits):
         else:
             high = middle
     return low
-
-
-@device
-def _faces_ray(ray, corners, i):
-    """Whether the ray meets the front of a triangle that it crosses.
-
-    The sign comes from the sheared corners, computed bit for bit as in `kernels.triangle`. So
-    it agrees with the test that found the crossing even where rounding decides, and a ray
-    through a closed mesh leaves it as often as it enters it.
-    """
-    a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
-    az = a[ray.kz] - ray.oz
-    bz = b[ray.kz] - ray.oz
-    cz = c[ray.kz] - ray.oz
-    ax = np.float64((a[ray.kx] - ray.ox) - ray.sx * az)
-    ay = np.float64((a[ray.ky] - ray.oy) - ray.sy * az)
-    bx = np.float64((b[ray.kx] - ray.ox) - ray.sx * bz)
-    by = np.float64((b[ray.ky] - ray.oy) - ray.sy * bz)
-    cx = np.float64((c[ray.kx] - ray.ox) - ray.sx * cz)
-    cy = np.float64((c[ray.ky] - ray.oy) - ray.sy * cz)
-    # If the triangle is hit, the three have the same sign or are zero.
-    clockwise = (cx * by - cy * bx) + (ax * cy - ay * cx) + (bx * ay - by * ax)
-    return (clockwise > 0.0) == (ray.dz > np.float32(0.0))
 
 
 @device
@@ -268,6 +254,7 @@ def pair_crossings(begin, end, crossings, limits, is_closed, scratch, pairs):
         _write_pairs(i, crossings, first, last, count, depth, slot, pairs)
         if limits.clips:
             _clip_at_t_max(i, crossings, first, limits.t_max[i], pairs)
+        _find_overlaps(i, crossings, first, limits, pairs)
 
 
 @device
@@ -413,3 +400,27 @@ def _clip_at_t_max(i, crossings, first, t_max, pairs):
             pairs.unpaired[first + kept] = pairs.unpaired[k]
             kept += 1
     pairs.unpaired_counts[i] = kept
+
+
+@device
+def _find_overlaps(i, crossings, first, limits, pairs):
+    """Write `overlaps` and `beneath` of a ray: each segment is compared with the longest so far."""
+    t, slack = crossings.t, crossings.slack
+    longest, latest, doubt = NO_ROW, -math.inf, 0.0
+    overlap = np.uint8(0)
+    for k in range(first, first + pairs.counts[i]):
+        entry, exit_ = pairs.entries[k], pairs.exits[k]
+        t_entry, t_exit = np.float64(limits.t_min[i]), np.float64(min(t[exit_], limits.t_max[i]))
+        rounding = 0.0
+        if entry != NO_ROW:
+            t_entry, rounding = np.float64(t[entry]), slack[entry]
+        pairs.beneath[k] = NO_ROW
+        common = min(latest, t_exit) - t_entry
+        if common > 0.0:
+            rounding += slack[exit_] if t_exit < latest else doubt
+            overlap = max(overlap, np.uint8(1))
+            if common > rounding:
+                overlap, pairs.beneath[k] = np.uint8(2), longest
+        if t_exit > latest:
+            longest, latest, doubt = k, t_exit, slack[exit_]
+    pairs.overlaps[i] = overlap

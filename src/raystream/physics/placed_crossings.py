@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.triangles import Triangles
 from raystream.instances.records import (
     InstanceRecord,
     ObjectRecord,
@@ -61,6 +63,8 @@ class PlacedSolids:
             np.concatenate([none, *(one.is_closed for one in found)]),
             np.concatenate([none, *(one.is_flipped for one in found)]),
             np.concatenate([none, *(one.is_empty for one in found)]),
+            np.concatenate([none, *(one.has_slivers for one in found)]),
+            np.concatenate([np.zeros(0), *(one.volumes for one in found)]),
             all(one.is_closed_together for one in found),
         )
         counts = np.array([len(one.is_closed) for one in found], np.int64)
@@ -72,6 +76,7 @@ class PlacedSolids:
         self._shifts = self._first_solids[:-1] - first_meshes[:-1][ids]
         rows = np.arange(self._first_solids[-1]) - np.repeat(self._shifts, of_instances)
         self.is_closed: NDArray[np.bool_] = self.solids.is_closed[rows]
+        self._rows, self._counts = rows, of_instances
         self.corners = triangles.object_corners()
         self._instances = instance_records(triangles, np.arange(len(ids)))
         self._objects = object_records(structure.objects)
@@ -80,6 +85,13 @@ class PlacedSolids:
             for one in (self._instances, self._objects)
         ]
         self.records = _RecordsAt(*addresses)
+
+    @cached_property
+    def volumes(self) -> NDArray[np.float64]:
+        """Absolute volumes of the solids, shape (L,), in world units; see `Solids`."""
+        linear = self._triangles.instances.transforms[:, :, :3]
+        sizes = np.repeat(np.abs(np.linalg.det(linear)), self._counts)
+        return self.solids.volumes[self._rows] * sizes
 
     @classmethod
     def of(cls, structure: InstancedStructure) -> PlacedSolids:
@@ -101,6 +113,17 @@ class PlacedSolids:
         instance_id = np.searchsorted(self._first_solids, solid_ids, side="right") - 1
         mesh_id = solid_ids - self._shifts[instance_id]
         return mesh_id.astype(np.int32), instance_id.astype(np.int32)
+
+    def in_object(
+        self, solid_id: int, points: NDArray[np.float64]
+    ) -> tuple[Triangles, int, NDArray[np.float64]]:
+        """The object of a solid, the mesh's number in it, and points of shape (N, 3) there."""
+        instance_id = int(np.searchsorted(self._first_solids, solid_id, side="right")) - 1
+        instances = self._triangles.instances
+        object_ = self._triangles.objects[instances.object_ids[instance_id]]
+        inverse = instances.inverses[instance_id]
+        mesh = solid_id - int(self._first_solids[instance_id])
+        return object_, mesh, points @ inverse[:, :3].T + inverse[:, 3]
 
 
 _known: WeakKeyDictionary[InstancedStructure, PlacedSolids] = WeakKeyDictionary()

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.errors import RaystreamWarning
 from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
 from raystream.core.scene_checks import check_no_worlds, check_triangles
+from raystream.core.triangles import Triangles
 from raystream.instances.structure import InstancedStructure
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import Solids, solids_of
+from raystream.machines.winding import inside_by_winding
 from raystream.physics.library_results import LibraryThickness, in_library_of
+from raystream.physics.nesting import displaced, overlap_text, ranks_of
 from raystream.physics.pairing import (
     NO_ROW,
     Crossings,
@@ -41,6 +47,24 @@ _CROSSINGS_PER_BLOCK = 1 << 22
 _CHUNK = 1 << 13
 
 
+class Rules(NamedTuple):
+    """How crossings become segments: the arguments of `thickness`.
+
+    Parameters
+    ----------
+    clips : bool
+        Whether segments that begin before an interval, or end behind it, are clipped.
+    displaces : bool
+        Whether inner meshes displace those around them.
+    cutouts : bool
+        Whether rays pass where meshes that are not closed are cut out.
+    """
+
+    clips: bool = False
+    displaces: bool = False
+    cutouts: bool = False
+
+
 def thickness(
     tracer: Tracer,
     origins: Any,
@@ -50,6 +74,7 @@ def thickness(
     t_max: Any = np.inf,
     ends: Literal["report", "clip"] = "report",
     cutouts: bool = True,
+    nested: Literal["both", "inner"] = "both",
     progress: Progress | None = None,
 ) -> Thickness:
     """Find where rays enter and leave closed meshes.
@@ -69,6 +94,10 @@ def thickness(
         opacity of its material is below its ``alpha_cutoff``, or below a half without one. A closed
         mesh is a solid, whatever its surface shows: its cut-outs always count as surface. A ray
         through a hole in its skin would be left with an exit or an entry.
+    nested : {"both", "inner"}
+        Where meshes overlap, as a pipe in concrete does that has no hole for it: give each of
+        them its whole segment, with a `RaystreamWarning` that names some of the meshes; or let
+        the inner one displace the others, so that segments do not overlap.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -80,8 +109,8 @@ def thickness(
     Raises
     ------
     ValueError, TypeError
-        As `Tracer.first_hit`, or if `ends` is unknown, or if there are cut-outs, and the tracer
-        counts.
+        As `Tracer.first_hit`, or if `ends` or `nested` is unknown, or if there are cut-outs, and
+        the tracer counts.
     MemoryError
         If there is not enough memory for the crossings of a block.
 
@@ -94,13 +123,20 @@ def thickness(
     their union, and a part that faces inward is a cavity. Unpaired crossings are
     reported. At equal t entries come first: parts that touch make one segment.
 
+    With ``nested="inner"``, a point in several meshes belongs to the one of the smallest volume,
+    which for a mesh within another is the inner one; of equal volumes, to the later mesh or
+    instance. Closed meshes displace open ones. A segment that another one divides becomes several,
+    of the same mesh and material, whose `entry_prim_id` or `exit_prim_id` is that triangle of the
+    other mesh where they begin or end.
+
     A mesh that is closed and has a negative volume faces inward: its sides are swapped, and
     `Thickness.mesh_is_flipped` says so.
 
     A ray from outside leaves a closed mesh as often as it enters it, even through edges and
     vertices. Where it grazes a silhouette within rounding errors, the exit may come before the
     entry. Without a t_max this case is recognised and gives a segment of length 0; with one, both
-    crossings are reported as unpaired.
+    crossings are reported as unpaired. A mesh that triangles without area close is left as often
+    only by rays that pass them at more than the rounding errors.
 
     Examples
     --------
@@ -114,10 +150,24 @@ def thickness(
     """
     if ends not in ("report", "clip"):
         raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
+    if nested not in ("both", "inner"):
+        raise ValueError(f"nested: expected 'both' or 'inner', got {nested!r}")
     check_triangles("thickness", tracer.structure.triangles)
     check_no_worlds("thickness", tracer.structure.triangles)
     batch = RayBatch(origins, directions, t_min, t_max)
-    worker = _Worker(tracer, batch, ends == "clip", cutouts)
+    rules = Rules(ends == "clip", nested == "inner", cutouts)
+    found, overlaps = find_segments(tracer, batch, rules, progress)
+    if overlaps and nested == "both":
+        text = overlap_text(overlaps, found.mesh_names)
+        warnings.warn(text, RaystreamWarning, stacklevel=2)
+    return in_library_of(origins, directions, found, LibraryThickness)
+
+
+def find_segments(
+    tracer: Tracer, batch: RayBatch, rules: Rules, progress: Progress | None = None
+) -> tuple[Thickness, set[tuple[int, int]]]:
+    """The segments of `thickness`, and the pairs of meshes that overlap on some ray."""
+    worker = _Worker(tracer, batch, rules)
     splits = np.zeros(len(batch) + 1, np.int64)
     status = np.zeros(len(batch), np.uint8)
     parts = []
@@ -137,14 +187,22 @@ def thickness(
             [material.name for material in tracer.scene.materials],
         ),
     )
-    return in_library_of(origins, directions, found, LibraryThickness)
+    return found, worker.overlaps
 
 
 class _Worker:
-    """A tracer and a batch, processed in blocks of rays."""
+    """A tracer and a batch, processed in blocks of rays.
 
-    def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool, cutouts: bool) -> None:
-        self._tracer, self._batch, self._clips = tracer, batch, clips
+    Attributes
+    ----------
+    solids : Solids
+    overlaps : set of (int, int)
+        Pairs of meshes that overlap on some ray.
+    """
+
+    def __init__(self, tracer: Tracer, batch: RayBatch, rules: Rules) -> None:
+        self._tracer, self._batch, self._rules = tracer, batch, rules
+        self.overlaps: set[tuple[int, int]] = set()
         structure = tracer.structure
         self._triangles = structure.triangles
         placed = PlacedSolids.of(structure) if isinstance(structure, InstancedStructure) else None
@@ -152,7 +210,7 @@ class _Worker:
         self._frame = SceneFrame.of(self._triangles)
         self.solids: Solids = solids_of(self._triangles) if placed is None else placed.solids
         self._material_ids = tracer.scene.attributes.material_ids
-        opacity = cutouts_of(tracer, cutouts, self.solids.is_closed)
+        opacity = cutouts_of(tracer, rules.cutouts, self.solids.is_closed)
         self._on_hit = opacity and opacity.on_hit
 
     def blocks(self, progress: Progress | None) -> Iterator[tuple[slice, MultiHits]]:
@@ -166,7 +224,7 @@ class _Worker:
                 self._batch.origins[rows],
                 self._batch.directions[rows],
                 t_min=self._batch.t_min[rows],
-                t_max=np.inf if self._clips else self._batch.t_max[rows],
+                t_max=np.inf if self._rules.clips else self._batch.t_max[rows],
                 crossings="surfaces",
                 on_hit=self._on_hit,
                 progress=_within(progress, rows, total),
@@ -184,12 +242,12 @@ class _Worker:
         crossings = Crossings.of(hits.ray_splits, hits.t, hits.prim_id)
         pairs = Pairs.empty(count, len(hits.t))
         t_min, t_max = self._batch.t_min[rows], self._batch.t_max[rows]
-        traced_to = np.broadcast_to(np.float32(np.inf), count) if self._clips else t_max
+        traced_to = np.broadcast_to(np.float32(np.inf), count) if self._rules.clips else t_max
         origins, directions = self._batch.origins[rows], self._batch.directions[rows]
         source, kept = RaySource.of(origins, directions, (t_min, traced_to))
         classify, is_closed = self._classifier(source, hits, crossings)
         t_min, t_max = np.ascontiguousarray(t_min), np.ascontiguousarray(t_max)
-        limits = Limits(t_min, t_max, self._clips, np.isinf(traced_to))
+        limits = Limits(t_min, t_max, self._rules.clips, np.isinf(traced_to))
 
         def body(begin: int, end: int) -> None:
             classify(begin, end)
@@ -198,8 +256,57 @@ class _Worker:
 
         parallel_for(body, count, _CHUNK)
         del kept
-        segments = self._segments(rows, crossings, pairs, t_min, t_max)
-        return pairs.counts, segments, self._unpaired(rows, crossings, pairs)
+        if self._rules.clips and self.solids.has_slivers.any():
+            self._check_beginnings(rows, crossings, pairs)
+        counts, segments = pairs.counts, self._segments(rows, crossings, pairs, t_min, t_max)
+        if pairs.overlaps.any():
+            self._note_overlaps(crossings, pairs)
+            if self._rules.displaces:
+                lengths = direction_lengths(self._batch, rows)
+                solid_ids = crossings.mesh_id[pairs.exits[_used(crossings.splits, counts)[0]]]
+                ranks = self._ranks[solid_ids]
+                counts, segments = displaced(segments, counts, ranks, pairs.overlaps, lengths)
+        return counts, segments, self._unpaired(rows, crossings, pairs)
+
+    @cached_property
+    def _ranks(self) -> NDArray[np.int64]:
+        return ranks_of((self._placed or self.solids).volumes)
+
+    def _check_beginnings(self, rows: slice, crossings: Crossings, pairs: Pairs) -> None:
+        """Report as unpaired an exit that only seems to follow a beginning inside.
+
+        A ray from outside may slip through a mesh beside a triangle without area, which is rare.
+        """
+        used, ray = _used(crossings.splits, pairs.counts)
+        solid_id = crossings.mesh_id[pairs.exits[used]]
+        mesh_id, _ = self._mesh_and_instance(solid_id)
+        doubtful = (pairs.entries[used] == NO_ROW) & self.solids.has_slivers[mesh_id]
+        for solid in np.unique(solid_id[doubtful]):
+            some = np.flatnonzero(doubtful & (solid_id == solid))
+            i = rows.start + ray[some]
+            starts = self._batch.t_min[i, None] * self._batch.directions[i].astype(np.float64)
+            starts += self._batch.origins[i]
+            if self._placed is None:
+                is_inside = inside_by_winding(_part(self._triangles, solid), starts)
+            else:
+                triangles, mesh, starts = self._placed.in_object(solid, starts)
+                is_inside = inside_by_winding(_part(triangles, mesh), starts)
+            for k in some[~is_inside][::-1]:  # from the last: later rows move
+                _unpair(ray[k], used[k], crossings, pairs)
+
+    def _note_overlaps(self, crossings: Crossings, pairs: Pairs) -> None:
+        """Add to `overlaps`."""
+        used, _ = _used(crossings.splits, np.where(pairs.overlaps == 2, pairs.counts, 0))
+        used = used[pairs.beneath[used] != NO_ROW]
+        one, other = (crossings.mesh_id[pairs.exits[k]] for k in (used, pairs.beneath[used]))
+        # Pairs as numbers, which are sorted faster than rows.
+        count = int(max(one.max(initial=0), other.max(initial=0))) + 1
+        codes = np.unique(np.minimum(one, other) * np.int64(count) + np.maximum(one, other))
+        low, high = (
+            self._mesh_and_instance(solid_id.astype(np.int32))[0].tolist()
+            for solid_id in np.divmod(codes, count)
+        )
+        self.overlaps.update((min(pair), max(pair)) for pair in zip(low, high, strict=True))
 
     def _classifier(
         self, source: RaySource, hits: MultiHits, crossings: Crossings
@@ -248,7 +355,7 @@ class _Worker:
         entry_prim_id, exit_prim_id = crossings.prim_id[entry], crossings.prim_id[exit_]
         is_inside = entry == NO_ROW
         known = np.where(is_inside, exit_prim_id, entry_prim_id)
-        if self._clips:
+        if self._rules.clips:
             t_entry = np.where(is_inside, t_min[ray], t_entry)
             entry_prim_id = np.where(is_inside, np.int32(-1), entry_prim_id)
             exit_prim_id = np.where(t_exit > t_max[ray], np.int32(-1), exit_prim_id)
@@ -278,6 +385,27 @@ class _Worker:
             crossings.kind[unpaired] & np.uint8(1),
             instance_id,
         )
+
+
+def _part(triangles: Triangles, mesh: int) -> Triangles:
+    """One mesh of several."""
+    first, last = triangles.mesh_splits[mesh : mesh + 2]
+    splits = np.array([0, last - first])
+    corners = triangles.corners[first:last]
+    return Triangles.from_local(corners, splits, triangles.center, triangles.scale)
+
+
+def _unpair(ray: int, place: int, crossings: Crossings, pairs: Pairs) -> None:
+    """Make the exit of a segment unpaired."""
+    first, last = crossings.splits[ray], crossings.splits[ray] + pairs.counts[ray]
+    unpaired = pairs.unpaired[first : first + pairs.unpaired_counts[ray] + 1]
+    unpaired[-1] = pairs.exits[place]
+    unpaired.sort()
+    for column in (pairs.entries, pairs.exits):
+        column[place : last - 1] = column[place + 1 : last].copy()
+    pairs.beneath[first:last] = NO_ROW
+    pairs.counts[ray] -= 1
+    pairs.unpaired_counts[ray] += 1
 
 
 def _used(

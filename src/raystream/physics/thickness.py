@@ -63,7 +63,7 @@ class Thickness(RayRows):
     """Segments of rays inside closed meshes, as rows delimited by `ray_splits`.
 
     A segment extends from where a ray enters a mesh to where it has left all of it. Segments
-    of different meshes may overlap.
+    of different meshes may overlap, except with ``nested="inner"``.
 
     Attributes
     ----------
@@ -79,7 +79,8 @@ class Thickness(RayRows):
         Index in ``scene.materials``: the material of the entry triangle, or of the exit
         triangle if the ray began inside.
     entry_prim_id, exit_prim_id : ndarray of shape (K,), int32
-        The triangles; -1 where ``ends="clip"`` clipped the segment.
+        The triangles; -1 where ``ends="clip"`` clipped the segment. Where another mesh displaces
+        it, that mesh's.
     instance_id : ndarray of shape (K,), int32
         The instance that the mesh is in; 0 in a scene without instances. Each instance of a mesh
         is a solid of its own.
@@ -140,8 +141,8 @@ class Thickness(RayRows):
         Returns
         -------
         ndarray of shape S, S + (mesh count,) or S + (material count,), float64
-            Scene units. Overlapping segments of different meshes both count. Where
-            `is_complete` is False, lengths may be missing.
+            Scene units. Overlapping segments of different meshes both count; there are none with
+            ``nested="inner"``. Where `is_complete` is False, lengths may be missing.
 
         Raises
         ------

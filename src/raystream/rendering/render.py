@@ -86,8 +86,8 @@ def render(
         path tracer (``"path"``); ``clamp``, a bound on the indirect light of a sample (``"path"``
         and ``"kajiya"``: inf); ``rays`` per hit, and their length ``distance`` (``"ao"``: 32, a
         tenth of the diagonal of the scene's bounds; inf for unlimited); ``opacity`` of a sheet, or
-        ``absorption`` of solids per world unit (``"xray"``: 0.2, None). All others are passed to
-        the tracer.
+        ``absorption`` of solids per world unit, ``nested`` as in `thickness` (``"xray"``: 0.2,
+        None, ``"both"``). All others are passed to the tracer.
     camera : Camera, optional
         The view [default: the scene's camera, or one chosen by `Scene.camera_for`].
     lights : {"auto", "file", "added"}

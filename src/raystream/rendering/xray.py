@@ -2,20 +2,24 @@
 
 As sheets, each surface covers part of those behind it. As solids, with `absorption`, the image
 is that of an X-ray camera: white light attenuated by closed meshes (Beer-Lambert law); unpaired
-crossings are ignored.
+crossings are ignored. Where meshes overlap, both attenuate it, or with ``nested="inner"`` the
+smaller one.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.errors import RaystreamWarning
+from raystream.core.rays import RayBatch
 from raystream.physics.attenuation import attenuation
-from raystream.physics.segments import thickness
+from raystream.physics.segments import Rules, find_segments
 from raystream.rendering.arguments import check_number
 from raystream.rendering.integrator import Band, Integrator, PathStream
 from raystream.rendering.shading.streams import Paths
@@ -62,7 +66,12 @@ def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
     else:
         directions = paths.directions.astype(np.float64)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        found = thickness(context.tracer, paths.origins, directions, cutouts=False)
+        displaces = context.options["nested"] == "inner"
+        batch, rules = RayBatch(paths.origins, directions), Rules(displaces=displaces)
+        found, overlaps = find_segments(context.tracer, batch, rules)
+        if overlaps and not displaces:  # in the same words for all bands
+            text = "xray: meshes overlap, and both absorb there; nested='inner' lets only one"
+            warnings.warn(text, RaystreamWarning, stacklevel=2)
         passed = attenuation(found, context.options["absorption"], incomplete="ignore")
         band.radiance[paths.pixels - band.first_pixel] += passed[:, None].astype(np.float32)
     return PathStream(paths.first(0))
@@ -76,13 +85,15 @@ def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
         absorption = check_number("absorption", absorption)
         if not (math.isfinite(absorption) and absorption >= 0.0):
             raise ValueError(f"absorption: expected a number of at least 0, got {absorption}")
-    return {"opacity": opacity, "absorption": absorption}
+    if options["nested"] not in ("both", "inner"):
+        raise ValueError(f"nested: expected 'both' or 'inner', got {options['nested']!r}")
+    return {"opacity": opacity, "absorption": absorption, "nested": options["nested"]}
 
 
 XRAY = Integrator(
     "xray",
     "all surfaces along each ray, front to back (Rayforce 2013)",
     (composite_surfaces,),
-    {"opacity": 0.2, "absorption": None},
+    {"opacity": 0.2, "absorption": None, "nested": "both"},
     _check,
 )
