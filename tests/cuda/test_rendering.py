@@ -23,6 +23,7 @@ from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.keep_alive import kept_arrays
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.tables import SceneTables, tables_of
+from raystream.structures import names_with
 from raystream_lab.recording_tracer import RecordingTracer
 
 #: Images with sines, powers and exponentials in float64, which a GPU may round differently.
@@ -144,13 +145,18 @@ def test_pictures_are_the_processor_s(gpu, name):
 
 
 @pytest.mark.filterwarnings("ignore:the scene's own lights")
-@pytest.mark.parametrize("name", DARK_VIEWS)
-@pytest.mark.parametrize("build", ["host", "device"])
-def test_dark_views_get_the_processor_s_lights_by_default(gpu, name, build):
+@pytest.mark.parametrize(
+    ("name", "structure", "build"),
+    [
+        *((name, "bvh", "host") for name in DARK_VIEWS),
+        *(("closed_room", structure, "device") for structure in names_with("cuda build")),
+    ],
+)
+def test_dark_views_get_the_processor_s_lights_by_default(gpu, name, structure, build):
     """Also with a structure that is on the device only."""
     scene = DARK_VIEWS[name]()
     ours, theirs = (
-        rs.render(rs.Tracer(scene, "bvh", device), "shadow", (7, 6)).pixels
+        rs.render(rs.Tracer(scene, structure, device), "shadow", (7, 6)).pixels
         for device in (rs.Cuda(build=build), "cpu")
     )
     assert np.median(theirs) > 0.01

@@ -144,7 +144,7 @@ def _on_cpu(tracer: Tracer) -> Tracer:
         return Tracer(tracer.scene)
     if (tracer.device, tracer.machine) == ("cpu", "branching"):
         return tracer
-    return Tracer.of_structure(structure, tracer.scene)
+    return Tracer.of_structure(structure.on_host, tracer.scene)
 
 
 def _may_add(renderer: Integrator, context: RenderContext) -> bool:

@@ -130,6 +130,11 @@ class Structure(ABC):
         return self.options.name
 
     @property
+    def on_host(self) -> Structure:
+        """Itself; of a structure that is on a device, its copy in host memory."""
+        return self
+
+    @property
     @abstractmethod
     def arrays(self) -> NamedTuple:
         """The view that the traversal reads: numbers, and addresses of arrays."""

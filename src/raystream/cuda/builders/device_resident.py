@@ -25,6 +25,12 @@ class DeviceResident:
     if TYPE_CHECKING:  # subclasses define it
         _on_host: Any
 
+    @property
+    def on_host(self) -> Structure:
+        """The host's structure, copied on first use."""
+        made: Structure = self._on_host
+        return made
+
     def __getattr__(self, name: str) -> Any:
         # Attributes that only queries and reports on the host need.
         if name in self._host_names:
