@@ -18,7 +18,7 @@ _TOUCH = 1e-6
 _BLOCK = 1 << 20
 
 #: Most pairs tested, besides 256 for each corner: seconds. Only polygons made for it need more.
-_MAX_PAIRS = 1 << 28
+_MAX_PAIRS = 1 << 26
 
 Rows = NDArray[np.int64]
 Array = NDArray[np.float64]
@@ -98,17 +98,17 @@ class _Outlines:
         return first, np.searchsorted(keys, high + margin, side="right")
 
     def pairs(self, first: Rows, end: Rows) -> Iterator[tuple[Rows, Rows]]:
-        """Pairs of i and each of first[i] .. end[i] - 1, in blocks; stops at the last allowed."""
+        """Pairs of i and each of first[i] .. end[i] - 1, in blocks; none if they are too many."""
         sizes = np.maximum(end - first, 0)
         before = np.cumsum(sizes)
+        self.pairs_left -= int(before[-1]) if len(before) else 0
+        if self.pairs_left < 0:
+            return
         start = 0
         while start < len(sizes):
             done = int(before[start - 1]) if start else 0
             stop = max(start + 1, int(np.searchsorted(before, done + _BLOCK, side="right")))
             total = int(before[stop - 1]) - done
-            self.pairs_left -= total
-            if self.pairs_left < 0:
-                return
             part = slice(start, stop)
             own = np.repeat(np.arange(start, stop), sizes[part])
             yield own, np.arange(done, done + total) - (before - sizes)[own] + first[own]
@@ -145,7 +145,7 @@ class _Outlines:
         was_tried = np.zeros(len(is_cut), bool)
         found = [np.zeros((0, 3), np.int64)]
         while len(live):
-            self.pairs_left -= 8 * len(live)  # a round costs as much
+            self.pairs_left -= 4 * len(live)  # a round costs as much
             polygon = self.polygon[live]
             after, firsts = _next_in_run(polygon), _run_starts(polygon)
             before = np.empty_like(after)
