@@ -138,8 +138,8 @@ def check_vertices(own: Sequence[Any], given: Any, cast: Callable[[Any, Any], An
         dtype = min(one.dtype, part.dtype, key=lambda dtype: dtype.itemsize)
         with np.errstate(over="ignore"):
             ours, theirs = cast(one, dtype), cast(part, dtype)
-        is_same = (ours == theirs) | ((ours != ours) & (theirs != theirs))
-        if not is_same.all():
+        is_same = ours == theirs
+        if not is_same.all() and not (is_same | ((ours != ours) & (theirs != theirs))).all():
             raise ValueError(
                 f"vertices: those of mesh {mesh} differ from the tracer's, which rays are traced "
                 "against; call Tracer.update with them first"
