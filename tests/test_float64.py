@@ -297,6 +297,45 @@ def test_updates_keep_the_precision():
     assert rs.Tracer(tracer.scene).first_hit(start, way).t.dtype == np.float32
 
 
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_updates_keep_attributes(structure):
+    """Of several meshes, moved by arrays, one by one, as a scene, and far."""
+    rng = np.random.default_rng(3)
+    meshes = []
+    for k, (vertices, faces) in enumerate((icosphere(2), dented_sphere(1))):
+        attributes = {
+            "normals": rng.normal(size=vertices.shape),
+            "texcoords": rng.random((len(vertices), 2)),
+            "colors": rng.random((len(vertices), 3)),
+            "material_ids": rng.integers(0, 3, len(faces)),
+        }
+        meshes.append(rs.Mesh(vertices + [4.0 * k, 0.0, 0.0], faces, **attributes))
+    scene = rs.Scene(meshes, materials=[rs.Material(name=str(k)) for k in range(3)])
+    tracer = rs.Tracer(scene, structure, precision="float64")
+    own = [mesh.vertices for mesh in meshes]
+    turned = scene.replace(meshes=[one.with_material_ids(2) for one in meshes])
+    for offset, moved in (
+        (0.125, [one + 0.125 for one in own]),
+        (0.125, [None, own[1] + 0.125]),
+        (1e6, [one + 1e6 for one in own]),
+        (0.0, scene),
+        (0.0, turned),
+    ):
+        tracer.update(moved)
+        fresh = rs.Tracer(tracer.scene, structure, precision="float64")
+        rays = offset + rng.normal(size=(200, 3)), rng.normal(size=(200, 3))
+        hits, wanted = tracer.first_hit(*rays), fresh.first_hit(*rays)
+        assert hits.is_hit.mean() > 0.2
+        for name in ("t", "prim_id", "material_id", "texcoords", "shading_normals"):
+            found, expected = getattr(hits, name), getattr(wanted, name)
+            assert found.tobytes() == expected.tobytes(), name
+        assert np.isfinite(hits.texcoords[hits.is_hit]).all()
+        assert not np.array_equal(hits.shading_normals, hits.normals)
+        many, all_wanted = tracer.multi_hit(*rays), fresh.multi_hit(*rays)
+        assert many.material_id.tolist() == all_wanted.material_id.tolist()
+        assert many.material_id.any()
+
+
 def test_limits_and_shapes():
     scene = rs.Scene.from_arrays(*icosphere(2))
     tracer = rs.Tracer(scene, precision="float64")

@@ -13,6 +13,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from extras import need
 from gradients import check_slopes, differences, hits_of, open_mesh, relative_error
+from meshes import soup
 from raystream.core.padded_hits import pad
 from strategies import scenes_and_rays
 
@@ -154,6 +155,61 @@ def test_compiled_functions_follow_updates():
     assert float(ask(-1.0)) == 1.0
     tracer.tracer.update(vertices + [0, 0, 4])
     assert float(ask(-1.0)) == 5.0
+
+
+def test_queries_follow_far_updates(rays):
+    vertices, faces = soup(200, 3)
+    tracer = JaxTracer(rs.Tracer(rs.Scene.from_arrays(vertices, faces)))
+    moved = vertices + [1e5, 5e4, 0.0]
+    tracer.tracer.update(jnp.asarray(moved))
+    plain = rs.Tracer(rs.Scene.from_arrays(moved, faces), "brute")
+    aimed = plain.scene.bounds.mean(axis=0) - 3.0 * rays[1], rays[1]
+    found = jax.jit(lambda *rays: tracer.first_hit(*rays, vertices=moved))(*aimed)
+    assert (found.prim_id >= 0).any()
+    assert_same_hits(found, plain.first_hit(*aimed))
+
+
+@pytest.mark.parametrize(
+    "wraps", [lambda ask: ask, jax.jit, jax.grad], ids=["plain", "jit", "grad"]
+)
+def test_vertices_that_the_tracer_does_not_have_are_refused(wraps, rays):
+    vertices, faces = soup(100, 3)
+    tracer = JaxTracer(rs.Tracer(rs.Scene.from_arrays(vertices, faces)))
+    tracer.tracer.update(vertices + 0.25)
+    found = tracer.first_hit(*rays)
+    own = vertices + 0.25
+    moved = own.copy()
+    moved[7, 1] += 2.0**-20
+    asks = (
+        lambda given: tracer.first_hit(*rays, vertices=given).u.sum(),
+        lambda given: tracer.multi_hit(*rays, max_hits=2, vertices=given).u.sum(),
+        lambda given: tracer.positions(found, given).sum(),
+    )
+    for ask in asks:
+        wraps(ask)(own)
+        for other in (vertices, moved, moved.astype(np.float32), own[:, [1, 0, 2]], own * np.nan):
+            with pytest.raises(Exception, match=r"mesh 0 differ from the tracer's.*Tracer.update"):
+                jax.block_until_ready(wraps(ask)(jnp.asarray(other)))
+
+
+def test_vertices_may_be_rounded_or_batched(mesh, tracer, rays):
+    """They are compared in the coarser precision, and for each row of a batch."""
+    expected, own = tracer.first_hit(*rays), jnp.asarray(mesh[1])
+    for dtype in (jnp.float64, jnp.float32, jnp.bfloat16, jnp.float16):
+        assert_same_hits(tracer.first_hit(*rays, vertices=own.astype(dtype)), expected)
+    with jax.enable_x64(False):
+        found = jax.jit(lambda given: tracer.first_hit(*rays, vertices=given).prim_id)(mesh[1])
+    assert found.tolist() == tracer.first_hit(*(one.astype("f4") for one in rays)).prim_id.tolist()
+    batch = jnp.broadcast_to(own, (4, *own.shape))
+    for ask in (
+        lambda given: tracer.first_hit(*rays, vertices=given).prim_id,
+        lambda given: tracer.multi_hit(*rays, max_hits=2, vertices=given).prim_id,
+        lambda given: tracer.positions(expected, given),
+        jax.grad(lambda given: tracer.first_hit(*rays, vertices=given).u.sum()),
+    ):
+        np.testing.assert_allclose(jax.jit(jax.vmap(ask))(batch)[3], ask(own), rtol=1e-12)
+        with pytest.raises(Exception, match="mesh 1 differ"):
+            jax.block_until_ready(jax.vmap(ask)(batch.at[2, -1].add(1.0)))
 
 
 def test_many_rays_in_compiled_code(tracer):

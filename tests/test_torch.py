@@ -16,6 +16,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from extras import need
 from gradients import check_slopes, differences, hits_of, open_mesh, relative_error
+from meshes import soup
 from raystream.core.padded_hits import pad
 from strategies import scenes_and_rays
 
@@ -27,6 +28,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from raystream.torch import TorchTracer
 
 COLUMNS = ("t", "u", "v", "prim_id")
+#: Of each mesh of `open_mesh`.
+FACES = [np.arange(60).reshape(-1, 3)] * 2
 
 
 @pytest.fixture(scope="module")
@@ -165,8 +168,9 @@ def test_compiled_functions_have_no_graph_breaks(mesh, tracer, rays, requires):
         )
 
 
-def test_operators_follow_the_rules_of_operators(tracer, rays):
+def test_operators_follow_the_rules_of_operators(mesh, tracer, rays):
     ops, number = torch.ops.raystream, tracer._number
+    vertices = torch.from_numpy(mesh[1].copy())
     limits = torch.tensor(0.0), torch.tensor(math.inf)
     prim_id = tracer.first_hit(*rays).prim_id
     for made, more in [
@@ -175,7 +179,8 @@ def test_operators_follow_the_rules_of_operators(tracer, rays):
         (ops.count_hits, (*tensors(rays), *limits, True)),
         (ops.multi_hit, (*tensors(rays), *limits, 3, False)),
         (ops.corners, (prim_id,)),
-        (ops.vertex_ids, (prim_id, 120)),
+        (ops.vertex_ids, (prim_id, vertices)),
+        (ops.first_hit, (*tensors(rays), *limits, vertices)),
     ]:
         torch.library.opcheck(made.default, (number, *more))
 
@@ -188,6 +193,85 @@ def test_compiled_functions_follow_updates():
     assert float(ask(start)) == 1.0
     tracer.tracer.update(vertices + [0, 0, 4])
     assert float(ask(start)) == 5.0
+
+
+def test_queries_follow_far_updates(rays):
+    vertices, faces = soup(200, 3)
+    tracer = TorchTracer(rs.Tracer(rs.Scene.from_arrays(vertices, faces)))
+    moved = torch.from_numpy(vertices + [1e5, 5e4, 0.0]).requires_grad_()
+    tracer.tracer.update(moved.detach())
+    plain = rs.Tracer(rs.Scene.from_arrays(moved.detach().numpy(), faces), "brute")
+    aimed = plain.scene.bounds.mean(axis=0) - 3.0 * rays[1], rays[1]
+    found = tracer.first_hit(*tensors(aimed), vertices=moved)
+    assert (found.prim_id >= 0).any()
+    assert_same_hits(found, plain.first_hit(*aimed))
+
+
+def other_vertices(tracer, requires):
+    """Each way to have other vertices than the tracer has."""
+    own = torch.tensor(tracer.tracer.scene.meshes[0].vertices)
+    moved = own.clone()
+    moved[7, 1] += 2.0**-20
+    parts = [moved[:50], moved[50:]]
+    optimized = own.clone().requires_grad_()  # in place, as optimizers do
+    with torch.no_grad():
+        optimized[3] *= 2.0
+    for one in (moved, moved.float(), own[:, [1, 0, 2]], parts, optimized, own * math.nan):
+        if isinstance(one, list):
+            yield [part.detach().requires_grad_(requires) for part in one]
+        else:
+            yield one.detach().requires_grad_(requires)
+
+
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated")  # PyTorch's own compiler does
+@pytest.mark.parametrize("requires", [False, True])
+def test_vertices_that_the_tracer_does_not_have_are_refused(rays, requires):
+    vertices, faces = soup(100, 3)
+    tracer = TorchTracer(rs.Tracer(rs.Scene.from_arrays(vertices, faces)))
+    tracer.tracer.update(vertices + 0.25)
+    found = tracer.first_hit(*tensors(rays))
+
+    def ask_first(given):
+        return tracer.first_hit(*tensors(rays), vertices=given)
+
+    for other in other_vertices(tracer, requires):
+        for ask in (
+            ask_first,
+            torch.compile(ask_first, backend="aot_eager"),
+            lambda given: tracer.multi_hit(*tensors(rays), max_hits=2, vertices=given),
+            lambda given: tracer.positions(found, given),
+        ):
+            with pytest.raises(ValueError, match=r"mesh 0 differ from the tracer's.*Tracer.update"):
+                ask(other)
+
+
+def test_vertices_may_be_rounded_or_batched(mesh, tracer, rays):
+    """They are compared in the coarser precision, NaN with NaN, and for each row of a batch."""
+    expected = tracer.first_hit(*tensors(rays))
+    own = torch.from_numpy(mesh[1].copy())
+    for dtype in (torch.float64, torch.float32, torch.bfloat16, torch.float16):
+        found = tracer.first_hit(*tensors(rays), vertices=own.to(dtype).requires_grad_())
+        assert_same_hits(found, expected)
+    broken = mesh[1].copy()
+    broken[:6] = math.nan
+    broken[6:9] *= 1e60
+    with np.errstate(over="ignore"):
+        parts = np.split(broken.astype(np.float32), [60])
+    other = TorchTracer(
+        rs.Tracer(rs.Scene([rs.Mesh(*one) for one in zip(parts, FACES, strict=True)]))
+    )
+    for one in (torch.from_numpy(broken), [torch.from_numpy(part) for part in parts]):
+        assert (other.first_hit(*tensors(rays), vertices=one).prim_id >= 0).any()
+    batch = own.expand(4, *own.shape)
+    for ask in (
+        lambda given: tracer.first_hit(*tensors(rays), vertices=given).prim_id,
+        lambda given: tracer.positions(expected, given),
+        torch.func.grad(lambda given: tracer.first_hit(*tensors(rays), vertices=given).u.sum()),
+    ):
+        found = torch.vmap(ask)(batch)
+        torch.testing.assert_close(found[3], ask(own), equal_nan=True)
+        with pytest.raises(ValueError, match="mesh 1 differ"):
+            torch.vmap(ask)(batch + torch.arange(4.0)[:, None, None] * (own == own[-1]))
 
 
 def test_operators_do_not_keep_tracers(mesh):

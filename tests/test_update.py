@@ -7,8 +7,8 @@ import pytest
 
 import raystream as rs
 from conftest import EVERY_GRAPHICS_TRACER, EVERY_TREE, assert_same_bits
-from meshes import dented_sphere, soup
-from raystream.core.triangles import Triangles
+from meshes import dented_sphere, icosphere, soup
+from raystream.core.triangles import RECENTRE_RATIO, Triangles
 from test_agreement import assert_same_answers
 
 
@@ -147,25 +147,94 @@ def test_triangles_that_could_not_be_hit_at_first_appear(rng):
     assert_same_answers(nothing, in_the_frame_of(nothing), rays)
 
 
-@pytest.mark.parametrize("scale", [1e-30, 1e-12, 1e6, 1e11])
-def test_extreme_moves_in_the_same_frame(scale, rng):
+def frame_of(tracer):
+    triangles = tracer.structure.triangles
+    return (*triangles.center.tolist(), triangles.scale)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-12, 1e-3, 1e6, 1e11, 1e30])
+def test_extreme_moves_answer_as_a_new_tracer(scale, rng):
     vertices, faces = dented_sphere(2)
     tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces))
     moved = vertices * scale + rng.normal(size=3) * scale * 3
     tracer.update(moved, max_cost_growth=np.inf)
+    fresh = rs.Tracer(rs.Scene.from_arrays(moved, faces), "brute")
     rays = rays_at(moved, rng)
-    assert_same_answers(tracer, in_the_frame_of(tracer), rays)
+    assert_same_answers(tracer, fresh, rays)
     assert tracer.any_hit(**rays).any()
 
 
-def test_moves_beyond_float32_change_the_frame(rng):
-    vertices, faces = dented_sphere(2)
+FAR = [(1e5, 5e4, 0.0), (5e6, 0.0, 0.0), (-3e4, 700.0, 2e9), (0.0, 0.0, -40.0)]
+
+
+@pytest.mark.parametrize("offset", FAR)
+def test_a_far_move_answers_as_a_new_tracer(offset, rng):
+    """In the frame where it was built, float32 would round a sphere at 5e6 to steps of a half."""
+    vertices, faces = icosphere(4)
     tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces))
-    moved = vertices * 1e30
-    assert tracer.update(moved).rebuilt
+    near = {"origins": rng.normal(size=(2000, 3)) * 3, "directions": rng.normal(size=(2000, 3))}
+    near["origins"][:1000] = 0.0
+    before = tracer.first_hit(**near)
+    moved = vertices + offset
+    assert tracer.update(moved, max_cost_growth=np.inf).rebuilt
     fresh = rs.Tracer(rs.Scene.from_arrays(moved, faces), "brute")
-    assert tracer.structure.triangles.scale == fresh.structure.triangles.scale != 1.0
-    assert_same_answers(tracer, fresh, rays_at(moved, rng))
+    assert frame_of(tracer) == frame_of(fresh)
+    there = near | {"origins": near["origins"] + offset}
+    assert_same_answers(tracer, fresh, there)
+    after = tracer.first_hit(**there)
+    assert (after.prim_id == before.prim_id)[:1000].mean() > 0.999  # float64 rounds them, too
+    points = there["origins"][-200:]
+    found, expected = tracer.closest_point(points), fresh.closest_point(points)
+    assert_same_bits(found.distance, expected.distance)
+    assert_same_bits(found.prim_id, expected.prim_id)
+    assert_same_bits(tracer.contains(points), fresh.contains(points))
+    tracer.update(vertices)
+    assert_same_bits(tracer.first_hit(**near).t, before.t)
+
+
+@pytest.mark.parametrize(
+    "make_tracer_anywhere", [*EVERY_TREE, *EVERY_GRAPHICS_TRACER], indirect=True
+)
+def test_every_structure_follows_far_moves(make_tracer_anywhere, rng):
+    vertices, faces = soup(120, 4)
+    tracer = make_tracer_anywhere(rs.Scene.from_arrays(vertices, faces))
+    for offset in FAR[:2]:
+        moved = vertices + offset
+        tracer.update(moved)
+        fresh = make_tracer_anywhere(tracer.scene)
+        assert frame_of(tracer) == frame_of(fresh) != (0.0, 0.0, 0.0, 1.0)
+        assert_same_answers(tracer, in_the_frame_of(fresh), rays_at(moved, rng))
+
+
+def test_a_scene_that_shrinks_far_from_its_centre(rng):
+    """Other meshes of a large scene are gone, so that what is left lies far from the centre."""
+    first, second = dented_sphere(2), soup(60, 2, 300.0)
+    scene = rs.Scene([rs.Mesh(first[0] + [500.0, 20.0, 0.0], first[1]), rs.Mesh(*second)])
+    tracer = rs.Tracer(scene)
+    assert tracer.update([None, np.full_like(second[0], np.nan)], max_cost_growth=np.inf).rebuilt
+    fresh = rs.Tracer(rs.Scene(tracer.scene.meshes), "brute")
+    assert frame_of(tracer) == frame_of(fresh) != (0.0, 0.0, 0.0, 1.0)
+    assert_same_answers(tracer, fresh, rays_at(scene.meshes[0].vertices, rng))
+    tracer.update([None, second[0]])
+    assert_same_answers(tracer, in_the_frame_of(tracer), rays_at(second[0], rng))
+
+
+def test_the_frame_stays_while_it_serves():
+    """As a new tracer allows: so scenes that move to and fro are refitted."""
+    vertices, faces = icosphere(2)
+    extent = np.ptp(vertices, axis=0).max()
+    for start in (0.0, 1e5):
+        tracer = rs.Tracer(rs.Scene.from_arrays(vertices + [start, 0, 0], faces))
+        frame = frame_of(tracer)
+        for way in (3.0, -5.0, RECENTRE_RATIO - 2, 0.0, 2 - RECENTRE_RATIO, 1.0):
+            moved = vertices + [start + way * extent, 0, 0]
+            assert not tracer.update(moved, max_cost_growth=np.inf).rebuilt
+            assert frame_of(tracer) == frame
+        reports = []
+        for way in (1.0, -1.0) * 5:  # around the limit
+            moved = vertices + [start + (RECENTRE_RATIO + way) * extent, 0, 0]
+            reports.append(tracer.update(moved, max_cost_growth=np.inf).rebuilt)
+        assert reports == [True] + [False] * 9
 
 
 def test_one_triangle_flies_away(rng):
@@ -175,6 +244,14 @@ def test_one_triangle_flies_away(rng):
         vertices[:3] += distance
         tracer.update(vertices, max_cost_growth=np.inf)
         assert_same_answers(tracer, in_the_frame_of(tracer), rays_at(vertices[3:], rng))
+
+
+def test_a_triangle_of_a_still_scene_may_fly_far():
+    vertices, faces = soup(50, 8)
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces))
+    vertices[:3] += 1e9  # another centre would not help
+    assert not tracer.update(vertices, max_cost_growth=np.inf).rebuilt
+    assert frame_of(tracer) == (0.0, 0.0, 0.0, 1.0)
 
 
 def test_earlier_hits_keep_their_triangles():

@@ -7,6 +7,9 @@ NumPy's sort and sum in place of the device's (`test_primitives` has those).
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -212,8 +215,8 @@ def test_levels_are_counted(device, monkeypatch):
 
 def _copy_of(tree):
     copies = BvhArrays(*(aligned_array(*array.shape) for array in tree))
-    for copy, array in zip(copies, tree, strict=True):
-        copy[:] = array
+    for one, array in zip(copies, tree, strict=True):
+        one[:] = array
     return copies
 
 
@@ -231,6 +234,56 @@ def test_trees_are_refitted_as_on_the_cpu(device):
     assert_whole(tracer.structure)
     # The cost is compared with that of the build, not of the last update.
     assert tracer.update(case.vertices).cost_when_built == report.cost_when_built
+
+
+@pytest.mark.parametrize("structure", ["bvh", "grid"])
+def test_far_moves_answer_as_a_new_tracer(device, structure):
+    case = case_of("closed_mesh")
+    tracer = built(case.scene, structure)
+    for offset in ([1e5, 5e4, 0.0], [0.0, 5e6, 0.0]):
+        moved = case.vertices + offset
+        assert tracer.update(moved).rebuilt
+        fresh = rs.Tracer(rs.Scene.from_arrays(moved, case.faces), "brute")
+        ours, theirs = tracer.structure.triangles, fresh.structure.triangles
+        assert (*ours.center, ours.scale) == (*theirs.center, theirs.scale)
+        rays = case.origins[:40] + offset, case.directions[:40]
+        found, expected = tracer.first_hit(*rays), fresh.first_hit(*rays)
+        assert found.is_hit.any()
+        for name in ("t", "u", "v", "prim_id"):
+            assert getattr(found, name).tolist() == getattr(expected, name).tolist()
+
+
+@pytest.mark.parametrize("moves_first", [True, False])
+def test_updates_leave_other_tracers_of_a_tree_alone(device, moves_first):
+    case = case_of("closed_mesh")
+    first = built(case.scene, "bvh")
+    second = rs.Tracer.of_structure(first.structure, case.scene, "cuda")
+    mover, other = (first, second) if moves_first else (second, first)
+    rays = case.origins[:40], case.directions[:40]
+    before = other.first_hit(*rays)
+    moved = case.vertices * [1.0, 1.1, 1.0]
+    fresh = rs.Tracer(rs.Scene.from_arrays(moved, case.faces), "brute").first_hit(*rays)
+    assert mover.update(moved, max_cost_growth=np.inf).rebuilt
+    assert not mover.update(moved, max_cost_growth=np.inf).rebuilt
+    assert mover.first_hit(*rays).prim_id.tolist() == fresh.prim_id.tolist()
+    for one in (other, rs.Tracer.of_structure(other.structure)):  # as the host has it, too
+        assert one.first_hit(*rays).t.tolist() == before.t.tolist()
+
+
+@pytest.mark.parametrize("structure", ["bvh", "grid"])
+def test_copies_can_be_updated(device, structure):
+    """They are structures of the host."""
+    case = case_of("closed_mesh")
+    tracer = built(case.scene, structure)
+    rays = case.origins[:40], case.directions[:40]
+    before = tracer.first_hit(*rays)
+    moved = case.vertices * [1.0, 1.1, 1.0]
+    fresh = rs.Tracer(rs.Scene.from_arrays(moved, case.faces), "brute").first_hit(*rays)
+    for other in (copy.copy(tracer), pickle.loads(pickle.dumps(tracer))):
+        assert other.first_hit(*rays).t.tolist() == before.t.tolist()
+        other.update(moved)
+        assert other.first_hit(*rays).prim_id.tolist() == fresh.prim_id.tolist()
+    assert tracer.first_hit(*rays).t.tolist() == before.t.tolist()
 
 
 def test_trees_that_lost_their_shape_are_rebuilt(device):

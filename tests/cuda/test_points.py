@@ -75,14 +75,15 @@ def test_signed_distances_and_insides(gpu):
     np.testing.assert_array_equal(inside, theirs.contains(points))
 
 
-def test_a_moved_scene_is_searched_where_it_is(gpu):
+@pytest.mark.parametrize("offset", [5.0, 2.0**30])  # also in another frame
+def test_a_moved_scene_is_searched_where_it_is(gpu, offset):
     vertices, faces = cube()
     tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), device="cuda")
     before = tracer.closest_point([9.0, 0.0, 0.0]).distance
-    moved = rs.Scene.from_arrays(vertices + [5.0, 0.0, 0.0], faces)
-    tracer.update(vertices + [5.0, 0.0, 0.0])
-    expected = rs.Tracer(moved, "brute").closest_point([9.0, 0.0, 0.0]).distance
-    assert tracer.closest_point([9.0, 0.0, 0.0]).distance == expected == before - 5.0
+    moved = rs.Scene.from_arrays(vertices + [offset, 0.0, 0.0], faces)
+    tracer.update(vertices + [offset, 0.0, 0.0])
+    expected = rs.Tracer(moved, "brute").closest_point([9.0 + offset, 0.0, 0.0]).distance
+    assert tracer.closest_point([9.0 + offset, 0.0, 0.0]).distance == expected == before
 
 
 def test_a_tree_that_was_built_on_the_device_is_searched_there(device):

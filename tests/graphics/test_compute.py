@@ -136,6 +136,28 @@ def test_moved_vertices(dent):
     assert_same_answers(tracer, rs.Tracer(moved, "brute"), rays_at(dent))
 
 
+@pytest.mark.parametrize("offset", [(1e5, 5e4, 0.0), (0.0, 5e6, 0.0)])
+def test_vertices_that_move_far(dent, offset):
+    tracer = rs.Tracer(dent, "bvh", "graphics")
+    moved = rs.Scene.from_arrays(dent.meshes[0].vertices + offset, dent.meshes[0].faces)
+    assert tracer.update(moved).rebuilt
+    assert_same_answers(tracer, rs.Tracer(moved, "brute"), rays_at(moved))
+
+
+def test_moving_vertices_of_one_of_two_tracers(dent):
+    tracer, rays = rs.Tracer(dent, "bvh"), rays_at(dent)
+    other = rs.Tracer.of_structure(tracer.structure, dent, "graphics")
+    vertices = dent.meshes[0].vertices * [1.0, 1.5, 0.8]
+    moved = rs.Tracer(rs.Scene.from_arrays(vertices, dent.meshes[0].faces), "brute")
+    other.update(vertices, max_cost_growth=np.inf)
+    assert_same_answers(other, moved, rays)
+    assert_same_answers(tracer, rs.Tracer(dent, "brute"), rays)
+    last = rs.Tracer.of_structure(tracer.structure, dent, "graphics")
+    tracer.update(vertices, max_cost_growth=np.inf)
+    assert_same_answers(tracer, moved, rays)
+    assert_same_answers(last, rs.Tracer(dent, "brute"), rays)
+
+
 def test_no_triangles():
     empty = rs.Scene.from_arrays(np.zeros((3, 3)), [[0, 1, 2]])
     tracer = rs.Tracer(empty, "bvh", "graphics")

@@ -1,6 +1,7 @@
 """Copies and pickles of tracers, hits and scenes, of any size and after updates."""
 
 import copy
+import gc
 import pickle
 
 import numpy as np
@@ -84,6 +85,56 @@ def test_updates_of_copies_leave_the_original_alone(structure, rays):
     other.update(vertices + [0.0, 0.0, 50.0], max_cost_growth=np.inf)
     assert_same_hits(hits, tracer.first_hit(*rays))
     assert other.scene is not tracer.scene
+
+
+@pytest.mark.parametrize(
+    "structure", [pytest.param(one, marks=tier(is_everyday=one == "bvh")) for one in STRUCTURES]
+)
+@pytest.mark.parametrize("moves_first", [True, False])
+def test_updates_leave_other_tracers_of_the_structure_alone(structure, moves_first, rays):
+    vertices, faces = soup(500)
+    first = rs.Tracer(rs.Scene.from_arrays(vertices, faces), structure)
+    second = rs.Tracer.of_structure(first.structure, first.scene)
+    hits = first.first_hit(*rays)
+    mover, other = (first, second) if moves_first else (second, first)
+    for offset in (5.0, 8.0, 1e5):
+        moved = vertices + [0.0, 0.0, offset]
+        mover.update(moved, max_cost_growth=np.inf)
+        origins = rays[0] + [0.0, 0.0, offset]
+        fresh = rs.Tracer(rs.Scene.from_arrays(moved, faces), structure)
+        expected = fresh.first_hit(origins, rays[1])
+        assert_same_hits(mover.first_hit(origins, rays[1]), expected)
+        assert_same_hits(hits, other.first_hit(*rays))
+        np.testing.assert_array_equal(other.first_hit(*rays).positions, hits.positions)
+    np.testing.assert_array_equal(other.scene.meshes[0].vertices, vertices)
+    np.testing.assert_array_equal(mover.scene.meshes[0].vertices, moved)
+
+
+def test_a_structure_is_refitted_once_it_has_one_tracer(rays):
+    vertices, faces = soup(500)
+    tracers = [rs.Tracer(rs.Scene.from_arrays(vertices, faces))]
+    tracers += [rs.Tracer.of_structure(tracers[0].structure, counters=bool(k)) for k in range(2)]
+    rebuilt = [one.update(vertices + 0.125, max_cost_growth=np.inf).rebuilt for one in tracers]
+    assert rebuilt == [True, True, False]
+    for one in tracers:
+        assert not one.update(vertices + 0.25, max_cost_growth=np.inf).rebuilt
+        assert_same_hits(one.first_hit(*rays), tracers[0].first_hit(*rays))
+    other = rs.Tracer.of_structure(tracers[0].structure)
+    del other
+    gc.collect()
+    assert not tracers[0].update(vertices, max_cost_growth=np.inf).rebuilt
+
+
+def test_a_structure_whose_triangles_have_moved_is_refused():
+    vertices, faces = soup(50)
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces))
+    before = tracer.structure
+    assert not tracer.update(vertices + 0.125, max_cost_growth=np.inf).rebuilt
+    with pytest.raises(ValueError, match=r"structure: Tracer.update has moved its triangles"):
+        rs.Tracer.of_structure(before)
+    before = tracer.structure
+    assert tracer.update(vertices, max_cost_growth=0.0).rebuilt  # another tree: this one is whole
+    assert rs.Tracer.of_structure(before).structure is before
 
 
 def test_attributes_of_subclasses_and_users_are_copied():

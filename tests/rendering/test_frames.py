@@ -12,6 +12,7 @@ from PIL import Image as Pillow
 
 import raystream as rs
 from extras import need
+from meshes import icosphere
 from raystream.cli import frame_files
 from raystream.core.errors import RaystreamError
 from raystream.rendering.frames import frame_seed
@@ -34,6 +35,25 @@ def test_frames_are_pictures_of_their_times() -> None:
         seen.append(frame)
     assert seen == [0, 3, 6]
     assert frame_seed(5, 0) != frame_seed(5, 3) != frame_seed(4, 3)
+
+
+@pytest.mark.parametrize("speed", [3e4, 5e6])
+def test_frames_of_a_scene_that_moves_far_are_those_of_new_tracers(speed) -> None:
+    ball = rs.Mesh(*icosphere(3))
+
+    def at(time):
+        place = np.array([speed * time, 0.0, 0.0])
+        return rs.Scene([ball.moved(ball.vertices + place)])
+
+    scene = rs.Scene([ball], animation=rs.Animation(at, (0, 2), fps=1))
+    eye = np.array([speed, 0.0, 0.0])
+    view = rs.Camera(tuple(eye + [0.3, 0.2, 4.0]), tuple(eye))
+    options = {"camera": view, "size": SIZE, "samples": 4}
+    for mode in ("raycast", "vis"):
+        (_, image), *_ = reversed([*rs.render_frames(scene, mode, frames=[0, 1], **options)])
+        own = rs.render(scene.at(1.0), mode, seed=frame_seed(0, 1), **options)
+        np.testing.assert_array_equal(image.pixels, own.pixels)
+        assert np.ptp(own.pixels) > 0
 
 
 def test_meshes_may_come_and_go() -> None:

@@ -346,6 +346,26 @@ def test_update_moves_instances() -> None:
     assert_same_bits(tracer.first_hit(**rays).t, before.t)
 
 
+@pytest.mark.parametrize("offset", [(1e5, 5e4, 0.0), (5e6, 0.0, 0.0), (0.0, -3e4, 2e9)])
+def test_instances_that_move_far_are_hit_as_in_a_new_tracer(offset) -> None:
+    scene, rays = random_scene(13, 50), random_rays(14, 1000)
+    places = scene.placements.transforms
+    tracer = rs.Tracer(scene)
+    before = tracer.first_hit(**rays)
+    away = places.copy()
+    away[:, :, 3] += offset
+    tracer.update(transforms=away)
+    rays["origins"] = rays["origins"] + offset
+    fresh = rs.Tracer(scene.with_transforms(away), "brute").first_hit(**rays)
+    after = tracer.first_hit(**rays)
+    for name in COLUMNS:
+        assert_same_bits(getattr(after, name), getattr(fresh, name))
+    assert (after.prim_id == before.prim_id).mean() > 0.99
+    tracer.update(transforms=places)
+    rays["origins"] = random_rays(14, 1000)["origins"]
+    assert_same_bits(tracer.first_hit(**rays).t, before.t)
+
+
 def test_rays_meet_the_instances_of_their_world() -> None:
     rng = np.random.default_rng(21)
     count, world_count = 300, 20

@@ -11,6 +11,7 @@ where the columns of M are -direction and the two edges. All is written once, wi
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -110,3 +111,37 @@ def corners_of(triangles: Triangles, prim_id: NDArray[np.int32]) -> NDArray[np.f
     if not len(triangles):
         return np.zeros((*prim_id.shape, 3, 3))
     return triangles.to_world(triangles.corners[np.maximum(prim_id, 0)])
+
+
+def check_vertices(own: Sequence[Any], given: Any, cast: Callable[[Any, Any], Any]) -> None:
+    """Check that vertices given to a query are those that it traces.
+
+    Parameters
+    ----------
+    own : arrays of shape (V, 3), float
+        The vertices of each of the tracer's meshes.
+    given : array of shape (..., V, 3), float
+        Of the same library: of all meshes, one after another, for each row of a batch.
+    cast : callable
+        Casts an array of the library to one of its dtypes.
+
+    Raises
+    ------
+    ValueError
+        If their number differs, or a vertex does after both are rounded to the coarser dtype.
+    """
+    first, count = 0, sum(len(one) for one in own)
+    if given.shape[-2] != count:
+        raise ValueError(f"vertices: expected the scene's {count:,}, got {given.shape[-2]:,}")
+    for mesh, one in enumerate(own):
+        part = given[..., first : first + len(one), :]
+        dtype = min(one.dtype, part.dtype, key=lambda dtype: dtype.itemsize)
+        with np.errstate(over="ignore"):
+            ours, theirs = cast(one, dtype), cast(part, dtype)
+        is_same = ours == theirs
+        if not is_same.all() and not (is_same | ((ours != ours) & (theirs != theirs))).all():
+            raise ValueError(
+                f"vertices: those of mesh {mesh} differ from the tracer's, which rays are traced "
+                "against; call Tracer.update with them first"
+            )
+        first += len(one)

@@ -299,14 +299,36 @@ def local_frame(
     """Choose the centre and the power-of-two scale for a scene with these world bounds."""
     center = np.zeros(3)
     extent = float((high - low).max())
-    reach = float(np.maximum(np.abs(low), np.abs(high)).max())
+    reach = _reach(low, high, center)
     if extent > 0.0 and reach > RECENTRE_RATIO * extent:
         grid = 2.0 ** math.ceil(math.log2(extent))
         center = np.round((low + (high - low) / 2) / grid) * grid
-        reach = float(np.maximum(np.abs(low - center), np.abs(high - center)).max())
+        reach = _reach(low, high, center)
     exponent = math.frexp(reach)[1] if reach > 0.0 else 0
     ordinary = reach == 0.0 or SCALE_EXPONENTS[0] <= exponent <= SCALE_EXPONENTS[1]
     return center, 1.0 if ordinary else 2.0**-exponent
+
+
+def keeps_frame(
+    low: NDArray[np.float64], high: NDArray[np.float64], center: NDArray[np.float64], scale: float
+) -> bool:
+    """Whether moved vertices with these world bounds can stay in a frame.
+
+    They can as long as float32 rounds them no more coarsely, relative to their extent, than in the
+    worst frame that `local_frame` chooses, and products do not vanish. So a scene that moves to and
+    fro keeps its frame. Products do not overflow up to `kernels.move_triangles.MAX_LOCAL`.
+    """
+    extent, reach = float((high - low).max()), _reach(low, high, center)
+    if not extent > 0.0:  # nothing can be hit
+        return True
+    return reach <= RECENTRE_RATIO * extent and math.frexp(reach * scale)[1] >= SCALE_EXPONENTS[0]
+
+
+def _reach(
+    low: NDArray[np.float64], high: NDArray[np.float64], center: NDArray[np.float64]
+) -> float:
+    """Largest distance of a box from a centre along an axis."""
+    return float(np.maximum(np.abs(low - center), np.abs(high - center)).max())
 
 
 def _usable_vertices(vertices: NDArray[Any]) -> NDArray[np.bool_]:

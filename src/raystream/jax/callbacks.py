@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.crossing import corners_of, inverse_rows, points_at
+from raystream.core.crossing import check_vertices, corners_of, inverse_rows, points_at
 from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
@@ -20,32 +20,45 @@ Columns = tuple[Any, Any, Any, Any]
 # ---- On the host, with NumPy.
 
 
-def _host(arrays: tuple[Any, ...]) -> dict[str, Any]:
-    origins, directions, t_min, t_max = map(np.asarray, arrays)
-    # Of a batch in which only limits differ, they give the rays their shape.
-    shape = np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape)
+def _checked(tracer: Tracer, vertices: tuple[Any, ...], rank: int) -> tuple[int, ...]:
+    """Check vertices, if there are any; returns the shape that a batch of them has in this rank."""
+    if not vertices:
+        return ()
+    given = np.asarray(vertices[0])
+    own = [mesh.vertices for mesh in tracer.scene.meshes]
+    check_vertices(own, given, lambda array, dtype: array.astype(dtype))
+    return given.shape[:-2] + (1,) * (rank - given.ndim + 2)
+
+
+def _host(tracer: Tracer, arrays: tuple[Any, ...]) -> dict[str, Any]:
+    origins, directions, t_min, t_max = map(np.asarray, arrays[:4])
+    batch = _checked(tracer, arrays[4:], t_max.ndim)
+    # Of a batch in which only limits or vertices differ, they give the rays their shape.
+    shape = np.broadcast_shapes(
+        origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape, batch
+    )
     if shape != np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1]):
         origins = np.broadcast_to(origins, (*shape, 3))
     return {"origins": origins, "directions": directions, "t_min": t_min, "t_max": t_max}
 
 
 def _first_on_host(tracer: Tracer, *rays: Any) -> tuple[NDArray[Any], ...]:
-    hits = tracer.first_hit(**_host(rays))
+    hits = tracer.first_hit(**_host(tracer, rays))
     return hits.t, hits.u, hits.v, hits.prim_id
 
 
 def _any_on_host(tracer: Tracer, *rays: Any) -> NDArray[np.bool_]:
-    return tracer.any_hit(**_host(rays))
+    return tracer.any_hit(**_host(tracer, rays))
 
 
 def _count_on_host(tracer: Tracer, crossings: Any, *rays: Any) -> NDArray[np.int32]:
-    return tracer.count_hits(**_host(rays), crossings=crossings).astype(np.int32)
+    return tracer.count_hits(**_host(tracer, rays), crossings=crossings).astype(np.int32)
 
 
 def _multi_on_host(
     tracer: Tracer, max_hits: int, crossings: Any, *rays: Any
 ) -> tuple[NDArray[Any], ...]:
-    found = tracer.multi_hit(**_host(rays), max_hits=max_hits, crossings=crossings)
+    found = tracer.multi_hit(**_host(tracer, rays), max_hits=max_hits, crossings=crossings)
     return tuple(pad(found, max_hits))
 
 
@@ -53,20 +66,18 @@ def _corners_on_host(tracer: Tracer, dtype: Any, prim_id: Any) -> NDArray[Any]:
     return corners_of(tracer.structure.triangles, np.asarray(prim_id)).astype(dtype)
 
 
-def _vertex_ids_on_host(tracer: Tracer, vertex_count: int, prim_id: Any) -> NDArray[np.int32]:
-    attributes = tracer.scene.attributes
-    if vertex_count != attributes.vertex_count:
-        raise ValueError(
-            f"vertices: expected the scene's {attributes.vertex_count:,}, got {vertex_count:,}"
-        )
-    faces = attributes.faces if len(attributes.faces) else np.zeros((1, 3), np.int32)
-    return faces[np.maximum(np.asarray(prim_id), 0)]
+def _vertex_ids_on_host(tracer: Tracer, prim_id: Any, *vertices: Any) -> NDArray[np.int32]:
+    ids = np.asarray(prim_id)
+    batch = _checked(tracer, vertices, ids.ndim)
+    faces = tracer.scene.attributes.faces
+    faces = faces if len(faces) else np.zeros((1, 3), np.int32)
+    return faces[np.broadcast_to(np.maximum(ids, 0), np.broadcast_shapes(ids.shape, batch))]
 
 
 # ---- In JAX.
 
 
-def _ask(host: Any, results: Any, rays: tuple[Any, ...]) -> Any:
+def _ask(host: Any, results: Any, rays: tuple[Any, ...], vertices: Any = None) -> Any:
     """Call back with rays of one rank, so that a batch axis is the first of all arrays."""
     rank = max(rays[0].ndim, rays[1].ndim) - 1
     widths = rank + 1, rank + 1, rank, rank
@@ -74,6 +85,7 @@ def _ask(host: Any, results: Any, rays: tuple[Any, ...]) -> Any:
         one.reshape((1,) * (width - one.ndim) + one.shape)
         for one, width in zip(rays, widths, strict=True)
     ]
+    padded += [] if vertices is None else [vertices]
     return jax.pure_callback(host, results, *padded, vmap_method="expand_dims")
 
 
@@ -102,7 +114,7 @@ def count_hits(tracer: Tracer, crossings: str, rays: tuple[Any, ...]) -> Any:
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def first_hit(tracer: Tracer, rays: tuple[Any, ...], vertices: Any) -> Columns:
     """t, u, v and prim_id of the nearest hits; see `Tracer.first_hit`."""
-    found: Columns = _ask(partial(_first_on_host, tracer), _columns(_shape(rays)), rays)
+    found: Columns = _ask(partial(_first_on_host, tracer), _columns(_shape(rays)), rays, vertices)
     return found
 
 
@@ -112,7 +124,7 @@ def multi_hit(
 ) -> Columns:
     """t, u, v and prim_id of the nearest few hits; see `Tracer.multi_hit`."""
     host = partial(_multi_on_host, tracer, max_hits, crossings)
-    found: Columns = _ask(host, _columns(_shape(rays, max_hits)), rays)
+    found: Columns = _ask(host, _columns(_shape(rays, max_hits)), rays, vertices)
     return found
 
 
@@ -145,7 +157,7 @@ def _derivatives(tracer: Tracer, found: Columns, primals: Any, tangents: Any, lo
         if tangent.dtype != jax.dtypes.float0:  # of integers
             change = change + scale * _float(lone(tangent))
     if vertices is not None:
-        ids = _vertex_ids(tracer, len(vertices), prim_id)
+        ids = _vertex_ids(tracer, prim_id, None)
         weights = jnp.stack((1.0 - u - v, u, v), axis=-1)
         change = change - (weights[..., None] * _float(vertex_tangents)[ids]).sum(axis=-2)
     change = jnp.broadcast_to(change, (*prim_id.shape, 3))
@@ -164,16 +176,16 @@ def _float(array: Any) -> Any:
 def points(tracer: Tracer, hits: Columns, vertices: Any) -> Any:
     """Points on the triangles that were hit, of the hits' shape + (3,)."""
     _, u, v, prim_id = hits
-    corners = _corners(tracer, prim_id, vertices)
+    corners = _corners(tracer, prim_id, vertices, is_checked=False)
     u, v = u.astype(corners.dtype), v.astype(corners.dtype)
     return jnp.stack(points_at(jnp, corners, u, v, prim_id >= 0), axis=-1)
 
 
-def _corners(tracer: Tracer, prim_id: Any, vertices: Any) -> Any:
+def _corners(tracer: Tracer, prim_id: Any, vertices: Any, *, is_checked: bool = True) -> Any:
     """Corners of triangles, of the hits' shape + (3, 3)."""
     if vertices is None:
         return _constant_corners(tracer, prim_id)
-    return _float(vertices)[_vertex_ids(tracer, len(vertices), prim_id)]
+    return _float(vertices)[_vertex_ids(tracer, prim_id, None if is_checked else vertices)]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -190,14 +202,15 @@ def _no_derivatives_of_corners(tracer: Tracer, primals: Any, _: Any) -> Any:
     return corners, jnp.zeros_like(corners)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _vertex_ids(tracer: Tracer, vertex_count: int, prim_id: Any) -> Any:
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _vertex_ids(tracer: Tracer, prim_id: Any, checked: Any) -> Any:
     result = jax.ShapeDtypeStruct((*prim_id.shape, 3), jnp.int32)
-    host = partial(_vertex_ids_on_host, tracer, vertex_count)
-    return jax.pure_callback(host, result, prim_id, vmap_method="expand_dims")
+    arguments = (prim_id,) if checked is None else (prim_id, checked)
+    host = partial(_vertex_ids_on_host, tracer)
+    return jax.pure_callback(host, result, *arguments, vmap_method="expand_dims")
 
 
 @_vertex_ids.defjvp
-def _no_derivatives_of_ids(tracer: Tracer, vertex_count: int, primals: Any, _: Any) -> Any:
-    ids = _vertex_ids(tracer, vertex_count, *primals)
+def _no_derivatives_of_ids(tracer: Tracer, primals: Any, _: Any) -> Any:
+    ids = _vertex_ids(tracer, *primals)
     return ids, np.zeros(ids.shape, jax.dtypes.float0)

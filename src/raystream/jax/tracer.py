@@ -100,7 +100,8 @@ class JaxTracer:
             Closed search interval, in direction lengths; without derivatives.
         vertices : array of shape (V, 3), float, or one for each mesh, optional
             The scene's vertices, for derivatives: one mesh after another. Rays are traced against
-            the tracer's own vertices: pass the same numbers, see `Tracer.update`.
+            the tracer's own, which must be the same numbers, rounded to the coarser dtype of the
+            two: call `Tracer.update` with them first. Comparing takes time for every vertex.
 
         Returns
         -------
@@ -112,7 +113,7 @@ class JaxTracer:
         TypeError
             If a dtype is not real.
         ValueError
-            If shapes disagree.
+            If shapes disagree, or `vertices` differ from the tracer's.
         """
         rays = _rays(origins, directions, t_min, t_max)
         return JaxHits(*callbacks.first_hit(self.tracer, rays, _joined(vertices)))

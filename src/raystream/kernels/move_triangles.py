@@ -9,7 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.triangles import MAX_COORDINATE, MAX_TRIANGLES, Triangles, local_frame
+from raystream.core.triangles import (
+    MAX_COORDINATE,
+    MAX_TRIANGLES,
+    Triangles,
+    keeps_frame,
+    local_frame,
+)
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import chunk_size, parallel_for
 
@@ -94,13 +100,14 @@ def move_triangles(triangles: Triangles, meshes: _Meshes) -> Triangles:
     Returns
     -------
     Triangles
-        With the centre and scale of `triangles`, or a new frame if float32 does not suffice for
-        the vertices in the old one.
+        With the centre and scale of `triangles`, or as `make_triangles` if float32 is too coarse
+        for the vertices there; see `core.triangles.keeps_frame`.
     """
     splits, center, scale = triangles.mesh_splits, triangles.center, triangles.scale
     placed = _place(meshes, splits, center, scale)
-    if (placed.kinds == _TOO_FAR).any():
-        return Triangles(meshes)
+    low, high = placed.reach
+    if (placed.kinds == _TOO_FAR).any() or not keeps_frame(low, high, center, scale):
+        return make_triangles(meshes)
     return placed.store(meshes, splits, center, scale)
 
 

@@ -112,8 +112,11 @@ class TracedScene:
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         check_kind(structure.triangles, self.device, self.machine)
+        if "structure" in vars(self):
+            self.structure.tracers.pop(id(self), None)
         self._scene = scene
         self.structure = structure
+        structure.tracers[id(self)] = self
         placed: Any = structure.triangles
         is_placed = isinstance(placed, InstancedTriangles)
         self._world_count = placed.instances.world_count if is_placed else 0
@@ -215,10 +218,12 @@ class TracedScene:
 
         Notes
         -----
-        Queries then answer as a new tracer of the moved triangles would, in the same local
-        frame: the centre and scale that float32 coordinates refer to stay, unless a coordinate
-        grew beyond 2**40 times the scale of the scene. Triangles that have become degenerate,
-        NaN or infinite are not hit until a later update makes them valid.
+        Queries then answer as a new tracer of the moved triangles would. The centre and scale that
+        float32 coordinates refer to stay as long as float32 rounds the vertices no more coarsely,
+        relative to the scene's extent, than in a new tracer: up to 16 extents from the centre.
+        Beyond that they are chosen again, and the structure is rebuilt. It is also rebuilt if
+        another tracer shares it, see `of_structure`, which keeps the old triangles. Triangles that
+        have become degenerate, NaN or infinite are not hit until a later update makes them valid.
 
         `scene` becomes a scene with the moved vertices; vertices given as arrays do not update
         shading normals. Earlier hits still refer to the old triangles. No query may run in another
@@ -259,7 +264,9 @@ class TracedScene:
         parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
         triangles = moved_triangles(self.structure.triangles, parts)
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
-        self._set(scene.moved(meshes, of_scene(triangles)), structure)
+        scene = scene.moved(meshes, of_scene(triangles))
+        triangles.attributes = scene.attributes
+        self._set(scene, structure)
         return report
 
     def _update_views(self, scene: Any) -> UpdateReport:
@@ -357,6 +364,7 @@ class TracedScene:
         Parameters
         ----------
         structure : Structure
+            Any number of tracers may share it: `update` of one leaves the others' triangles alone.
         scene : Scene, optional
             The scene that its triangles come from, for materials, lights and camera.
         device, machine, counters, **options
@@ -369,8 +377,14 @@ class TracedScene:
         Raises
         ------
         ValueError, TypeError
-            If a name is unknown, or the machine has no such option.
+            If a name is unknown, the machine has no such option, or a tracer's `update` has moved
+            the structure's triangles: then that tracer has another structure.
         """
+        if structure.is_outdated:
+            raise ValueError(
+                "structure: Tracer.update has moved its triangles; take the structure that the "
+                "updated tracer has now"
+            )
         tracer = cls.__new__(cls)
         tracer._configure(None, device, machine, counters, options)
         tracer._set(scene, structure)

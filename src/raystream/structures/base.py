@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
+from weakref import WeakValueDictionary
 
 from numpy.typing import NDArray
 
@@ -102,6 +103,8 @@ class Structure(ABC):
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
     precision : {"float32", "float64"}
         Precision of triangles and distances.
+    is_outdated : bool
+        Whether `updated` has moved its arrays, which another structure has now.
     """
 
     traverse: ClassVar[Callable[..., Any]]
@@ -109,6 +112,7 @@ class Structure(ABC):
     make_searches: ClassVar[Callable[..., Searches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
     precision: ClassVar[str] = "float32"
+    is_outdated: bool = False
     triangles: Triangles
     report: BuildReport
     options: StructureOptions
@@ -205,15 +209,23 @@ class Structure(ABC):
         """The triangles' local frame, as passed to kernels."""
         return SceneFrame.of(self.triangles)
 
+    @cached_property
+    def tracers(self) -> WeakValueDictionary[int, Any]:
+        """The tracers of this structure, by their `id`."""
+        return WeakValueDictionary()
+
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
     ) -> tuple[Structure, UpdateReport]:
-        """Make the structure of moved triangles; this one must not be used afterwards.
+        """Make the structure of moved triangles.
+
+        This one must not be used afterwards, unless it has several `tracers`: then its arrays stay
+        as they are.
 
         Parameters
         ----------
         triangles : Triangles
-            The same number, in the same local frame.
+            The same number, in any local frame.
         max_cost_growth : float
             A structure that can be adjusted is rebuilt if adjusting increased its cost by more
             than this factor.

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from raystream.core.crossing import corners_of
+from raystream.core.crossing import check_vertices, corners_of
 from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
 
@@ -45,6 +45,8 @@ def leading_shape(origins: Tensor, directions: Tensor) -> Sequence[int]:
 
 
 _RAYS = "Tensor origins, Tensor directions, Tensor t_min, Tensor t_max"
+#: The tracer's vertices as the caller knows them, to be checked.
+_CHECKED = "Tensor? vertices=None"
 
 
 def _tracer(number: int) -> Tracer:
@@ -54,6 +56,15 @@ def _tracer(number: int) -> Tracer:
         raise RuntimeError(
             "tracer: the TorchTracer of this compiled function has been deleted; keep a reference"
         ) from None
+
+
+def _checked(number: int, vertices: Tensor | None) -> Tracer:
+    """A tracer, if it has these vertices."""
+    tracer = _tracer(number)
+    if vertices is not None:
+        own = [torch.tensor(mesh.vertices) for mesh in tracer.scene.meshes]
+        check_vertices(own, vertices.cpu(), Tensor.to)
+    return tracer
 
 
 def _columns(hits: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -68,9 +79,15 @@ def _operator(name: str, schema: str, run: Any, fake: Any, vmap: Any) -> None:
 
 
 def _first_hit(
-    tracer: int, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor
+    tracer: int,
+    origins: Tensor,
+    directions: Tensor,
+    t_min: Tensor,
+    t_max: Tensor,
+    vertices: Tensor | None = None,
 ) -> tuple[Tensor, ...]:
-    return _columns(_tracer(tracer).first_hit(origins, directions, t_min=t_min, t_max=t_max))
+    asked = _checked(tracer, vertices)
+    return _columns(asked.first_hit(origins, directions, t_min=t_min, t_max=t_max))
 
 
 def _any_hit(tracer: int, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor) -> Any:
@@ -99,9 +116,10 @@ def _multi_hit(
     t_max: Tensor,
     max_hits: int,
     surfaces: bool,
+    vertices: Tensor | None = None,
 ) -> tuple[Tensor, ...]:
     crossings: Any = "surfaces" if surfaces else "triangles"
-    found: Any = _tracer(tracer).multi_hit(
+    found: Any = _checked(tracer, vertices).multi_hit(
         origins, directions, t_min=t_min, t_max=t_max, max_hits=max_hits, crossings=crossings
     )
     padded = pad(found.host(), max_hits)
@@ -113,13 +131,9 @@ def _corners(tracer: int, prim_id: Tensor) -> Tensor:
     return torch.from_numpy(corners).to(prim_id.device)
 
 
-def _vertex_ids(tracer: int, prim_id: Tensor, vertex_count: int) -> Tensor:
-    attributes = _tracer(tracer).scene.attributes
-    if vertex_count != attributes.vertex_count:
-        raise ValueError(
-            f"vertices: expected the scene's {attributes.vertex_count:,}, got {vertex_count:,}"
-        )
-    faces = attributes.faces if len(attributes.faces) else np.zeros((1, 3), np.int32)
+def _vertex_ids(tracer: int, prim_id: Tensor, vertices: Tensor | None = None) -> Tensor:
+    faces = _checked(tracer, vertices).scene.attributes.faces
+    faces = faces if len(faces) else np.zeros((1, 3), np.int32)
     ids = faces[np.maximum(prim_id.cpu().numpy(), 0)].astype(np.int64)
     return torch.from_numpy(ids).to(prim_id.device)
 
@@ -128,6 +142,11 @@ def _fake_hits(origins: Tensor, directions: Tensor, *more: int) -> tuple[Tensor,
     shape = (*leading_shape(origins, directions), *more)
     floats = [origins.new_empty(shape, dtype=torch.float32) for _ in range(3)]
     return (*floats, origins.new_empty(shape, dtype=torch.int32))
+
+
+def _first(argument: Any, axis: int | None) -> Any:
+    """An argument with its batch, if it has one, first."""
+    return argument if axis is None else argument.movedim(axis, 0)
 
 
 def _leading(tensor: Tensor, axis: int | None, rank: int) -> Tensor:
@@ -143,7 +162,8 @@ def _one_batch(ask: Any, count: int) -> Any:
     """The rule of ``vmap``: the batch becomes the first axis of the rays' leading shape."""
 
     def rule(info: Any, axes: Any, tracer: int, *arguments: Any) -> Any:
-        rays, more = arguments[:4], arguments[4:]
+        rays = arguments[:4]
+        more = [_first(*one) for one in zip(arguments[4:], axes[5:], strict=True)]
         axes = axes[1:5]
         ranks = [
             one.ndim - (axis is not None) - (k < 2)
@@ -161,8 +181,9 @@ def _one_batch(ask: Any, count: int) -> Any:
 
 
 def _rows_of_batch(ask: Any) -> Any:
-    def rule(_: Any, axes: Any, tracer: int, prim_id: Tensor, *more: Any) -> Any:
-        return ask(tracer, prim_id.movedim(axes[1], 0), *more), 0
+    def rule(_: Any, axes: Any, tracer: int, *rows: Any) -> Any:
+        batch = (_first(*one) for one in zip(rows, axes[1:], strict=True))
+        return ask(tracer, *batch), None if axes[1] is None else 0
 
     return rule
 
@@ -172,9 +193,9 @@ def _define() -> None:
     hits = "(Tensor, Tensor, Tensor, Tensor)"
     _operator(
         "first_hit",
-        f"(int tracer, {_RAYS}) -> {hits}",
+        f"(int tracer, {_RAYS}, {_CHECKED}) -> {hits}",
         _first_hit,
-        lambda tracer, o, d, t_min, t_max: _fake_hits(o, d),
+        lambda tracer, o, d, t_min, t_max, vertices=None: _fake_hits(o, d),
         _one_batch(lambda *rays: ops.first_hit(*rays), 4),
     )
     _operator(
@@ -195,9 +216,9 @@ def _define() -> None:
     )
     _operator(
         "multi_hit",
-        f"(int tracer, {_RAYS}, int max_hits, bool surfaces) -> {hits}",
+        f"(int tracer, {_RAYS}, int max_hits, bool surfaces, {_CHECKED}) -> {hits}",
         _multi_hit,
-        lambda tracer, o, d, t_min, t_max, max_hits, surfaces: _fake_hits(o, d, max_hits),
+        lambda tracer, o, d, t_min, t_max, most, surfaces, vertices=None: _fake_hits(o, d, most),
         _one_batch(lambda *rays: ops.multi_hit(*rays), 4),
     )
     _operator(
@@ -209,9 +230,11 @@ def _define() -> None:
     )
     _operator(
         "vertex_ids",
-        "(int tracer, Tensor prim_id, int vertex_count) -> Tensor",
+        f"(int tracer, Tensor prim_id, {_CHECKED}) -> Tensor",
         _vertex_ids,
-        lambda tracer, prim_id, count: prim_id.new_empty((*prim_id.shape, 3), dtype=torch.int64),
+        lambda tracer, prim_id, vertices=None: prim_id.new_empty(
+            (*prim_id.shape, 3), dtype=torch.int64
+        ),
         _rows_of_batch(lambda *rows: ops.vertex_ids(*rows)),
     )
 

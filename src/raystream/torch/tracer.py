@@ -108,7 +108,8 @@ class TorchTracer:
             Closed search interval, in direction lengths.
         vertices : Tensor of shape (V, 3), float, or one for each mesh, optional
             The scene's vertices, to which gradients flow: one mesh after another. Rays are traced
-            against the tracer's own vertices: pass the same numbers, see `Tracer.update`.
+            against the tracer's own, which must be the same numbers, rounded to the coarser dtype
+            of the two: call `Tracer.update` with them first. Comparing takes time for every vertex.
 
         Returns
         -------
@@ -120,11 +121,12 @@ class TorchTracer:
         TypeError
             If a dtype is not real, or tensors are on another device than the tracer.
         ValueError
-            If shapes disagree.
+            If shapes disagree, or `vertices` differ from the tracer's.
         """
-        rays = _rays(origins, directions, t_min, t_max)
-        hits = TorchHits(*torch.ops.raystream.first_hit(self._number, *_detached(rays)))
-        return self._with_gradients(hits, rays, vertices)
+        rays, given = _rays(origins, directions, t_min, t_max), _joined(vertices)
+        ask = torch.ops.raystream.first_hit
+        hits = TorchHits(*ask(self._number, *_detached(*rays, given)))
+        return self._with_gradients(hits, rays, given)
 
     def any_hit(
         self, origins: Any, directions: Any, *, t_min: Any = 0.0, t_max: Any = math.inf
@@ -141,7 +143,7 @@ class TorchTracer:
         Tensor of shape S, bool
         """
         rays = _rays(origins, directions, t_min, t_max)
-        seen: Tensor = torch.ops.raystream.any_hit(self._number, *_detached(rays))
+        seen: Tensor = torch.ops.raystream.any_hit(self._number, *_detached(*rays))
         return seen
 
     def count_hits(
@@ -167,8 +169,8 @@ class TorchTracer:
         Tensor of shape S, int64
         """
         surfaces = counts_surfaces(crossings)
-        rays = _rays(origins, directions, t_min, t_max)
-        counts: Tensor = torch.ops.raystream.count_hits(self._number, *_detached(rays), surfaces)
+        rays = _detached(*_rays(origins, directions, t_min, t_max))
+        counts: Tensor = torch.ops.raystream.count_hits(self._number, *rays, surfaces)
         return counts
 
     def multi_hit(
@@ -201,11 +203,11 @@ class TorchTracer:
         surfaces, limit = counts_surfaces(crossings), operator.index(max_hits)
         if limit < 0:
             raise ValueError(f"max_hits: expected a number >= 0, got {max_hits}")
-        rays = _rays(origins, directions, t_min, t_max)
+        rays, given = _rays(origins, directions, t_min, t_max), _joined(vertices)
         ask = torch.ops.raystream.multi_hit
-        hits = TorchHits(*ask(self._number, *_detached(rays), limit, surfaces))
+        hits = TorchHits(*ask(self._number, *_detached(*rays), limit, surfaces, *_detached(given)))
         lone = rays._replace(origins=rays[0].unsqueeze(-2), directions=rays[1].unsqueeze(-2))
-        return self._with_gradients(hits, lone, vertices)
+        return self._with_gradients(hits, lone, given)
 
     def positions(
         self, hits: TorchHits, vertices: Tensor | Sequence[Tensor] | None = None
@@ -224,15 +226,13 @@ class TorchTracer:
         Tensor of the hits' shape + (3,), float64
             World space, interpolated from the vertices; a miss has NaN.
         """
-        corners = self._corners(hits.prim_id, vertices)
+        given = _joined(vertices)
+        corners = self._corners(hits.prim_id, given, *_detached(given))
         weights = hits.u.double(), hits.v.double()
         return torch.stack(points_at(torch, corners, *weights, hits.prim_id >= 0), dim=-1)
 
-    def _with_gradients(
-        self, hits: TorchHits, rays: _Rays, vertices: Tensor | Sequence[Tensor] | None
-    ) -> TorchHits:
+    def _with_gradients(self, hits: TorchHits, rays: _Rays, given: Tensor | None) -> TorchHits:
         """The same hits as functions of the rays and vertices, if those require gradients."""
-        given = _joined(vertices)
         inputs = (*rays[:2], *(() if given is None else (given,)))
         if not (torch.is_grad_enabled() and any(one.requires_grad for one in inputs)):
             return hits
@@ -242,13 +242,14 @@ class TorchTracer:
         t, u, v = _Crossing.apply(*hits[:3], hits.prim_id >= 0, *vectors, corners)
         return TorchHits(t, u, v, hits.prim_id)
 
-    def _corners(self, prim_id: Tensor, vertices: Tensor | Sequence[Tensor] | None) -> Tensor:
+    def _corners(
+        self, prim_id: Tensor, given: Tensor | None, checked: Tensor | None = None
+    ) -> Tensor:
         """The hit triangles' corners, shape S + (3, 3), float64."""
-        given = _joined(vertices)
         if given is None:
             corners: Tensor = torch.ops.raystream.corners(self._number, prim_id)
             return corners
-        rows = torch.ops.raystream.vertex_ids(self._number, prim_id, given.shape[0])
+        rows = torch.ops.raystream.vertex_ids(self._number, prim_id, checked)
         return given[rows].double()
 
     def __repr__(self) -> str:
@@ -291,8 +292,8 @@ def _real(name: str, values: Any) -> Tensor:
     return tensor.float() if tensor.dtype == torch.bfloat16 else tensor
 
 
-def _detached(rays: _Rays) -> tuple[Tensor, ...]:
-    return tuple(one.detach() for one in rays)
+def _detached(*tensors: Tensor | None) -> tuple[Tensor | None, ...]:
+    return tuple(None if one is None else one.detach() for one in tensors)
 
 
 def _joined(vertices: Tensor | Sequence[Tensor] | None) -> Tensor | None:

@@ -43,7 +43,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
     Its options have ``quality="fast"``, which applies if the CPU rebuilds it.
     """
 
-    _host_names = ("tree", "_numbers")
+    _host_names = ("tree", "_numbers", "_races")
 
     def __init__(
         self,
@@ -89,6 +89,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
             if cost <= max_cost_growth * old_cost:
                 moved = DeviceBvh(triangles, self.gpu, self.wide, self.options, started)
                 moved._held_ids, moved.cost_when_built = self._held_ids, old_cost
+                self.is_outdated = True
                 return moved, UpdateReport(False, moved.report.seconds, cost, old_cost)
         rebuilt = build_bvh(self.gpu, triangles, self.options)
         cost = rebuilt.cost_when_built

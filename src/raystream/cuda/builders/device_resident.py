@@ -37,6 +37,11 @@ class DeviceResident:
             return getattr(self._on_host, name)
         raise AttributeError(name)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles are structures of the host."""
+        reduced: tuple[Any, ...] = self._on_host.__reduce__()
+        return reduced
+
 
 class RebuiltOnDevice(DeviceResident):
     """A structure that is rebuilt for moved triangles, by ``_rebuilt``."""

@@ -127,8 +127,9 @@ class BvhStructure(Structure):
 
         Notes
         -----
-        The arrays are changed in place. A tree that lacks a triangle, which could not be hit when
-        it was built and now can, is rebuilt.
+        The arrays are changed in place. A tree is rebuilt if other tracers need it as it is, if
+        the local frame differs, or if it lacks a triangle that could not be hit when it was built
+        and now can.
         """
         started = time.perf_counter()
         old_cost = self.cost_when_built
@@ -147,8 +148,8 @@ class BvhStructure(Structure):
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
 
     def _holds(self, triangles: Triangles) -> bool:
-        """Whether the tree has all triangles that can be hit, in the same frame."""
-        if triangles.scale != self.triangles.scale:
+        """Whether it may be refitted: it has all triangles, in their frame, for one tracer."""
+        if len(self.tracers) > 1 or triangles.scale != self.triangles.scale:
             return False
         if not np.array_equal(triangles.center, self.triangles.center):
             return False
@@ -162,7 +163,9 @@ class BvhStructure(Structure):
         """The structure of moved triangles, with the same, refitted arrays."""
         moved = BvhStructure.__new__(BvhStructure)
         moved.__dict__.update(self.__dict__)
-        moved.__dict__.pop("frame", None)
+        for name in ("frame", "tracers"):
+            moved.__dict__.pop(name, None)
+        self.is_outdated = True
         moved.triangles = triangles
         moved._numbers = Tree.of(self.tree, moved.frame)
         seconds = time.perf_counter() - started
