@@ -16,10 +16,10 @@ OPTIONS = {
     "multi_hit": {},
 }
 COLUMNS = {
-    "first_hit": ("t", "u", "v", "prim_id", "mesh_id", "status"),
+    "first_hit": ("t", "u", "v", "prim_id", "mesh_id", "face_id", "status"),
     "any_hit": ("hit",),
     "count_hits": ("count",),
-    "multi_hit": ("ray_splits", "t", "u", "v", "prim_id", "mesh_id", "status"),
+    "multi_hit": ("ray_splits", "t", "u", "v", "prim_id", "mesh_id", "face_id", "status"),
 }
 
 

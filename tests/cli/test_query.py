@@ -45,7 +45,7 @@ def test_first_hits(run, square, rays, options):
     assert result.err == ""
     assert result.out.startswith("hits.npz: 4 rays (1 invalid), 2 hit; 2 triangles; load ")
     hits = arrays("hits.npz")
-    assert set(hits) == {"t", "u", "v", "prim_id", "mesh_id", "status"}
+    assert set(hits) == {"t", "u", "v", "prim_id", "mesh_id", "face_id", "status"}
     np.testing.assert_array_equal(hits["t"], [[1, 2], [np.inf, np.inf]])
     np.testing.assert_array_equal(hits["prim_id"], [[0, 1], [-1, -1]])
     np.testing.assert_array_equal(hits["mesh_id"], [[0, 0], [-1, -1]])
@@ -88,7 +88,7 @@ def test_all_hits_are_the_librarys(run, tmp_path, options, structure):
     )
     expected = rs.Tracer(rs.load("cornell"), structure).multi_hit(**given, **options)
     found = arrays("hits.npz")
-    assert set(found) == {"ray_splits", "t", "u", "v", "prim_id", "mesh_id", "status"}
+    assert set(found) == {"ray_splits", "t", "u", "v", "prim_id", "mesh_id", "face_id", "status"}
     for name, array in found.items():
         np.testing.assert_array_equal(array, getattr(expected, name))
     figures = result.figures
@@ -101,8 +101,18 @@ def test_all_hits_are_the_librarys(run, tmp_path, options, structure):
 
 
 INSTANCES = {
-    "first": {"t", "u", "v", "prim_id", "mesh_id", "instance_id", "status"},
-    "multi": {"ray_splits", "t", "u", "v", "prim_id", "mesh_id", "instance_id", "status"},
+    "first": {"t", "u", "v", "prim_id", "mesh_id", "face_id", "instance_id", "status"},
+    "multi": {
+        "ray_splits",
+        "t",
+        "u",
+        "v",
+        "prim_id",
+        "mesh_id",
+        "face_id",
+        "instance_id",
+        "status",
+    },
     "any": {"hit"},
     "count": {"count"},
 }
@@ -127,6 +137,23 @@ def test_hits_in_instances_say_which(run, tmp_path, monkeypatch, kind):
         assert array.dtype == wanted.dtype
     if "instance_id" in found:
         assert len(np.unique(found["instance_id"])) > 6
+
+
+@pytest.mark.parametrize("kind", ["first", "multi"])
+def test_faces_are_the_files_unless_only_the_structure_is_saved(run, tmp_path, kind):
+    (tmp_path / "faces.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nf 1 2 3 4\nf 2 5 6 3\n"
+    )
+    origins = [[0.6, 0.2, 1.0], [0.2, 0.6, 1.0], [1.6, 0.2, 1.0], [1.2, 0.6, 1.0], [3.0, 0.0, 1.0]]
+    np.savez(tmp_path / "rays.npz", origins=origins, directions=[[0.0, 0.0, -1.0]])
+    run("query", "faces.obj", "rays.npz", "-o", "hits.npz", f"--{kind}")
+    found = arrays("hits.npz")
+    miss = [-1] if kind == "first" else []
+    assert found["prim_id"].tolist() == [0, 1, 2, 3, *miss]
+    assert found["face_id"].tolist() == [0, 0, 1, 1, *miss]
+    rs.Tracer(rs.load("faces.obj")).save("saved.npz")
+    run("query", "saved.npz", "rays.npz", "-o", "hits.npz", f"--{kind}")
+    assert set(arrays("hits.npz")) == set(found) - {"face_id"}
 
 
 def instanced_cubes() -> rs.Scene:

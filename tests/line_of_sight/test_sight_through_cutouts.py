@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from cards import DOWN, KINDS, card, cut_out, over_ground
+from cards import DOWN, KINDS, card, cut_out, faded, over_ground
 from conftest import assert_same_bits
 from raystream.core.errors import RaystreamError
 
@@ -83,7 +83,7 @@ def _mirrored(pixels):
 
 def test_tracers_that_cannot_filter_say_so() -> None:
     double = rs.Tracer(over_ground(), precision="float64")
-    with pytest.raises(RaystreamError, match=r"cutouts=True, with materials .*float64"):
+    with pytest.raises(RaystreamError, match=r"cutouts=True, with surfaces .*float64"):
         rs.visibility(double, ABOVE, BELOW)
     assert not rs.visibility(double, ABOVE, BELOW, cutouts=False).any()
     counting = rs.Tracer(over_ground(), counters=True)
@@ -102,7 +102,8 @@ def room(kind: str = "mask", low: float = -1.0) -> rs.Scene:
     """A card that faces a floor at distance 1, and a floor that faces it."""
     leaf = card(0.0, 0, low=low)
     down = rs.Mesh(leaf.vertices, leaf.faces[:, ::-1], texcoords=leaf.texcoords, material_ids=0)
-    return rs.Scene([card(-1.0, 1, 1.5), down], materials=[cut_out(kind), rs.Material()])
+    meshes = [card(-1.0, 1, 1.5), faded(down, kind)]
+    return rs.Scene(meshes, materials=[cut_out(kind), rs.Material()])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -161,7 +162,7 @@ def strips(kind: str = "mask", placed: bool = False) -> rs.Scene:
     corners = np.array([[x, y] for y in (-1.0, 1.0) for x in xs])
     faces = [f for k in range(4) for f in ([k, k + 1, k + 6], [k, k + 6, k + 5])]
     leaf = rs.Mesh(np.column_stack([corners, np.zeros(10)]), faces, texcoords=(corners + 1.0) / 2.0)
-    ground = card(-1.0, 1, 9.0)
+    leaf, ground = faded(leaf, kind), card(-1.0, 1, 9.0)
     materials = [cut_out(kind), rs.Material()]
     if placed:
         return rs.Scene.instances([leaf, ground], [np.eye(3, 4)] * 2, [0, 1], materials=materials)

@@ -188,6 +188,6 @@ def test_what_cannot_filter_says_so() -> None:
     assert len(rs.lidar_returns(counting, ORIGINS, DOWN, cutouts=False).ranges) == 3
     ball = rs.Scene.spheres([[0.0, 0.0, 0.0]], 1.0)
     both = rs.Tracer(rs.Scene.combine([over_ground(), ball]))
-    with pytest.raises(RaystreamError, match=r"cutouts=True, with materials .* spheres"):
+    with pytest.raises(RaystreamError, match=r"cutouts=True, with surfaces .* spheres"):
         rs.lidar_returns(both, ORIGINS, DOWN)
     assert len(rs.lidar_returns(both, ORIGINS, DOWN, cutouts=False).ranges) == 3

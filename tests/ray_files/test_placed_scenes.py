@@ -71,6 +71,27 @@ def test_runs_resume_where_the_instances_are_the_same(scene, rays, tmp_path):
     assert "instance_id" not in read_store(output)
 
 
+def test_runs_resume_where_the_faces_are_the_same(rays, tmp_path):
+    store, output = write_store(tmp_path / "rays.zarr", rays, (300,)), tmp_path / "hits.zarr"
+
+    def stop(done, total):
+        if done > 400:
+            raise KeyboardInterrupt
+
+    vertices, faces = cube()
+    quads = rs.Scene([rs.Mesh(vertices, faces, face_ids=np.arange(12) // 2)])
+    with pytest.raises(KeyboardInterrupt):
+        rs.query_zarr(rs.Tracer(quads), store, output, block_rays=200, progress=stop)
+    triangles = rs.Tracer(rs.Scene([rs.Mesh(vertices, faces)]))
+    alone = rs.Tracer.of_structure(triangles.structure)
+    for other in (triangles, alone):
+        with pytest.raises(FileFormatError, match="different: the scene"):
+            rs.query_zarr(other, store, output, block_rays=200, resume=True)
+    rs.query_zarr(rs.Tracer(quads), store, output, block_rays=200, resume=True)
+    found = read_store(output)
+    assert_same_bits(found["face_id"], np.where(found["prim_id"] < 0, -1, found["prim_id"] // 2))
+
+
 def test_worlds_are_refused(rays, tmp_path):
     one = rs.Scene.from_arrays(*cube())
     tracer = rs.Tracer(rs.Scene.instances(one, [np.eye(3, 4)] * 2, worlds=[0, 1]))

@@ -132,9 +132,9 @@ def query(
 ) -> None:
     """Trace the rays of a file and write their hits to a file.
 
-    The hits are arrays: t, u, v, prim_id, mesh_id, status with --first; hit with --any;
-    ray_splits, t, u, v, prim_id, mesh_id, status with --multi; count with --count. In a scene
-    with instances, --first and --multi also write instance_id.
+    The hits are arrays: t, u, v, prim_id, mesh_id, face_id, status with --first; hit with --any;
+    ray_splits, t, u, v, prim_id, mesh_id, face_id, status with --multi; count with --count. In a
+    scene with instances, --first and --multi also write instance_id.
 
     Rays in a Zarr store are traced block by block in bounded memory.
     """
@@ -230,7 +230,6 @@ def _run(
     """Trace rays: call a query with its arguments, and collect what is written."""
     import numpy as np
 
-    from raystream.core.instanced_triangles import InstancedTriangles
     from raystream.ray_files.hit_store import Columns
 
     found = getattr(tracer, QUERIES[kind])(**arguments, progress=progress)
@@ -245,8 +244,7 @@ def _run(
         rays_hit, hit_count = int(np.count_nonzero(found.counts)), len(found.t)
     else:
         rays_hit = hit_count = int(np.count_nonzero(found.is_hit))
-    has_instances = isinstance(tracer.structure.triangles, InstancedTriangles)
-    columns = Columns.of(QUERIES[kind], has_instances)  # those of a Zarr store
+    columns = Columns.of(QUERIES[kind], tracer.structure.triangles)  # those of a Zarr store
     arrays = {name: getattr(found, name) for name in (*columns.of_rows, *columns.of_rays)}
     invalid_count = int(np.count_nonzero(found.status))
     return _Results(arrays, found.status.size, invalid_count, rays_hit, hit_count)

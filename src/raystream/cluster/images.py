@@ -16,14 +16,13 @@ from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_size
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import make_context
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
 from raystream.rendering.limits import Limits
 from raystream.rendering.progressive import render_samples
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.view_light import lit
+from raystream.rendering.view_light import decide
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
@@ -120,11 +119,10 @@ def render(
     bundle = pack_tracer(scene, structure, device, options, for_rendering=True)
     # Only the choice of lights is traced in this process: its warning and checkpoints need it.
     here = Tracer(scene, "brute") if isinstance(scene, Scene) else scene
-    view = camera or here.scene.camera_for(width / height)
-    context = make_context(here, view, (width, height), numbers, chosen, wanted, lights)
-    context = lit(renderer, context)
-    drawn = sampler, seed, limits.samples
-    spec = image_spec(mode, (width, height), view, drawn, own, wanted, context.chosen_lights)
+    size = width, height
+    context = decide(renderer, here, camera, size, numbers, chosen, wanted, lights)
+    drawn, view = (sampler, seed, limits.samples), context.camera
+    spec = image_spec(mode, size, view, drawn, own, wanted, context.chosen_lights)
     with open_client(client) as found:
         uploader = uploader_of(found)
         digest = uploader.send(bundle)

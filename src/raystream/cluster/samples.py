@@ -63,7 +63,7 @@ def image_spec(
     sampler : (str, int, int)
         Its name, the seed, and the number of samples.
     lights : str
-        The choice of `view_light.lit`.
+        The choice of `view_light.decide`.
     """
     return json.dumps(
         {

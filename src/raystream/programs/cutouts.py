@@ -52,7 +52,7 @@ def cutouts_of(tracer: Any, is_wanted: bool, is_solid: NDArray[np.bool_] | None 
         opacity = _opacity_of(scene, triangles, is_solid)
         if opacity is None:
             return None
-    check_triangles("cutouts=True, with materials that are not opaque", triangles)
+    check_triangles("cutouts=True, with surfaces that are not opaque", triangles)
     if tracer.is_counting:
         raise ValueError(
             "cutouts=True: a tracer with counters=True counts whole queries, and filters take "

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamError
 from raystream.core.hits import MultiHits
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.ray_files.blocks import Block, Blocks
 from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, create_array
 from raystream.ray_files.durable import synchronize
@@ -40,7 +41,9 @@ COLUMNS: dict[str, dict[str, ColumnType]] = {
 _SPLITS = "ray_splits"
 ROWS: dict[str, dict[str, ColumnType]] = {"multi_hit": {_SPLITS: ColumnType("int64", -1), **_HITS}}
 
-#: In a scene with instances, of queries that report triangles.
+#: Of queries that report triangles: where a scene says what the file's faces are, which a saved
+#: structure alone does not; and in a scene with instances.
+_FACE = {"face_id": ColumnType("int32", _NOT_TRACED)}
 _INSTANCE = {"instance_id": ColumnType("int32", _NOT_TRACED)}
 
 
@@ -59,13 +62,16 @@ class Columns(NamedTuple):
     of_rows: dict[str, ColumnType]
 
     @classmethod
-    def of(cls, query: str, has_instances: bool) -> Columns:
-        """The columns of a query, in a scene with instances or without."""
+    def of(cls, query: str, triangles: Any) -> Columns:
+        """The columns of a query of a tracer's triangles."""
         of_rays, of_rows = COLUMNS[query], ROWS.get(query, {})
-        if has_instances and query == "first_hit":
-            of_rays = {**of_rays, **_INSTANCE}
-        if has_instances and query == "multi_hit":
-            of_rows = {**of_rows, **_INSTANCE}
+        known = {} if triangles.attributes is None else _FACE
+        if isinstance(triangles, InstancedTriangles):
+            known = {**known, **_INSTANCE}
+        if query == "first_hit":
+            of_rays = {**of_rays, **known}
+        if query == "multi_hit":
+            of_rows = {**of_rows, **known}
         return cls(of_rays, of_rows)
 
 
@@ -223,7 +229,7 @@ def store_attributes(path: Path) -> dict[str, Any]:
 
 def is_replaceable(path: Path) -> bool:
     """Whether a folder holds only files that `HitStore` writes, judging by names."""
-    tables = (*COLUMNS.values(), *ROWS.values(), _INSTANCE)
+    tables = (*COLUMNS.values(), *ROWS.values(), _FACE, _INSTANCE)
     known = {name for columns in tables for name in columns}
     with os.scandir(path) as entries:
         return all(

@@ -45,7 +45,7 @@ def identify(
         "version": __version__,
         "query": query,
         "options": options,
-        "scene_digest": scene_digest(tracer.structure.triangles),
+        "scene_digest": scene_digest(tracer.structure.triangles, has_faces=True),
         "triangles": len(tracer.structure.triangles),
         "structure": tracer.structure.name,
         "machine": tracer.machine,
@@ -56,9 +56,16 @@ def identify(
     }
 
 
-def scene_digest(triangles: Triangles | InstancedTriangles) -> str:
-    """Hash the scene as rays see it: triangles, their order, their meshes and instances."""
+def scene_digest(triangles: Triangles | InstancedTriangles, has_faces: bool = False) -> str:
+    """Hash the scene as rays see it: triangles, their order, their meshes and instances.
+
+    With `has_faces`, also the file's faces that hits report.
+    """
     digest = hashlib.sha256()
+    if has_faces and triangles.attributes is not None:
+        faces = triangles.attributes.face_ids
+        digest.update(b"faces")
+        _add_arrays(digest, [] if faces is None else [faces])
     objects: Sequence[Triangles]
     if isinstance(triangles, InstancedTriangles):
         objects, placed = triangles.objects, triangles.instances

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.errors import FileFormatError
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.query import counts_surfaces
 from raystream.core.scene_checks import check_no_worlds, check_triangles
 from raystream.jit.threads import Progress, part_of
@@ -90,8 +89,9 @@ def query_zarr(
         ``t``, ``u``, ``v``, ``prim_id``, ``mesh_id`` and ``status``, ``any_hit`` writes ``hit``,
         and ``count_hits`` writes ``count``; each of shape S. ``multi_hit`` writes ``status``
         of shape S, ``ray_splits`` of shape (N + 1,), and ``t``, ``u``, ``v``, ``prim_id``,
-        ``mesh_id`` of shape (K,). In a scene with instances, ``first_hit`` and ``multi_hit`` also
-        write ``instance_id``. The bits equal those of tracing all rays at once.
+        ``mesh_id`` of shape (K,). Both also write ``face_id``, unless the tracer has no scene but a
+        saved structure, and ``instance_id`` in a scene with instances. The bits equal those of
+        tracing all rays at once.
     query : {"first_hit", "any_hit", "multi_hit", "count_hits"}
     max_hits : int, optional
         ``multi_hit`` only: keep the nearest hits of each ray.
@@ -127,7 +127,7 @@ def query_zarr(
     Memory use is that of a few blocks, whatever the number of rays, of hits, and of hits per
     ray. Progress is recorded on disk after each block, in ``output.progress.json``, which is
     deleted at the end: the process may be killed, or the machine fail, at any moment. While
-    it exists, values not written yet are NaN; -2 for ``prim_id`` and ``mesh_id``; -1 for
+    it exists, values not written yet are NaN; -2 for ``prim_id`` and other ids; -1 for
     counts; False; 255 for ``status``.
 
     Examples
@@ -149,7 +149,7 @@ def query_zarr(
     triangles: Any = tracer.structure.triangles
     check_triangles("query_zarr", triangles)
     check_no_worlds("query_zarr", triangles)
-    columns = Columns.of(query, isinstance(triangles, InstancedTriangles))
+    columns = Columns.of(query, triangles)
     identity = identify(tracer, source, blocks, query, options)
     with _converting_errors(target), _exclusive(target):
         done, is_complete = prepare_output(target, columns, blocks, identity, resume)
