@@ -1,0 +1,34 @@
+"""Names of a file's parts: distinct, and none of several empty."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+def number_repeats(names: Iterable[str]) -> list[str]:
+    """Number the names that repeat: ``wheel``, ``wheel_2``, ``wheel_3``.
+
+    Parameters
+    ----------
+    names : iterable of str
+        As in the file, in the order of its parts.
+
+    Returns
+    -------
+    list of str
+        Distinct. The first part of each name keeps it; numbers that give a name of the file are
+        left out. Where there are several parts, those without a name are called ``part``.
+    """
+    written = list(names)
+    if len(written) > 1:
+        written = [name or "part" for name in written]
+    taken, last = set(written), dict.fromkeys(written, 0)
+    distinct = []
+    for name in written:
+        last[name] += 1
+        numbered = name
+        while last[name] > 1 and (numbered := f"{name}_{last[name]}") in taken:
+            last[name] += 1
+        taken.add(numbered)
+        distinct.append(numbered)
+    return distinct
