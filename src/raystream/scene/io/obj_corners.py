@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ _ABSENT, _MISSING = -1, -2
 
 @dataclass
 class Corners:
-    """The usable triangles of a file, in file order.
+    """The usable triangles of a file, in file order, or sorted by part.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Corners:
     indices : ndarray of shape (F, 3, 3), int64
         For each corner: indices of vertex, texture coordinate (-1: none) and normal.
     lines : ndarray of shape (F,), int64
-        The line of each triangle, non-decreasing.
+        The line of each triangle, non-decreasing in file order.
     texcoords, normals : ndarray of shape (T, 2) and (N, 3), float32
         `normals` also has face normals of triangles without normals in the file.
     has_texcoords, has_normals : bool
@@ -45,6 +45,10 @@ class Corners:
     normals: NDArray[np.float32]
     has_texcoords: bool
     has_normals: bool
+
+    def reordered(self, order: NDArray[np.int64]) -> Corners:
+        """The same triangles in another order."""
+        return replace(self, indices=self.indices[order], lines=self.lines[order])
 
     def texcoords_of(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
         """Look up texture coordinates; (0, 0) for corners without."""

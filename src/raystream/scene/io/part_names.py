@@ -1,8 +1,18 @@
-"""Names of a file's parts: distinct, and none of several empty."""
+"""Names of a file's parts: paths, and numbers for names that repeat."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+
+from raystream.scene.mesh import Mesh
+
+#: Longer paths lose their beginning, so that deep trees cannot fill memory with names.
+MAX_LENGTH = 255
+
+
+def path_name(*names: str) -> str:
+    """Join the names of a part and of what it belongs to: ``truck/axle/wheel``."""
+    return "/".join(filter(None, names))[-MAX_LENGTH:]
 
 
 def number_repeats(names: Iterable[str]) -> list[str]:
@@ -32,3 +42,10 @@ def number_repeats(names: Iterable[str]) -> list[str]:
         taken.add(numbered)
         distinct.append(numbered)
     return distinct
+
+
+def number_meshes(meshes: Iterable[Mesh]) -> None:
+    """Rename new meshes, so that their names differ; see `number_repeats`."""
+    found = list(meshes)
+    for mesh, name in zip(found, number_repeats(mesh.name for mesh in found), strict=True):
+        mesh.name = name

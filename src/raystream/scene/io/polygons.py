@@ -58,5 +58,21 @@ def distinct_corners(
         other = indices[:, min(column + 1, indices.shape[1] - 1)]
         other = other - other.min()
         keys = (places - places.min()) * (int(other.max()) + 1) + other
-        _, rows, places = np.unique(keys, return_index=True, return_inverse=True)
+        rows, places = _distinct(keys)
     return rows, places.reshape(-1)
+
+
+def _distinct(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First row of each key, in increasing order, and the key of each row; keys start at 0.
+
+    Dense keys, such as a group's own vertices, are counted: that is faster than to sort them.
+    """
+    span = int(keys.max()) + 1
+    if span > 4 * len(keys):
+        _, rows, places = np.unique(keys, return_index=True, return_inverse=True)
+        return rows, places
+    firsts = np.full(span, -1, np.int64)
+    firsts[keys[::-1]] = np.arange(len(keys) - 1, -1, -1)  # of equal keys the last one stays
+    is_used = firsts >= 0
+    numbers = np.cumsum(is_used) - 1
+    return firsts[is_used], numbers[keys]
