@@ -340,19 +340,27 @@ def _meshes(
 ) -> list[Mesh]:
     """Make a mesh of each part, see `_parts`, with the vertices that it uses."""
     names, cuts = parts
-    meshes = []
-    for name, (first, stop) in zip(names, itertools.pairwise(cuts.tolist()), strict=True):
-        used, faces = corners.shared(first, stop, whole=len(names) == 1)
-        points = used[:, 0]
-        meshes.append(
-            Mesh(
-                vertices[points],
-                faces,
-                normals=corners.normals[used[:, 2]] if corners.has_normals else None,
-                texcoords=corners.texcoords_of(used[:, 1]) if corners.has_texcoords else None,
-                colors=None if colors is None else colors[points],
-                material_ids=material_ids[first:stop],
-                name=name,
-            )
+    if not names:
+        return []
+    used, faces, starts = corners.shared(cuts)
+    tables = {
+        "vertices": vertices[used[:, 0]],
+        "normals": corners.normals[used[:, 2]] if corners.has_normals else None,
+        "texcoords": corners.texcoords_of(used[:, 1]) if corners.has_texcoords else None,
+        "colors": None if colors is None else colors[used[:, 0]],
+    }
+    tables = {name: table for name, table in tables.items() if table is not None}
+    return [
+        Mesh(
+            faces=faces[first:stop],
+            material_ids=material_ids[first:stop],
+            name=name,
+            **{attribute: table[begin:end] for attribute, table in tables.items()},
         )
-    return meshes
+        for name, (first, stop), (begin, end) in zip(
+            names,
+            itertools.pairwise(cuts.tolist()),
+            itertools.pairwise(starts.tolist()),
+            strict=True,
+        )
+    ]

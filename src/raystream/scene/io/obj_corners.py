@@ -55,30 +55,43 @@ class Corners:
         return np.where(rows[:, None] >= 0, self.texcoords[rows], np.float32(0.0))
 
     def shared(
-        self, first: int, stop: int, *, whole: bool
-    ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Find the distinct corners of triangles first .. stop - 1.
+        self, cuts: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+        """Find the distinct corners of each part.
 
         Parameters
         ----------
-        first, stop : int
-            The triangles.
-        whole : bool
-            Whether these are all triangles, so that vertices can keep their order.
+        cuts : ndarray of shape (P + 1,), int64
+            First triangle of each part, none of which is empty, and the end.
 
         Returns
         -------
         used : ndarray of shape (V, 3), int64
-            Vertex, texture coordinate and normal of each vertex of the mesh, sorted by vertex.
-        faces : ndarray of shape (stop - first, 3), int32
+            Vertex, texture coordinate and normal of each vertex of the meshes: of one part after
+            the other, sorted by vertex.
+        faces : ndarray of shape (F, 3), int32
+            Within the part.
+        starts : ndarray of shape (P + 1,), int64
+            First vertex of each part, and the end.
         """
-        if whole and not self.has_texcoords and not self.has_normals:
-            used = np.zeros((self.vertex_count, 3), np.int64)
-            used[:, 0] = np.arange(self.vertex_count)
-            return used, self.indices[:, :, 0].astype(np.int32)
-        indices = self.indices[first:stop].reshape(-1, 3)
-        rows, places = distinct_corners(indices if self.has_normals else indices[:, :2])
-        return indices[rows], places.reshape(-1, 3).astype(np.int32)
+        count = self.vertex_count
+        if len(cuts) == 2 and not self.has_texcoords and not self.has_normals:
+            used = np.zeros((count, 3), np.int64)
+            used[:, 0] = np.arange(count)
+            return used, self.indices[:, :, 0].astype(np.int32), np.array([0, count])
+        # The vertices that a part may use are numbered after those of the parts before.
+        keys = self.indices[:, :, 0].reshape(-1)
+        low = np.minimum.reduceat(keys, 3 * cuts[:-1])
+        high = np.maximum.reduceat(keys, 3 * cuts[:-1])
+        shifts = np.cumsum(high - low + 1) - high - 1
+        triangle_counts = np.diff(cuts)
+        keys = keys + np.repeat(shifts, 3 * triangle_counts)
+        indices = self.indices.reshape(-1, 3)
+        width = 3 if self.has_normals else 2 if self.has_texcoords else 1
+        rows, places = distinct_corners(indices[:, :width], keys)
+        starts = np.searchsorted(keys[rows], low + shifts)
+        faces = places.reshape(-1, 3) - np.repeat(starts, triangle_counts)[:, None]
+        return indices[rows], faces.astype(np.int32), np.append(starts, len(rows))
 
 
 def read_corners(

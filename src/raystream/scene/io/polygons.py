@@ -34,7 +34,7 @@ def fan_corners(
 
 
 def distinct_corners(
-    indices: NDArray[np.int64],
+    indices: NDArray[np.int64], first: NDArray[np.int64] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the distinct combinations of indices, such as vertex, texture coordinate, normal.
 
@@ -42,6 +42,8 @@ def distinct_corners(
     ----------
     indices : ndarray of shape (C, K), int64
         One row per corner of a triangle; K >= 1.
+    first : ndarray of shape (C,), int64, optional
+        Instead of the first index.
 
     Returns
     -------
@@ -50,16 +52,19 @@ def distinct_corners(
     places : ndarray of shape (C,), int64
         Combination of each corner.
     """
-    places = indices[:, 0]
+    places = indices[:, 0] if first is None else first
     rows = np.arange(len(indices))
     if len(indices) == 0:
         return rows, rows
-    for column in range(max(1, indices.shape[1] - 1)):
-        other = indices[:, min(column + 1, indices.shape[1] - 1)]
+    keys = places - places.min()
+    for column in range(1, indices.shape[1]):
+        other = indices[:, column]
         other = other - other.min()
-        keys = (places - places.min()) * (int(other.max()) + 1) + other
-        rows, places = _distinct(keys)
-    return rows, places.reshape(-1)
+        keys = keys * (int(other.max()) + 1) + other
+        rows, keys = _distinct(keys)
+    if indices.shape[1] == 1:
+        rows, keys = _distinct(keys)
+    return rows, keys.reshape(-1)
 
 
 def _distinct(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
