@@ -39,7 +39,7 @@ def read_obj(path: Path) -> Scene:
 
     Polygons become fans. There is one mesh per object (``o``) and per group (``g``) of an object,
     in the order of their first faces; the triangles of a mesh keep the file's order. A group that
-    is opened again within its object goes on. A mesh is named ``object``, ``group`` or
+    is opened again within its object continues. A mesh is named ``object``, ``group`` or
     ``object/group``; see `number_repeats`. Vertices with several normals or texture coordinates
     are duplicated. Lines, points, curves and smoothing groups are skipped.
 
