@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from scene.io import tiny
 
 
 def test_figures_as_json(run, square):
@@ -69,6 +70,26 @@ def test_it_says_whether_meshes_are_closed(run, tmp_path):
     assert shown("split.obj") == "yes"
     (tmp_path / "empty.obj").write_text("")
     assert shown("empty.obj") is None
+
+
+def test_it_lists_the_parts_of_files(run, tmp_path):
+    """A box in two groups and two materials, and the same in two nodes."""
+    (tmp_path / "parts.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\no truck\ng hull\nf 1 3 2\ng tip\nf 1 2 4\nf 1 4 3\n"
+        "g hull\nf 2 3 4\n"
+    )
+    triangle = {"POSITION": np.eye(3, dtype=np.float32)}
+    wheel = {"name": "wheel", "mesh": 0}
+    nodes = [{"name": "truck", "children": [1, 2]}, wheel, wheel]
+    (tmp_path / "parts.gltf").write_text(json.dumps(tiny.gltf_of([[triangle, triangle]], nodes)))
+    for name, parts in (
+        ("parts.obj", ["truck/hull", "truck/tip"]),
+        ("parts.gltf", ["truck/wheel", "truck/wheel_2"]),
+    ):
+        told = run("info", name, "--json").figures["meshes"]
+        assert [(mesh["name"], mesh["triangles"]) for mesh in told] == [(part, 2) for part in parts]
+        words = run("info", name).out.split()
+        assert set(parts) < set(words)
 
 
 def test_projections_are_shown_as_the_option_takes_them(run, tmp_path):

@@ -51,6 +51,14 @@ def test_all_layers_are_told(scene):
     json.dumps(found, allow_nan=False)
 
 
+def test_instances_are_told_by_their_names(scene):
+    row = np.tile(np.eye(3, 4), (2, 1, 1))
+    row[1, 2, 3] = 2000.0
+    placed = rs.Scene.instances(scene, row, names=["front", "back"], camera=scene.camera)
+    found = hits_along(rs.Tracer(placed), ray_at(scene, 0.46, 0.5))
+    assert {hit["mesh"] for hit in found["hits"]} == {"front", "back"}
+
+
 def test_of_many_hits_only_the_first_are_told():
     sheets = np.arange(1500)[:, None, None] * [0, 0, 1.0] + [[0, 0, 1], [1, 0, 1], [0, 1, 1.0]]
     faces = np.arange(4500).reshape(-1, 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ class Instances:
         Mirroring, shear and scales that differ by axis are allowed.
     worlds : array_like of shape (K,), int, optional
         The world of each instance, from 0; -1 for one that is in all worlds.
+    names : sequence of str, optional
+        Of each instance.
 
     Attributes
     ----------
@@ -43,6 +46,7 @@ class Instances:
     worlds : ndarray of shape (K,), int32, or None
     world_count : int
         0 without worlds.
+    names : tuple of str, or None
     transforms, inverses : ndarray of shape (K, 3, 4), float64
         Object to world space, and world to object space.
     conditions : ndarray of shape (K,), float64
@@ -56,7 +60,15 @@ class Instances:
         If the numbers are not real, or the ids are not integers.
     """
 
-    __slots__ = ("conditions", "inverses", "object_ids", "transforms", "world_count", "worlds")
+    __slots__ = (
+        "conditions",
+        "inverses",
+        "names",
+        "object_ids",
+        "transforms",
+        "world_count",
+        "worlds",
+    )
 
     object_ids: NDArray[np.int32]
     transforms: NDArray[np.float64]
@@ -64,8 +76,15 @@ class Instances:
     conditions: NDArray[np.float64]
     worlds: NDArray[np.int32] | None
     world_count: int
+    names: tuple[str, ...] | None
 
-    def __init__(self, object_ids: Any, transforms: Any, worlds: Any = None) -> None:
+    def __init__(
+        self,
+        object_ids: Any,
+        transforms: Any,
+        worlds: Any = None,
+        names: Sequence[str] | None = None,
+    ) -> None:
         matrices = as_real_array("transforms", transforms).astype(np.float64)
         if matrices.size == 0:
             matrices = matrices.reshape(-1, 3, 4)
@@ -90,6 +109,11 @@ class Instances:
             if self.world_count > MAX_WORLDS:
                 raise ValueError(f"worlds: expected numbers less than {MAX_WORLDS:,}")
             self.worlds.flags.writeable = False
+        self.names = None if names is None else tuple(names)
+        if self.names is not None and len(self.names) != len(matrices):
+            raise ValueError(
+                f"names: expected {len(matrices):,}, one per transform, got {len(self.names):,}"
+            )
         self.transforms = matrices
         self.inverses, self.conditions = inverse_transforms(matrices)
         for array in (self.object_ids, self.transforms, self.inverses, self.conditions):
@@ -110,13 +134,13 @@ class Instances:
                 f"transforms: expected shape ({len(self)}, 3, 4), one for each instance as before, "
                 f"got {moved.shape}"
             )
-        return Instances(self.object_ids, moved, self.worlds)
+        return Instances(self.object_ids, moved, self.worlds, self.names)
 
     def __len__(self) -> int:
         return len(self.object_ids)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Instances, (self.object_ids, self.transforms, self.worlds)
+        return Instances, (self.object_ids, self.transforms, self.worlds, self.names)
 
     def __repr__(self) -> str:
         return f"Instances({len(self):,} of {len(np.unique(self.object_ids)):,} objects)"

@@ -29,6 +29,7 @@ class InstancedScene:
         object_ids: Any = None,
         *,
         worlds: Any = None,
+        names: Sequence[str] | None = None,
         materials: Sequence[Material] = (),
         **parts: Any,
     ) -> Self:
@@ -52,6 +53,8 @@ class InstancedScene:
             The world of each instance, from 0, or -1 for an instance in all worlds. Queries then
             take the world of each ray, and the ray ignores instances in other worlds: one batch of
             rays can query thousands of copies of a small scene in different states.
+        names : sequence of str, optional
+            Of each instance: in `placements`, and of the meshes that `flattened` makes.
         materials : sequence of Material, optional
             Materials of the objects that are meshes. Those of scenes follow.
         **parts
@@ -99,7 +102,7 @@ class InstancedScene:
         >>> hits.instance_id.tolist(), bool(hits.prim_id[0] == hits.prim_id[1])
         ([5, 6], True)
         """
-        made = Objects.of(objects, (object_ids, transforms, worlds), materials)
+        made = Objects.of(objects, (object_ids, transforms, worlds, names), materials)
         scene = cls(made.meshes, materials=made.materials, **parts)  # type: ignore[call-arg]
         scene._geometry = InstancedGeometry(made.meshes, made.mesh_counts, made.instances)
         return scene
@@ -111,7 +114,7 @@ class InstancedScene:
 
     @property
     def placements(self) -> Instances | None:
-        """The instances: ``object_ids``, ``transforms`` and ``inverses``, or None."""
+        """The instances: ``object_ids``, ``transforms``, ``inverses`` and ``names``, or None."""
         geometry = self._geometry
         return geometry.instances if isinstance(geometry, InstancedGeometry) else None
 

@@ -15,6 +15,7 @@ from raystream.core.instances import Instances
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_host_array, as_real_array
 from raystream.scene.geometry import Geometry
+from raystream.scene.io.part_names import path_name
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 
@@ -83,10 +84,10 @@ class Objects(NamedTuple):
     def of(
         cls,
         objects: Mesh | Scene | Iterable[Mesh | Scene | Sequence[Mesh]],
-        placed: tuple[Any, Any, Any],
+        placed: tuple[Any, Any, Any, Sequence[str] | None],
         materials: Sequence[Material],
     ) -> Objects:
-        """Put objects together; `placed` are object_ids, transforms and worlds.
+        """Put objects together; `placed` are object_ids, transforms, worlds and names.
 
         Raises
         ------
@@ -107,18 +108,20 @@ class Objects(NamedTuple):
                 raise ValueError(
                     f"objects[{index}]: spheres and height fields cannot be placed as instances"
                 )
-        object_ids, transforms, worlds = placed
+        object_ids, transforms, worlds, names = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
         known = list(materials)
         if not known and not all(hasattr(one, "geometry") for one in given):
             known = [Material()]  # of the objects that are meshes
-        found = cls([], [], known, Instances(ids, matrices, worlds))
+        found = cls([], [], known, Instances(ids, matrices, worlds, names))
         # Each object is one after another's; one that is a scene of instances is several.
         below = [found._add(one, len(known)) for one in given]
         if all(inner is None for _, inner in below):
             firsts = np.array([first for first, _ in below], np.int32)
             outer = found.instances
-            instances = Instances(firsts[ids], matrices, outer.worlds) if len(ids) else outer
+            instances = outer
+            if len(ids):
+                instances = Instances(firsts[ids], matrices, outer.worlds, outer.names)
         else:
             instances = _flattened_instances(found.instances, below)
         if not found.materials:
@@ -199,7 +202,22 @@ def _flattened_instances(
         linear[..., 3] += mine[:, None, :, 3]
         matrices[to] = linear.reshape(-1, 3, 4)
     worlds = None if outer.worlds is None else np.repeat(outer.worlds, counts)
-    return Instances(ids, matrices, worlds)
+    return Instances(ids, matrices, worlds, _names_within(outer, below))
+
+
+def _names_within(
+    outer: Instances, below: Sequence[tuple[int, Instances | None]]
+) -> list[str] | None:
+    """Names of instances of instances: ``outer/inner``; None if none of them has one."""
+    inner_names = [[""] if one is None else one.names or [""] * len(one) for _, one in below]
+    if outer.names is None and not any(map(any, inner_names)):
+        return None
+    outer_names = outer.names or [""] * len(outer)
+    return [
+        path_name(name, within)
+        for name, k in zip(outer_names, outer.object_ids.tolist(), strict=True)
+        for within in inner_names[k]
+    ]
 
 
 def placed_meshes(geometry: InstancedGeometry) -> Iterator[Mesh]:
@@ -214,12 +232,16 @@ def placed_meshes(geometry: InstancedGeometry) -> Iterator[Mesh]:
     sizes = np.array([sum(m.triangle_count for m in geometry.meshes[a:b]) for a, b in ranges])
     count = int(sizes[instances.object_ids].sum()) if len(instances) else 0
     check_memory(count * _TRIANGLE_BYTES, f"flattened: {count:,} triangles would", "place fewer")
-    for object_id, matrix, inverse in zip(
-        instances.object_ids, instances.transforms, instances.inverses, strict=True
+    names = instances.names or ("",) * len(instances)
+    for name, object_id, matrix, inverse in zip(
+        names, instances.object_ids, instances.transforms, instances.inverses, strict=True
     ):
         first, end = ranges[object_id]
         for mesh in geometry.meshes[first:end]:
-            yield _placed(mesh, matrix, inverse)
+            placed = _placed(mesh, matrix, inverse)
+            if name:
+                placed.name = name if end - first == 1 else path_name(name, mesh.name)
+            yield placed
 
 
 def _placed(mesh: Mesh, matrix: NDArray[np.float64], inverse: NDArray[np.float64]) -> Mesh:

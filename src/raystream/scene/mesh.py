@@ -22,12 +22,12 @@ class Mesh:
     faces : array_like of shape (F, 3), integer
         Vertex indices of each triangle, counter-clockwise seen from the front.
     normals : array_like of shape (V, 3), float, optional
-        Shading normals; need not be unit length.
+        Shading normals; need not be unit length. NaN for vertices without one.
     colors : array_like of shape (V, 3) or (V, 4), float, optional
         Linear RGB in [0, 1], multiplied by the material's diffuse colour; and an alpha in [0, 1],
         multiplied by the material's opacity.
     texcoords : array_like of shape (V, 2), float, optional
-        Texture coordinates; (0, 0) is the lower left corner of the image.
+        Texture coordinates; (0, 0) is the lower left corner of the image. NaN for vertices without.
     material_ids : int or array_like of shape (F,), integer, optional
         Index of each triangle's material in :attr:`Scene.materials`.
     name : str, optional

@@ -90,19 +90,23 @@ def _rows(scene: Scene, found: MultiHits) -> list[Message]:
         found.t.tolist(),
         found.prim_id.tolist(),
         found.mesh_id.tolist(),
+        found.instance_id.tolist(),
         found.material_id.tolist(),
         found.positions.tolist(),
         found.normals.tolist(),
         strict=True,
     )
     rows = []
-    for t, prim_id, mesh_id, material_id, position, normal in columns:
+    names = None if scene.placements is None else scene.placements.names
+    for t, prim_id, mesh_id, instance_id, material_id, position, normal in columns:
         rows.append(
             {
                 "t": finite_or_none(t),
                 "prim_id": prim_id,
                 "mesh_id": mesh_id,
-                "mesh": scene.mesh_name(mesh_id)[:_MAX_NAME_LENGTH],
+                "mesh": (names[instance_id] if names else scene.mesh_name(mesh_id))[
+                    :_MAX_NAME_LENGTH
+                ],
                 "material": scene.materials[material_id].name[:_MAX_NAME_LENGTH],
                 "position": [finite_or_none(part) for part in position],
                 "normal": [finite_or_none(part) for part in normal],

@@ -113,7 +113,7 @@ def test_includes_share_files_and_materials(tmp_path: Path) -> None:
     assert first_corners(scene) == [[7, 0, 0], [0, 0, 0], [0, 0, 0]]
     diffuse = [scene.materials[mesh.material_ids[0]].diffuse for mesh in scene.meshes]
     assert diffuse == [(0.8, 0.8, 0.8), (0.1, 0.2, 0.3), (0.1, 0.2, 0.3)]
-    assert [mesh.name for mesh in scene.meshes] == ["Part"] * 3
+    assert [mesh.name for mesh in scene.meshes] == ["Part", "Part_2", "Part_3"]
 
 
 def test_runs_of_polygons_are_one_mesh(tmp_path: Path) -> None:

@@ -94,7 +94,11 @@ def test_bart_camera_tracks() -> None:
 
 def test_materials_of_the_cornell_box() -> None:
     scene = read("cornell_box/CornellBox-Mirror.obj")
-    used = {scene.materials[i].name: scene.materials[i] for i in scene.meshes[0].material_ids}
+    counts = {mesh.name: mesh.triangle_count for mesh in scene.meshes}
+    walls = dict.fromkeys(["floor", "ceiling", "backWall", "rightWall"], 2)
+    # In the file, each block comes before the line of its group.
+    assert counts == walls | {"leftWall": 14, "shortBox": 12, "light": 2}
+    used = {scene.materials[i].name: scene.materials[i] for i in scene.attributes.material_ids}
     assert used["tallBox"].reflection == (0.95, 0.95, 0.95)
     assert [name for name, material in used.items() if material.emits] == ["light"]
     (light,) = scene.area_lights

@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
-from raystream.scene.io import obj
 from raystream.scene.io.mtl import read_mtl
 from raystream.scene.io.obj import read_obj
 from raystream.scene.mesh import Mesh
@@ -133,17 +132,11 @@ def test_objects_are_meshes_and_keep_the_order(tmp_path: Path) -> None:
     text = SQUARE + "f 1 2 3\no left\nf 2 3 4\nf 1 3 4\no empty\no right\nf 4 3 2\n"
     scene = read(tmp_path, text)
     assert [(m.name, m.triangle_count) for m in scene.meshes] == [
-        ("", 1),
+        ("part", 1),
         ("left", 2),
         ("right", 1),
     ]
     assert corners(scene)[3] == [[0, 1, 0], [1, 1, 0], [1, 0, 0]]
-
-
-def test_too_many_objects_make_one_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(obj, "MAX_OBJECTS", 1)
-    scene = read(tmp_path, SQUARE + "o a\nf 1 2 3\no b\nf 2 3 4\n")
-    assert only_mesh(scene).triangle_count == 2
 
 
 def test_materials_by_triangle(tmp_path: Path) -> None:

@@ -144,6 +144,67 @@ def with_buffer(document: dict[str, Any], *arrays: np.ndarray[Any, Any]) -> dict
     return document
 
 
+#: Component types and shapes of accessors.
+_COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
+_SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+
+def with_accessor(document: dict[str, Any], array: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """Add a buffer with an array, and an accessor of it."""
+    uri = "data:;base64," + base64.b64encode(array.tobytes()).decode()
+    view = {"buffer": len(document["buffers"]), "byteLength": array.nbytes}
+    width = 1 if array.ndim == 1 else array.shape[1]
+    accessor = {
+        "bufferView": len(document["bufferViews"]),
+        "componentType": _COMPONENTS[array.dtype.str[1:]],
+        "count": len(array),
+        "type": _SHAPES[width],
+    }
+    return document | {
+        "buffers": [*document["buffers"], {"byteLength": array.nbytes, "uri": uri}],
+        "bufferViews": [*document["bufferViews"], view],
+        "accessors": [*document["accessors"], accessor],
+    }
+
+
+def gltf_of(meshes: list[Any], nodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """A document of nodes, of which the first is the root, and of meshes.
+
+    A mesh is a list of primitives, or a name and such a list. A primitive has arrays by attribute,
+    and its other members, such as the material; targets are lists of arrays by attribute.
+    """
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": nodes,
+        **{key: [] for key in ("meshes", "accessors", "bufferViews", "buffers")},
+    }
+
+    def stored(arrays: dict[str, Any]) -> dict[str, int]:
+        nonlocal document
+        found = {}
+        for name, array in arrays.items():
+            found[name] = len(document["accessors"])
+            document = with_accessor(document, array)
+        return found
+
+    made = []
+    for mesh in meshes:
+        name, primitives = mesh if isinstance(mesh, tuple) else (None, mesh)
+        entry: dict[str, Any] = (
+            {"primitives": []} if name is None else {"name": name, "primitives": []}
+        )
+        for primitive in primitives:
+            arrays = {key: value for key, value in primitive.items() if key.isupper()}
+            others = {key: value for key, value in primitive.items() if not key.isupper()}
+            if "targets" in others:
+                others["targets"] = [stored(target) for target in others["targets"]]
+            entry["primitives"].append({"attributes": stored(arrays), **others})
+        made.append(entry)
+    return document | {"meshes": made}
+
+
 def moving_gltf() -> dict[str, Any]:
     """A tetrahedron with a skin, a morph target, a keyed joint, a spot and a material."""
     joints, weights = np.array([[0, 1, 0, 0]] * 4, np.uint8), np.full((4, 4), 0.25, np.float32)
@@ -212,6 +273,13 @@ def moving_gltf() -> dict[str, Any]:
 
 def gltf_text(document: dict[str, Any] | None = None) -> bytes:
     return json.dumps(document or gltf_document()).encode()
+
+
+def glb_of(document: dict[str, Any]) -> bytes:
+    """A document in a GLB file, its buffers as they are."""
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    return b"glTF" + struct.pack("<IIII", 2, 20 + len(text), len(text), 0x4E4F534A) + text
 
 
 def glb(document: dict[str, Any] | None = None) -> bytes:

@@ -15,6 +15,7 @@ from raystream.scene.io.aff_animation import Keyframes
 from raystream.scene.io.aff_builder import AffBuilder, color
 from raystream.scene.io.aff_shapes import MorphingTriangle, Shape
 from raystream.scene.io.aff_statements import AffFiles, Begin, Lamp
+from raystream.scene.io.part_names import number_meshes
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.scene import Scene
 from raystream.scene.splines import position_at
@@ -68,6 +69,7 @@ def read_aff(path: Path, *, time: float = 0.0) -> Scene:
     files.read()
     builder = AffBuilder(files)
     builder.build(time)
+    number_meshes(builder.meshes)
     files.checks.report()
     if builder.missing:
         listed = ", ".join(sorted(builder.missing)[:5])

@@ -18,10 +18,11 @@ from raystream.scene.io.gltf_instancing import MeshInstances, copies_of
 from raystream.scene.io.gltf_lights import read_light
 from raystream.scene.io.gltf_materials import read_materials
 from raystream.scene.io.gltf_nodes import Matrix, NodeTree
-from raystream.scene.io.gltf_primitives import Part, PrimitiveReader
+from raystream.scene.io.gltf_primitives import FileMesh, PrimitiveReader
 from raystream.scene.io.gltf_shapes import NodeShape
 from raystream.scene.io.gltf_texcoords import Texcoords
 from raystream.scene.io.instances import Placements, Shape, TriangleBudget
+from raystream.scene.io.part_names import number_meshes
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import shown
 from raystream.scene.lights import Light
@@ -33,8 +34,9 @@ from raystream.scene.scene import Scene
 def read_gltf(path: Path, *, time: float | None = None, has_instances: bool = False) -> Scene:
     """Read a glTF 2.0 file in its rest pose.
 
-    Each primitive of each node with a mesh becomes one mesh in world space: nodes depth first,
-    in file order, with morph targets and skins applied. Points and lines are skipped.
+    Each node with a mesh becomes one mesh in world space, with all of its primitives: nodes depth
+    first, in file order, with morph targets and skins applied. Points and lines are skipped. Names
+    are those of the node and its ancestors, as in ``truck/axle/wheel``; see `number_repeats`.
 
     Parameters
     ----------
@@ -44,7 +46,8 @@ def read_gltf(path: Path, *, time: float | None = None, has_instances: bool = Fa
         With instances: the pose [default: the rest pose].
     has_instances : bool
         Make a scene of instances: of each mesh of the file that is not deformed, one for each
-        node, and one for each of its copies by ``EXT_mesh_gpu_instancing``. It is not animated.
+        node, and one for each of its copies by ``EXT_mesh_gpu_instancing``. It is not animated. An
+        object has the mesh's name, an instance that of the node.
 
     Returns
     -------
@@ -71,11 +74,13 @@ def read_gltf(path: Path, *, time: float | None = None, has_instances: bool = Fa
     reader = _SceneReader(file, tree, texcoords, MeshInstances(file) if has_instances else None)
     reader.build(time if has_instances else None)
     reader.report()
+    reader.name_parts()
     if reader.instances is not None:
         return Scene.instances(
             reader.instances.objects,
             np.array(reader.instances.transforms).reshape(-1, 3, 4),
             np.array(reader.instances.object_ids, int),
+            names=reader.instances.names,
             materials=materials,
             lights=reader.lights,
             cameras=read_cameras(file, tree, None),
@@ -120,7 +125,7 @@ class _SceneReader:
         self.lights: list[Light] = []
         self._tree = tree
         self._primitives = PrimitiveReader(file, texcoords)
-        self._parts: dict[int, list[Part]] = {}
+        self._of_file: dict[int, FileMesh] = {}
         self._shapes: dict[int, NodeShape] = {}
         self._copies: dict[int, NDArray[np.float64] | None] = {}
         self._placements = Placements()
@@ -136,8 +141,14 @@ class _SceneReader:
             self._add(node, place, time, world)
         if not file.entries(file.root, "nodes"):
             for index in range(len(file.entries(file.root, "meshes"))):
-                parts = self._parts_of(index)
-                self._place_all(index, parts, np.eye(4), [None] * len(parts))
+                self._place(index, np.eye(4), None, self._mesh(index).mesh.name)
+
+    def name_parts(self) -> None:
+        """Number the names that repeat, once: meshes of later times keep them."""
+        if self.instances is not None:
+            self.instances.name_parts()
+            return
+        number_meshes(self.meshes)
 
     def report(self) -> None:
         """Warn about unsupported features."""
@@ -156,41 +167,39 @@ class _SceneReader:
 
     def _add(self, node: Node, place: int, time: float | None, world: list[Matrix]) -> None:
         """Add a node's mesh and light."""
-        file = self.file
+        file, tree = self.file, self._tree
         mesh = file.index(node, "mesh")
         if mesh is not None:
-            parts = self._parts_of(mesh)
             if place not in self._shapes:
-                self._shapes[place] = NodeShape(file, node, parts, self._tree)
-            shape = self._shapes[place]
+                self._shapes[place] = NodeShape(file, node, self._mesh(mesh), tree)
             matrix = np.eye(4) if "skin" in node else world[place]
-            deformed = shape.at(self._tree.weights(place, time), world)
+            deformed = self._shapes[place].at(tree.weights(place, time), world)
             if place not in self._copies:
                 self._copies[place] = None if "skin" in node else copies_of(file, node)
             copies = self._copies[place]
             for copy in np.eye(4)[None] if copies is None else copies:
-                self._place_all(mesh, parts, matrix @ copy, deformed)
+                self._place(mesh, matrix @ copy, deformed, tree.paths[place])
         punctual = file.extension(node, "KHR_lights_punctual")
         if punctual is not None:
             light = read_light(file, file.integer(punctual, "light"), world[place])
             self.lights += [] if light is None else [light]
 
-    def _parts_of(self, mesh: int) -> list[Part]:
-        if mesh not in self._parts:
-            self._parts[mesh] = self._primitives.parts(mesh)
-        return self._parts[mesh]
+    def _mesh(self, index: int) -> FileMesh:
+        if index not in self._of_file:
+            self._of_file[index] = self._primitives.mesh(index)
+        return self._of_file[index]
 
-    def _place_all(
-        self, mesh: int, parts: Sequence[Part], matrix: Matrix, shapes: Sequence[Shape | None]
-    ) -> None:
-        """Add the primitives of a mesh of the file, deformed, once."""
-        if self.instances is not None and all(shape is None for shape in shapes):
-            self.instances.add(mesh, [part.mesh for part in parts], matrix)
+    def _place(self, index: int, matrix: Matrix, shape: Shape | None, name: str) -> None:
+        """Add a mesh of the file, deformed, once."""
+        mesh = self._mesh(index).mesh
+        if mesh.triangle_count == 0:
             return
-        for part, shape in zip(parts, shapes, strict=True):
-            self._budget.spend(part.mesh)
-            found = self._placements.place(part.mesh, matrix, shape=shape)
-            if self.instances is None:
-                self.meshes.append(found)
-            else:
-                self.instances.add_once(found)
+        if self.instances is not None and shape is None:
+            self.instances.add(index, mesh, matrix, name)
+            return
+        self._budget.spend(mesh)
+        found = self._placements.place(mesh, matrix, name=name, shape=shape)
+        if self.instances is None:
+            self.meshes.append(found)
+        else:
+            self.instances.add_once(found)

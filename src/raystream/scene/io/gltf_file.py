@@ -149,6 +149,11 @@ class GltfFile:
         item: Node = items[index]
         return item
 
+    def name(self, entry: Node) -> str:
+        """Get the name of an object; empty if absent or not text."""
+        name = entry.get("name")
+        return name.strip() if isinstance(name, str) else ""
+
     def integer(self, parent: Node, key: str, default: int | None = None) -> int:
         """Get an integer >= 0; required without a default."""
         value = parent.get(key, default)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +9,7 @@ from raystream.scene.io.gltf_accessors import normalized, read_accessor
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.gltf_nodes import Matrix
 from raystream.scene.io.instances import MAX_INSTANCES
+from raystream.scene.io.part_names import number_meshes, number_repeats
 from raystream.scene.mesh import Mesh
 
 EXTENSION = "EXT_mesh_gpu_instancing"
@@ -74,35 +73,42 @@ class MeshInstances:
 
     Attributes
     ----------
-    objects : list of list of Mesh
-        The primitives of each.
+    objects : list of Mesh
     object_ids : list of int
     transforms : list of ndarray of shape (3, 4)
+    names : list of str
+        Of the instances.
     flat_count : int
         Instances left out: their transform flattens them.
     """
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file
-        self.objects: list[list[Mesh]] = []
+        self.objects: list[Mesh] = []
         self.object_ids: list[int] = []
         self.transforms: list[Matrix] = []
+        self.names: list[str] = []
         self.flat_count = 0
         self._known: dict[int, int] = {}
 
-    def add(self, mesh: int, parts: Sequence[Mesh], matrix: Matrix) -> None:
+    def add(self, index: int, mesh: Mesh, matrix: Matrix, name: str) -> None:
         """Add an instance of a mesh of the file, by its index."""
-        if mesh not in self._known:
-            self._known[mesh] = len(self.objects)
-            self.objects.append(list(parts))
-        self._place(self._known[mesh], matrix)
+        if index not in self._known:
+            self._known[index] = len(self.objects)
+            self.objects.append(mesh)
+        self._place(self._known[index], matrix, name)
 
-    def add_once(self, part: Mesh) -> None:
+    def add_once(self, mesh: Mesh) -> None:
         """Add a mesh that is in world space already, such as one with a skin."""
-        self.objects.append([part])
-        self._place(len(self.objects) - 1, np.eye(4))
+        self.objects.append(mesh)
+        self._place(len(self.objects) - 1, np.eye(4), mesh.name)
 
-    def _place(self, object_id: int, matrix: Matrix) -> None:
+    def name_parts(self) -> None:
+        """Number the names that repeat, of instances and of objects."""
+        self.names = number_repeats(self.names)
+        number_meshes(self.objects)
+
+    def _place(self, object_id: int, matrix: Matrix, name: str) -> None:
         with np.errstate(all="ignore"):
             largest = np.abs(matrix[:3, :3]).max()
             determinant = np.linalg.det(matrix[:3, :3] / largest) if largest > 0.0 else 0.0
@@ -113,3 +119,4 @@ class MeshInstances:
             raise self._file.error(f"has more than {MAX_PLACED:,} instances")
         self.object_ids.append(object_id)
         self.transforms.append(matrix[:3])
+        self.names.append(name)

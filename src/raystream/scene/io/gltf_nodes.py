@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.scene.io.gltf_animation import NodeTracks
 from raystream.scene.io.gltf_file import GltfFile, Node
+from raystream.scene.io.part_names import path_name
 from raystream.scene.key_tracks import KeyTrack
 
 Matrix = NDArray[np.float64]
@@ -26,6 +27,8 @@ class NodeTree:
     ----------
     nodes : list of dict
         The JSON objects.
+    paths : list of str
+        Names of each node and its ancestors; a node without a name has that of its mesh.
     places : dict of int to int
         Position in `nodes` by index in the file.
 
@@ -37,6 +40,7 @@ class NodeTree:
 
     def __init__(self, file: GltfFile, tracks: NodeTracks) -> None:
         self.nodes: list[Node] = []
+        self.paths: list[str] = []
         self.places: dict[int, int] = {}
         self._parents: list[int | None] = []
         self._locals: list[_Local] = []
@@ -50,6 +54,8 @@ class NodeTree:
             place = self.places[index] = len(self.nodes)
             self.nodes.append(node)
             self._parents.append(parent)
+            above = "" if parent is None else self.paths[parent]
+            self.paths.append(path_name(above, _name(file, node)))
             moves = dict(tracks.of.get(index, {}))
             if "weights" in moves:
                 self._weights[place] = moves.pop("weights")
@@ -153,3 +159,8 @@ def _roots(file: GltfFile) -> list[int]:
     nodes = [file.entry("nodes", index) for index in range(count)]
     children = {child for node in nodes for child in file.index_list(node, "children")}
     return [index for index in range(count) if index not in children]
+
+
+def _name(file: GltfFile, node: Node) -> str:
+    mesh = file.index(node, "mesh")
+    return file.name(node) or ("" if mesh is None else file.name(file.entry("meshes", mesh)))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.attributes import Attributes
 from raystream.scene.io.gltf_accessors import read_accessor
 from raystream.scene.io.gltf_draco import DracoMesh
 from raystream.scene.io.gltf_file import GltfFile, Node
@@ -27,20 +28,37 @@ _MAX_INFLUENCE_SETS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """A primitive in the space of its mesh.
+class Primitive:
+    """What deforms the vertices of a primitive.
 
     Attributes
     ----------
-    mesh : Mesh
+    rows : slice
+        Its vertices in `FileMesh.mesh`.
     targets : MorphTargets or None
     influences : Influences or None
         Of the joints of a skin.
     """
 
-    mesh: Mesh
+    rows: slice
     targets: MorphTargets | None
     influences: Influences | None
+
+
+@dataclass(frozen=True, eq=False)
+class FileMesh:
+    """A mesh of the file in its own space, its primitives one after another.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Vertices of primitives that lack an attribute which others have: NaN as normal and texture
+        coordinate, white.
+    primitives : list of Primitive
+    """
+
+    mesh: Mesh
+    primitives: list[Primitive]
 
 
 class PrimitiveReader:
@@ -59,23 +77,30 @@ class PrimitiveReader:
         self._budget = TriangleBudget(file.path)
         self.checks = IndexCheck(file.path)
 
-    def parts(self, index: int) -> list[Part]:
-        """Read the primitives of a mesh that have triangles."""
+    def mesh(self, index: int) -> FileMesh:
+        """Read those primitives of a mesh that have triangles."""
         file = self._file
         entry = file.entry("meshes", index)
         morph_target_count(file, index)
-        parts = []
+        meshes: list[Mesh] = []
+        primitives: list[Primitive] = []
+        count = 0
         for primitive in file.entries(entry, "primitives"):
             if not isinstance(primitive, dict):
                 raise file.error(f"is damaged: mesh {index} has an invalid primitive")
             mode = file.integer(primitive, "mode", _TRIANGLES)
             if mode in (_TRIANGLES, _STRIP, _FAN):
-                part = self._part(primitive, mode, str(entry.get("name", "")))
-                if part is not None and part.mesh.triangle_count:
-                    parts.append(part)
-        return parts
+                found = self._primitive(primitive, mode, count)
+                if found is not None and found[0].triangle_count:
+                    meshes.append(found[0])
+                    primitives.append(found[1])
+                    count += len(found[0].vertices)
+        joined = _joined(meshes)
+        joined.name = file.name(entry)
+        return FileMesh(joined, primitives)
 
-    def _part(self, primitive: Node, mode: int, name: str) -> Part | None:
+    def _primitive(self, primitive: Node, mode: int, first: int) -> tuple[Mesh, Primitive] | None:
+        """Read a primitive whose vertices come after `first` others; None without positions."""
         file = self._file
         arrays = _Attributes(file, primitive)
         vertices = arrays.get("POSITION", (3,))
@@ -100,11 +125,26 @@ class PrimitiveReader:
             colors=None if colors is None else self._colors(colors, material),
             texcoords=None if texcoords is None else place.apply(texcoords),
             material_ids=material,
-            name=name,
         )
         self._budget.spend(mesh)
         targets = read_morph_targets(file, primitive, len(vertices), mesh.normals is not None)
-        return Part(mesh, targets, arrays.influences())
+        rows = slice(first, first + len(vertices))
+        return mesh, Primitive(rows, targets, arrays.influences())
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Join primitives in their order: a solid of several materials is one closed surface."""
+    if len(meshes) == 1:
+        return meshes[0]
+    tables = Attributes(meshes)
+    return Mesh(
+        np.concatenate([np.zeros((0, 3), np.float32), *(mesh.vertices for mesh in meshes)]),
+        tables.faces,
+        normals=tables.normals,
+        colors=tables.colors,
+        texcoords=tables.texcoords,
+        material_ids=tables.material_ids,
+    )
 
     def _colors(self, colors: NDArray[Any], material: int) -> NDArray[Any]:
         """``COLOR_0``; without its alpha where that is 1, or not used by the material."""

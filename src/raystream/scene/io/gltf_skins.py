@@ -140,4 +140,5 @@ def _turned(linear: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArra
     side = np.where(np.einsum("vi,vi->v", a, rows[:, 0]) < 0.0, -1.0, 1.0)
     turned = np.einsum("vij,vj->vi", rows, normals) * side[:, None]
     lengths = np.linalg.norm(turned, axis=1)[:, None]
-    return np.where(lengths > 0.0, turned / lengths, 0.0)
+    # NaN stays NaN: a vertex without a normal.
+    return np.where(lengths == 0.0, 0.0, turned / lengths)

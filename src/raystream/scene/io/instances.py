@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -131,13 +132,20 @@ class Placements:
                 found = old.moved(*_transformed(shape or mesh, matrix))
             else:
                 found = _shaped(mesh, matrix, material_id, shape)
-                found.name = old.name
+                found = _named(found, mesh, old.name)
         else:
             found = _shaped(mesh, matrix, material_id, shape)
-            found.name = found.name if name is None else name
+            found = found if name is None else _named(found, mesh, name)
         self._placed[self._next] = mesh, matrix, shape, found
         self._next += 1
         return found
+
+
+def _named(found: Mesh, mesh: Mesh, name: str) -> Mesh:
+    """Name a placed mesh: a copy, if it stays where it is, as others may do."""
+    named = copy(found) if found is mesh else found
+    named.name = name
+    return named
 
 
 def _shaped(
@@ -183,4 +191,5 @@ def _turned(normals: NDArray[Any] | None, linear: NDArray[np.float64]) -> NDArra
     sign = -1.0 if _determinant(linear) < 0.0 else 1.0
     turned = normals.astype(np.float64) @ (sign * cofactors).T
     lengths = np.linalg.norm(turned, axis=1)[:, None]
-    return np.where(lengths > 0.0, turned / lengths, 0.0).astype(np.float32)
+    # NaN stays NaN: a vertex without a normal.
+    return np.where(lengths == 0.0, 0.0, turned / lengths).astype(np.float32)

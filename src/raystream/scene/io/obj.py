@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +16,15 @@ from raystream.scene.io.colors import srgb_to_linear
 from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.mtl import read_mtl
 from raystream.scene.io.obj_corners import Corners, read_corners
+from raystream.scene.io.part_names import number_repeats, path_name
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import Lines, decoded, parse_floats, plain_text, shown
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
-#: A file with more objects becomes one mesh: a mesh costs far more than a triangle.
-MAX_OBJECTS = 10_000
+#: Maximum meshes: each costs far more than a triangle.
+MAX_PARTS = 10_000
 
 _CONTINUED = re.compile(rb"\\ *\n")
 
@@ -35,9 +38,11 @@ _KNOWN_WORDS = frozenset({b"g", b"o", b"mtllib", b"usemtl"})
 def read_obj(path: Path) -> Scene:
     """Read an OBJ file and its MTL files.
 
-    Triangles keep the file's order; polygons are cut into triangles. There is one mesh per ``o``
-    object, else one for the whole file; groups are ignored. Vertices with several normals or
-    texture coordinates are duplicated. Lines, points, curves and smoothing groups are skipped.
+    Polygons are cut into triangles. There is one mesh per object (``o``) and per group (``g``) of
+    an object, in the order of their first faces; the triangles of a mesh keep the file's order. A
+    group that is opened again within its object continues. A mesh is named ``object``, ``group`` or
+    ``object/group``; see `number_repeats`. Vertices with several normals or texture coordinates
+    are duplicated. Lines, points, curves and smoothing groups are skipped.
 
     Parameters
     ----------
@@ -57,7 +62,8 @@ def read_obj(path: Path) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For triangles, material libraries and textures that were skipped.
+        For triangles, material libraries and textures that were skipped, and for groups that are
+        too many to be meshes.
     """
     content = read_model_bytes(path)
     _require_whole_corner(path, content)
@@ -82,7 +88,10 @@ def read_obj(path: Path) -> Scene:
     if sections.strange and not len(vertices):
         raise FileFormatError(path, "is not an OBJ file: it has no OBJ statement")
     materials, material_ids = _materials(path, sections, corners)
-    meshes = _meshes(corners, vertices, colors, material_ids, sections)
+    corners, names, cuts, order = _parts(path, sections, corners)
+    if order is not None:
+        corners, material_ids = corners.reordered(order), material_ids[order]
+    meshes = _meshes(corners, vertices, colors, material_ids, (names, cuts))
     return Scene(meshes, materials=materials, name=path.name)
 
 
@@ -202,13 +211,17 @@ def _vertex_table(
 
 @dataclass
 class _Sections:
-    """First lines of materials and objects; `strange` if there is no OBJ statement."""
+    """First lines of materials and parts; `strange` if there is no OBJ statement.
+
+    A part is the number of its object, 0 before the first one, and the name of its group.
+    """
 
     libraries: list[str] = field(default_factory=list)
     material_lines: list[int] = field(default_factory=list)
     material_names: list[str] = field(default_factory=list)
-    object_lines: list[int] = field(default_factory=list)
-    object_names: list[str] = field(default_factory=list)
+    part_lines: list[int] = field(default_factory=list)
+    parts: list[tuple[int, str]] = field(default_factory=lambda: [(0, "")])
+    object_names: list[str] = field(default_factory=lambda: [""])
     strange: bool = False
 
 
@@ -222,9 +235,13 @@ def _sections(lines: Lines, kinds: NDArray[np.int8]) -> _Sections:
         if word == b"usemtl":
             sections.material_lines.append(index)
             sections.material_names.append(name)
-        elif word == b"o":
-            sections.object_lines.append(index)
-            sections.object_names.append(name)
+        elif word in (b"o", b"g"):
+            group = " ".join(name.split())
+            if word == b"o":  # an object begins without a group
+                sections.object_names.append(group)
+                group = ""
+            sections.part_lines.append(index)
+            sections.parts.append((len(sections.object_names) - 1, group))
         elif word == b"mtllib":
             sections.libraries.append(name)
     sections.strange = len(words) > 0 and not words & _KNOWN_WORDS
@@ -283,37 +300,85 @@ def _listed(names: list[str]) -> str:
     return f"{listed} and {len(names) - 5} more" if len(names) > 5 else listed
 
 
+def _parts(
+    path: Path, sections: _Sections, corners: Corners
+) -> tuple[Corners, list[str], NDArray[np.int64], NDArray[np.int64] | None]:
+    """Divide the triangles among parts, by their lines.
+
+    Returns
+    -------
+    corners : Corners
+        With faces numbered within their parts.
+    names : list of str
+        Of the P parts that have triangles, in the order of their first ones.
+    cuts : ndarray of shape (P + 1,), int64
+        First triangle of each part, and the end.
+    order : ndarray of shape (F,), int64, or None
+        Sorts the triangles by part; None if they are sorted.
+    """
+    part_lines = np.asarray(sections.part_lines, np.int64)
+    spans = np.searchsorted(part_lines, corners.lines)
+    used = spans[np.flatnonzero(np.diff(spans, prepend=-1))].tolist()
+    keys = sections.parts
+    count = len({keys[span] for span in used})
+    for fewer in ([(number, "") for number, _ in keys], [(0, "")] * len(keys)):
+        if len({keys[span] for span in used}) > MAX_PARTS:
+            keys = fewer
+    numbers = {key: n for n, key in enumerate(dict.fromkeys(keys[span] for span in used))}
+    if len(numbers) < count:
+        warn_partial(
+            path,
+            f"its {count:,} objects and groups are more than {MAX_PARTS:,}, and became "
+            f"{len(numbers):,} meshes",
+        )
+    part_of_span = np.array([numbers.get(key, -1) for key in keys], np.int64)
+    parts = part_of_span[spans]
+    if len(keys) > 1:
+        of_face = part_of_span[np.searchsorted(part_lines, corners.face_lines)]
+        corners = corners.numbered_within(of_face)
+    order = None
+    if (parts[1:] < parts[:-1]).any():
+        order = np.argsort(parts, kind="stable")
+        parts = parts[order]
+    names = []
+    for number, group in numbers:
+        name = sections.object_names[number]
+        names.append(name if name == group else path_name(name, group))
+    cuts = np.searchsorted(parts, np.arange(len(numbers) + 1))
+    return corners, number_repeats(names), cuts, order
+
+
 def _meshes(
     corners: Corners,
     vertices: NDArray[np.float64],
     colors: NDArray[np.float32] | None,
     material_ids: NDArray[np.int32],
-    sections: _Sections,
+    parts: tuple[list[str], NDArray[np.int64]],
 ) -> list[Mesh]:
-    """Split the triangles at ``o`` lines; each mesh gets the vertices that it uses."""
-    object_lines = np.asarray(sections.object_lines, np.int64)
-    cuts = np.searchsorted(corners.lines, object_lines) if len(object_lines) else object_lines
-    names = ["", *sections.object_names]
-    if len(np.unique(cuts)) > MAX_OBJECTS:
-        cuts, names = cuts[:0], [""]
-    edges = [0, *cuts.tolist(), len(corners.lines)]
-    meshes = []
-    starts = [0, *sections.object_lines][: len(names)]
-    for name, line, first, stop in zip(names, starts, edges[:-1], edges[1:], strict=True):
-        if first == stop:
-            continue
-        used, faces = corners.shared(first, stop, whole=first == 0 and stop == edges[-1])
-        points = used[:, 0]
-        meshes.append(
-            Mesh(
-                vertices[points],
-                faces,
-                normals=corners.normals[used[:, 2]] if corners.has_normals else None,
-                texcoords=corners.texcoords_of(used[:, 1]) if corners.has_texcoords else None,
-                colors=None if colors is None else colors[points],
-                material_ids=material_ids[first:stop],
-                face_ids=corners.face_ids_from(line, first, stop),
-                name=name,
-            )
+    """Make a mesh of each part, see `_parts`, with the vertices that it uses."""
+    names, cuts = parts
+    if not names:
+        return []
+    used, faces, starts = corners.shared(cuts)
+    tables: dict[str, NDArray[Any]] = {"vertices": vertices[used[:, 0]]}
+    if corners.has_normals:
+        tables["normals"] = corners.normals[used[:, 2]]
+    if corners.has_texcoords:
+        tables["texcoords"] = corners.texcoords_of(used[:, 1])
+    if colors is not None:
+        tables["colors"] = colors[used[:, 0]]
+    return [
+        Mesh(
+            faces=faces[first:stop],
+            material_ids=material_ids[first:stop],
+            face_ids=corners.face_ids[first:stop],
+            name=name,
+            **{attribute: table[begin:end] for attribute, table in tables.items()},
         )
-    return meshes
+        for name, (first, stop), (begin, end) in zip(
+            names,
+            itertools.pairwise(cuts.tolist()),
+            itertools.pairwise(starts.tolist()),
+            strict=True,
+        )
+    ]

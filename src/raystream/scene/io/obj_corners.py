@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ _ABSENT, _MISSING = -1, -2
 
 @dataclass
 class Corners:
-    """The usable triangles of a file, in file order.
+    """The usable triangles of a file, in file order, or sorted by part.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Corners:
     indices : ndarray of shape (F, 3, 3), int64
         For each corner: indices of vertex, texture coordinate (-1: none) and normal.
     lines : ndarray of shape (F,), int64
-        The line of each triangle, non-decreasing.
+        The line of each triangle, non-decreasing in file order.
     face_ids : ndarray of shape (F,), int64
-        The face of each triangle, numbered over the file.
+        The face of each triangle, numbered over the file, or within its part.
     face_lines : ndarray of shape (P,), int64
         The line of each face, those without triangles among them.
     texcoords, normals : ndarray of shape (T, 2) and (N, 3), float32
@@ -52,39 +52,65 @@ class Corners:
     has_texcoords: bool
     has_normals: bool
 
-    def face_ids_from(self, line: int, first: int, stop: int) -> NDArray[np.int64]:
-        """Faces of triangles first .. stop - 1, numbered from the first one at or after a line."""
-        return self.face_ids[first:stop] - np.searchsorted(self.face_lines, line)
+    def reordered(self, order: NDArray[np.int64]) -> Corners:
+        """The same triangles in another order."""
+        return replace(
+            self,
+            indices=self.indices[order],
+            lines=self.lines[order],
+            face_ids=self.face_ids[order],
+        )
+
+    def numbered_within(self, part_of_face: NDArray[np.int64]) -> Corners:
+        """The same triangles, with faces numbered within their parts, in file order."""
+        order = np.argsort(part_of_face, kind="stable")
+        parts = part_of_face[order]
+        numbers = np.empty(len(order), np.int64)
+        numbers[order] = np.arange(len(order)) - np.searchsorted(parts, parts)
+        return replace(self, face_ids=numbers[self.face_ids])
 
     def texcoords_of(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
         """Look up texture coordinates; (0, 0) for corners without."""
         return np.where(rows[:, None] >= 0, self.texcoords[rows], np.float32(0.0))
 
     def shared(
-        self, first: int, stop: int, *, whole: bool
-    ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Find the distinct corners of triangles first .. stop - 1.
+        self, cuts: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+        """Find the distinct corners of each part.
 
         Parameters
         ----------
-        first, stop : int
-            The triangles.
-        whole : bool
-            Whether these are all triangles, so that vertices can keep their order.
+        cuts : ndarray of shape (P + 1,), int64
+            First triangle of each part, none of which is empty, and the end.
 
         Returns
         -------
         used : ndarray of shape (V, 3), int64
-            Vertex, texture coordinate and normal of each vertex of the mesh, sorted by vertex.
-        faces : ndarray of shape (stop - first, 3), int32
+            Vertex, texture coordinate and normal of each vertex of the meshes: of one part after
+            the other, sorted by vertex.
+        faces : ndarray of shape (F, 3), int32
+            Within the part.
+        starts : ndarray of shape (P + 1,), int64
+            First vertex of each part, and the end.
         """
-        if whole and not self.has_texcoords and not self.has_normals:
-            used = np.zeros((self.vertex_count, 3), np.int64)
-            used[:, 0] = np.arange(self.vertex_count)
-            return used, self.indices[:, :, 0].astype(np.int32)
-        indices = self.indices[first:stop].reshape(-1, 3)
-        rows, places = distinct_corners(indices if self.has_normals else indices[:, :2])
-        return indices[rows], places.reshape(-1, 3).astype(np.int32)
+        count = self.vertex_count
+        if len(cuts) == 2 and not self.has_texcoords and not self.has_normals:
+            used = np.zeros((count, 3), np.int64)
+            used[:, 0] = np.arange(count)
+            return used, self.indices[:, :, 0].astype(np.int32), np.array([0, count])
+        # The vertices that a part may use are numbered after those of the parts before.
+        keys = self.indices[:, :, 0].reshape(-1)
+        low = np.minimum.reduceat(keys, 3 * cuts[:-1])
+        high = np.maximum.reduceat(keys, 3 * cuts[:-1])
+        shifts = np.cumsum(high - low + 1) - high - 1
+        triangle_counts = np.diff(cuts)
+        keys = keys + np.repeat(shifts, 3 * triangle_counts)
+        indices = self.indices.reshape(-1, 3)
+        width = 3 if self.has_normals else 2 if self.has_texcoords else 1
+        rows, places = distinct_corners(indices[:, :width], keys)
+        starts = np.searchsorted(keys[rows], low + shifts)
+        faces = places.reshape(-1, 3) - np.repeat(starts, triangle_counts)[:, None]
+        return indices[rows], faces.astype(np.int32), np.append(starts, len(rows))
 
 
 def read_corners(

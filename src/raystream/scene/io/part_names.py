@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from raystream.scene.mesh import Mesh
 
 #: Longer paths lose their beginning, so that deep trees cannot fill memory with names.
-MAX_LENGTH = 255
+MAX_LENGTH = 160
 
 
 def path_name(*names: str) -> str:

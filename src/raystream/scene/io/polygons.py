@@ -179,7 +179,7 @@ def fan_corners(
 
 
 def distinct_corners(
-    indices: NDArray[np.int64],
+    indices: NDArray[np.int64], first: NDArray[np.int64] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the distinct combinations of indices, such as vertex, texture coordinate, normal.
 
@@ -187,6 +187,8 @@ def distinct_corners(
     ----------
     indices : ndarray of shape (C, K), int64
         One row per corner of a triangle; K >= 1.
+    first : ndarray of shape (C,), int64, optional
+        Instead of the first index.
 
     Returns
     -------
@@ -195,13 +197,32 @@ def distinct_corners(
     places : ndarray of shape (C,), int64
         Combination of each corner.
     """
-    places = indices[:, 0]
+    places = indices[:, 0] if first is None else first
     rows = np.arange(len(indices))
     if len(indices) == 0:
         return rows, rows
-    for column in range(max(1, indices.shape[1] - 1)):
-        other = indices[:, min(column + 1, indices.shape[1] - 1)]
+    keys = places - places.min()
+    for column in range(1, indices.shape[1]):
+        other = indices[:, column]
         other = other - other.min()
-        keys = (places - places.min()) * (int(other.max()) + 1) + other
+        keys = keys * (int(other.max()) + 1) + other
+        rows, keys = _distinct(keys)
+    if indices.shape[1] == 1:
+        rows, keys = _distinct(keys)
+    return rows, keys.reshape(-1)
+
+
+def _distinct(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First row of each key, in increasing order, and the key of each row; keys start at 0.
+
+    Dense keys, such as a group's own vertices, are counted: that is faster than to sort them.
+    """
+    span = int(keys.max()) + 1
+    if span > 4 * len(keys):
         _, rows, places = np.unique(keys, return_index=True, return_inverse=True)
-    return rows, places.reshape(-1)
+        return rows, places
+    firsts = np.full(span, -1, np.int64)
+    firsts[keys[::-1]] = np.arange(len(keys) - 1, -1, -1)  # of equal keys the last one stays
+    is_used = firsts >= 0
+    numbers = np.cumsum(is_used) - 1
+    return firsts[is_used], numbers[keys]
