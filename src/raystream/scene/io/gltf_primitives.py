@@ -84,23 +84,31 @@ class PrimitiveReader:
         morph_target_count(file, index)
         meshes: list[Mesh] = []
         primitives: list[Primitive] = []
-        count = 0
+        vertex_count = face_count = 0
         for primitive in file.entries(entry, "primitives"):
             if not isinstance(primitive, dict):
                 raise file.error(f"is damaged: mesh {index} has an invalid primitive")
             mode = file.integer(primitive, "mode", _TRIANGLES)
             if mode in (_TRIANGLES, _STRIP, _FAN):
-                found = self._primitive(primitive, mode, count)
-                if found is not None and found[0].triangle_count:
+                found = self._primitive(primitive, mode, (vertex_count, face_count))
+                if found is None:
+                    continue
+                face_count += found[2]
+                if found[0].triangle_count:
                     meshes.append(found[0])
                     primitives.append(found[1])
-                    count += len(found[0].vertices)
+                    vertex_count += len(found[0].vertices)
         joined = _joined(meshes)
         joined.name = file.name(entry)
         return FileMesh(joined, primitives)
 
-    def _primitive(self, primitive: Node, mode: int, first: int) -> tuple[Mesh, Primitive] | None:
-        """Read a primitive whose vertices come after `first` others; None without positions."""
+    def _primitive(
+        self, primitive: Node, mode: int, firsts: tuple[int, int]
+    ) -> tuple[Mesh, Primitive, int] | None:
+        """Read a primitive, and count its faces; None without positions.
+
+        Its vertices and faces come after as many others as `firsts` says.
+        """
         file = self._file
         arrays = _Attributes(file, primitive)
         vertices = arrays.get("POSITION", (3,))
@@ -120,7 +128,7 @@ class PrimitiveReader:
         mesh = Mesh(
             vertices.astype(np.float32),
             faces[good],
-            face_ids=np.flatnonzero(good),
+            face_ids=firsts[1] + np.flatnonzero(good),
             normals=arrays.get("NORMAL", (3,)),
             colors=None if colors is None else self._colors(colors, material),
             texcoords=None if texcoords is None else place.apply(texcoords),
@@ -128,8 +136,16 @@ class PrimitiveReader:
         )
         self._budget.spend(mesh)
         targets = read_morph_targets(file, primitive, len(vertices), mesh.normals is not None)
-        rows = slice(first, first + len(vertices))
-        return mesh, Primitive(rows, targets, arrays.influences())
+        rows = slice(firsts[0], firsts[0] + len(vertices))
+        return mesh, Primitive(rows, targets, arrays.influences()), len(faces)
+
+    def _colors(self, colors: NDArray[Any], material: int) -> NDArray[Any]:
+        """``COLOR_0``; without its alpha where that is 1, or not used by the material."""
+        colors = np.clip(np.nan_to_num(colors), 0.0, 1.0)
+        is_default = material == len(self._texcoords) - 1
+        if colors.shape[1] == 3 or is_default or (colors[:, 3] == 1.0).all():
+            return colors[:, :3]
+        return colors if uses_alpha(self._file.entry("materials", material)) else colors[:, :3]
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
@@ -144,15 +160,8 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
         colors=tables.colors,
         texcoords=tables.texcoords,
         material_ids=tables.material_ids,
+        face_ids=tables.face_ids,
     )
-
-    def _colors(self, colors: NDArray[Any], material: int) -> NDArray[Any]:
-        """``COLOR_0``; without its alpha where that is 1, or not used by the material."""
-        colors = np.clip(np.nan_to_num(colors), 0.0, 1.0)
-        is_default = material == len(self._texcoords) - 1
-        if colors.shape[1] == 3 or is_default or (colors[:, 3] == 1.0).all():
-            return colors[:, :3]
-        return colors if uses_alpha(self._file.entry("materials", material)) else colors[:, :3]
 
 
 class _Attributes:
