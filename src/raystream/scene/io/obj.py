@@ -6,6 +6,7 @@ import itertools
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -343,13 +344,13 @@ def _meshes(
     if not names:
         return []
     used, faces, starts = corners.shared(cuts)
-    tables = {
-        "vertices": vertices[used[:, 0]],
-        "normals": corners.normals[used[:, 2]] if corners.has_normals else None,
-        "texcoords": corners.texcoords_of(used[:, 1]) if corners.has_texcoords else None,
-        "colors": None if colors is None else colors[used[:, 0]],
-    }
-    tables = {name: table for name, table in tables.items() if table is not None}
+    tables: dict[str, NDArray[Any]] = {"vertices": vertices[used[:, 0]]}
+    if corners.has_normals:
+        tables["normals"] = corners.normals[used[:, 2]]
+    if corners.has_texcoords:
+        tables["texcoords"] = corners.texcoords_of(used[:, 1])
+    if colors is not None:
+        tables["colors"] = colors[used[:, 0]]
     return [
         Mesh(
             faces=faces[first:stop],
