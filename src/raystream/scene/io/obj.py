@@ -284,11 +284,11 @@ def _meshes(
     cuts = np.searchsorted(corners.lines, object_lines) if len(object_lines) else object_lines
     names = ["", *sections.object_names]
     if len(np.unique(cuts)) > MAX_OBJECTS:
-        cuts, names = cuts[:0], [""]
+        cuts, names, object_lines = cuts[:0], [""], object_lines[:0]
+    face_ids = corners.face_ids_within(np.searchsorted(object_lines, corners.face_lines))
     edges = [0, *cuts.tolist(), len(corners.lines)]
     meshes = []
-    starts = [0, *sections.object_lines][: len(names)]
-    for name, line, first, stop in zip(names, starts, edges[:-1], edges[1:], strict=True):
+    for name, first, stop in zip(names, edges[:-1], edges[1:], strict=True):
         if first == stop:
             continue
         used, faces = corners.shared(first, stop, whole=first == 0 and stop == edges[-1])
@@ -301,7 +301,7 @@ def _meshes(
                 texcoords=corners.texcoords_of(used[:, 1]) if corners.has_texcoords else None,
                 colors=None if colors is None else colors[points],
                 material_ids=material_ids[first:stop],
-                face_ids=corners.face_ids_from(line, first, stop),
+                face_ids=face_ids[first:stop],
                 name=name,
             )
         )

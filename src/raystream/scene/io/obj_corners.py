@@ -52,9 +52,14 @@ class Corners:
     has_texcoords: bool
     has_normals: bool
 
-    def face_ids_from(self, line: int, first: int, stop: int) -> NDArray[np.int64]:
-        """Faces of triangles first .. stop - 1, numbered from the first one at or after a line."""
-        return self.face_ids[first:stop] - np.searchsorted(self.face_lines, line)
+    def face_ids_within(self, parts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The face of each triangle, numbered within its part; `parts` are those of all faces."""
+        order = np.argsort(parts, kind="stable")
+        begins = np.flatnonzero(np.diff(parts[order], prepend=-1))
+        ranks = np.empty_like(order)
+        counts = np.diff(begins, append=len(parts))
+        ranks[order] = np.arange(len(parts)) - np.repeat(begins, counts)
+        return ranks[self.face_ids]
 
     def texcoords_of(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
         """Look up texture coordinates; (0, 0) for corners without."""
