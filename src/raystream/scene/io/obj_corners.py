@@ -53,9 +53,15 @@ class Corners:
     has_normals: bool
 
     def face_ids_within(self, parts: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The face of each triangle, numbered within its part; `parts` are those of all faces."""
+        """The face of each triangle, numbered within its part.
+
+        Parameters
+        ----------
+        parts : ndarray of shape (P,), int64
+            The part of each face of the file; -1 for those of no part that has triangles.
+        """
         order = np.argsort(parts, kind="stable")
-        begins = np.flatnonzero(np.diff(parts[order], prepend=-1))
+        begins = np.flatnonzero(np.diff(parts[order], prepend=-2))
         ranks = np.empty_like(order)
         counts = np.diff(begins, append=len(parts))
         ranks[order] = np.arange(len(parts)) - np.repeat(begins, counts)
