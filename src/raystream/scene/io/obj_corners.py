@@ -64,9 +64,10 @@ class Corners:
     def numbered_within(self, part_of_face: NDArray[np.int64]) -> Corners:
         """The same triangles, with faces numbered within their parts, in file order."""
         order = np.argsort(part_of_face, kind="stable")
-        parts = part_of_face[order]
-        numbers = np.empty(len(order), np.int64)
-        numbers[order] = np.arange(len(order)) - np.searchsorted(parts, parts)
+        begins = np.flatnonzero(np.diff(part_of_face[order], prepend=-2))
+        counts = np.diff(begins, append=len(order))
+        numbers = np.empty_like(order)
+        numbers[order] = np.arange(len(order)) - np.repeat(begins, counts)
         return replace(self, face_ids=numbers[self.face_ids])
 
     def texcoords_of(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
