@@ -315,13 +315,15 @@ def keeps_frame(
     """Whether moved vertices with these world bounds can stay in a frame.
 
     They can as long as float32 rounds them no more coarsely, relative to their extent, than in the
-    worst frame that `local_frame` chooses, and products do not vanish. So a scene that moves to and
-    fro keeps its frame. Products do not overflow up to `kernels.move_triangles.MAX_LOCAL`.
+    worst frame that `local_frame` chooses, and no product leaves its range. So a scene that moves
+    to and fro keeps its frame.
     """
     extent, reach = float((high - low).max()), _reach(low, high, center)
     if not extent > 0.0:  # nothing can be hit
         return True
-    return reach <= RECENTRE_RATIO * extent and math.frexp(reach * scale)[1] >= SCALE_EXPONENTS[0]
+    lowest, highest = SCALE_EXPONENTS
+    is_ordinary = lowest <= math.frexp(reach * scale)[1] <= highest
+    return is_ordinary and reach <= RECENTRE_RATIO * extent
 
 
 def _reach(

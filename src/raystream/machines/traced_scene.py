@@ -264,9 +264,8 @@ class TracedScene:
         parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
         triangles = moved_triangles(self.structure.triangles, parts)
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)
-        scene = scene.moved(meshes, of_scene(triangles))
-        triangles.attributes = scene.attributes
-        self._set(scene, structure)
+        self._set(scene.moved(meshes, of_scene(triangles)), structure)
+        triangles.attributes = self.scene.attributes  # those in float64 have none yet
         return report
 
     def _update_views(self, scene: Any) -> UpdateReport:
