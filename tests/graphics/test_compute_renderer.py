@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -88,22 +87,6 @@ def test_dark_views_get_the_cpu_s_lights_by_default(name, mode):
     ours, theirs = pictures(DARK_VIEWS[name](), mode, (24, 18), samples=2)
     assert np.median(theirs.pixels) > 0.01
     assert_alike(ours, theirs, 0.005)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["sibenik", "conference"])
-@pytest.mark.parametrize("machine", ["compute", "multipass"])
-def test_dark_models_too(name, machine):
-    if "RAYSTREAM_SCENES" not in os.environ:
-        pytest.skip("needs public models: set RAYSTREAM_SCENES to their folder")
-    tracing = {"machine": machine}
-    if machine == "multipass":
-        tracing |= {"traversal": "restart"}
-    ours, theirs = pictures(
-        rs.load(name), "path", (64, 48), "kdtree", tracing, samples=1, max_bounces=2
-    )
-    assert theirs.pixels.mean() > 0.05
-    assert ours.pixels.mean() == pytest.approx(theirs.pixels.mean(), rel=1e-3)
 
 
 def test_glass_takes_more_room(monkeypatch):

@@ -303,6 +303,24 @@ def test_dark_views_get_the_cpu_s_lights_by_default(name):
     assert np.median(theirs.pixels) > 0.01
 
 
+@pytest.mark.exhaustive
+@pytest.mark.filterwarnings("ignore::raystream.core.errors.RaystreamWarning")
+@pytest.mark.parametrize("name", ["sibenik", "conference"])
+@pytest.mark.parametrize("machine", ["compute", "branching", "multipass"])
+def test_dark_models_do_too(name, machine):
+    """Rooms without lights, whose images were black on this device."""
+    if "RAYSTREAM_SCENES" not in os.environ:
+        pytest.skip("needs public models: set RAYSTREAM_SCENES to their folder")
+    tracing = TRAVERSALS["kdtree"] if machine == "multipass" else {}
+    scene = rs.load(name)
+    ours, theirs = (
+        rs.render(rs.Tracer(scene, "kdtree", **own), "path", (64, 48), 1, max_bounces=2).pixels
+        for own in ({"device": "graphics", "machine": machine, **tracing}, {})
+    )
+    assert theirs.mean() > 0.05
+    assert ours.mean() == pytest.approx(theirs.mean(), rel=1e-3)
+
+
 def test_too_many_paths_behind_glass_are_an_error(monkeypatch):
     monkeypatch.setattr(path_rows, "_MOST_ROOM", 2)
     with pytest.raises(GraphicsError, match="more than 2 paths at once behind glass; use"):
