@@ -117,7 +117,7 @@ def test_solids_without_facets_are_left_out(tmp_path: Path) -> None:
 
 
 def test_too_many_solids_are_one_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stl_module, "MAX_SOLIDS", 2)
+    monkeypatch.setattr(stl_module, "MAX_PARTS", 2)
     assert len(stl_scene(tmp_path, solids("a", "b")).meshes) == 2
     with pytest.warns(RaystreamWarning, match="its 3 solids are more than 2: one mesh"):
         assert stl(tmp_path, solids("a", "b", "c")).vertices[::3, 2].tolist() == [0, 1, 2]

@@ -16,15 +16,12 @@ from raystream.scene.io.colors import srgb_to_linear
 from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.mtl import read_mtl
 from raystream.scene.io.obj_corners import Corners, read_corners
-from raystream.scene.io.part_names import number_repeats, path_name
+from raystream.scene.io.part_names import MAX_PARTS, number_repeats, path_name
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import Lines, decoded, parse_floats, plain_text, shown
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
-
-#: Maximum meshes: each costs far more than a triangle.
-MAX_PARTS = 10_000
 
 _CONTINUED = re.compile(rb"\\ *\n")
 

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 
 from raystream.scene.mesh import Mesh
 
+#: A file with more parts becomes fewer meshes: each costs far more than a triangle.
+MAX_PARTS = 10_000
+
 #: Longer paths lose their beginning, so that deep trees cannot fill memory with names.
 MAX_LENGTH = 160
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import read_model_bytes
-from raystream.scene.io.part_names import number_meshes
+from raystream.scene.io.part_names import MAX_PARTS, number_meshes
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import BYTE_ORDER_MARK, decoded, parse_floats, plain_text, shown
 from raystream.scene.mesh import Mesh
@@ -19,9 +19,6 @@ from raystream.scene.scene import Scene
 
 _HEADER_BYTES = 84
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-
-#: A file with more solids becomes one mesh: a mesh costs far more than a triangle.
-MAX_SOLIDS = 10_000
 
 #: The word of a statement, and the solid's name: any words, such as "vertex".
 _STATEMENT = re.compile(rb"solid\b([^\n]*?)(?=facet +normal|$)", re.MULTILINE)
@@ -65,7 +62,7 @@ def read_stl(path: Path) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For more than `MAX_SOLIDS` solids, which become one mesh.
+        For more than `MAX_PARTS` solids, which become one mesh.
     """
     content = read_model_bytes(path)
     if _is_binary(content):
@@ -74,8 +71,8 @@ def read_stl(path: Path) -> Scene:
         solids = _solids(path, plain_text(content))
         parts = [(name, _text_corners(path, name, body)) for name, body in solids]
     parts = [part for part in parts if len(part[1])] or parts[:1]
-    if len(parts) > MAX_SOLIDS:
-        warn_partial(path, f"its {len(parts):,} solids are more than {MAX_SOLIDS:,}: one mesh")
+    if len(parts) > MAX_PARTS:
+        warn_partial(path, f"its {len(parts):,} solids are more than {MAX_PARTS:,}: one mesh")
         parts = [("", np.concatenate([corners for _, corners in parts]))]
     meshes = []
     for name, corners in parts:
