@@ -44,6 +44,7 @@ def lengths(tracer):
     ids=["one", "reopened", "materials"],
 )
 @pytest.mark.parametrize("kind", ["g", "o"])
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 def test_groups_of_an_obj_are_solids(tmp_path, hull, kind):
     """Of [2.0] of one part before: the inner one vanished within it."""
     lines = [*box(1, 2.0, hull), *box(9, 0.5, [f"{kind} engine"])]
@@ -54,6 +55,7 @@ def test_groups_of_an_obj_are_solids(tmp_path, hull, kind):
     assert passed[0] == pytest.approx(np.exp(-1.0))
 
 
+@pytest.mark.filterwarnings("ignore:thickness. meshes overlap")
 def test_a_group_around_another_is_one_solid(tmp_path):
     """Half of the hull comes before the engine, and half after it."""
     first, second = box(1, 2.0, ["g hull", "g hull"])[:15], box(1, 2.0, ["g hull", "g hull"])[15:]

@@ -41,7 +41,7 @@ def test_sizes_are_python_s():
 
 def test_words_of_the_uniform_are_python_s():
     scene = rs.load("cornell")
-    context = _context(rs.Tracer(scene, "brute"), scene.camera_for(1.0), (4, 3), "raycast")
+    context = _context(rs.Tracer(scene, "brute"), scene.camera_for(1.0), "raycast")
     mode = mode_of(RENDERERS["raycast"].stages)
     place = BandPlace(first_pixel=1001, pixel_count=1002, sample=1003, room=1004)
     words = np.frombuffer(shading_uniform(context, mode, place), np.uint32)
