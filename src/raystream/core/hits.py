@@ -58,7 +58,8 @@ class HitColumns:
         """Face of the mesh, int32, of the hits' shape; a miss has -1.
 
         The polygon that the triangle belongs to, in the order of the file: see `Mesh.face_ids`.
-        `mesh_prim_id` where each triangle is a face, and for spheres and height fields.
+        `mesh_prim_id` where each triangle is a face, for spheres and height fields, and if the
+        tracer's structure was loaded without a scene.
         """
         attributes = self._triangles.attributes
         table = None if attributes is None else attributes.face_ids

@@ -234,6 +234,13 @@ def test_spirals_and_combs_with_many_corners() -> None:
         check_cover(corners[found.polygon_ids == number], polygon)
 
 
+def test_neighbouring_ears_at_the_end_of_an_odd_outline() -> None:
+    """Of an outline that touches itself: the last two corners alone are ears."""
+    polygon = flat([(0, -1), (-2, 3), (1, -3), (-3, 1), (-1, 0)])
+    triangles, is_cut = clip_ears(polygon, np.array([5]))
+    assert len(triangles) == 3 * is_cut[0]
+
+
 def test_polygons_with_too_many_pairs_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("raystream.scene.io.ear_clipping._MAX_PAIRS", -256 * 10 - 1)
     assert cut(STAR).crossed_count == 1

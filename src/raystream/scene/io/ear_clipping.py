@@ -179,7 +179,8 @@ class _Outlines:
                 is_cut[polygon[firsts[lost]]] = False
             # Every other ear of a row of ears, so that triangles are not all long and thin.
             rank = np.arange(len(live)) - firsts[run]
-            is_even = (rank % 2 == 0) & ((rank + 1 < sizes[run]) | (sizes[run] % 2 == 0))
+            is_last = (rank + 1 == sizes[run]) & (rank % 2 == 0)  # beside the first, also even
+            is_even = (rank % 2 == 0) & ~(is_last & ears[after])
             chosen = ears & (is_even | ~(ears[before] | ears[after]))
             found.append(np.stack([a[chosen], live[chosen], c[chosen]], axis=1))
             is_new[a[chosen]] = is_new[c[chosen]] = True

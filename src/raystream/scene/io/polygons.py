@@ -102,6 +102,7 @@ def _folded(
 ) -> NDArray[np.int64]:
     """Find polygons whose fans have triangles that face backwards, in increasing order."""
     found = [np.zeros(0, np.int64)]
+    indices = np.ascontiguousarray(indices)  # a column would be copied for each block
     for count in np.flatnonzero(np.bincount(counts)).tolist():
         if count > 3:
             alike = np.flatnonzero(counts == count)
