@@ -84,9 +84,9 @@ def displaced(
     """
     splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     count = len(ranks)
-    owners, afters, befores = (np.empty(2 * count, np.int64) for _ in range(3))
+    owners, afters, earlier = (np.empty(2 * count, np.int64) for _ in range(3))
     active = np.empty(count, np.int64)
-    pieces = _Pieces(np.empty_like(counts), owners, afters, befores, active)
+    pieces = _Pieces(np.empty_like(counts), owners, afters, earlier, active)
 
     def body(begin: int, end: int) -> None:
         ends = segments.t_entry, segments.t_exit

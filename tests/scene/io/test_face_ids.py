@@ -74,6 +74,21 @@ def test_faces_of_obj_are_numbered_within_each_object(tmp_path: Path) -> None:
     assert (hits.mesh_id.tolist(), hits.face_id.tolist()) == ([0, 1, 2], [0, 1, 1])
 
 
+def test_faces_of_obj_groups_that_are_opened_again(tmp_path: Path) -> None:
+    """The group ``none`` has a face, but no triangle."""
+    text = (
+        obj("g left\n")
+        .replace("f 2 3\n", "g right\nf 2 3\n")
+        .replace("f 3 4 100", "g none\nf 3 4 100\ng left")
+    )
+    scene = load(tmp_path, "a.obj", text)
+    ids = {
+        mesh.name: None if mesh.face_ids is None else mesh.face_ids.tolist()
+        for mesh in scene.meshes
+    }
+    assert ids == {"left": [0, 0, 1, 2, 3, 3], "right": [1, 1]}
+
+
 def test_strips_follow_the_polygons(tmp_path: Path) -> None:
     head = PLY_HEAD.replace(
         "end_header", "element tristrips 1\nproperty list int int vertex_indices\nend_header"
@@ -103,6 +118,25 @@ def test_triangles_that_gltf_drops_are_counted(tmp_path: Path) -> None:
     (mesh,) = scene.meshes
     assert mesh.face_ids is not None
     assert mesh.face_ids.tolist() == [0, 2, 3]
+
+
+def test_primitives_of_gltf_follow_each_other(tmp_path: Path) -> None:
+    """A triangle of the first is dropped, all of the second are, and none of the third."""
+    sides = tiny.SIDES.astype(np.uint16)
+    sides[1, 2] = 9
+    arrays = tiny.TETRAHEDRON, sides, np.full(6, 7, np.uint16), tiny.SIDES.astype(np.uint16)
+    document = tiny.with_buffer(tiny.gltf_document(), *arrays)
+    of_indices = document["accessors"][1]
+    document["accessors"] += [
+        {**of_indices, "bufferView": 2, "count": 6},
+        {**of_indices, "bufferView": 3},
+    ]
+    (first,) = document["meshes"][0]["primitives"]
+    document["meshes"][0]["primitives"] += [{**first, "indices": 2}, {**first, "indices": 3}]
+    scene = load(tmp_path, "a.gltf", json.dumps(document))
+    (mesh,) = scene.meshes
+    assert mesh.face_ids is not None
+    assert mesh.face_ids.tolist() == [0, 2, 3, 6, 7, 8, 9]
 
 
 def test_files_of_triangles_have_no_table(tmp_path: Path) -> None:

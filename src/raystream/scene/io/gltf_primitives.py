@@ -84,31 +84,26 @@ class PrimitiveReader:
         morph_target_count(file, index)
         meshes: list[Mesh] = []
         primitives: list[Primitive] = []
-        vertex_count = face_count = 0
+        count, begin = 0, self.checks.triangle_count
         for primitive in file.entries(entry, "primitives"):
             if not isinstance(primitive, dict):
                 raise file.error(f"is damaged: mesh {index} has an invalid primitive")
             mode = file.integer(primitive, "mode", _TRIANGLES)
             if mode in (_TRIANGLES, _STRIP, _FAN):
-                found = self._primitive(primitive, mode, (vertex_count, face_count))
-                if found is None:
-                    continue
-                face_count += found[2]
-                if found[0].triangle_count:
+                face_count = self.checks.triangle_count - begin
+                found = self._primitive(primitive, mode, count, face_count)
+                if found is not None and found[0].triangle_count:
                     meshes.append(found[0])
                     primitives.append(found[1])
-                    vertex_count += len(found[0].vertices)
+                    count += len(found[0].vertices)
         joined = _joined(meshes)
         joined.name = file.name(entry)
         return FileMesh(joined, primitives)
 
     def _primitive(
-        self, primitive: Node, mode: int, firsts: tuple[int, int]
-    ) -> tuple[Mesh, Primitive, int] | None:
-        """Read a primitive, and count its faces; None without positions.
-
-        Its vertices and faces come after as many others as `firsts` says.
-        """
+        self, primitive: Node, mode: int, first: int, first_face: int
+    ) -> tuple[Mesh, Primitive] | None:
+        """Read a primitive whose vertices come after `first` others; None without positions."""
         file = self._file
         arrays = _Attributes(file, primitive)
         vertices = arrays.get("POSITION", (3,))
@@ -128,7 +123,7 @@ class PrimitiveReader:
         mesh = Mesh(
             vertices.astype(np.float32),
             faces[good],
-            face_ids=firsts[1] + np.flatnonzero(good),
+            face_ids=first_face + np.flatnonzero(good),
             normals=arrays.get("NORMAL", (3,)),
             colors=None if colors is None else self._colors(colors, material),
             texcoords=None if texcoords is None else place.apply(texcoords),
@@ -136,8 +131,8 @@ class PrimitiveReader:
         )
         self._budget.spend(mesh)
         targets = read_morph_targets(file, primitive, len(vertices), mesh.normals is not None)
-        rows = slice(firsts[0], firsts[0] + len(vertices))
-        return mesh, Primitive(rows, targets, arrays.influences()), len(faces)
+        rows = slice(first, first + len(vertices))
+        return mesh, Primitive(rows, targets, arrays.influences())
 
     def _colors(self, colors: NDArray[Any], material: int) -> NDArray[Any]:
         """``COLOR_0``; without its alpha where that is 1, or not used by the material."""
