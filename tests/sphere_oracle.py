@@ -20,6 +20,9 @@ RADIUS_TOLERANCE = Fraction(1, 2**48)
 T_TOLERANCE = Fraction(1, 2**24)
 FAR_T_TOLERANCE = 5 * T_TOLERANCE
 
+#: A t beyond float32 is reported as its largest number: it may be as large as this.
+LARGEST, BEYOND = Fraction(float(np.finfo(np.float32).max)), Fraction(2**400)
+
 
 class ExactSphere:
     """A ray and a sphere in rationals."""
@@ -44,17 +47,20 @@ class ExactSphere:
     def _slack(self, t: Fraction) -> Fraction:
         return abs(t) * self.relative + Fraction(1, 2**149)
 
+    def _around(self, t: Fraction) -> tuple[Fraction, Fraction]:
+        """Between which numbers t may be."""
+        early, late = t - self._slack(t), t + self._slack(t)
+        return -BEYOND if t == -LARGEST else early, BEYOND if t == LARGEST else late
+
     def is_entry(self, t: float) -> bool:
         """Whether the ray enters at t, within the tolerances."""
-        t = Fraction(float(t))
-        early, late = t - self._slack(t), t + self._slack(t)
+        early, late = self._around(Fraction(float(t)))
         is_not_late = early <= self.middle and self._at(early) >= self.small
         return is_not_late and (late >= self.middle or self._at(late) <= self.large)
 
     def is_exit(self, t: float) -> bool:
         """Whether the ray leaves at t, within the tolerances."""
-        t = Fraction(float(t))
-        early, late = t - self._slack(t), t + self._slack(t)
+        early, late = self._around(Fraction(float(t)))
         is_not_early = late >= self.middle and self._at(late) >= self.small
         return is_not_early and (early <= self.middle or self._at(early) <= self.large)
 

@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import raystream as rs
@@ -106,7 +106,12 @@ def spheres_and_rays(draw):
     return centers, radii, origins, directions
 
 
+#: The ray leaves the sphere at a t beyond float32.
+FAR_EXIT = np.zeros((1, 3)), np.array([1e-6]), np.zeros((5, 3)), np.full((5, 3), [0.0, 0.0, 1e-45])
+
+
 @given(spheres_and_rays())
+@example(FAR_EXIT)
 @settings(max_examples=80)
 def test_any_spheres_agree(case) -> None:
     centers, radii, origins, directions = case
