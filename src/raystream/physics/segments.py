@@ -135,8 +135,8 @@ def thickness(
     A ray from outside leaves a closed mesh as often as it enters it, even through edges and
     vertices. Where it grazes a silhouette within rounding errors, the exit may come before the
     entry. Without a t_max this case is recognised and gives a segment of length 0; with one, both
-    crossings are reported as unpaired. A mesh that triangles without area close is left as often
-    only by rays that pass them at more than the rounding errors.
+    crossings are reported as unpaired. So may those of a ray that passes, within rounding errors,
+    a triangle without area in a mesh that is closed by such triangles only.
 
     Examples
     --------

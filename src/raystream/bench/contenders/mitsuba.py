@@ -95,8 +95,7 @@ def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:
 
 
 def _rays(rays: Rays) -> Any:
-    # An array of rows, unravelled: Dr.Jit shares NumPy's memory, and its kernel reads the rows as
-    # they are. Point3f(origins.T) copies them three times over.
+    # The kernel reads the rows as they are. Point3f(origins.T) is slower: see docs/performance.rst.
     origins, directions = (mitsuba.Float(one.ravel()) for one in rays.rows())
     made = mitsuba.Ray3f(
         drjit.unravel(mitsuba.Point3f, origins), drjit.unravel(mitsuba.Vector3f, directions)
