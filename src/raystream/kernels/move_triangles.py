@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,28 +118,24 @@ def _place(
     count = int(splits[-1])
     corners = np.empty((count, 3, 3), np.float32)
     kinds = np.empty(count, np.uint8)
-    all_bounds, all_reaches = [_nothing(1, np.float32)], [_nothing(1, np.float64)]
+    chunks = [chunk_size(len(faces), _MOST) for _, faces in meshes]
+    counts = [-(-len(mesh[1]) // chunk) for mesh, chunk in zip(meshes, chunks, strict=True)]
+    # A box for each chunk of each mesh; the first stays empty, also without meshes.
+    starts = list(accumulate(counts, initial=1))
+    bounds, reaches = _nothing(starts[-1], np.float32), _nothing(starts[-1], np.float64)
     frame = center[0].item(), center[1].item(), center[2].item()
-    for (vertices, faces), first in zip(meshes, splits, strict=False):
-        rows = slice(first, first + len(faces))
-        chunk = chunk_size(len(faces), _MOST)
-        chunk_count = -(-len(faces) // chunk)
-        bounds, reaches = _nothing(chunk_count, np.float32), _nothing(chunk_count, np.float64)
-        arrays = vertices, faces, corners[rows], kinds[rows]
+    for mesh, chunk, box, first in zip(meshes, chunks, starts, splits.tolist(), strict=False):
+        length = len(mesh[1])
+        arrays = *mesh, corners[first : first + length], kinds[first : first + length]
 
         def body(
-            begin: int,
-            end: int,
-            arrays: Any = arrays,
-            chunk: int = chunk,
-            boxes: Any = (bounds, reaches),
+            begin: int, end: int, arrays: Any = arrays, chunk: int = chunk, box: int = box
         ) -> None:
-            _move(begin, end, frame, scale, *arrays, *(box[begin // chunk] for box in boxes))
+            at = box + begin // chunk
+            _move(begin, end, frame, scale, *arrays, bounds[at], reaches[at])
 
-        parallel_for(body, len(faces), chunk)
-        all_bounds.append(bounds)
-        all_reaches.append(reaches)
-    return _Placed(corners, kinds, _union(all_bounds), _union(all_reaches))
+        parallel_for(body, length, chunk)
+    return _Placed(corners, kinds, _union(bounds), _union(reaches))
 
 
 def _corners(
@@ -155,8 +152,7 @@ def _nothing(count: int, dtype: type) -> NDArray[Any]:
     return boxes
 
 
-def _union(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    boxes = np.concatenate(parts)
+def _union(boxes: NDArray[Any]) -> NDArray[Any]:
     return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 

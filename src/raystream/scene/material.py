@@ -128,8 +128,8 @@ class Material:
 
     def __post_init__(self) -> None:
         for name in (*_COLORS, "normal_reflectance", "sheen_color", "absorption"):
-            color = tuple(float(c) for c in getattr(self, name))
-            if len(color) != 3 or not all(math.isfinite(c) and c >= 0.0 for c in color):
+            color = tuple(map(float, getattr(self, name)))
+            if len(color) != 3 or not (min(color) >= 0.0 and all(map(math.isfinite, color))):
                 raise ValueError(f"{name}: expected three finite numbers >= 0, got {color}")
             object.__setattr__(self, name, color)
         for name in _NUMBERS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -77,11 +78,11 @@ class Mesh:
         face_ids: ArrayLike | None = None,
     ) -> None:
         self.vertices = _vertices(vertices)
-        self.faces = _faces(faces, len(self.vertices))
-        self.normals = _attribute("normals", normals, (len(self.vertices), 3))
         count = len(self.vertices)
+        self.faces = _faces(faces, count)
+        self.normals = _attribute("normals", normals, (count, 3))
         self.colors = _attribute("colors", colors, (count, 3), (count, 4))
-        self.texcoords = _attribute("texcoords", texcoords, (len(self.vertices), 2))
+        self.texcoords = _attribute("texcoords", texcoords, (count, 2))
         self.material_ids = _material_ids(material_ids, len(self.faces))
         self.name = str(name)
         self.face_ids = _face_ids(face_ids, len(self.faces))
@@ -189,9 +190,7 @@ def _attribute(
 
 def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]:
     array = np.asarray(material_ids)
-    if array.size == 0:
-        array = array.astype(np.int32)
-    if array.dtype.kind not in "iu":
+    if array.size and array.dtype.kind not in "iu":
         raise TypeError(f"material_ids: expected integers, got dtype {array.dtype}")
     if array.ndim and array.shape != (face_count,):
         raise ValueError(f"material_ids: expected shape ({face_count},), got {array.shape}")
@@ -217,8 +216,9 @@ def _face_ids(face_ids: ArrayLike | None, face_count: int) -> NDArray[np.int32] 
 
 def _kept(array: NDArray[Any], dtype: type) -> NDArray[Any]:
     """Make a read-only copy: structures built from it would not follow changes."""
-    copy: NDArray[Any]
-    with np.errstate(over="ignore"):
+    may_overflow = array.dtype.kind == "f" and array.dtype != dtype
+    # To silence the warning takes as long as to copy a small array.
+    with np.errstate(over="ignore") if may_overflow else nullcontext():
         copy = np.array(array, dtype, order="C")
-    copy.flags.writeable = False
+    copy.setflags(write=False)
     return copy
