@@ -154,14 +154,14 @@ def _runs(
             except IndexError:
                 memory = aligned_array(1, CALL_BYTES // 4)
             at = memory.ctypes.data
-            trace_instances(low, high, tree.top, packets, wants_any, at, out)
+            trace_instances(low, high, tree.top, packets, wants_any, None, at, out)
             free.append(memory)
 
         trace(body, begin, end, BLOCK_PACKETS, progress)
 
     def by_packets(begin: int, end: int, progress: Progress | None) -> None:
         def body(low: int, high: int) -> None:
-            trace_instance_packets(low, high, tree.top, packets, wants_any, out)
+            trace_instance_packets(low, high, tree.top, packets, wants_any, None, out)
 
         trace(body, begin, end, 1, progress)
 
@@ -190,7 +190,7 @@ def _runs(
     def in_flight(begin: int, end: int, progress: Progress | None) -> None:
         def body(low: int, high: int) -> None:
             trace_instance_wavefront(
-                begin + low, begin + high, tree.top, tree.frame, source, wants_any, out
+                begin + low, begin + high, tree.top, tree.frame, source, wants_any, None, out
             )
 
         parallel_for(body, end - begin, _WAVEFRONT_CHUNK, progress)
