@@ -17,6 +17,9 @@ from meshes import cube, icosphere, soup
 
 STRUCTURES = ("bvh", "brute")
 
+#: Kernels for many rays.
+MANY = ("packet", "groups", "wavefront")
+
 
 @cache
 def objects() -> list[rs.Scene]:
@@ -116,7 +119,7 @@ def test_the_front_is_outside_of_mirrored_instances(structure, rng) -> None:
     assert_queries(tracer, rays, rows_of(splits, columns, keep), on_hit=entering)
 
 
-@pytest.mark.parametrize("kernel", ["auto", "packet", "groups", "single"])
+@pytest.mark.parametrize("kernel", ["auto", "single", *MANY])
 def test_large_batches_are_filtered(kernel, rng) -> None:
     """As many rays of an image as kernels for many rays take."""
     scene = random_scene(rng, 40)
@@ -131,6 +134,39 @@ def test_large_batches_are_filtered(kernel, rng) -> None:
         for name in COLUMNS:
             assert_same_bits(getattr(found, name), getattr(expected, name))
         assert_same_bits(tracer.any_hit(*rays, **options), brute.any_hit(*rays, **options))
+
+
+def varied_rays(rng, count: int) -> dict:
+    """With limits on both sides, from far away, along axes and to corners, and of any length."""
+    rays = random_rays(rng, count)
+    origins, aims = rays["origins"], rays["origins"] + rays["directions"]
+    quarter = count // 4
+    rays["t_min"][: count // 2] = rng.uniform(-1.0, 1.0, count // 2)
+    origins[quarter : 2 * quarter] *= 10.0 ** rng.uniform(0.0, 6.0, (quarter, 1))
+    origins[2 * quarter :], aims[2 * quarter :] = np.round(origins[2 * quarter :]), 0.0
+    aims[2 * quarter :] = origins[2 * quarter :] + rng.integers(-1, 2, (count - 2 * quarter, 3))
+    directions = aims - origins
+    directions[(directions == 0.0).all(axis=1)] = [0.0, 0.0, -1.0]
+    directions[::5] *= 10.0 ** rng.uniform(-18.0, 18.0, (len(directions[::5]), 1))
+    rays["t_max"][::5] = np.inf
+    return {**rays, "directions": directions}
+
+
+@pytest.mark.parametrize("kernel", MANY)
+def test_kernels_for_many_rays_filter_as_brute_force(kernel, rng) -> None:
+    """Also instances at one place: of equal hits, the filter may keep any."""
+    scene, rays = random_scene(rng, 24), varied_rays(rng, 4000)
+    transforms = np.tile(np.eye(3, 4), (24, 1, 1))
+    transforms[:, :, 3] = rng.integers(-1, 2, (24, 3))
+    for one in (scene, scene.with_transforms(transforms)):
+        tracer, brute = rs.Tracer(one, kernel=kernel), rs.Tracer(one, "brute")
+        for skipped in (None, brute.first_hit(**rays)):
+            options = {"on_hit": choose, "skip_prim_ids": skipped}
+            found, expected = (each.first_hit(**rays, **options) for each in (tracer, brute))
+            assert 0.05 < expected.is_hit.mean() < 0.9
+            for name in (*COLUMNS, "status"):
+                assert_same_bits(getattr(found, name), getattr(expected, name))
+            assert_same_bits(tracer.any_hit(**rays, **options), brute.any_hit(**rays, **options))
 
 
 @given(st.integers(0, 2**20), st.integers(1, 12), st.booleans())

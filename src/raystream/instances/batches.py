@@ -16,6 +16,7 @@ from raystream.instances.traversal import TopAddresses
 from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.aligned import aligned_array
+from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
@@ -83,12 +84,10 @@ def trace_batch(
     Returns
     -------
     bool
-        False for batches that are traced ray by ray, and other queries: those with filters, too.
+        False for batches that are traced ray by ray, and other queries.
     """
     count, wants_any = len(batch), query.kind is Kind.ANY_HIT
     if query.kind not in (Kind.FIRST_HIT, Kind.ANY_HIT) or kernel == "single":
-        return False
-    if query.on_hit is not None:  # filters are called by the search of a single ray
         return False
     if count == 0 or (kernel == "auto" and count < _LEAST_RAYS):
         return False
@@ -99,7 +98,7 @@ def trace_batch(
         if wants_any
         else ResultAddresses.of_first(sink.memory, sink.status)
     )
-    runs = _runs(tree, source, order, wants_any, out)
+    runs = _runs(tree, source, order, wants_any, query.on_hit, out)
     if kernel != "auto":
         runs[kernel](0, count, progress)
         return True
@@ -108,14 +107,15 @@ def trace_batch(
     if count < LEAST_RACE:
         runs[names[0]](0, count, progress)
         return True
-    kind = wants_any, count.bit_length(), *found.kind()
-    cold = [name for name in names if name not in _loaded]
+    has_filter = query.on_hit is not None
+    kind = wants_any, has_filter, count.bit_length(), *found.kind()
+    cold = [name for name in names if (name, has_filter) not in _loaded]
     name, is_due = races.plan(kind, names, not cold)
     if is_due:
 
         def run(name: str, begin: int, end: int, progress: Progress | None) -> None:
             runs[name](begin, end, progress)
-            _loaded.add(name)
+            _loaded.add((name, has_filter))
 
         run_race(names, count, lambda ray: order.cut(ray).ray, run, races, kind, progress, cold)
     else:
@@ -124,8 +124,8 @@ def trace_batch(
     return True
 
 
-#: Kernels that have traced a race in this process: those are loaded.
-_loaded: set[str] = set()
+#: Kernels that have traced a race in this process, without or with a filter: those are loaded.
+_loaded: set[tuple[str, bool]] = set()
 
 
 def _candidates(found: Coherence) -> tuple[str, str]:
@@ -140,6 +140,7 @@ def _runs(
     source: RaySource,
     order: BatchOrder,
     wants_any: bool,
+    filter_: HitFilter | None,
     out: ResultAddresses,
 ) -> dict[str, Callable[[int, int, Progress | None], None]]:
     """What traces the rays between two cuts of an order, by kernel."""
@@ -154,14 +155,14 @@ def _runs(
             except IndexError:
                 memory = aligned_array(1, CALL_BYTES // 4)
             at = memory.ctypes.data
-            trace_instances(low, high, tree.top, packets, wants_any, at, out)
+            trace_instances(low, high, tree.top, packets, wants_any, filter_, at, out)
             free.append(memory)
 
         trace(body, begin, end, BLOCK_PACKETS, progress)
 
     def by_packets(begin: int, end: int, progress: Progress | None) -> None:
         def body(low: int, high: int) -> None:
-            trace_instance_packets(low, high, tree.top, packets, wants_any, out)
+            trace_instance_packets(low, high, tree.top, packets, wants_any, filter_, out)
 
         trace(body, begin, end, 1, progress)
 
@@ -190,7 +191,7 @@ def _runs(
     def in_flight(begin: int, end: int, progress: Progress | None) -> None:
         def body(low: int, high: int) -> None:
             trace_instance_wavefront(
-                begin + low, begin + high, tree.top, tree.frame, source, wants_any, out
+                begin + low, begin + high, tree.top, tree.frame, source, wants_any, filter_, out
             )
 
         parallel_for(body, end - begin, _WAVEFRONT_CHUNK, progress)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.instances.merged_hits import MergedGroup, MergedLanes, far_limits
+from raystream.instances.merged_hits import Merged, MergedLanes, ray_index
 from raystream.instances.records import InstanceRecord, ObjectRecord
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
@@ -20,7 +20,6 @@ from raystream.jit.simd import (
     f32x16,
     f64x16,
     float_as_bits,
-    i32x16,
     i64x16,
     load,
     mask_bits,
@@ -34,6 +33,7 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.jit.views import address_of, view
+from raystream.kernels.best import far_limits
 from raystream.kernels.ray import (
     FAR,
     LEAST_EXPONENT,
@@ -48,12 +48,11 @@ from raystream.structures.bvh.group_rays import (
     LANE_SHIFT,
     LAST_LANE,
     LISTS_AT,
-    PLACES_AT,
     arrange_group,
 )
 from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_load import prepare_group
-from raystream.structures.bvh.packet_rays import NO_PRIM, Group, GroupPlaces, first_ray, three
+from raystream.structures.bvh.packet_rays import NO_PRIM, Group, GroupLanes, three
 
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
@@ -84,21 +83,20 @@ WorldLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in WORLD])
 
 
 @device
-def _read_rays(world, rays, first, last, scene, source, first_id):
+def _read_rays(world, rays, first, last, scene, source):
     """Read 16 rays of a list from `first` on; the last one is repeated."""
-    places = GroupPlaces(scene + PLACES_AT, ZERO_U64, ZERO_U64)
     origin, direction = world.origin, world.direction
     for lane in range(_LANES):
         number = np.uint64(load(np.uint32, rays + min(first + lane, last) * LANE))
         g, k = number >> LANE_SHIFT, number & LAST_LANE
-        i = first_ray(places, g) + k
+        i = ray_index(scene, number)
         origin[_X, lane], origin[_Y, lane], origin[_Z, lane] = load_origin(source, i)
         direction[_X, lane], direction[_Y, lane], direction[_Z, lane] = load_direction(source, i)
         t_min, t_max = load_limits(source, i)
         lanes = MergedLanes(scene, g)
         best_t, best = t_max, lanes.prim_id[k]
         if best != NO_PRIM:
-            best_t, best = lanes.best_t[k], np.int32(best - first_id)
+            best_t = lanes.t[k]
         world.t_min[lane], world.best_t[lane], world.best[lane] = t_min, best_t, best
 
 
@@ -165,7 +163,7 @@ def _load_singly(lanes, lane, world, instance, object_):
     if world.best[lane] != NO_PRIM and ray.t_min <= far:
         far = local_limit(world.best_t[lane], ray.t_scale, ray.t_offset)
     lanes.t_min[lane], lanes.t[lane] = ray.t_min, far
-    lanes.t_scale[lane], lanes.t_offset[lane] = ray.t_scale, ray.t_offset
+    lanes.slow_t_scale[lane], lanes.slow_t_offset[lane] = ray.t_scale, ray.t_offset
 
 
 @device
@@ -243,9 +241,9 @@ def load_group(group, world, instance, object_):
     origin[_X], origin[_Y], origin[_Z] = narrow(ox), narrow(oy), narrow(oz)
     to[_X], to[_Y], to[_Z] = narrow(dx), narrow(dy), narrow(dz)
     group.t_min, group.t = low, high
-    group.t_scale, group.t_offset = t_scale, t_offset
+    group.slow_t_scale, group.slow_t_offset = t_scale, t_offset
     bits = mask_bits(is_usual & is_exact) ^ _ALL
-    lanes = MergedLanes(address_of(group))
+    lanes = GroupLanes(address_of(group))
     own = WorldLanes(address_of(world))
     while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
@@ -288,12 +286,12 @@ def load_rays(scene, inside, rays, count, source, leaves, index, objects):
     first, last = ZERO_U64, count - ONE_U64
     while first < count:
         g = first >> LANE_SHIFT
-        _read_rays(own, rays, first, last, scene, source, instance.first_id)
-        group = MergedGroup(inside, g)
+        _read_rays(own, rays, first, last, scene, source)
+        group, hits = Group(inside, g), Merged(inside, g)
         load_group(group, world, instance, object_)
-        prepare_group(Group(inside, g), object_.max_coordinate)
-        group.best_t, group.prim_id, group.found = world.best_t, world.best, i32x16(np.int32(0))
-        arrange_group(Group(inside, g), inside, first)
+        prepare_group(group, object_.max_coordinate)
+        hits.t, hits.prim_id, hits.before = world.best_t, world.best, bits_as_float(world.best)
+        arrange_group(group, inside, first)
         bits = mask_bits(group.t_min <= group.t)
         bits &= _ALL >> (_LANES - min(count - first, _LANES))
         store(groups + group_count * LANE, np.uint32((g << GROUP_SHIFT) | bits))

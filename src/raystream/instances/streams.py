@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.rays import RayStatus
-from raystream.instances.merged_hits import OBJECT_TESTS, MergedGroup, MergedLanes, keep_hits
+from raystream.instances.merged_hits import OBJECT_TESTS, InstanceList, Merged, merge_hits
 from raystream.instances.object_rays import load_rays
 from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
@@ -22,6 +22,7 @@ from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import f32x16, load, scratch, store
+from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.ray_source import RaySource, load_direction
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.group_rays import (
@@ -47,6 +48,7 @@ from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.packet_load import set_slow
 from raystream.structures.bvh.packet_rays import (
     Group,
+    GroupLanes,
     GroupPlaces,
     first_ray,
 )
@@ -74,6 +76,7 @@ class _InstanceTree(NamedTuple):
     nodes, leaves, objects : uint64
         See `TreeRecord` and `TopAddresses`.
     source : RaySource
+    filter : HitFilter or None
     inside, stack, small : uint64
         Memory for rays in object space, see `group_rays`; a stack; and bytes of a `Small`.
     """
@@ -82,6 +85,7 @@ class _InstanceTree(NamedTuple):
     leaves: np.uint64
     objects: np.uint64
     source: RaySource
+    filter: HitFilter | None
     inside: np.uint64
     stack: np.uint64
     small: np.uint64
@@ -105,6 +109,7 @@ def _search_instance(tree, index, rays, count, scene, wants_any):
     if group_count == ZERO_U64:
         return ZERO_U64
     nodes = TreeAddresses(object_.nodes, object_.leaves)
+    first_id = instance.first_id
     _trace_object(
         inside,
         inside + LISTS_AT,
@@ -114,9 +119,9 @@ def _search_instance(tree, index, rays, count, scene, wants_any):
         tree.stack,
         Small(tree.small),
         wants_any,
-        None,
+        InstanceList(first_id, tree.filter, scene, rays, count - ONE_U64),
     )
-    return keep_hits(scene, inside, rays, count, instance.first_id, wants_any)
+    return merge_hits(scene, inside, rays, count, first_id, wants_any)
 
 
 @device
@@ -152,7 +157,7 @@ def _refuse(memory, groups, count, source):
 def _sound(memory, g, bits, source):
     """The rays of a group whose directions have lengths within bounds."""
     no_inline()
-    lanes, sound = MergedLanes(memory, g), ZERO_U64
+    lanes, sound = GroupLanes(memory, g), ZERO_U64
     first = first_ray(GroupPlaces(memory + PLACES_AT, ZERO_U64, ZERO_U64), g)
     for k in range(_LANES):
         if (bits >> k) & ONE_U64 == ZERO_U64:
@@ -172,12 +177,12 @@ def _finish(memory, group_count):
     """Make the distances of all groups those that are reported."""
     for g in range(group_count):
         group = Group(memory, g)
-        group.t, group.t_scale = MergedGroup(memory, g).best_t + _ZERO, f32x16(np.float32(1.0))
+        group.t, group.t_scale = Merged(memory, g).t + _ZERO, f32x16(np.float32(1.0))
         set_slow(group)
 
 
 @kernel
-def trace_instances(begin, end, top, source, wants_any, memory, out):
+def trace_instances(begin, end, top, source, wants_any, filter_, memory, out):
     """Trace packets begin to end through a scene's instances.
 
     Parameters
@@ -188,6 +193,7 @@ def trace_instances(begin, end, top, source, wants_any, memory, out):
     source : PacketSource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    filter_ : HitFilter or None
     memory : int
         Address of `CALL_BYTES` bytes; a multiple of 64.
     out : ResultAddresses
@@ -198,7 +204,14 @@ def trace_instances(begin, end, top, source, wants_any, memory, out):
     small, inner_small = scratch(SMALL_BYTES), scratch(SMALL_BYTES)
     record = TreeRecord(top.trees)
     tree = _InstanceTree(
-        record.nodes, record.leaves, top.objects, source.rays, inside, inner_stack, inner_small
+        record.nodes,
+        record.leaves,
+        top.objects,
+        source.rays,
+        filter_,
+        inside,
+        inner_stack,
+        inner_small,
     )
     groups = memory + LISTS_AT
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):

@@ -15,17 +15,16 @@ from raystream.instances.traversal import WorldRay, object_ray, ray_numbers, sce
 from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
-    count_trailing_zeros,
     i32x8,
     lane_numbers,
     load,
     scratch,
     store,
 )
-from raystream.jit.views import view
-from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, test_block
-from raystream.kernels.ray import local_limit, world_t
-from raystream.kernels.search import is_before
+from raystream.jit.views import address_of, view
+from raystream.kernels.best import Best, best_views, offer_hits
+from raystream.kernels.leaf_block import BLOCK, HITS, BlockLanes, HitLanes, test_block
+from raystream.kernels.ray import local_limit
 from raystream.structures.bvh.node_layout import (
     LANE,
     Node,
@@ -42,6 +41,7 @@ from raystream.structures.bvh.wavefront import (
     QUEUE_BYTES,
     SLOT,
     STACK,
+    filter_of,
     finish_ray,
     next_child,
     slot_ray,
@@ -56,6 +56,9 @@ _SLOT = np.dtype(
 )
 _Slot = view(_SLOT)
 
+#: The same for `kernels.best`, as one ray with a lane index.
+_, _Best = best_views(_SLOT, limit="t", t="best_t", t_scale="t_scale", t_offset="t_offset")
+
 #: Slots: those of the tree over the instances come first.
 _SLOTS = np.uint64(2) * IN_FLIGHT
 _SLOTS_BYTES = int(_SLOTS) * _SLOT.itemsize
@@ -65,7 +68,6 @@ _HITS_BYTES = HITS.itemsize
 _WORD, _WORD_SHIFT = np.uint64(8), np.uint64(3)
 _LEAF_SHIFT = np.int32(3)
 _INF = np.float32(np.inf)
-_FOUND = np.int32(0)
 _INVALID = np.uint8(RayStatus.INVALID)
 
 
@@ -104,37 +106,23 @@ def _enter(slot, inner, keys, children, source, objects):
 
 
 @device
-def _visit_leaf(inner, slot, lanes_at, wants_any):
+def _visit_leaf(inner, slot, lanes_at, wants_any, filter_):
     """Test the triangles of an object's leaf; returns whether the ray is done."""
     at = leaf_address(inner.leaves, inner.child)
     end = leaf_end(at, inner.child)
     while at != end:
         bits = test_block(at, slot_ray(inner), inner.t_min, inner.t, False, lanes_at)
         if bits != ZERO_U64:
-            if wants_any:
-                slot.prim_id = _FOUND
-                return True
-            _keep_nearest(inner, slot, Block(at), bits, HitLanes(lanes_at))
+            own = filter_of(filter_, inner)
+            best = Best(
+                _Best(address_of(inner)), _Best(address_of(slot)), inner.first_id, own, wants_any
+            )
+            if offer_hits(best, ZERO_U64, bits, HitLanes(lanes_at), BlockLanes(at).prim_ids):
+                if wants_any:
+                    return True
+                inner.t_key = t_key(inner.t)
         at += BLOCK
     return False
-
-
-@device
-def _keep_nearest(inner, slot, block, bits, lanes):
-    """Keep the nearest of a ray's hit and of those of some lanes; see `kernels.search.offer`."""
-    best_t, best = slot.best_t, slot.prim_id
-    while bits != ZERO_U64:
-        lane = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        t = world_t(lanes.t[lane], inner.t_scale, inner.t_offset)
-        number = np.int32(block.prim_ids[lane] + inner.first_id)
-        if is_before(t, number, best_t, best):
-            best_t, best = t, number
-            slot.u, slot.v = lanes.u[lane], lanes.v[lane]
-    if best != slot.prim_id:
-        slot.best_t, slot.prim_id = best_t, best
-        far = min(inner.t, local_limit(best_t, inner.t_scale, inner.t_offset))
-        inner.t, inner.t_key = far, t_key(far)
 
 
 @device
@@ -157,7 +145,7 @@ def _finish(slot, wants_any, out):
 
 
 @kernel
-def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
+def trace_instance_wavefront(begin, end, top, frame, source, wants_any, filter_, out):
     """Trace rays begin to end through a scene's instances.
 
     Parameters
@@ -170,6 +158,7 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
     source : RaySource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    filter_ : HitFilter or None
     out : ResultAddresses
     """
     slots, lanes = scratch(_SLOTS_BYTES), scratch(_HITS_BYTES)
@@ -244,7 +233,7 @@ def trace_instance_wavefront(begin, end, top, frame, source, wants_any, out):
             slot = _Slot(slots, k)
             keys, children = all_keys + k * STACK, all_children + k * STACK
             height = slot.top
-            if _visit_leaf(slot, _Slot(slots, k - IN_FLIGHT), lanes, wants_any):
+            if _visit_leaf(slot, _Slot(slots, k - IN_FLIGHT), lanes, wants_any, filter_):
                 height = LANE
             child = next_child(slot, height, keys, children, slot, True)
             is_leaf = np.uint64(child < np.int32(0))

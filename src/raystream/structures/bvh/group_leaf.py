@@ -14,16 +14,14 @@ from raystream.jit.simd import (
     count_trailing_zeros,
     f32x16,
     f64x16,
-    i32x16,
     load,
     mask_bits,
     maximum,
     minimum,
-    select,
     store,
 )
 from raystream.jit.views import address_of, view
-from raystream.kernels.hit_filter import any_kept, keeps
+from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes
 from raystream.kernels.leaf_block import HITS, Block, HitLanes
 from raystream.kernels.triangle_lanes import (
     barycentrics,
@@ -45,14 +43,13 @@ from raystream.structures.bvh.group_rays import (
     interval,
 )
 from raystream.structures.bvh.node_layout import LANE
-from raystream.structures.bvh.packet_filter import kept_lanes, ray_filter
-from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
+from raystream.structures.bvh.packet_filter import lanes_filter, ray_filter
+from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, three
 
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _BLOCK_LANES = np.uint64(4)
 _ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
 
 #: Children of a node and their lists; hits of a block; normals of its triangles.
 _SMALL = np.dtype(
@@ -160,18 +157,35 @@ class LeafTests(NamedTuple):
     with_rays: Callable[..., Any]
 
 
-def leaf_tests(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any]) -> LeafTests:
-    """Make the tests of leaves, which differ in what is kept of the hits.
+def leaf_tests(group_best: Callable[..., Any], ray_best: Callable[..., Any]) -> LeafTests:
+    """Make the tests of leaves, which differ in where the rays' hits are.
 
     Parameters
     ----------
-    keep_in_group : device function
-        ``keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_)`` keeps the hits of
-        some lanes with a triangle; returns whether there was one.
-    keep_of_ray : device function
-        ``keep_of_ray(memory, number, block, bits, found, wants_any, filter_)`` keeps the hits of a
-        ray with some triangles of a block.
+    group_best, ray_best : device function
+        ``group_best(memory, g, wants_any, filter_)`` is the `Best` of a group, and
+        ``ray_best(memory, g, k, wants_any, filter_)`` that of its ray k. A ray's limit is its `t`.
     """
+
+    @device
+    def keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):
+        """Keep hits of a group with a triangle; returns whether there was a nearer one."""
+        best = group_best(memory, g, wants_any, filter_)
+        bits = offer_lanes(best, taken, t, u, v, prim_id)
+        has_hit, limits = bits != ZERO_U64, GroupLanes(memory, g).t
+        while bits != ZERO_U64:
+            k = count_trailing_zeros(bits)
+            bits &= bits - ONE_U64
+            Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
+        return has_hit
+
+    @device
+    def keep_of_ray(memory, number, block, bits, found, wants_any, filter_):
+        """Keep the nearest of a ray's hit and those of some triangles of a block."""
+        g, k = number >> LANE_SHIFT, number & LAST_LANE
+        best = ray_best(memory, g, k, wants_any, filter_)
+        if offer_hits(best, k, bits, found, block.prim_ids):
+            Hot(memory + HOT_AT, number).t = GroupLanes(memory, g).t[k]
 
     @device
     def test_with_group(g, memory, block, lane, lanes, wants_any, filter_):
@@ -285,60 +299,21 @@ def leaf_tests(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
     return LeafTests(with_groups, with_rays)
 
 
-@device
-def _keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):
-    """Keep the nearest hits, by t, then prim_id."""
-    group, at = Group(memory, g), GroupLanes(memory, g)
-    nearest, best, prim_ids = group.t, group.prim_id, i32x16(prim_id)
-    taken = taken & ((t < nearest) | (prim_ids < best))
-    bits = mask_bits(taken)
-    if bits == ZERO_U64:
-        return False
-    if filter_ is not None:
-        taken = kept_lanes(filter_, taken, t, u, v, prim_id, group, g)
-        bits = mask_bits(taken)
-        if bits == ZERO_U64:
-            return False
-    group.prim_id = select(taken, prim_ids, best)
-    if wants_any:
-        t = f32x16(-_INF)
-    group.t = select(taken, t, nearest)
-    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
-    while bits != ZERO_U64:
-        k = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = at.t[k]
-    return True
+#: A group's limits and hits. The nearest hit so far is the limit of its ray.
+_Hits, _HitsLanes = best_views(GROUP, limit="t", t="t")
 
 
 @device
-def _keep_of_ray(memory, number, block, bits, found, wants_any, filter_):
-    """Keep the nearest hit of a ray."""
-    hot = Hot(memory + HOT_AT, number)
-    g, k = number >> LANE_SHIFT, number & LAST_LANE
-    group = GroupLanes(memory, g)
-    own = ray_filter(filter_, group, g, k)
-    if not wants_any:
-        _keep_nearest(hot, group, k, block, bits, found, own)
-    elif any_kept(own, block, bits, found):
-        group.prim_id[k], group.t[k], hot.t = np.int32(0), -_INF, -_INF
+def _group_best(memory, g, wants_any, filter_):
+    at = _Hits(memory, g)
+    return Best(at, at, None, lanes_filter(filter_, Group(memory, g), g), wants_any)
 
 
 @device
-def _keep_nearest(hot, group, k, block, bits, found, filter_):
-    """Keep the nearest of the ray's hit and the hits of some lanes, by t, then prim_id."""
-    nearest, best = hot.t, group.prim_id[k]
-    while bits != ZERO_U64:
-        lane = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        t, prim_id = found.t[lane], block.prim_ids[lane]
-        u, v = found.u[lane], found.v[lane]
-        is_nearer = t < nearest or (t == nearest and prim_id < best)
-        if is_nearer and keeps(filter_, t, u, v, prim_id):
-            nearest, best = t, prim_id
-            group.u[k], group.v[k] = u, v
-    hot.t, group.t[k], group.prim_id[k] = nearest, nearest, best
+def _ray_best(memory, g, k, wants_any, filter_):
+    at, own = _HitsLanes(memory, g), ray_filter(filter_, GroupLanes(memory, g), g, k)
+    return Best(at, at, None, own, wants_any)
 
 
 #: The tests of a scene's leaves.
-TESTS = leaf_tests(_keep_in_group, _keep_of_ray)
+TESTS = leaf_tests(_group_best, _ray_best)

@@ -20,6 +20,7 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import address_of
+from raystream.kernels.best import LanesFilter
 from raystream.kernels.hit_filter import (
     FILTERED_BYTES,
     U_AT,
@@ -96,6 +97,14 @@ def ray_filter(filter_, lanes, g, k):
     first = first_ray(filter_.places, g)
     t_scale, t_offset = t_transform(lanes, k, _is_slow(filter_, g))
     return RayFilter(filter_.filter, first + k, t_scale, t_offset)
+
+
+@device
+def lanes_filter(filter_, group, g):
+    """The `LanesFilter` of group g, which is given; None without a filter."""
+    if filter_ is None:
+        return None
+    return LanesFilter(kept_lanes, filter_, group, g)
 
 
 @device

@@ -21,7 +21,7 @@ from raystream.jit.simd import (
     select,
 )
 from raystream.jit.views import address_of, view
-from raystream.kernels.hit_filter import keeps
+from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes
 from raystream.kernels.leaf_block import (
     AXIS,
     BLOCK,
@@ -40,9 +40,9 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
-from raystream.structures.bvh.packet_filter import kept_lanes, ray_filter
+from raystream.structures.bvh.packet_filter import lanes_filter, ray_filter
 from raystream.structures.bvh.packet_hits import collect
-from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
+from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, three
 
 #: The goal for each ray: its nearest hit, any hit, the number of hits (in place of prim_id), or all
 #: hits.
@@ -61,7 +61,6 @@ _ScratchLanes = view([("near", "f4", (3, 4, 1)), ("far", "f4", (3, 4, 1)), ("hit
 _FEW = np.uint64(4)
 
 _ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _DOWN = np.uint64(2**64 - 1)
@@ -172,11 +171,11 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
     Parameters
     ----------
     keep_in_group : device function
-        ``keep_in_group(group, g, taken, t, uv, prim_id, goal, hits, filter_)`` keeps the hits of
+        ``keep_in_group(packet, g, taken, t, uv, prim_id, goal, hits, filter_)`` keeps the hits of
         some lanes with a triangle; returns whether there was a nearer one.
     keep_of_ray : device function
-        ``keep_of_ray(lanes, k, hit, prim_ids, found, is_any, filter_)`` keeps the hits of a ray
-        with some triangles of a block; likewise.
+        ``keep_of_ray(packet, g, k, bits, found, prim_ids, goal, hits, filter_)`` keeps the hits of
+        a ray with some triangles of a block; likewise.
 
     Returns
     -------
@@ -185,9 +184,10 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
     """
 
     @device
-    def test_triangle(group, g, block, planes, lane, rays, goal, hits, filter_):
+    def test_triangle(packet, g, at, own, lane, rays, goal, hits, filter_):
         """Test a triangle of a block against a group; returns whether a ray has a nearer hit."""
         kx, ky, kz = rays.kx, rays.ky, rays.kz
+        group, block, planes = Group(packet, g), BlockLanes(at), _ScratchLanes(address_of(own))
         corners = block.corners
         a = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
         b = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
@@ -205,7 +205,7 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
         if not any_lane(candidates):
             return False
         near, far = planes.near, planes.far
-        own = (
+        box = (
             near[_X, lane],
             near[_Y, lane],
             near[_Z, lane],
@@ -213,7 +213,7 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
             far[_Y, lane],
             far[_Z, lane],
         )
-        t_in, t_out = _group_interval(group, own)
+        t_in, t_out = _group_interval(group, box)
         nearest, t_min = group.t_active, group.t_min
         candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
         if not any_lane(candidates):
@@ -227,21 +227,20 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
             return False
         hit, u, v = barycentrics(sheared, goal >= SURFACES)
         prim_id = block.prim_ids[lane]
-        return keep_in_group(group, g, candidates & hit, t, (u, v), prim_id, goal, hits, filter_)
+        return keep_in_group(packet, g, candidates & hit, t, (u, v), prim_id, goal, hits, filter_)
 
     @device
-    def test_rays(packet, g, bits, block, rays, is_any, found, filter_):
+    def test_rays(packet, g, bits, block, own, rays, goal, hits, filter_):
         """Test a block against some rays of a group; returns whether one has a nearer hit."""
-        lanes, has_hit = GroupLanes(packet, g), False
+        lanes, found, has_hit = GroupLanes(packet, g), address_of(own.hits), False
         prim_ids = BlockLanes(block).prim_ids
         while bits != ZERO_U64:
             k = count_trailing_zeros(bits)
             bits &= bits - ONE_U64
             ray = _block_ray(lanes, k, rays)
-            own = ray_filter(filter_, lanes, g, k)
             hit = test_block(block, ray, lanes.t_min[k], lanes.t_active[k], False, found)
             if hit != ZERO_U64 and keep_of_ray(
-                lanes, k, hit, prim_ids, HitLanes(found), is_any, own
+                packet, g, k, hit, HitLanes(found), prim_ids, goal, hits, filter_
             ):
                 has_hit = True
         return has_hit
@@ -267,7 +266,6 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
         """
         at = leaf_address(leaves, child)
         end = leaf_end(at, child)
-        lanes, found = _ScratchLanes(address_of(own)), address_of(own.hits)
         has_hit = False
         while at != end:
             block = BlockLanes(at)
@@ -278,16 +276,15 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
                     break
                 count += ONE_U64
             for g in range(groups.first, groups.last + ONE_U64):
-                group = Group(packet, g)
                 bits = entering_rays(packet, g, box, rays)
                 if bits == ZERO_U64:
                     continue
                 if goal <= ANY and popcount(bits) <= _FEW:
-                    if test_rays(packet, g, bits, at, rays, goal == ANY, found, filter_):
+                    if test_rays(packet, g, bits, at, own, rays, goal, hits, filter_):
                         has_hit = True
                 else:
                     for lane in range(count):
-                        if test_triangle(group, g, block, lanes, lane, rays, goal, hits, filter_):
+                        if test_triangle(packet, g, at, own, lane, rays, goal, hits, filter_):
                             has_hit = True
             at += BLOCK
         return has_hit
@@ -295,52 +292,30 @@ def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any
     return visit_leaf
 
 
+#: A group's limits and hits. The nearest hit so far is the limit of its ray.
+_Hits, _HitsLanes = best_views(GROUP, limit="t_active", t="t_active")
+
+
 @device
-def _keep_in_group(group, g, taken, t, uv, prim_id, goal, hits, filter_):
+def _keep_in_group(packet, g, taken, t, uv, prim_id, goal, hits, filter_):
     """Keep the nearest hits, by t, then prim_id; or count or collect all of them."""
-    prim_ids, best, nearest = i32x16(prim_id), group.prim_id, group.t_active
-    u, v = uv
+    group, (u, v) = Group(packet, g), uv
     if goal > ANY:
         if goal & ONE_U64 == ONE_U64:
-            collect(hits, taken, t, u, v, prim_ids, group, g)
+            collect(hits, taken, t, u, v, i32x16(prim_id), group, g)
         else:
-            group.prim_id = select(taken, best + np.int32(1), best)
+            group.prim_id = select(taken, group.prim_id + np.int32(1), group.prim_id)
         return False
-    taken = taken & ((t < nearest) | (prim_ids < best))
-    if not any_lane(taken):
-        return False
-    if filter_ is not None:
-        taken = kept_lanes(filter_, taken, t, u, v, prim_id, group, g)
-        if not any_lane(taken):
-            return False
-    group.prim_id = select(taken, prim_ids, best)
-    if goal == ANY:
-        group.t_active = select(taken, f32x16(-_INF), nearest)
-        return True
-    group.t_active = select(taken, t, nearest)
-    group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
-    return True
+    at = _Hits(packet, g)
+    best = Best(at, at, None, lanes_filter(filter_, group, g), goal == ANY)
+    return offer_lanes(best, taken, t, u, v, prim_id) != ZERO_U64
 
 
 @device
-def _keep_of_ray(lanes, k, hit, prim_ids, found, is_any, filter_):
-    """Keep the nearest of a ray's hit and those of some lanes, by t, then prim_id."""
-    nearest, best, has_hit = lanes.t_active[k], lanes.prim_id[k], False
-    while hit != ZERO_U64:
-        lane = count_trailing_zeros(hit)
-        hit &= hit - ONE_U64
-        t, u, v, prim_id = found.t[lane], found.u[lane], found.v[lane], prim_ids[lane]
-        is_nearer = t < nearest or (t == nearest and prim_id < best)
-        if is_nearer and keeps(filter_, t, u, v, prim_id):
-            has_hit = True
-            lanes.prim_id[k] = best = prim_id
-            if is_any:
-                nearest, hit = -_INF, ZERO_U64
-            else:
-                nearest = t
-                lanes.u[k], lanes.v[k] = u, v
-            lanes.t_active[k] = nearest
-    return has_hit
+def _keep_of_ray(packet, g, k, bits, found, prim_ids, goal, hits, filter_):
+    """Keep the nearest of a ray's hit and those of some triangles, by t, then prim_id."""
+    at, own = _HitsLanes(packet, g), ray_filter(filter_, GroupLanes(packet, g), g, k)
+    return offer_hits(Best(at, at, None, own, goal == ANY), k, bits, found, prim_ids)
 
 
 #: The visit of a scene's leaves.

@@ -183,7 +183,7 @@ def visit_node(slot, node, keys, children, numbers):
 
 
 @device
-def _filter_of(filter_, slot):
+def filter_of(filter_, slot):
     """The `RayFilter` of a slot's ray; None without a filter."""
     if filter_ is None:
         return None
@@ -207,7 +207,7 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any, filter_):
     while at != end:
         bits = test_block(at, slot_ray(slot), slot.t_min, slot.t, False, lanes_at)
         if bits != np.uint64(0):
-            block, lanes, of_ray = Block(at), HitLanes(lanes_at), _filter_of(filter_, slot)
+            block, lanes, of_ray = Block(at), HitLanes(lanes_at), filter_of(filter_, slot)
             if not wants_any:
                 _keep_nearest(slot, block, bits, lanes, of_ray)
             elif any_kept(of_ray, block, bits, lanes):
