@@ -132,7 +132,7 @@ def _place(
             begin: int, end: int, arrays: Any = arrays, chunk: int = chunk, box: int = box
         ) -> None:
             at = box + begin // chunk
-            _move(begin, end, frame, scale, *arrays, bounds[at], reaches[at])
+            _move(begin, end, frame, scale, *arrays, *(one[at] for one in (bounds, reaches)))
 
         parallel_for(body, length, chunk)
     return _Placed(corners, kinds, _union(bounds), _union(reaches))

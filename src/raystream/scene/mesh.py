@@ -219,6 +219,6 @@ def _kept(array: NDArray[Any], dtype: type) -> NDArray[Any]:
     may_overflow = array.dtype.kind == "f" and array.dtype != dtype
     # To silence the warning takes as long as to copy a small array.
     with np.errstate(over="ignore") if may_overflow else nullcontext():
-        copy = np.array(array, dtype, order="C")
+        copy: NDArray[Any] = np.array(array, dtype, order="C")
     copy.setflags(write=False)
     return copy
