@@ -280,13 +280,13 @@ def test_full_disk_behind_stdout_is_one_line(start, square):
 
 def test_names_are_those_of_the_library():
     from raystream import MODES
-    from raystream.machines.devices import DEVICES, device_of
     from raystream.rendering.heatmap import HEATMAPS
     from raystream.rendering.lighting import ADDED, LIGHTS
     from raystream.rendering.render import RENDERERS
     from raystream.rendering.tone import TONES
     from raystream.scene.procedural import BUILTIN
     from raystream.scene.projections import PROJECTIONS as LIBRARY_PROJECTIONS
+    from raystream.tracer.devices import DEVICES, device_of
 
     assert set(options.MODES) == set(MODES)
     assert tuple(HEATMAPS) == options.HEATMAPS

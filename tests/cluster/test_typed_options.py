@@ -14,7 +14,7 @@ need("distributed")
 
 from raystream.cluster.tracer_bundles import pack_tracer, unpack_tracer
 from raystream.core.choices import DeviceOptions
-from raystream.machines.devices import DEVICES, register_device
+from raystream.tracer.devices import DEVICES, register_device
 
 SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 
@@ -27,7 +27,7 @@ class Slow(DeviceOptions):
 
 @pytest.fixture(autouse=True)
 def _slow(monkeypatch):
-    monkeypatch.setattr("raystream.machines.devices.DEVICES", dict(DEVICES))
+    monkeypatch.setattr("raystream.tracer.devices.DEVICES", dict(DEVICES))
     register_device("slow", options=Slow)
 
 

@@ -15,8 +15,8 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import cube, icosphere
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
-from raystream.machines.devices import build_on_cpu
 from raystream.structures import options_of
+from raystream.tracer.devices import build_on_cpu
 from scene_cases import FIRST, ROWS, SCENE_CASES, assert_answers, assert_same, some_of
 from test_scene_contents import FEATURES, check_feature, tracer_of
 

@@ -6,8 +6,8 @@ import pytest
 
 import raystream as rs
 from extras import need
-from raystream.machines.devices import device_of
 from raystream.rendering.render import RENDERERS
+from raystream.tracer.devices import device_of
 from raystream.viewer.messages import MessageError
 from raystream.viewer.settings import MACHINES, Settings, traversals_of
 

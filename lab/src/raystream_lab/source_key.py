@@ -20,7 +20,7 @@ _ENGINE = (
     "scene",
     "streams",
     "structures",
-    "tracer.py",
+    "tracer",
 )
 
 #: Of these, what only reads or writes files, or shows finished images.

@@ -111,8 +111,8 @@ def open_tracer(
 
 
 def _open_structure(name: str, chosen: TracerArguments, bars: Bars, watch: Stopwatch) -> Tracer:
-    from raystream.machines.devices import device_of
     from raystream.tracer import Tracer
+    from raystream.tracer.devices import device_of
 
     machines = device_of(chosen.device).machines
     with chosen.blamed():

@@ -15,10 +15,10 @@ from raystream.core.choices import MACHINES, Cpu, DeviceOptions
 from raystream.core.options import Options
 from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
-from raystream.machines.devices import device_of
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, StructureOptions, structure_class
 from raystream.tracer import Tracer
+from raystream.tracer.devices import device_of
 
 
 def pack_tracer(

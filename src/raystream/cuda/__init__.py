@@ -7,7 +7,7 @@ there with ``build="device"``.
 from raystream.core.choices import Cuda
 from raystream.cuda.build import build_structure
 from raystream.cuda.registry import CUDA_MACHINES
-from raystream.machines.devices import register_device
+from raystream.tracer.devices import register_device
 
 __all__ = ["CUDA_MACHINES"]
 

@@ -9,8 +9,8 @@ from raystream.core.scene_checks import check_plain
 from raystream.core.triangles import Triangles
 from raystream.cuda.devices import open_device
 from raystream.jit.threads import Progress
-from raystream.machines.devices import build_on_cpu
 from raystream.structures import Structure, StructureOptions, form_of, names_with
+from raystream.tracer.devices import build_on_cpu
 
 
 def build_structure(
@@ -20,7 +20,7 @@ def build_structure(
     progress: Progress | None = None,
     device: Cuda | None = None,
 ) -> Structure:
-    """Build a structure; a `machines.devices.DeviceFactory`.
+    """Build a structure; a `tracer.devices.DeviceFactory`.
 
     Parameters
     ----------

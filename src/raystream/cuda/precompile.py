@@ -21,10 +21,10 @@ from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.point_queries import NearestAddresses, PointSource
 from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.machines.devices import build_on_cpu
-from raystream.machines.precision import float64_triangles
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with, options_of
+from raystream.tracer.devices import build_on_cpu
+from raystream.tracer.precision import float64_triangles
 
 #: Compiles a kernel for GPUs of a capability.
 Compiler = Callable[[tuple[int, int]], Compiled]

@@ -14,7 +14,7 @@ from raystream.core.rays import DEFAULT_LIMITS, RayArrays, RayBatch, as_real_arr
 from raystream.cuda.packing import pack
 from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_of
 from raystream.kernels.ray_source import RaySource
-from raystream.machines.traced_scene import flat_ids
+from raystream.tracer.traced_scene import flat_ids
 
 #: Most hits of rays that are traced together; a ray with more is traced by itself.
 HITS_AT_ONCE = 1 << 22

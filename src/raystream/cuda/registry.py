@@ -8,8 +8,8 @@ from typing import Any
 from raystream.cuda.devices import open_device
 from raystream.machines import MULTIPASS_OPTIONS
 from raystream.machines.backend import Backend
-from raystream.machines.devices import Machines
 from raystream.structures import Structure
+from raystream.tracer.devices import Machines
 
 #: Options of the machine.
 _OPTIONS = ("gpu", "rays_at_once")

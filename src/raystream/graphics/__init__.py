@@ -15,7 +15,7 @@ from typing import Any
 from raystream.core.choices import Graphics
 from raystream.graphics.machines import GRAPHICS_MACHINES
 from raystream.graphics.structures import build_with_shaders
-from raystream.machines.devices import register_device
+from raystream.tracer.devices import register_device
 
 __all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "visibility"]
 

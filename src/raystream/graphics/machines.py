@@ -11,8 +11,8 @@ from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.graphics.adapters import open_device
 from raystream.graphics.error_scope import guarded
 from raystream.machines.backend import Backend
-from raystream.machines.devices import Machines
 from raystream.structures import Structure
+from raystream.tracer.devices import Machines
 
 _SHARED = ("adapter", "rays_at_once")
 

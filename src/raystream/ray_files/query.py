@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.errors import FileFormatError
-from raystream.core.query import counts_surfaces
+from raystream.core.query import Crossings, counts_surfaces
 from raystream.core.scene_checks import check_no_worlds, check_triangles
 from raystream.jit.threads import Progress, part_of
 from raystream.ray_files.block_query import BlockQuery, BlockResult
@@ -25,7 +25,7 @@ from raystream.ray_files.journal import QueryProgress, journal_path, write_journ
 from raystream.ray_files.pipeline import Waits, run
 from raystream.ray_files.ray_store import RayStore
 from raystream.ray_files.resume import prepare_output
-from raystream.tracer import Crossings, Tracer
+from raystream.tracer import Tracer
 
 QUERIES = tuple(COLUMNS)
 

@@ -10,8 +10,8 @@ from raystream.core.triangles import Triangles
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.structures.base import ShaderStructure
 from raystream.jit.threads import Progress
-from raystream.machines.devices import build_on_cpu
 from raystream.structures import Structure, StructureOptions, form_of, names_with
+from raystream.tracer.devices import build_on_cpu
 
 __all__ = ["ShaderStructure", "build_with_shaders", "shader_structure_of"]
 
@@ -42,7 +42,7 @@ def build_with_shaders(
     progress: Progress | None = None,
     device: DeviceOptions | None = None,
 ) -> Structure:
-    """Build a structure on the CPU; a `machines.devices.DeviceFactory`.
+    """Build a structure on the CPU; a `tracer.devices.DeviceFactory`.
 
     Raises
     ------

@@ -23,9 +23,6 @@ from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
 from raystream.machines.backend import Backend
-from raystream.machines.configuration import Configuration, check_kind, configure
-from raystream.machines.devices import device_of
-from raystream.machines.precision import moved_triangles, of_scene
 from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
@@ -33,6 +30,9 @@ from raystream.scene.scene import Scene
 from raystream.structures import Structure, StructureOptions
 from raystream.structures.base import UpdateReport
 from raystream.structures.storage import load_structure, save_structure
+from raystream.tracer.configuration import Configuration, check_kind, configure
+from raystream.tracer.devices import device_of
+from raystream.tracer.precision import moved_triangles, of_scene
 
 if TYPE_CHECKING:
     from raystream.machines.counters import RayCounters

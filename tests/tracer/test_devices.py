@@ -7,7 +7,7 @@ import pytest
 
 import raystream as rs
 from raystream.machines import make_machine
-from raystream.machines.devices import DEVICES, build_on_cpu, device_of, register_device
+from raystream.tracer.devices import DEVICES, build_on_cpu, device_of, register_device
 
 SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 RAY = [0.25, 0.25, 1.0], [0.0, 0.0, -1.0]
@@ -33,7 +33,7 @@ class _Machines:
 
 @pytest.fixture
 def machines(monkeypatch):
-    monkeypatch.setattr("raystream.machines.devices.DEVICES", dict(DEVICES))
+    monkeypatch.setattr("raystream.tracer.devices.DEVICES", dict(DEVICES))
     made = _Machines()
     register_device("slow", machines=made)
     return made

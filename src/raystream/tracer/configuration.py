@@ -9,8 +9,8 @@ from raystream.core.choices import MACHINES, DeviceOptions, MachineOptions
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.options import Options
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
-from raystream.machines.devices import Device, device_of
 from raystream.structures import StructureOptions, options_of
+from raystream.tracer.devices import Device, device_of
 
 #: Devices with machines that trace spheres and height fields, and instances.
 _BRANCHING = ("cpu", "branching"), ("cuda", "branching")

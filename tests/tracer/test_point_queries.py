@@ -10,7 +10,7 @@ import pytest
 import raystream as rs
 from meshes import cube, dented_sphere, grid_floor, icosphere, soup
 from raystream.core.closest_points import ClosestPoints
-from raystream.machines.inside import _DIRECTIONS
+from raystream.tracer.inside import _DIRECTIONS
 from solid_meshes import box_mesh, joined, sphere_mesh, tracer_of
 
 

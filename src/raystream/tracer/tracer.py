@@ -16,15 +16,15 @@ from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfa
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.core.scene_checks import check_triangles
 from raystream.jit.threads import Progress
-from raystream.machines.answers import all_hits, nearest_hits
-from raystream.machines.memory_needed import MemoryEstimator
-from raystream.machines.point_queries import PointQueries
-from raystream.machines.precision import triangles_of
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records, returned_payload
 from raystream.programs.trace import Order, check_order
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
+from raystream.tracer.answers import all_hits, nearest_hits
+from raystream.tracer.memory_needed import MemoryEstimator
+from raystream.tracer.point_queries import PointQueries
+from raystream.tracer.precision import triangles_of
 
 __all__ = ["Crossings", "Tracer"]
 

@@ -9,8 +9,8 @@ import pytest
 import raystream as rs
 from extras import need
 from raystream.core.choices import DeviceOptions
-from raystream.machines.configuration import configure
-from raystream.machines.devices import DEVICES, register_device
+from raystream.tracer.configuration import configure
+from raystream.tracer.devices import DEVICES, register_device
 
 SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 RAY = [0.25, 0.25, 1.0], [0.0, 0.0, -1.0]
@@ -113,7 +113,7 @@ def test_a_device_may_have_options_of_its_own(monkeypatch):
         asked.append((structure, device))
         return DEVICES["cpu"].build(structure, triangles, progress=progress)
 
-    monkeypatch.setattr("raystream.machines.devices.DEVICES", dict(DEVICES))
+    monkeypatch.setattr("raystream.tracer.devices.DEVICES", dict(DEVICES))
     register_device("slow", build, options=Slow)
     rs.Tracer(SCENE, rs.Grid(), Slow(patience=3))
     rs.Tracer(SCENE, "grid", "slow", patience=3)

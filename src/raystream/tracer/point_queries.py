@@ -16,11 +16,11 @@ from raystream.core.rays import as_real_array
 from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.point_queries import NearestArrays, PointSource, work_bytes
-from raystream.machines.inside import InsideTest, share_of
-from raystream.machines.ray_cast import RayCaster
 from raystream.machines.winding import winding_of
 from raystream.structures.base import RAYS_PER_CALL
 from raystream.structures.registry import form_of, names_with
+from raystream.tracer.inside import InsideTest, share_of
+from raystream.tracer.ray_cast import RayCaster
 
 #: Most points of a call: sorted together, the more the nearer to each other.
 _POINTS_PER_CALL = 1 << 14

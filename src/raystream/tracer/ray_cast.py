@@ -10,9 +10,9 @@ from typing import Any
 from raystream.core.hits import Hits
 from raystream.core.ray_hit import RayHit
 from raystream.core.rays import RayStatus, as_number, as_vector
-from raystream.machines.traced_scene import TracedScene
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
+from raystream.tracer.traced_scene import TracedScene
 
 
 class RayCaster(TracedScene):

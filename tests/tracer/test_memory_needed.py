@@ -13,7 +13,7 @@ from conftest import TRACERS, every_tracer
 from meshes import soup
 from raystream.core import memory
 from raystream.instances.streams import CALL_BYTES
-from raystream.machines import memory_needed
+from raystream.tracer import memory_needed
 
 QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
 

@@ -17,7 +17,7 @@ from raystream.kernels.solids import open_edges, solids_of
 from raystream.machines.winding import inside_by_winding
 
 if TYPE_CHECKING:
-    from raystream.machines.point_queries import PointQueries
+    from raystream.tracer.point_queries import PointQueries
 
 #: Directions of the three rays: in no plane that people's models are likely to have.
 _DIRECTIONS = (

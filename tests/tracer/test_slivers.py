@@ -12,7 +12,7 @@ import pytest
 import raystream as rs
 from meshes import cube, icosphere
 from raystream.kernels.solids import solids_of
-from raystream.machines.inside import _DIRECTIONS
+from raystream.tracer.inside import _DIRECTIONS
 from slivers import FORMS, loose, split_box, split_edge, split_mesh
 from solid_meshes import box_chords, box_mesh, joined, rays_from_outside
 

@@ -12,7 +12,7 @@ from raystream.core.rays import RayBatch
 from raystream.instances.hit_ids import split_bytes
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
-from raystream.machines.ray_cast import RayCaster
+from raystream.tracer.ray_cast import RayCaster
 
 #: From this many rays on the free memory is checked, which takes longer than a small query.
 CHECKED_RAYS = 1 << 20
