@@ -132,7 +132,8 @@ def _place(
             begin: int, end: int, arrays: Any = arrays, chunk: int = chunk, box: int = box
         ) -> None:
             at = box + begin // chunk
-            _move(begin, end, frame, *arrays, bounds[at], reaches[at])
+            written: Any = *arrays, bounds[at], reaches[at]
+            _move(begin, end, frame, *written)
 
         parallel_for(body, length, chunk)
     return _Placed(corners, kinds, _union(bounds), _union(reaches))
