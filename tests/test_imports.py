@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,10 @@ RESERVED = {
 STREAMS_MAY_IMPORT = ("raystream.core.errors", "raystream.jit")
 
 MAX_LINES = 500
+
+#: A circle that is left: a context makes the bands of a multipass machine, whose loops know all
+#: renderers.
+LEFT = {("raystream.rendering.integrator", "raystream.rendering.ray_loops")}
 
 
 def imported_names(tree: ast.AST, package: str) -> Iterator[tuple[int, str]]:
@@ -126,6 +131,41 @@ def find_violations(source: Path) -> list[str]:
             if fault:
                 violations.append(f"{place}:{line}: {fault}")
     return violations
+
+
+class _AtRunTime(ast.NodeTransformer):
+    """Drops the imports that only type checkers see."""
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
+        if ast.unparse(node.test) == "TYPE_CHECKING":
+            return node.orelse
+        return self.generic_visit(node)
+
+
+def find_circle(source: Path) -> list[str]:
+    """Modules that import each other in a circle at run time, also in functions."""
+    paths = {}
+    for path in sorted(source.rglob("*.py")):
+        parts = path.relative_to(source).with_suffix("").parts
+        paths[".".join(("raystream", *(part for part in parts if part != "__init__")))] = path
+    graph: dict[str, set[str]] = {name: set() for name in paths}
+    for name, path in paths.items():
+        tree = _AtRunTime().visit(ast.parse(path.read_text(encoding="utf-8")))
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        for _, imported in imported_names(tree, package):
+            target = imported if imported in paths else imported.rpartition(".")[0]
+            if target in paths and target != name and (name, target) not in LEFT:
+                graph[name].add(target)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    circle = find_circle(SOURCE)
+    assert not circle, "\n".join(circle)
 
 
 def test_layers_import_only_layers_before_them() -> None:
@@ -218,3 +258,22 @@ def test_room_without_docstring_is_found(tmp_path: Path, place: str) -> None:
 )
 def test_allowed_import_passes(tmp_path: Path, place: str, statement: str) -> None:
     assert find_violations(plant(tmp_path, place, f"{DOCSTRING}{statement}\n")) == []
+
+
+@pytest.mark.parametrize(
+    ("statement", "is_circle"),
+    [
+        ("import raystream.kernels.slab", True),
+        ("from raystream.kernels import slab", True),
+        ("from .slab import NAME", True),
+        ("def f():\n    from raystream.kernels.slab import NAME", True),
+        ("if TYPE_CHECKING:\n    from raystream.kernels.slab import NAME", False),
+        ("from raystream.core import rays", False),
+    ],
+)
+def test_planted_circle_is_found(tmp_path: Path, statement: str, is_circle: bool) -> None:
+    plant(tmp_path, "core/rays.py", DOCSTRING)
+    plant(tmp_path, "kernels/slab.py", f"{DOCSTRING}from raystream.kernels import ray\n")
+    circle = find_circle(plant(tmp_path, "kernels/ray.py", f"{DOCSTRING}{statement}\n"))
+    names = {"raystream.kernels.ray", "raystream.kernels.slab"}
+    assert set(circle) == (names if is_circle else set())

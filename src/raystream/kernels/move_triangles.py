@@ -123,7 +123,7 @@ def _place(
     # A box for each chunk of each mesh; the first stays empty, also without meshes.
     starts = list(accumulate(counts, initial=1))
     bounds, reaches = _nothing(starts[-1], np.float32), _nothing(starts[-1], np.float64)
-    frame = center[0].item(), center[1].item(), center[2].item()
+    frame = (center[0].item(), center[1].item(), center[2].item()), scale
     for mesh, chunk, box, first in zip(meshes, chunks, starts, splits.tolist(), strict=False):
         length = len(mesh[1])
         arrays = *mesh, corners[first : first + length], kinds[first : first + length]
@@ -132,7 +132,8 @@ def _place(
             begin: int, end: int, arrays: Any = arrays, chunk: int = chunk, box: int = box
         ) -> None:
             at = box + begin // chunk
-            _move(begin, end, frame, scale, *arrays, *(one[at] for one in (bounds, reaches)))
+            written: Any = *arrays, bounds[at], reaches[at]
+            _move(begin, end, frame, *written)
 
         parallel_for(body, length, chunk)
     return _Placed(corners, kinds, _union(bounds), _union(reaches))
@@ -162,8 +163,9 @@ def _is_usable(x):
 
 
 @kernel
-def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds, reaches):
-    """Move faces begin to end, and compute their bounds."""
+def _move(begin, end, frame, vertices, faces, corners, kinds, bounds, reaches):
+    """Move faces begin to end, and compute their bounds; `frame` is its centre and its scale."""
+    center, scale = frame
     low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
     high_x, high_y, high_z = -low_x, -low_y, -low_z
     west, south, down = np.inf, np.inf, np.inf

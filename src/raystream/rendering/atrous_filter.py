@@ -18,8 +18,7 @@ from raystream.rendering.atrous import (
     filter_rows,
 )
 from raystream.rendering.color import luminance
-from raystream.rendering.guide_layers import finite, guide_layer
-from raystream.rendering.image import Image
+from raystream.rendering.guide_layers import Layers, finite, guide_layer
 
 #: Least albedo by which light is divided.
 _LEAST_ALBEDO = np.float32(0.01)
@@ -37,12 +36,13 @@ _ROWS = 8
 _PASSES = 5
 
 
-def filter_with_atrous(image: Image, light: NDArray[np.float32]) -> NDArray[np.float32]:
+def filter_with_atrous(layers: Layers, light: NDArray[np.float32]) -> NDArray[np.float32]:
     """Filter the light of an image, guided by its layers.
 
     Parameters
     ----------
-    image : Image
+    layers : mapping of str to ndarray
+        Of the image.
     light : ndarray of shape (H, W, 3), float32
         Linear RGB without emission; finite, at most 1e15.
 
@@ -56,10 +56,10 @@ def filter_with_atrous(image: Image, light: NDArray[np.float32]) -> NDArray[np.f
     ValueError
         If a layer has the wrong shape.
     """
-    albedo = np.clip(finite(guide_layer(image, "albedo", 3, 1.0)), _LEAST_ALBEDO, None)
+    albedo = np.clip(finite(guide_layer(layers, "albedo", light.shape, 1.0)), _LEAST_ALBEDO, None)
     found = light / albedo
-    guides = _make_guides(image, albedo)
-    variance = _light_variance(image, albedo)
+    guides = _make_guides(layers, albedo)
+    variance = _light_variance(layers, albedo)
     factor = _firefly_factors(found, variance)
     limited = found * factor[:, :, None]
     for _ in range(2):  # its square could underflow, and infinity times 0 is NaN
@@ -107,13 +107,13 @@ def _filter_rows(step: int, planes: Planes, begin: int, end: int) -> None:
     filter_rows(begin, end, step, planes)
 
 
-def _make_guides(image: Image, albedo: NDArray[np.float32]) -> NDArray[np.float32]:
+def _make_guides(layers: Layers, albedo: NDArray[np.float32]) -> NDArray[np.float32]:
     """The layers as the planes of guides; a missing one is constant, and so has no effect."""
-    normals = finite(guide_layer(image, "normal", 3, 0.0))
+    normals = finite(guide_layer(layers, "normal", albedo.shape, 0.0))
     # Means of unit normals are shorter, and 0 where they cancel.
     lengths = np.sqrt(np.einsum("hwk,hwk->hw", normals, normals, dtype=np.float64))
     normals = (normals / np.maximum(lengths, 1e-30)[:, :, None]).astype(np.float32)
-    depth = guide_layer(image, "depth", 1, 0.0)
+    depth = guide_layer(layers, "depth", albedo.shape[:2], 0.0)
     depth = np.where(np.isfinite(depth), depth, np.float32(np.inf))
     return as_planes(
         normals,
@@ -142,18 +142,19 @@ def _slope(depth: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return np.where(np.isfinite(slope), slope, np.float32(0.0))
 
 
-def _light_variance(image: Image, albedo: NDArray[np.float32]) -> NDArray[np.float32]:
+def _light_variance(layers: Layers, albedo: NDArray[np.float32]) -> NDArray[np.float32]:
     """Variance of the luminance of light without albedo; infinite where it is unknown.
 
     Channels are assumed to vary together, as under white light: deviations add up.
     """
-    given = guide_layer(image, "variance", 3, np.inf)
+    given = guide_layer(layers, "variance", albedo.shape, np.inf)
     deviation = np.sqrt(np.maximum(finite(given), 0.0)) / albedo
     with np.errstate(over="ignore"):
         variance = np.asarray(luminance(deviation) ** 2)
-    enough = guide_layer(image, "samples", 1, _LEAST_SAMPLES) >= _LEAST_SAMPLES
+    sample_counts = guide_layer(layers, "samples", albedo.shape[:2], _LEAST_SAMPLES)
+    enough = sample_counts >= _LEAST_SAMPLES
     # At the edge of an emitter, samples differ because only some hit it.
-    enough &= ~guide_layer(image, "emission", 3, 0.0).any(axis=2)
+    enough &= ~guide_layer(layers, "emission", albedo.shape, 0.0).any(axis=2)
     is_known = np.isfinite(given).all(axis=2) & np.isfinite(variance) & enough
     variance[~is_known] = np.inf
     return variance

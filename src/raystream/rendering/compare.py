@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.rendering.color import encode_srgb, luminance
 from raystream.rendering.false_colors import check_maximum, color_ramp
-from raystream.rendering.image import Image
 from raystream.rendering.scale_bar import draw_scale
 
 __all__ = ["Comparison", "compare", "draw_difference"]
@@ -70,15 +70,15 @@ class Comparison:
     invalid_count: int
 
 
-def compare(image: Image, reference: Image) -> Comparison:
-    """Measure errors: see `Image.compare`."""
-    is_valid = _check(image, reference)
-    a, b = (one.pixels[is_valid].astype(np.float64) for one in (image, reference))
+def compare(pixels: NDArray[np.float32], reference: NDArray[np.float32]) -> Comparison:
+    """Measure errors of pixels: see `Image.compare`."""
+    is_valid = _check(pixels, reference)
+    a, b = (one[is_valid].astype(np.float64) for one in (pixels, reference))
     if len(a) == 0:
         raise ValueError("image: no pixel is finite both in it and in the reference")
     errors = np.abs(a - b)
     worst = int(np.argmax(errors.max(axis=1)))
-    row, column = divmod(int(np.flatnonzero(is_valid)[worst]), image.size[0])
+    row, column = divmod(int(np.flatnonzero(is_valid)[worst]), pixels.shape[1])
     squares = errors * errors
     return Comparison(
         rmse=math.sqrt(squares.mean()),
@@ -94,12 +94,14 @@ def compare(image: Image, reference: Image) -> Comparison:
     )
 
 
-def draw_difference(image: Image, reference: Image, maximum: float | None) -> Image:
-    """Draw errors: see `Image.draw_difference`."""
-    is_valid = _check(image, reference)
+def draw_difference(
+    pixels: NDArray[np.float32], reference: NDArray[np.float32], maximum: float | None
+) -> NDArray[Any]:
+    """Draw errors of pixels: see `Image.draw_difference`."""
+    is_valid = _check(pixels, reference)
     check_maximum(maximum)
     difference = np.zeros(is_valid.shape)
-    a, b = (one.pixels[is_valid].astype(np.float64) for one in (image, reference))
+    a, b = (one[is_valid].astype(np.float64) for one in (pixels, reference))
     difference[is_valid] = luminance(a - b)
     most = float(np.abs(difference).max())
     top = float(maximum or most or 1.0)
@@ -108,20 +110,20 @@ def draw_difference(image: Image, reference: Image, maximum: float | None) -> Im
     places = np.rint(levels).astype(np.int32)
     drawn = np.where((difference > 0.0)[..., None], warm[places], cold[places])
     drawn[~is_valid] = _INVALID
-    width = image.size[0]
+    width = pixels.shape[1]
     scales = [
         draw_scale(width, top, most > top, title, ramp)
         for title, ramp in (("brighter by", warm), ("darker by", cold))
     ]
-    return Image(np.concatenate([drawn, *scales]))
+    return np.concatenate([drawn, *scales])
 
 
-def _check(image: Image, reference: Image) -> NDArray[np.bool_]:
+def _check(pixels: NDArray[np.float32], reference: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Mask of pixels that are finite in both images: shape (H, W)."""
-    if image.size != reference.size:
-        sizes = " and ".join("{}x{}".format(*one.size) for one in (image, reference))
+    if pixels.shape != reference.shape:
+        sizes = " and ".join(f"{one.shape[1]}x{one.shape[0]}" for one in (pixels, reference))
         raise ValueError(f"reference: expected images of equal size, got {sizes}")
-    is_finite = np.isfinite(image.pixels) & np.isfinite(reference.pixels)
+    is_finite = np.isfinite(pixels) & np.isfinite(reference)
     return np.asarray(is_finite.all(axis=2))
 
 

@@ -12,8 +12,7 @@ from raystream.core.memory import check_memory
 from raystream.rendering.atrous import stride_of
 from raystream.rendering.atrous_filter import filter_with_atrous
 from raystream.rendering.color import luminance
-from raystream.rendering.guide_layers import finite, guide_layer
-from raystream.rendering.image import Image
+from raystream.rendering.guide_layers import Layers, finite, guide_layer
 from raystream.rendering.oidn import filter_with_oidn, has_oidn
 from raystream.rendering.regional_gain import regional_gain
 
@@ -23,34 +22,33 @@ _BYTES_PER_PIXEL = {"oidn": 760, "oidn-fast": 760, "atrous": 170}
 #: Light is clamped to this, so that sums of squares do not overflow float32.
 _MOST_LIGHT = np.float32(1e15)
 
-#: Filters by name: from an image and its light, without emission, to the change of light.
-_FILTERS: dict[str, Callable[[Image, NDArray[np.float32]], NDArray[np.float32]]] = {
+#: Filters by name: from an image's layers and its light, without emission, to the change of light.
+_FILTERS: dict[str, Callable[[Layers, NDArray[np.float32]], NDArray[np.float32]]] = {
     "oidn": filter_with_oidn,
     "oidn-fast": partial(filter_with_oidn, is_fast=True),
     "atrous": filter_with_atrous,
 }
 
 
-def denoise(image: Image, method: str | None) -> Image:
-    """Remove noise from an image: see `Image.denoise`."""
+def denoise(given: NDArray[np.float32], layers: Layers, method: str | None) -> NDArray[np.float32]:
+    """Remove noise from the pixels of an image: see `Image.denoise`."""
     if method is None:
         method = "oidn" if has_oidn() else "atrous"
     if method not in _FILTERS:
         known = " or ".join(repr(name) for name in _FILTERS)
         raise ValueError(f"method: expected {known}, got {method!r}")
-    width, height = image.size
+    height, width, _ = given.shape
     columns = stride_of(width) if method == "atrous" else width
     byte_count = columns * height * _BYTES_PER_PIXEL[method]
     check_memory(byte_count, f"to denoise {width}x{height} pixels would")
-    pixels = np.clip(finite(image.pixels), -_MOST_LIGHT, _MOST_LIGHT)
-    emission = finite(guide_layer(image, "emission", 3, 0.0))
+    pixels = np.clip(finite(given), -_MOST_LIGHT, _MOST_LIGHT)
+    emission = finite(guide_layer(layers, "emission", given.shape, 0.0))
     light = pixels - np.clip(emission, -_MOST_LIGHT, _MOST_LIGHT)
-    change = _FILTERS[method](image, light)
+    change = _FILTERS[method](layers, light)
     smooth = light + change
     gain = regional_gain(
         luminance(smooth.astype(np.float64)), -luminance(change.astype(np.float64))
     )
     # Add the changes: where they are 0, colours keep their bits.
     change += smooth * (gain - 1.0)[:, :, None].astype(np.float32)
-    layers = {name: layer for name, layer in image.layers.items() if name != "variance"}
-    return Image(pixels + change, layers, image.figures)
+    return pixels + change

@@ -2,37 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.rendering.image import Image
+#: Layers of an image by name.
+Layers = Mapping[str, NDArray[Any]]
 
 
-def guide_layer(image: Image, name: str, width: int, otherwise: float) -> NDArray[np.float32]:
+def guide_layer(
+    layers: Layers, name: str, shape: tuple[int, ...], otherwise: float
+) -> NDArray[np.float32]:
     """A layer, or a constant if it is missing.
 
     Parameters
     ----------
-    image : Image
+    layers : mapping of str to ndarray
+        Of an image.
     name : str
-    width : {1, 3}
-        Numbers per pixel.
+    shape : tuple of int
+        (H, W) or (H, W, 3).
     otherwise : float
         The constant.
 
     Returns
     -------
-    ndarray of shape (H, W) or (H, W, 3), float32
+    ndarray of this shape, float32
 
     Raises
     ------
     ValueError
         If the layer has another shape.
     """
-    shape = image.pixels.shape[:2] if width == 1 else image.pixels.shape
-    if name not in image.layers:
+    if name not in layers:
         return np.full(shape, otherwise, np.float32)
-    layer = image.layers[name]
+    layer = layers[name]
     if layer.shape != shape:
         raise ValueError(f"image: expected its layer {name!r} of shape {shape}, got {layer.shape}")
     return layer.astype(np.float32, copy=False)

@@ -229,7 +229,8 @@ class Image:
         """
         from raystream.rendering.denoise import denoise
 
-        return denoise(self, method)
+        layers = {name: layer for name, layer in self.layers.items() if name != "variance"}
+        return Image(denoise(self.pixels, self.layers, method), layers, self.figures)
 
     def compare(self, reference: Image) -> Comparison:
         """Compute the errors against another image.
@@ -250,7 +251,7 @@ class Image:
         """
         from raystream.rendering.compare import compare
 
-        return compare(self, reference)
+        return compare(self.pixels, reference.pixels)
 
     def draw_difference(self, reference: Image, maximum: float | None = None) -> Image:
         """Draw the luminance difference from another image in false colours, with scale bars.
@@ -275,7 +276,7 @@ class Image:
         """
         from raystream.rendering.compare import draw_difference
 
-        return draw_difference(self, reference, maximum)
+        return Image(draw_difference(self.pixels, reference.pixels, maximum))
 
     def _write_png(self, target: str, exposure: float, tone: str) -> None:
         write_png(target, self.to_bytes(exposure, tone))

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.jit.threads import thread_count
-from raystream.rendering.guide_layers import finite, guide_layer
-from raystream.rendering.image import Image
+from raystream.rendering.guide_layers import Layers, finite, guide_layer
 
 #: The command that installs it.
 OIDN_REMEDY = "pip install 'raystream[denoise]'"
@@ -34,14 +33,14 @@ def has_oidn() -> bool:
 
 
 def filter_with_oidn(
-    image: Image, light: NDArray[np.float32], is_fast: bool = False
+    layers: Layers, light: NDArray[np.float32], is_fast: bool = False
 ) -> NDArray[np.float32]:
     """Filter the light of an image with Open Image Denoise, on the CPU.
 
     Parameters
     ----------
-    image : Image
-        Its layers ``"albedo"`` and ``"normal"`` are guides: both, albedo alone, or none.
+    layers : mapping of str to ndarray
+        Of the image; ``"albedo"`` and ``"normal"`` are guides: both, albedo alone, or none.
     light : ndarray of shape (H, W, 3), float32
         Linear RGB without emission, finite; negative values count as 0.
     is_fast : bool
@@ -64,10 +63,14 @@ def filter_with_oidn(
     if not has_oidn():
         raise ImportError(f"method 'oidn' needs Open Image Denoise: {OIDN_REMEDY}")
     planes = {"color": np.maximum(light, 0.0), "output": np.empty_like(light)}
-    if "albedo" in image.layers:
-        planes["albedo"] = np.clip(finite(guide_layer(image, "albedo", 3, 0.0)), 0.0, 1.0)
-        if "normal" in image.layers:
-            planes["normal"] = np.clip(finite(guide_layer(image, "normal", 3, 0.0)), -1.0, 1.0)
+    if "albedo" in layers:
+        planes["albedo"] = np.clip(
+            finite(guide_layer(layers, "albedo", light.shape, 0.0)), 0.0, 1.0
+        )
+        if "normal" in layers:
+            planes["normal"] = np.clip(
+                finite(guide_layer(layers, "normal", light.shape, 0.0)), -1.0, 1.0
+            )
     _run(planes, is_fast)
     return planes["output"] - light
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,12 @@ if TYPE_CHECKING:
 
 #: Triangles of small scenes are made by NumPy: that is faster than to load a kernel.
 _FEW = 1 << 14
+
+
+def geometry_of(scene: Any) -> Geometry | None:
+    """The geometry of a scene; None if it is not a scene."""
+    geometry = getattr(scene, "geometry", None)
+    return geometry if isinstance(geometry, Geometry) else None
 
 
 class Geometry:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,14 +14,14 @@ from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.instances import Instances
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_host_array, as_real_array
-from raystream.scene.geometry import Geometry
+from raystream.scene.geometry import Geometry, geometry_of
 from raystream.scene.io.part_names import path_name
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.primitive_geometry import PrimitiveGeometry
 
 if TYPE_CHECKING:
     from raystream.core.triangles import Triangles
-    from raystream.scene.scene import Scene
 
 #: Triangles that a camera is chosen by.
 _SEEN = 200_000
@@ -83,7 +83,7 @@ class Objects(NamedTuple):
     @classmethod
     def of(
         cls,
-        objects: Mesh | Scene | Iterable[Mesh | Scene | Sequence[Mesh]],
+        objects: Any,
         placed: tuple[Any, Any, Any, Sequence[str] | None],
         materials: Sequence[Material],
     ) -> Objects:
@@ -94,24 +94,24 @@ class Objects(NamedTuple):
         ValueError, TypeError
             See `Scene.instances`.
         """
-        from raystream.scene.scene import Scene
-
-        given = [objects] if isinstance(objects, Mesh | Scene) else list(objects)
+        is_one = isinstance(objects, Mesh) or geometry_of(objects) is not None
+        given = [objects] if is_one else list(objects)
         for index, one in enumerate(given):
             is_list = isinstance(one, list | tuple) and all(isinstance(m, Mesh) for m in one)
-            if not (isinstance(one, Mesh | Scene) or is_list):
+            geometry = geometry_of(one)
+            if not (isinstance(one, Mesh) or is_list or geometry is not None):
                 raise TypeError(
                     f"objects[{index}]: expected a Mesh, a Scene or a list of meshes, "
                     f"got {type(one).__name__}"
                 )
-            if isinstance(one, Scene) and one.has_primitives:
+            if isinstance(geometry, PrimitiveGeometry):
                 raise ValueError(
                     f"objects[{index}]: spheres and height fields cannot be placed as instances"
                 )
         object_ids, transforms, worlds, names = placed
         ids, matrices = _checked(len(given), transforms, object_ids)
         known = list(materials)
-        if not known and not all(hasattr(one, "geometry") for one in given):
+        if not known and not all(map(geometry_of, given)):
             known = [Material()]  # of the objects that are meshes
         found = cls([], [], known, Instances(ids, matrices, worlds, names))
         # Each object is one after another's; one that is a scene of instances is several.
@@ -134,7 +134,8 @@ class Objects(NamedTuple):
         `given_count` materials are those of meshes.
         """
         first = len(self.mesh_counts)
-        if not hasattr(one, "geometry"):
+        geometry = geometry_of(one)
+        if geometry is None:
             parts = [one] if isinstance(one, Mesh) else one
             for mesh in parts:
                 most = int(mesh.material_ids.max(initial=-1))
@@ -152,7 +153,6 @@ class Objects(NamedTuple):
             mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
             for mesh in one.meshes
         )
-        geometry = one.geometry
         if isinstance(geometry, InstancedGeometry):
             if geometry.instances.worlds is not None:
                 raise ValueError("objects: one is a scene whose instances are in worlds")

@@ -12,13 +12,12 @@ import numpy as np
 from raystream.core.height_field import HeightField
 from raystream.core.primitives import Primitives
 from raystream.core.spheres import Spheres
-from raystream.scene.geometry import Geometry
+from raystream.scene.geometry import Geometry, geometry_of
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 
 if TYPE_CHECKING:
     from raystream.core.triangles import Triangles
-    from raystream.scene.scene import Scene
 
 #: Triangles that a camera is chosen by.
 _SEEN = 50_000
@@ -58,7 +57,7 @@ class PrimitiveGeometry(Geometry):
         return self.triangles.some(_SEEN)
 
 
-def combined(scenes: Iterable[Scene]) -> tuple[PrimitiveGeometry, list[Material]]:
+def combined(scenes: Iterable[Any]) -> tuple[PrimitiveGeometry, list[Material]]:
     """The primitives and materials of scenes, one after another.
 
     Raises
@@ -66,14 +65,13 @@ def combined(scenes: Iterable[Scene]) -> tuple[PrimitiveGeometry, list[Material]
     TypeError, ValueError
         If one is not a scene, or has instances.
     """
-    from raystream.scene.scene import Scene
-
     meshes: list[Mesh] = []
     fields: list[HeightField] = []
     parts: list[Spheres] = [NO_SPHERES]
     materials: list[Material] = []
     for index, one in enumerate(scenes):
-        if not isinstance(one, Scene):
+        geometry = geometry_of(one)
+        if geometry is None:
             raise TypeError(f"scenes[{index}]: expected a Scene, got {type(one).__name__}")
         if one.placements is not None:
             raise ValueError(
@@ -86,7 +84,6 @@ def combined(scenes: Iterable[Scene]) -> tuple[PrimitiveGeometry, list[Material]
             mesh.with_material_ids(mesh.material_ids + shift) if shift else mesh
             for mesh in one.meshes
         )
-        geometry = one.geometry
         if isinstance(geometry, PrimitiveGeometry):
             fields.extend(
                 field.with_material(field.material_id + shift) for field in geometry.fields

@@ -76,33 +76,3 @@ def _number(stream: RecordStream, value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value)
     raise TypeError(f"{stream.label}: compared with {type(value).__name__}; expected a number")
-
-
-def as_condition(where: Any, count: int) -> Condition | None:
-    """The argument `where` as a condition.
-
-    Parameters
-    ----------
-    where : Condition, Stream, array_like or None
-        Streams and arrays of bool.
-    count : int
-        Records that it must have.
-    """
-    from raystream.streams.stream import Stream
-
-    if where is None:
-        return None
-    if not isinstance(where, Condition):
-        stream = where if isinstance(where, Stream) else Stream(where, name="where")
-        if stream.layout.shape != "bool":
-            raise TypeError(
-                "where: expected a comparison such as (state == 2), or booleans, got "
-                f"dtype {stream.dtype}"
-            )
-        where = Condition(stream, "!=", False)
-    if len(where.stream) != count:
-        raise ValueError(
-            f"where: {where.stream.label} has {len(where.stream):,} records, but the kernel's "
-            f"streams have {count:,}"
-        )
-    return where

@@ -13,12 +13,12 @@ from raystream.core.errors import LoopLimitError
 from raystream.jit.threads import Progress, parallel_for
 from raystream.jit.user_loops import Loop
 from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
-from raystream.streams.condition import Condition, as_condition
+from raystream.streams.condition import Condition
 from raystream.streams.constants import changed_constant
 from raystream.streams.counters import Counters, Pass
 from raystream.streams.declarations import INDEX, Declarations, declare
 from raystream.streams.source import compile_kernel
-from raystream.streams.stream import Stream
+from raystream.streams.stream import Stream, as_condition
 
 __all__ = ["CHUNK", "INDEX", "Kernel"]
 

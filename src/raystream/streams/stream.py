@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from raystream.streams.condition import Condition
 from raystream.streams.record_stream import RecordStream, label_of, native_records
 
 
@@ -111,3 +112,31 @@ class Stream(RecordStream):
         """Swap the first and the second array."""
         assert self._back is not None
         self._front, self._back = self._back, self._front
+
+
+def as_condition(where: Any, count: int) -> Condition | None:
+    """The argument `where` as a condition.
+
+    Parameters
+    ----------
+    where : Condition, Stream, array_like or None
+        Streams and arrays of bool.
+    count : int
+        Records that it must have.
+    """
+    if where is None:
+        return None
+    if not isinstance(where, Condition):
+        stream = where if isinstance(where, Stream) else Stream(where, name="where")
+        if stream.layout.shape != "bool":
+            raise TypeError(
+                "where: expected a comparison such as (state == 2), or booleans, got "
+                f"dtype {stream.dtype}"
+            )
+        where = Condition(stream, "!=", False)
+    if len(where.stream) != count:
+        raise ValueError(
+            f"where: {where.stream.label} has {len(where.stream):,} records, but the kernel's "
+            f"streams have {count:,}"
+        )
+    return where

@@ -118,8 +118,9 @@ def _side(p, q, u, v, x, y):
 
 
 @device
-def _with_line(found, k, x, y, a, b, c, normal, low, high, bound):
+def _with_line(found, k, x, y, corners, normal, box, bound):
     """Bounds, extended by where an edge of a box, at (x, y) along axis k, meets a triangle."""
+    (a, b, c), (low, high) = corners, box
     u, v = (k + 1) % 3, (k + 2) % 3
     least = max(low[k], min(a[k], b[k], c[k]))
     most = min(high[k], max(a[k], b[k], c[k]))
@@ -201,7 +202,7 @@ def clip_to_triangle(triangle, bound, box):
         u, v = (k + 1) % 3, (k + 2) % 3
         for x in (low[u], high[u]):
             for y in (low[v], high[v]):
-                found = _with_line(found, k, x, y, a, b, c, normal, low, high, bound)
+                found = _with_line(found, k, x, y, (a, b, c), normal, (low, high), bound)
     if found[0][0] > found[1][0]:
         return False
     for k in range(3):
