@@ -217,14 +217,14 @@ def test_triangles_stay_while_programs_read_them(query, monkeypatch):
     """Another tracer of the scene frees the corners, in another thread or in a callback."""
     tracer = rs.Tracer(rs.Scene.from_arrays(*soup(20_000)))
     structure, triangles = tracer.structure, tracer.structure.triangles
-    corners, trace_batch, alive = weakref.ref(triangles.corners), structure.trace_batch, []
+    corners, kernels, alive = weakref.ref(triangles.corners), structure.batch_kernels, []
 
-    def trace_after_release(*arguments, **options):
+    def kernels_after_release(asked):
         triangles.release()
         alive.append(corners() is not None)
-        return trace_batch(*arguments, **options)
+        return kernels(asked)
 
-    monkeypatch.setattr(structure, "trace_batch", trace_after_release)
+    monkeypatch.setattr(structure, "batch_kernels", kernels_after_release)
     origins = np.zeros((500, 3))
     if query == "trace":
         tracer.trace(origins, RAY[1], on_hit=note_entering, payload=np.zeros((500, 1)))

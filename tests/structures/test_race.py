@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.structures.bvh import kernel_choice, race
-from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
+from raystream.core.query import Kind
+from raystream.machines import batch, race
+from raystream.machines.race import LEAST_RACE, Races, run_race
+from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
 
 COUNT = 100_000
 
@@ -118,29 +120,25 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
     origins = rng.uniform(-2, 2, (LEAST_RACE + 5000, 3)).astype(np.float32)
     directions = rng.normal(size=origins.shape).astype(np.float32)
     want = rs.Tracer(scene, kernel="single").first_hit(origins, directions)
+    kernels = BATCH_KERNELS[Kind.FIRST_HIT].kernels
+    call_kernel = batch._call_kernel
     for fastest in ("groups", "wavefront"):
-        tracer, now, used = rs.Tracer(scene), [0.0], set()
+        tracer, now, used = rs.Tracer(scene), [0.0], []
 
-        def timed(name, trace, fastest=fastest, now=now, used=used):
-            def run(work, first, end, progress):
-                trace(work, first, end, progress)
-                used.add(name)
-                now[0] += (end - first) * (1.0 if name == fastest else 1.9)
-
-            return run
+        def timed(kernel, body, order, rays, progress, fastest=fastest, now=now, used=used):
+            call_kernel(kernel, body, order, rays, progress)
+            used.append(next(name for name, one in kernels.items() if one is kernel))
+            now[0] += (rays[1] - rays[0]) * (1.0 if used[-1] == fastest else 1.9)
 
         with monkeypatch.context() as patch:
-            tracers = kernel_choice._TRACERS.items()
-            patch.setattr(
-                kernel_choice, "_TRACERS", {name: timed(name, one) for name, one in tracers}
-            )
-            patch.setattr(kernel_choice, "_loaded", {(name, False) for name, _ in tracers})
+            patch.setattr(batch, "_call_kernel", timed)
+            patch.setattr(batch, "_loaded", {(one.bind, False) for one in kernels.values()})
             patch.setattr(race, "clock", lambda now=now: now[0])
             for _ in range(3):
                 got = tracer.first_hit(origins, directions)
                 for name in ("t", "u", "v", "prim_id"):
                     np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
-        assert used == {"groups", "wavefront"}
+        assert set(used) == {"groups", "wavefront"}
 
 
 def test_a_kernel_that_must_be_loaded_is_not_timed(monkeypatch):

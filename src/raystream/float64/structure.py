@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
+from raystream.core.query import Kind, Query
 from raystream.core.triangles import Triangles
+from raystream.float64.batches import BATCH_KERNELS
 from raystream.float64.block import BLOCK_NUMBERS
 from raystream.float64.queries import (
     Float64Queries,
@@ -26,6 +28,7 @@ from raystream.float64.traversal import Float64Tree
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.base import BuildReport, Structure
+from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.brute.options import Brute
 from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.layout import CHILDREN_AT, MAX_BLOCKS, WIDTH
@@ -90,6 +93,16 @@ class Float64Structure(Structure):
     ) -> Structure:
         """Not supported."""
         raise RaystreamError(f"load: {NOT_IN_FLOAT64}")
+
+    def batch_kernels(self, query: Query) -> BatchKernels | None:
+        """The kernels for first and any hits of many rays; see `float64.batches`."""
+        is_nearest = query.kind in (Kind.FIRST_HIT, Kind.ANY_HIT)
+        return BATCH_KERNELS if is_nearest and len(self.memory["nodes"]) else None
+
+    @property
+    def traced_bytes(self) -> int:
+        """See `Structure.traced_bytes`."""
+        return self.report.byte_count // 2
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the triangles; the structure is built again."""

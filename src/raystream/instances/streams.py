@@ -177,7 +177,7 @@ def _finish(memory, group_count):
 
 
 @kernel
-def trace_instances(begin, end, top, source, wants_any, memory, out):
+def trace_instances(begin, end, top, source, wants_any, out, memory):
     """Trace packets begin to end through a scene's instances.
 
     Parameters
@@ -188,9 +188,9 @@ def trace_instances(begin, end, top, source, wants_any, memory, out):
     source : PacketSource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
+    out : ResultAddresses
     memory : int
         Address of `CALL_BYTES` bytes; a multiple of 64.
-    out : ResultAddresses
     """
     memory = np.uint64(memory)
     inside = memory + _INSIDE_AT

@@ -14,7 +14,7 @@ from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.instances.batches import InstanceTree, instance_bytes, trace_batch
+from raystream.instances.batches import BATCH_KERNELS
 from raystream.instances.records import (
     INSTANCE_BYTES,
     OBJECT_ADDRESSES,
@@ -38,11 +38,11 @@ from raystream.jit.threads import Progress, part_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
+from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.layout import NODE_BYTES
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.race import Races
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.registry import StructureOptions
 
@@ -176,33 +176,16 @@ class InstancedBvh(InstancedStructure):
     traverse = staticmethod(traverse_top)
     stack_bytes = 2 * STACK_BYTES
 
-    def __init__(
-        self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
-    ) -> None:
-        super().__init__(triangles, objects, options)
-        self._races = Races()
-
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """See `InstancedStructure.moved`."""
         moved = InstancedBvh(triangles, self.objects, self.options)
-        moved._races = self._races
+        moved.kernel_times = self.kernel_times
         return moved
 
-    def trace_batch(
-        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
-    ) -> bool:
-        """Find first or any hits with a kernel for many rays; see `instances.batches`."""
-        if rays.worlds is not None or len(self.memory["nodes"]) == 0:
-            return False
-        size = self.report.byte_count
-        tree = InstanceTree(self._addresses, self.frame, size, self.queries)
-        kernel = getattr(self.options, "kernel", "auto")
-        return trace_batch(tree, query, rays, sink, progress, kernel, self._races)
-
-    def working_bytes(self, kind: Kind, ray_count: int) -> int:
-        """See `Structure.working_bytes`."""
-        is_batched = kind is Kind.FIRST_HIT or kind is Kind.ANY_HIT
-        return instance_bytes(ray_count) if is_batched else 0
+    def batch_kernels(self, query: Query) -> BatchKernels | None:
+        """The kernels for first and any hits of many rays; see `instances.batches`."""
+        is_nearest = query.kind in (Kind.FIRST_HIT, Kind.ANY_HIT)
+        return BATCH_KERNELS if is_nearest and len(self.memory["nodes"]) else None
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         return TopTrees.of(boxes, self.triangles.instances)

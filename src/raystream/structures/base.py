@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -14,13 +14,14 @@ from weakref import WeakValueDictionary
 
 from numpy.typing import NDArray
 
-from raystream.core.query import Kind, Query
+from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.queries import RayQueries, Searches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
+from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.registry import StructureOptions
 
 #: Most rays per call of a compiled loop: enough to amortise the call (about 20 microseconds), few
@@ -196,9 +197,22 @@ class Structure(ABC):
         """The number of sectors that hits can name; None if they name none."""
         return None
 
-    def working_bytes(self, kind: Kind, ray_count: int) -> int:
-        """Most bytes that `trace_batch` needs besides the results, except for `Kind.MULTI_HIT`."""
-        return 0
+    def batch_kernels(self, query: Query) -> BatchKernels | None:
+        """The kernels that trace many rays of a query at a time; None if there are none.
+
+        Worlds and counters are for single rays.
+        """
+        return None
+
+    @cached_property
+    def kernel_times(self) -> dict[Hashable, Any]:
+        """Times of these kernels by kind of batch; see `machines.race`."""
+        return {}
+
+    @property
+    def traced_bytes(self) -> int:
+        """Size of the arrays, of triangles in float32: decides how many rays share a node."""
+        return self.report.byte_count
 
     def rays_per_call(self) -> int:
         """Most rays per call of a compiled loop."""
@@ -241,32 +255,6 @@ class Structure(ABC):
         structure = type(self)(triangles, self.options, progress=progress)
         seconds = time.perf_counter() - started
         return structure, UpdateReport(True, seconds, math.nan, math.nan)
-
-    def trace_batch(
-        self,
-        query: Query,
-        rays: RayBatch,
-        sink: Sink,
-        progress: Progress | None = None,
-    ) -> bool:
-        """Run a query with kernels that trace many rays at a time, if there are suitable ones.
-
-        Parameters
-        ----------
-        query : Query
-            Without counters. Its filter is a `HitFilter` or None.
-        rays : RayBatch
-        sink : Sink
-            Of `Kind.MULTI_HIT` with a visitor.
-        progress : callable, optional
-            Called with (rays done, rays).
-
-        Returns
-        -------
-        bool
-            False if it did nothing: the machine traces the rays one by one.
-        """
-        return False
 
 
 def _restored(
