@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from raystream.float64.packets import trace_float64_packets
 from raystream.float64.queries import Float64Source
 from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_float64_groups
 from raystream.kernels.hits import HitArrays
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, bound
+from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
 from raystream.structures.bvh.packet_rays import PACKET_RAYS, PacketSource
 
@@ -23,15 +22,15 @@ if TYPE_CHECKING:
 _FEW = 256
 
 
-def _groups(bvh: Float64Structure, batch: Batch) -> Callable[..., object]:
+def _groups(bvh: Float64Structure, batch: Batch) -> Calls:
     status = np.uint64(batch.sink.status.ctypes.data)
     packets = PacketSource(batch.source, batch.order, bvh.frame, status)
-    return bound(trace_float64_groups, bvh.arrays, _source(batch), packets, *_results(batch))
+    return trace_float64_groups, (bvh.arrays, _source(batch), packets, *_results(batch))
 
 
-def _packets(bvh: Float64Structure, batch: Batch) -> Callable[..., object]:
+def _packets(bvh: Float64Structure, batch: Batch) -> Calls:
     rays = bvh.arrays, bvh.frame, _source(batch), batch.order
-    return bound(trace_float64_packets, *rays, *_results(batch))
+    return trace_float64_packets, (*rays, *_results(batch))
 
 
 def _source(batch: Batch) -> Float64Source:

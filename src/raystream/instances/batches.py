@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind
@@ -10,7 +9,7 @@ from raystream.instances.packets import trace_instance_packets
 from raystream.instances.streams import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.kernels.queries import output_of
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, bound
+from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence
 from raystream.structures.bvh.packet_rays import PacketSource
 
@@ -21,12 +20,12 @@ if TYPE_CHECKING:
 _FEW = 2047
 
 
-def _groups(scene: InstancedStructure, batch: Batch) -> Callable[..., object]:
-    return bound(trace_instances, *_of_packets(scene, batch))
+def _groups(scene: InstancedStructure, batch: Batch) -> Calls:
+    return trace_instances, _of_packets(scene, batch)
 
 
-def _packets(scene: InstancedStructure, batch: Batch) -> Callable[..., object]:
-    return bound(trace_instance_packets, *_of_packets(scene, batch))
+def _packets(scene: InstancedStructure, batch: Batch) -> Calls:
+    return trace_instance_packets, _of_packets(scene, batch)
 
 
 def _of_packets(scene: InstancedStructure, batch: Batch) -> tuple[Any, ...]:
@@ -35,10 +34,10 @@ def _of_packets(scene: InstancedStructure, batch: Batch) -> tuple[Any, ...]:
     return scene.arrays, packets, batch.query.kind is Kind.ANY_HIT, out
 
 
-def _wavefront(scene: InstancedStructure, batch: Batch) -> Callable[..., object]:
+def _wavefront(scene: InstancedStructure, batch: Batch) -> Calls:
     _, out = output_of(batch.query, batch.sink)
     rays = scene.arrays, scene.frame, batch.source
-    return bound(trace_instance_wavefront, *rays, batch.query.kind is Kind.ANY_HIT, out)
+    return trace_instance_wavefront, (*rays, batch.query.kind is Kind.ANY_HIT, out)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:

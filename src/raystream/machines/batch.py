@@ -8,6 +8,7 @@ race of those that may be the fastest.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +21,35 @@ from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.race import LEAST_RACE, Races, run_fastest
 from raystream.structures import Structure
-from raystream.structures.batch_kernels import Batch, BatchKernel
+from raystream.structures.batch_kernels import Batch, BatchKernel, Calls
 from raystream.structures.bvh.coherence import probe
-from raystream.structures.bvh.image_rows import BatchOrder, find_order
+from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packet_rays import PacketOrder
 
-#: Bytes of spare memory that are kept, of which calls have written a small part.
-_SPARE_BYTES = 1 << 27
+
+class _Memory(NamedTuple):
+    """Memory of a call."""
+
+    array: NDArray[np.float32]
+    address: int
+    byte_count: int
+
+    @classmethod
+    def of(cls, byte_count: int) -> _Memory:
+        """New memory, aligned to cache lines."""
+        array = aligned_array(-(-byte_count // ALIGNMENT), ALIGNMENT // 4)
+        return cls(array, array.ctypes.data, array.nbytes)
+
+
+#: Most spare memories: of up to 40 MB each, of which calls have written a small part.
+_MOST_SPARE = 4
 
 #: Memory of calls that have ended, for later ones: new pages took a tenth of the time. Several
 #: threads append and pop.
-_spare: list[NDArray[np.float32]] = []
+_spare: list[_Memory] = []
+
+#: Of kernels for single rays.
+_NO_ORDER = BatchOrder(PacketOrder.of_rows(0, 0))
 
 #: Kernels that have traced a batch in this process, without or with a filter: those are loaded.
 _loaded: set[tuple[Callable[..., object], bool]] = set()
@@ -65,37 +84,42 @@ def trace_batch(
     count = len(rays)
     if known is None or count == 0:
         return False
-    name, kernels = known.named(structure.options, count), known.kernels
-    if name != "auto" and name not in kernels:
+    kernels, has_filter = known.kernels, query.on_hit is not None
+    name = known.named(structure.options, count)
+    is_open = name == "auto"
+    if not is_open and not (name in kernels and has_filter <= kernels[name].takes_filter):
         return False
-    is_packed = name == "auto" or kernels[name].by_packets
+    is_packed = is_open or kernels[name].by_packets
     source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, is_packed)
-    order, has_filter = BatchOrder(PacketOrder.of(rays.shape)), query.on_hit is not None
-    names: tuple[str, ...] = (name,)
+    order = BatchOrder(PacketOrder.of(rays.shape)) if is_packed else _NO_ORDER
+    names = [name]
     kind: tuple[int, ...] = ()
-    if name == "auto":
+    if is_open:
         size = structure.traced_bytes
         found = probe(source, order.packets, structure.frame, size)
-        names = known.suited(found, count, size)[: None if count >= LEAST_RACE else 1]
+        suited = known.suited(found, count, size)[: None if count >= LEAST_RACE else 1]
+        names = [one for one in suited if one in kernels]
+        if has_filter:
+            names = [one for one in names if kernels[one].takes_filter]
+        if names[:1] != [suited[0]]:
+            return False
         kind = query.kind is Kind.ANY_HIT, has_filter, count.bit_length(), *found.kind()
-    usable = [one for one in names if one in kernels and has_filter <= kernels[one].takes_filter]
-    if usable[:1] != [names[0]]:
-        return False
-    if not order.packets.width and any(kernels[one].is_tiled for one in usable):
+    is_long = count >= LEAST_RAYS and not order.packets.width
+    if is_long and any(kernels[one].is_tiled for one in names):
         order = find_order(source, count, structure.frame)
     batch = Batch(query, rays, sink, source, order.packets)
 
     def run(name: str, begin: int, end: int, progress: Progress | None) -> None:
-        body = kernels[name].bind(structure, batch)
-        _call_kernel(kernels[name], body, order, (begin, end), progress)
-        _loaded.add((kernels[name].bind, has_filter))
+        kernel = kernels[name]
+        _call_kernel(kernel, kernel.bind(structure, batch), order, (begin, end), progress)
+        _loaded.add((kernel.bind, has_filter))
 
-    if len(usable) == 1:
-        run(usable[0], 0, count, progress)
+    if len(names) == 1:
+        run(names[0], 0, count, progress)
     else:
-        cold = [one for one in usable if (kernels[one].bind, has_filter) not in _loaded]
+        cold = [one for one in names if (kernels[one].bind, has_filter) not in _loaded]
         races = Races(structure.kernel_times)
-        run_fastest(usable, count, lambda ray: order.cut(ray).ray, run, races, kind, progress, cold)
+        run_fastest(names, count, lambda ray: order.cut(ray).ray, run, races, kind, progress, cold)
     del kept  # the kernels read it by address
     return True
 
@@ -127,38 +151,41 @@ def call_size(count: int, least: int, most: int, share: int = 4, block: int = 1)
 
 def _call_kernel(
     kernel: BatchKernel,
-    body: Callable[..., object],
+    calls: Calls,
     order: BatchOrder,
     rays: tuple[int, int],
     progress: Progress | None,
 ) -> None:
     """Trace the rays between two cuts of an order on all threads."""
+    trace, arguments = calls
     first, end = (order.cut(ray).packet for ray in rays) if kernel.by_packets else rays
-    count, ray_count = end - first, rays[1] - rays[0]
+    count, byte_count = end - first, kernel.memory_bytes
+    if count <= kernel.least and not byte_count and progress is None:  # small batches
+        trace(first, end, *arguments)
+        return
 
-    def call(low: int, high: int) -> None:
-        if not kernel.memory_bytes:
-            body(first + low, first + high)
+    def body(low: int, high: int) -> None:
+        if not byte_count:
+            trace(first + low, first + high, *arguments)
             return
-        memory = _memory_of(kernel.memory_bytes)
-        body(first + low, first + high, memory.ctypes.data)
-        if sum(one.nbytes for one in _spare) + memory.nbytes <= _SPARE_BYTES:
+        memory = _memory_of(byte_count)
+        trace(first + low, first + high, *arguments, memory.address)
+        if len(_spare) < _MOST_SPARE:
             _spare.append(memory)
 
     def report(done: int, _: int) -> object:
         assert progress is not None
-        return progress(done * ray_count // count, ray_count)
+        return progress(done * (rays[1] - rays[0]) // count, rays[1] - rays[0])
 
     size = call_size(count, kernel.least, kernel.most, kernel.share, kernel.block)
     shown = None if progress is None else report
-    parallel_for(call, count, size, shown, joins_chunks=kernel.joins_chunks)
+    parallel_for(body, count, size, shown, joins_chunks=kernel.joins_chunks)
 
 
-def _memory_of(byte_count: int) -> NDArray[np.float32]:
-    """Memory for a call, of one that has ended if there is any."""
+def _memory_of(byte_count: int) -> _Memory:
+    """Memory for a call: of one that has ended, if there is enough of it."""
     try:
         memory = _spare.pop()
     except IndexError:
-        memory = aligned_array(0, 1)
-    is_enough = memory.nbytes >= byte_count
-    return memory if is_enough else aligned_array(-(-byte_count // ALIGNMENT), ALIGNMENT // 4)
+        memory = _Memory.of(byte_count)
+    return memory if memory.byte_count >= byte_count else _Memory.of(byte_count)

@@ -37,14 +37,19 @@ class Batch(NamedTuple):
     order: PacketOrder
 
 
+#: The calls of a kernel for parts of a batch; see `BatchKernel`.
+Calls = tuple[Callable[..., object], tuple[Any, ...]]
+
+
 class BatchKernel(NamedTuple):
     """A kernel that traces many rays at a time, and the size of its calls.
 
     Attributes
     ----------
     bind : callable
-        ``bind(structure, batch)`` returns ``body(begin, end)``, which traces these rays, or
-        packets; ``body(begin, end, memory)`` if it needs memory: an address, a multiple of 64.
+        ``bind(structure, batch)`` returns a function and arguments: ``function(begin, end,
+        *arguments)`` traces these rays, or packets. If it needs memory, its address follows, a
+        multiple of 64.
     least, most : int
         Rays or packets per call: enough to hide the start and the end of a call; few enough that
         the threads finish together and Ctrl-C is noticed.
@@ -64,7 +69,7 @@ class BatchKernel(NamedTuple):
         See `parallel_for`.
     """
 
-    bind: Callable[[Any, Batch], Callable[..., object]]
+    bind: Callable[[Any, Batch], Calls]
     least: int
     most: int
     block: int = 1
@@ -100,8 +105,3 @@ class BatchKernels(NamedTuple):
         """The kernel for a number of rays; "auto" if the rays decide."""
         is_few = options.kernel == "auto" and ray_count <= self.few
         return self.kernel_for_few if is_few else str(options.kernel)
-
-
-def bound(kernel: Callable[..., object], *arguments: Any) -> Callable[..., object]:
-    """The calls of a compiled kernel for parts of a batch; memory is its last argument."""
-    return lambda begin, end, *memory: kernel(begin, end, *arguments, *memory)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind
 from raystream.kernels.queries import output_of
-from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, bound
+from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.group_rays import MEMORY_BYTES
 from raystream.structures.bvh.group_stream import BLOCK_PACKETS, trace_groups
@@ -31,19 +30,19 @@ SMALL_BATCH = 1024
 _CACHED_BYTES = 1 << 21
 
 
-def _wavefront(bvh: BvhStructure, batch: Batch) -> Callable[..., object]:
+def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
     filter_, out = output_of(batch.query, batch.sink)
     wants_any, prefetching = batch.query.kind is Kind.ANY_HIT, bvh.report.byte_count > _CACHED_BYTES
     rays = bvh.arrays, bvh.frame, batch.source
-    return bound(trace_wavefront, *rays, wants_any, prefetching, filter_, out)
+    return trace_wavefront, (*rays, wants_any, prefetching, filter_, out)
 
 
-def _packets(bvh: BvhStructure, batch: Batch) -> Callable[..., object]:
-    return bound(trace_packets, *_of_packets(bvh, batch))
+def _packets(bvh: BvhStructure, batch: Batch) -> Calls:
+    return trace_packets, _of_packets(bvh, batch)
 
 
-def _groups(bvh: BvhStructure, batch: Batch) -> Callable[..., object]:
-    return bound(trace_groups, *_of_packets(bvh, batch))
+def _groups(bvh: BvhStructure, batch: Batch) -> Calls:
+    return trace_groups, _of_packets(bvh, batch)
 
 
 def _of_packets(bvh: BvhStructure, batch: Batch) -> tuple[Any, ...]:

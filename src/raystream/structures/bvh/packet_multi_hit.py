@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from raystream.jit.simd import address, i32x16, load, scratch, store
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import HitArrays, HitBatch
 from raystream.kernels.ray import world_t
-from raystream.structures.batch_kernels import Batch, bound
+from raystream.structures.batch_kernels import Batch, Calls
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_hits import (
     BUFFERS,
@@ -99,7 +98,7 @@ class PacketBuffers(NamedTuple):
         return HitBatch(self.rows, self.splits[: ray_count + 1], self.ray_ids[:ray_count], 0)
 
 
-def visit_all(structure: Structure, batch: Batch) -> GrowingBuffers[PacketBuffers]:
+def visit_all(structure: Structure, batch: Batch) -> Calls:
     """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel`."""
     query, visitor, source = batch.query, batch.sink.visitor, _packets_of(structure, batch)
     assert visitor is not None
@@ -116,15 +115,15 @@ def visit_all(structure: Structure, batch: Batch) -> GrowingBuffers[PacketBuffer
             visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
         return int(reached)
 
-    return GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY)
+    return GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY), ()
 
 
-def count_all(structure: Structure, batch: Batch) -> Callable[[int, int], object]:
+def count_all(structure: Structure, batch: Batch) -> Calls:
     """Count the hits of packets; see `BatchKernel`."""
     source, at = _packets_of(structure, batch), np.uint64(batch.sink.counts.ctypes.data)
     goal = COUNT + SURFACES if batch.query.surfaces else COUNT
     nowhere = np.zeros(BUFFERS.itemsize // 8, np.uint64)
-    return bound(_collect_packets, structure.arrays, source, goal, False, nowhere, at)
+    return _collect_packets, (structure.arrays, source, goal, False, nowhere, at)
 
 
 def _packets_of(structure: Structure, batch: Batch) -> PacketSource:
