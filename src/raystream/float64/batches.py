@@ -13,7 +13,7 @@ from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_float64_gr
 from raystream.kernels.hits import HitArrays
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.packet_rays import PACKET_RAYS, PacketSource
+from raystream.structures.bvh.packet_rays import PACKET_RAYS
 
 if TYPE_CHECKING:
     from raystream.float64.structure import Float64Structure
@@ -23,9 +23,8 @@ _FEW = 256
 
 
 def _groups(bvh: Float64Structure, batch: Batch) -> Calls:
-    status = np.uint64(batch.sink.status.ctypes.data)
-    packets = PacketSource(batch.source, batch.order, bvh.frame, status)
-    return trace_float64_groups, (bvh.arrays, _source(batch), packets, *_results(batch))
+    rays = bvh.arrays, _source(batch), batch.packets(bvh.frame)
+    return trace_float64_groups, (*rays, *_results(batch))
 
 
 def _packets(bvh: Float64Structure, batch: Batch) -> Calls:
@@ -39,8 +38,8 @@ def _source(batch: Batch) -> Float64Source:
 
 
 def _results(batch: Batch) -> tuple[Any, ...]:
-    sink, wants_any = batch.sink, batch.query.kind is Kind.ANY_HIT
-    if not wants_any:
+    sink = batch.sink
+    if not batch.wants_any:
         return False, sink.status, sink.hits
     rows = HitArrays.empty(0, np.float64)._replace(prim_id=sink.seen.view(np.int8))
     return True, sink.status, rows
@@ -51,14 +50,12 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return ("packet",) if is_packet else ("groups",)
 
 
-#: The kernels for first and any hits, in a tree that is not empty.
-BATCH_KERNELS = BatchKernels(
-    {
-        "packet": BatchKernel(_packets, 1, 64, share=4, is_tiled=True),
-        "groups": BatchKernel(
-            _groups, 1, BLOCK_RAYS // PACKET_RAYS, share=4, memory_bytes=WORKING_BYTES
-        ),
-    },
-    _suited,
-    _FEW,
-)
+_KERNELS = {
+    "packet": BatchKernel(_packets, 1, 64, share=4, is_tiled=True),
+    "groups": BatchKernel(
+        _groups, 1, BLOCK_RAYS // PACKET_RAYS, share=4, memory_bytes=WORKING_BYTES
+    ),
+}
+
+#: The kernels by the kind of query, for trees that are not empty.
+BATCH_KERNELS = dict.fromkeys((Kind.FIRST_HIT, Kind.ANY_HIT), BatchKernels(_KERNELS, _suited, _FEW))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
-from raystream.core.query import Kind, Query
 from raystream.core.triangles import Triangles
 from raystream.float64.batches import BATCH_KERNELS
 from raystream.float64.block import BLOCK_NUMBERS
@@ -28,7 +27,6 @@ from raystream.float64.traversal import Float64Tree
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.brute.options import Brute
 from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.layout import CHILDREN_AT, MAX_BLOCKS, WIDTH
@@ -65,6 +63,8 @@ class Float64Structure(Structure):
         self._memory: dict[str, NDArray[Any]] = {"nodes": nodes, "leaves": blocks}
         at = [np.uint64(one.ctypes.data if len(one) else 0) for one in (nodes, blocks)]
         self._addresses = Float64Tree(at[0], at[1], np.uint64(len(blocks)))
+        if len(nodes) == 0:
+            self.batch_kernels = {}
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in self._memory.values()),
@@ -94,16 +94,6 @@ class Float64Structure(Structure):
         """Not supported."""
         raise RaystreamError(f"load: {NOT_IN_FLOAT64}")
 
-    def batch_kernels(self, query: Query) -> BatchKernels | None:
-        """The kernels for first and any hits of many rays; see `float64.batches`."""
-        is_nearest = query.kind in (Kind.FIRST_HIT, Kind.ANY_HIT)
-        return BATCH_KERNELS if is_nearest and len(self.memory["nodes"]) else None
-
-    @property
-    def traced_bytes(self) -> int:
-        """See `Structure.traced_bytes`."""
-        return self.report.byte_count // 2
-
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the triangles; the structure is built again."""
         return type(self), (self.triangles, self.options)
@@ -120,7 +110,7 @@ class Float64Bvh(Float64Structure):
         Called with (triangles placed, triangles).
     """
 
-    searches, loops = tree_searches, tree_queries
+    searches, loops, batch_kernels = tree_searches, tree_queries, BATCH_KERNELS
 
     def __init__(
         self, triangles: Float64Triangles, options: Bvh, *, progress: Progress | None = None

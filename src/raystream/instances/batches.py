@@ -11,7 +11,6 @@ from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.kernels.queries import output_of
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence
-from raystream.structures.bvh.packet_rays import PacketSource
 
 if TYPE_CHECKING:
     from raystream.instances.structure import InstancedStructure
@@ -30,14 +29,13 @@ def _packets(scene: InstancedStructure, batch: Batch) -> Calls:
 
 def _of_packets(scene: InstancedStructure, batch: Batch) -> tuple[Any, ...]:
     _, out = output_of(batch.query, batch.sink)
-    packets = PacketSource(batch.source, batch.order, scene.frame, out.status)
-    return scene.arrays, packets, batch.query.kind is Kind.ANY_HIT, out
+    return scene.arrays, batch.packets(scene.frame), batch.wants_any, out
 
 
 def _wavefront(scene: InstancedStructure, batch: Batch) -> Calls:
     _, out = output_of(batch.query, batch.sink)
     rays = scene.arrays, scene.frame, batch.source
-    return trace_instance_wavefront, (*rays, batch.query.kind is Kind.ANY_HIT, out)
+    return trace_instance_wavefront, (*rays, batch.wants_any, out)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -47,15 +45,11 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return ("groups", "wavefront") if coherence.near >= 0.5 else ("wavefront", "groups")
 
 
-#: The kernels for first and any hits, in a scene without worlds whose tree is not empty.
-BATCH_KERNELS = BatchKernels(
-    {
-        "groups": BatchKernel(
-            _groups, 4, 64, BLOCK_PACKETS, is_tiled=True, memory_bytes=CALL_BYTES
-        ),
-        "packet": BatchKernel(_packets, 4, 64, is_tiled=True),
-        "wavefront": BatchKernel(_wavefront, 4096, 4096, by_packets=False),
-    },
-    _suited,
-    _FEW,
-)
+_KERNELS = {
+    "groups": BatchKernel(_groups, 4, 64, BLOCK_PACKETS, is_tiled=True, memory_bytes=CALL_BYTES),
+    "packet": BatchKernel(_packets, 4, 64, is_tiled=True),
+    "wavefront": BatchKernel(_wavefront, 4096, 4096, by_packets=False),
+}
+
+#: The kernels by the kind of query, for trees that are not empty.
+BATCH_KERNELS = dict.fromkeys((Kind.FIRST_HIT, Kind.ANY_HIT), BatchKernels(_KERNELS, _suited, _FEW))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
-from raystream.core.query import Kind, Query
+from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.instances.batches import BATCH_KERNELS
@@ -38,7 +38,6 @@ from raystream.jit.threads import Progress, part_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
-from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.layout import NODE_BYTES
@@ -78,6 +77,8 @@ class InstancedStructure(Structure):
         boxes = world_frame(triangles)
         self.frame = SceneFrame.of(boxes)
         self.trees = trees = self._trees(boxes)
+        if len(trees.nodes) == 0:
+            self.batch_kernels = {}
         order = trees.order
         leaves = instance_records(triangles, order)
         self._memory = {
@@ -123,7 +124,9 @@ class InstancedStructure(Structure):
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
-        return type(self)(triangles, self.objects, self.options)
+        moved = type(self)(triangles, self.objects, self.options)
+        moved.kernel_times = self.kernel_times
+        return moved
 
     @property
     def arrays(self) -> TopAddresses:
@@ -175,17 +178,7 @@ class InstancedBvh(InstancedStructure):
 
     traverse = staticmethod(traverse_top)
     stack_bytes = 2 * STACK_BYTES
-
-    def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
-        """See `InstancedStructure.moved`."""
-        moved = InstancedBvh(triangles, self.objects, self.options)
-        moved.kernel_times = self.kernel_times
-        return moved
-
-    def batch_kernels(self, query: Query) -> BatchKernels | None:
-        """The kernels for first and any hits of many rays; see `instances.batches`."""
-        is_nearest = query.kind in (Kind.FIRST_HIT, Kind.ANY_HIT)
-        return BATCH_KERNELS if is_nearest and len(self.memory["nodes"]) else None
+    batch_kernels = BATCH_KERNELS
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         return TopTrees.of(boxes, self.triangles.instances)

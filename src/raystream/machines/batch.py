@@ -8,12 +8,11 @@ race of those that may be the fastest.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.query import Kind, Query
+from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.aligned import ALIGNMENT, aligned_array
@@ -26,27 +25,12 @@ from raystream.structures.bvh.coherence import probe
 from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packet_rays import PacketOrder
 
-
-class _Memory(NamedTuple):
-    """Memory of a call."""
-
-    array: NDArray[np.float32]
-    address: int
-    byte_count: int
-
-    @classmethod
-    def of(cls, byte_count: int) -> _Memory:
-        """New memory, aligned to cache lines."""
-        array = aligned_array(-(-byte_count // ALIGNMENT), ALIGNMENT // 4)
-        return cls(array, array.ctypes.data, array.nbytes)
-
-
 #: Most spare memories: of up to 40 MB each, of which calls have written a small part.
 _MOST_SPARE = 4
 
 #: Memory of calls that have ended, for later ones: new pages took a tenth of the time. Several
 #: threads append and pop.
-_spare: list[_Memory] = []
+_spare: list[NDArray[np.float32]] = []
 
 #: Of kernels for single rays.
 _NO_ORDER = BatchOrder(PacketOrder.of_rows(0, 0))
@@ -80,14 +64,16 @@ def trace_batch(
     bool
         False if it did nothing: the machine traces the rays one by one.
     """
-    known = None if rays.worlds is not None else structure.batch_kernels(query)
-    count = len(rays)
-    if known is None or count == 0:
+    count, has_filter = len(rays), query.on_hit is not None
+    known = structure.batch_kernels.get(query.kind)
+    # Worlds and numbers of hits are for single rays.
+    if known is None or count == 0 or rays.worlds is not None or query.limit != UNLIMITED:
         return False
-    kernels, has_filter = known.kernels, query.on_hit is not None
-    name = known.named(structure.options, count)
+    kernels, name = known.kernels, known.named(structure.options, count)
+    if has_filter:
+        kernels = {key: one for key, one in kernels.items() if one.takes_filter}
     is_open = name == "auto"
-    if not is_open and not (name in kernels and has_filter <= kernels[name].takes_filter):
+    if not is_open and name not in kernels:
         return False
     is_packed = is_open or kernels[name].by_packets
     source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, is_packed)
@@ -95,14 +81,13 @@ def trace_batch(
     names = [name]
     kind: tuple[int, ...] = ()
     if is_open:
-        size = structure.traced_bytes
+        # What the tree would take in float32 decides how many rays share a node.
+        size = structure.report.byte_count * 4 // np.dtype(structure.precision).itemsize
         found = probe(source, order.packets, structure.frame, size)
         suited = known.suited(found, count, size)[: None if count >= LEAST_RACE else 1]
-        names = [one for one in suited if one in kernels]
-        if has_filter:
-            names = [one for one in names if kernels[one].takes_filter]
-        if names[:1] != [suited[0]]:
+        if suited[0] not in kernels:
             return False
+        names = [one for one in suited if one in kernels]
         kind = query.kind is Kind.ANY_HIT, has_filter, count.bit_length(), *found.kind()
     is_long = count >= LEAST_RAYS and not order.packets.width
     if is_long and any(kernels[one].is_tiled for one in names):
@@ -126,7 +111,7 @@ def trace_batch(
 
 def batch_bytes(structure: Structure, kind: Kind, ray_count: int) -> int:
     """Most bytes that `trace_batch` needs besides the results and the hits of `Kind.MULTI_HIT`."""
-    known = structure.batch_kernels(Query(kind))
+    known = structure.batch_kernels.get(kind)
     if known is None:
         return 0
     name = known.named(structure.options, ray_count)
@@ -169,7 +154,7 @@ def _call_kernel(
             trace(first + low, first + high, *arguments)
             return
         memory = _memory_of(byte_count)
-        trace(first + low, first + high, *arguments, memory.address)
+        trace(first + low, first + high, *arguments, memory.ctypes.data)
         if len(_spare) < _MOST_SPARE:
             _spare.append(memory)
 
@@ -182,10 +167,11 @@ def _call_kernel(
     parallel_for(body, count, size, shown, joins_chunks=kernel.joins_chunks)
 
 
-def _memory_of(byte_count: int) -> _Memory:
+def _memory_of(byte_count: int) -> NDArray[np.float32]:
     """Memory for a call: of one that has ended, if there is enough of it."""
     try:
         memory = _spare.pop()
     except IndexError:
-        memory = _Memory.of(byte_count)
-    return memory if memory.byte_count >= byte_count else _Memory.of(byte_count)
+        memory = aligned_array(0, 1)
+    is_enough = memory.nbytes >= byte_count
+    return memory if is_enough else aligned_array(-(-byte_count // ALIGNMENT), ALIGNMENT // 4)

@@ -14,7 +14,7 @@ from weakref import WeakValueDictionary
 
 from numpy.typing import NDArray
 
-from raystream.core.query import Query
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
@@ -104,6 +104,8 @@ class Structure(ABC):
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
     precision : {"float32", "float64"}
         Precision of triangles and distances.
+    batch_kernels : mapping of Kind to BatchKernels
+        The kernels that trace many rays of a query at a time, if there are any.
     is_outdated : bool
         Whether `updated` has moved its arrays, which another structure has now.
     """
@@ -113,6 +115,7 @@ class Structure(ABC):
     make_searches: ClassVar[Callable[..., Searches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
     precision: ClassVar[str] = "float32"
+    batch_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
     is_outdated: bool = False
     triangles: Triangles
     report: BuildReport
@@ -197,22 +200,10 @@ class Structure(ABC):
         """The number of sectors that hits can name; None if they name none."""
         return None
 
-    def batch_kernels(self, query: Query) -> BatchKernels | None:
-        """The kernels that trace many rays of a query at a time; None if there are none.
-
-        Worlds and counters are for single rays.
-        """
-        return None
-
     @cached_property
     def kernel_times(self) -> dict[Hashable, Any]:
         """Times of these kernels by kind of batch; see `machines.race`."""
         return {}
-
-    @property
-    def traced_bytes(self) -> int:
-        """Size of the arrays, of triangles in float32: decides how many rays share a node."""
-        return self.report.byte_count
 
     def rays_per_call(self) -> int:
         """Most rays per call of a compiled loop."""

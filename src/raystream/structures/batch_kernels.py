@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from raystream.core.query import Query
+import numpy as np
+
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.hits import Sink
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
+from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
 
 if TYPE_CHECKING:
     from raystream.structures.bvh.coherence import Coherence
-    from raystream.structures.bvh.packet_rays import PacketOrder
 
 
 class Batch(NamedTuple):
@@ -35,6 +38,16 @@ class Batch(NamedTuple):
     sink: Sink
     source: RaySource
     order: PacketOrder
+
+    @property
+    def wants_any(self) -> bool:
+        """Whether any hit is wanted, not the nearest one."""
+        return self.query.kind is Kind.ANY_HIT
+
+    def packets(self, frame: SceneFrame) -> PacketSource:
+        """The rays as packets."""
+        status = np.uint64(self.sink.status.ctypes.data)
+        return PacketSource(self.source, self.order, frame, status)
 
 
 #: The calls of a kernel for parts of a batch; see `BatchKernel`.

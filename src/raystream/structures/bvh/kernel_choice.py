@@ -12,8 +12,12 @@ from raystream.structures.bvh.group_rays import MEMORY_BYTES
 from raystream.structures.bvh.group_stream import BLOCK_PACKETS, trace_groups
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
-from raystream.structures.bvh.packet_multi_hit import PACKETS_PER_CALL, count_all, visit_all
-from raystream.structures.bvh.packet_rays import PacketSource
+from raystream.structures.bvh.packet_multi_hit import (
+    COUNTED_PER_CALL,
+    PACKETS_PER_CALL,
+    count_all,
+    visit_all,
+)
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 if TYPE_CHECKING:
@@ -32,9 +36,9 @@ _CACHED_BYTES = 1 << 21
 
 def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
     filter_, out = output_of(batch.query, batch.sink)
-    wants_any, prefetching = batch.query.kind is Kind.ANY_HIT, bvh.report.byte_count > _CACHED_BYTES
     rays = bvh.arrays, bvh.frame, batch.source
-    return trace_wavefront, (*rays, wants_any, prefetching, filter_, out)
+    prefetching = bvh.report.byte_count > _CACHED_BYTES
+    return trace_wavefront, (*rays, batch.wants_any, prefetching, filter_, out)
 
 
 def _packets(bvh: BvhStructure, batch: Batch) -> Calls:
@@ -48,8 +52,7 @@ def _groups(bvh: BvhStructure, batch: Batch) -> Calls:
 def _of_packets(bvh: BvhStructure, batch: Batch) -> tuple[Any, ...]:
     """The arguments of kernels that find the nearest or any hits of packets."""
     filter_, out = output_of(batch.query, batch.sink)
-    source = PacketSource(batch.source, batch.order, bvh.frame, out.status)
-    return bvh.arrays, source, batch.query.kind is Kind.ANY_HIT, filter_, out
+    return bvh.arrays, batch.packets(bvh.frame), batch.wants_any, filter_, out
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -57,35 +60,22 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return guess, *rivals(coherence, guess)
 
 
-#: Packets of which all hits are found, or counted, without work between two calls.
-_VISITED = BatchKernel(visit_all, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False)
-_COUNTED = BatchKernel(count_all, 8, 32, is_tiled=True)
-
-#: The kernels by the kind of query. Fewer rays of the wavefront would not use all of its slots at
-#: the start and the end of a call.
-BATCH_KERNELS = {
-    **dict.fromkeys(
-        (Kind.FIRST_HIT, Kind.ANY_HIT),
-        BatchKernels(
-            {
-                "packet": BatchKernel(_packets, 4, 64, is_tiled=True, takes_filter=True),
-                "groups": BatchKernel(
-                    _groups,
-                    4,
-                    64,
-                    BLOCK_PACKETS,
-                    takes_filter=True,
-                    memory_bytes=MEMORY_BYTES,
-                ),
-                "wavefront": BatchKernel(
-                    _wavefront, 1024, 8192, by_packets=False, takes_filter=True
-                ),
-            },
-            _suited,
-            SMALL_BATCH,
-            "wavefront",
-        ),
+_NEAREST = {
+    "packet": BatchKernel(_packets, 4, 64, is_tiled=True, takes_filter=True),
+    "groups": BatchKernel(
+        _groups, 4, 64, BLOCK_PACKETS, takes_filter=True, memory_bytes=MEMORY_BYTES
     ),
+    # Fewer rays would not use all slots at the start and the end of a call.
+    "wavefront": BatchKernel(_wavefront, 1024, 8192, by_packets=False, takes_filter=True),
+}
+_FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
+_VISITED = BatchKernel(visit_all, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False)
+_COUNTED = BatchKernel(count_all, 8, COUNTED_PER_CALL, is_tiled=True)
+
+#: The kernels by the kind of query, for trees that are not empty.
+BATCH_KERNELS = {
+    Kind.FIRST_HIT: _FIRST_OR_ANY,
+    Kind.ANY_HIT: _FIRST_OR_ANY,
     Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, SMALL_BATCH),
     Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited, SMALL_BATCH),
 }

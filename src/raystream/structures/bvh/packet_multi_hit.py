@@ -34,7 +34,6 @@ from raystream.structures.bvh.packet_rays import (
     PACKET_RAYS,
     Group,
     GroupLanes,
-    PacketSource,
     group_rows,
     t_transform,
 )
@@ -48,6 +47,9 @@ _LANE = np.uint64(4)
 #: Most packets per call: 16,384 rays. With half as many, programs take 10 to 20 % longer, and with
 #: twice as many no less.
 PACKETS_PER_CALL = 64
+
+#: The same for counting, which has no work between two calls.
+COUNTED_PER_CALL = 32
 
 #: Initial capacity of a buffer, in hits.
 FIRST_CAPACITY = 1 << 16
@@ -100,7 +102,7 @@ class PacketBuffers(NamedTuple):
 
 def visit_all(structure: Structure, batch: Batch) -> Calls:
     """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel`."""
-    query, visitor, source = batch.query, batch.sink.visitor, _packets_of(structure, batch)
+    query, visitor, source = batch.query, batch.sink.visitor, batch.packets(structure.frame)
     assert visitor is not None
     goal = ALL + SURFACES if query.surfaces else ALL
     # Unsorted hits have 32-bit ray indices.
@@ -120,15 +122,10 @@ def visit_all(structure: Structure, batch: Batch) -> Calls:
 
 def count_all(structure: Structure, batch: Batch) -> Calls:
     """Count the hits of packets; see `BatchKernel`."""
-    source, at = _packets_of(structure, batch), np.uint64(batch.sink.counts.ctypes.data)
+    source, at = batch.packets(structure.frame), np.uint64(batch.sink.counts.ctypes.data)
     goal = COUNT + SURFACES if batch.query.surfaces else COUNT
     nowhere = np.zeros(BUFFERS.itemsize // 8, np.uint64)
     return _collect_packets, (structure.arrays, source, goal, False, nowhere, at)
-
-
-def _packets_of(structure: Structure, batch: Batch) -> PacketSource:
-    status = np.uint64(batch.sink.status.ctypes.data)
-    return PacketSource(batch.source, batch.order, structure.frame, status)
 
 
 @kernel

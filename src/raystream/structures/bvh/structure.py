@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.structures.base import BuildReport, Structure, UpdateReport
-from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses, check_arrays
@@ -38,6 +36,7 @@ class BvhStructure(Structure):
 
     traverse = staticmethod(traverse)
     stack_bytes = STACK_BYTES
+    batch_kernels = BATCH_KERNELS
     options: Bvh
 
     def __init__(
@@ -54,6 +53,8 @@ class BvhStructure(Structure):
         self.options = options
         addresses = (one.ctypes.data if len(one) else 0 for one in tree)
         self._addresses = TreeAddresses._make(map(np.uint64, addresses))
+        if len(tree.nodes) == 0:
+            self.batch_kernels = {}
         held_ids = triangles.prim_ids
         is_held = tree.prim_ids >= 0
         if np.count_nonzero(is_held) != len(held_ids):
@@ -160,12 +161,6 @@ class BvhStructure(Structure):
         seconds = time.perf_counter() - started
         moved.report = BuildReport(seconds, self.report.byte_count)
         return moved
-
-    def batch_kernels(self, query: Query) -> BatchKernels | None:
-        """The kernels for many rays; see `kernel_choice`."""
-        is_limited = query.limit != UNLIMITED and query.kind not in (Kind.FIRST_HIT, Kind.ANY_HIT)
-        # Single rays take empty trees, too; packets find all hits.
-        return None if is_limited or len(self.tree.nodes) == 0 else BATCH_KERNELS[query.kind]
 
 
 def trace_cost(tree: BvhArrays) -> float:
