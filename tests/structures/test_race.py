@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from raystream.core.query import Kind
 from raystream.machines import batch, race
-from raystream.machines.race import LEAST_RACE, Races, run_race
+from raystream.machines.race import LEAST_RACE, Races, run_fastest, run_race
 from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
 
 COUNT = 100_000
@@ -99,6 +99,29 @@ def test_the_winner_is_remembered_for_its_kind_only():
     races.learn("kind", {"a": 2.0, "b": 1.0})
     assert races.plan("kind", ("a", "b"), True)[0] == "b"
     assert races.plan("other", ("a", "b"), True)[0] == "a"
+
+
+def test_one_race_runs_at_a_time(monkeypatch):
+    """A batch that another race traces meanwhile is traced by one kernel, and not timed."""
+    kernels, times, inner = FakeKernels(monkeypatch, a=1.0, b=1.0), {}, []
+
+    def note(name, begin, end, progress):
+        inner.append((name, begin, end))
+
+    def outer(name, begin, end, progress):
+        if not inner:
+            run_fastest(("a", "b"), COUNT, lambda ray: ray, note, Races(times), "inner", None, [])
+        kernels.run(name, begin, end, progress)
+
+    def cut(ray):
+        return min(ray, COUNT)
+
+    run_fastest(("a", "b"), COUNT, cut, outer, Races(times), "outer", None, [])
+    assert inner == [("a", 0, COUNT)]
+    assert sum(kernels.rays.values()) == COUNT
+    assert times["outer"].rates.keys() == {"a", "b"}
+    assert not times["inner"].rates
+    assert Races(times).plan("inner", ("a", "b"), True) == ("a", True)  # its second batch
 
 
 def test_an_interrupt_teaches_nothing(monkeypatch):
