@@ -8,6 +8,7 @@ import raystream as rs
 from conftest import tier
 from meshes import cube, soup
 from raystream.jit import threads
+from raystream.machines import branching
 from raystream.machines.backend import Capabilities
 from raystream.programs.program import Program
 
@@ -216,15 +217,15 @@ def note_entering(hit, payload):
 def test_triangles_stay_while_programs_read_them(query, monkeypatch):
     """Another tracer of the scene frees the corners, in another thread or in a callback."""
     tracer = rs.Tracer(rs.Scene.from_arrays(*soup(20_000)))
-    structure, triangles = tracer.structure, tracer.structure.triangles
-    corners, trace_batch, alive = weakref.ref(triangles.corners), structure.trace_batch, []
+    triangles = tracer.structure.triangles
+    corners, trace_batch, alive = weakref.ref(triangles.corners), branching.trace_batch, []
 
-    def trace_after_release(*arguments, **options):
+    def trace_after_release(*arguments):
         triangles.release()
         alive.append(corners() is not None)
-        return trace_batch(*arguments, **options)
+        return trace_batch(*arguments)
 
-    monkeypatch.setattr(structure, "trace_batch", trace_after_release)
+    monkeypatch.setattr(branching, "trace_batch", trace_after_release)
     origins = np.zeros((500, 3))
     if query == "trace":
         tracer.trace(origins, RAY[1], on_hit=note_entering, payload=np.zeros((500, 1)))

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.structures.bvh import kernel_choice, race
-from raystream.structures.bvh.race import LEAST_RACE, Races, run_race
+from raystream.core.query import Kind
+from raystream.machines import batch, race
+from raystream.machines.race import LEAST_RACE, Races, run_fastest, run_race
+from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
 
 COUNT = 100_000
 
@@ -99,6 +101,29 @@ def test_the_winner_is_remembered_for_its_kind_only():
     assert races.plan("other", ("a", "b"), True)[0] == "a"
 
 
+def test_one_race_runs_at_a_time(monkeypatch):
+    """A batch that another race traces meanwhile is traced by one kernel, and not timed."""
+    kernels, times, inner = FakeKernels(monkeypatch, a=1.0, b=1.0), {}, []
+
+    def note(name, begin, end, progress):
+        inner.append((name, begin, end))
+
+    def outer(name, begin, end, progress):
+        if not inner:
+            run_fastest(("a", "b"), COUNT, lambda ray: ray, note, Races(times), "inner", None, [])
+        kernels.run(name, begin, end, progress)
+
+    def cut(ray):
+        return min(ray, COUNT)
+
+    run_fastest(("a", "b"), COUNT, cut, outer, Races(times), "outer", None, [])
+    assert inner == [("a", 0, COUNT)]
+    assert sum(kernels.rays.values()) == COUNT
+    assert times["outer"].rates.keys() == {"a", "b"}
+    assert not times["inner"].rates
+    assert Races(times).plan("inner", ("a", "b"), True) == ("a", True)  # its second batch
+
+
 def test_an_interrupt_teaches_nothing(monkeypatch):
     kernels, races = FakeKernels(monkeypatch, a=1.0, b=0.1), Races()
 
@@ -118,29 +143,25 @@ def test_bits_do_not_depend_on_the_winner(monkeypatch, rng):
     origins = rng.uniform(-2, 2, (LEAST_RACE + 5000, 3)).astype(np.float32)
     directions = rng.normal(size=origins.shape).astype(np.float32)
     want = rs.Tracer(scene, kernel="single").first_hit(origins, directions)
+    kernels = BATCH_KERNELS[Kind.FIRST_HIT].kernels
+    call_kernel = batch._call_kernel
     for fastest in ("groups", "wavefront"):
-        tracer, now, used = rs.Tracer(scene), [0.0], set()
+        tracer, now, used = rs.Tracer(scene), [0.0], []
 
-        def timed(name, trace, fastest=fastest, now=now, used=used):
-            def run(work, first, end, progress):
-                trace(work, first, end, progress)
-                used.add(name)
-                now[0] += (end - first) * (1.0 if name == fastest else 1.9)
-
-            return run
+        def timed(kernel, body, order, rays, progress, fastest=fastest, now=now, used=used):
+            call_kernel(kernel, body, order, rays, progress)
+            used.append(next(name for name, one in kernels.items() if one is kernel))
+            now[0] += (rays[1] - rays[0]) * (1.0 if used[-1] == fastest else 1.9)
 
         with monkeypatch.context() as patch:
-            tracers = kernel_choice._TRACERS.items()
-            patch.setattr(
-                kernel_choice, "_TRACERS", {name: timed(name, one) for name, one in tracers}
-            )
-            patch.setattr(kernel_choice, "_loaded", {(name, False) for name, _ in tracers})
+            patch.setattr(batch, "_call_kernel", timed)
+            patch.setattr(batch, "_loaded", {(one.bind, False) for one in kernels.values()})
             patch.setattr(race, "clock", lambda now=now: now[0])
             for _ in range(3):
                 got = tracer.first_hit(origins, directions)
                 for name in ("t", "u", "v", "prim_id"):
                     np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
-        assert used == {"groups", "wavefront"}
+        assert set(used) == {"groups", "wavefront"}
 
 
 def test_a_kernel_that_must_be_loaded_is_not_timed(monkeypatch):

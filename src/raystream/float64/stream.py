@@ -35,7 +35,6 @@ from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
-    address,
     count_trailing_zeros,
     lanes_from_bits,
     load,
@@ -62,7 +61,6 @@ from raystream.structures.bvh.packet_rays import (
     PACKET_RAYS,
     Group,
     GroupLanes,
-    PacketSource,
     group_rows,
 )
 
@@ -211,7 +209,7 @@ _trace_block = device(block_trace(_visit_leaf))
 
 
 @kernel
-def trace_float64_groups(begin, end, tree, frame, source, order, wants_any, status, rows):
+def trace_float64_groups(begin, end, tree, source, packets, wants_any, status, rows, memory):
     """Trace packets begin to end.
 
     Parameters
@@ -219,20 +217,20 @@ def trace_float64_groups(begin, end, tree, frame, source, order, wants_any, stat
     begin, end : int
     tree : Float64Tree
         With nodes.
-    frame : SceneFrame
     source : Float64Source
-    order : PacketOrder
+    packets : PacketSource
+        Of the same rays.
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     status : ndarray of shape (N,), uint8
     rows : HitArrays
         See `group_rays.finish_rays`.
+    memory : int
+        Address of `WORKING_BYTES` bytes; a multiple of 64.
     """
-    array = np.empty(WORKING_BYTES, np.uint8)
-    memory = (address(array) + np.uint64(63)) & ~np.uint64(63)
+    memory, order, frame = np.uint64(memory), packets.order, packets.frame
     stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
     small, groups = Small(scratch(SMALL_BYTES)), memory + LISTS_AT
-    packets = PacketSource(source.rays, order, frame, address(status))
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
         last = min(first + _PACKETS, np.uint64(end))
         count, ray_count = load_block(memory, packets, first, last, groups, False)
@@ -246,5 +244,3 @@ def trace_float64_groups(begin, end, tree, frame, source, order, wants_any, stat
                     at = _group_at(memory, g)
                     finish_rays(at, ray, length, tree, frame, wants_any, status, rows, own)
                     g += ONE_U64
-    # The memory must outlive its addresses.
-    array[0] = np.uint8(0)

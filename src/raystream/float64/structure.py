@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import RaystreamError
 from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.triangles import Triangles
+from raystream.float64.batches import BATCH_KERNELS
 from raystream.float64.block import BLOCK_NUMBERS
 from raystream.float64.queries import (
     Float64Queries,
@@ -62,6 +63,8 @@ class Float64Structure(Structure):
         self._memory: dict[str, NDArray[Any]] = {"nodes": nodes, "leaves": blocks}
         at = [np.uint64(one.ctypes.data if len(one) else 0) for one in (nodes, blocks)]
         self._addresses = Float64Tree(at[0], at[1], np.uint64(len(blocks)))
+        if len(nodes) == 0:
+            self.batch_kernels = {}
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in self._memory.values()),
@@ -107,7 +110,7 @@ class Float64Bvh(Float64Structure):
         Called with (triangles placed, triangles).
     """
 
-    searches, loops = tree_searches, tree_queries
+    searches, loops, batch_kernels = tree_searches, tree_queries, BATCH_KERNELS
 
     def __init__(
         self, triangles: Float64Triangles, options: Bvh, *, progress: Progress | None = None

@@ -182,7 +182,7 @@ def _finish(memory, group_count):
 
 
 @kernel
-def trace_instances(begin, end, top, source, wants_any, filter_, memory, out):
+def trace_instances(begin, end, top, source, wants_any, filter_, out, memory):
     """Trace packets begin to end through a scene's instances.
 
     Parameters
@@ -194,9 +194,9 @@ def trace_instances(begin, end, top, source, wants_any, filter_, memory, out):
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     filter_ : HitFilter or None
+    out : ResultAddresses
     memory : int
         Address of `CALL_BYTES` bytes; a multiple of 64.
-    out : ResultAddresses
     """
     memory = np.uint64(memory)
     inside = memory + _INSIDE_AT

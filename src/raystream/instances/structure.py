@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
-from raystream.core.query import Kind, Query
+from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.instances.batches import InstanceTree, instance_bytes, trace_batch
+from raystream.instances.batches import BATCH_KERNELS
 from raystream.instances.records import (
     INSTANCE_BYTES,
     OBJECT_ADDRESSES,
@@ -42,7 +42,6 @@ from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.layout import NODE_BYTES
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.race import Races
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.registry import StructureOptions
 
@@ -78,6 +77,8 @@ class InstancedStructure(Structure):
         boxes = world_frame(triangles)
         self.frame = SceneFrame.of(boxes)
         self.trees = trees = self._trees(boxes)
+        if len(trees.nodes) == 0:
+            self.batch_kernels = {}
         order = trees.order
         leaves = instance_records(triangles, order)
         self._memory = {
@@ -123,7 +124,9 @@ class InstancedStructure(Structure):
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
-        return type(self)(triangles, self.objects, self.options)
+        moved = type(self)(triangles, self.objects, self.options)
+        moved.kernel_times = self.kernel_times
+        return moved
 
     @property
     def arrays(self) -> TopAddresses:
@@ -175,34 +178,7 @@ class InstancedBvh(InstancedStructure):
 
     traverse = staticmethod(traverse_top)
     stack_bytes = 2 * STACK_BYTES
-
-    def __init__(
-        self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
-    ) -> None:
-        super().__init__(triangles, objects, options)
-        self._races = Races()
-
-    def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
-        """See `InstancedStructure.moved`."""
-        moved = InstancedBvh(triangles, self.objects, self.options)
-        moved._races = self._races
-        return moved
-
-    def trace_batch(
-        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
-    ) -> bool:
-        """Find first or any hits with a kernel for many rays; see `instances.batches`."""
-        if rays.worlds is not None or len(self.memory["nodes"]) == 0:
-            return False
-        size = self.report.byte_count
-        tree = InstanceTree(self._addresses, self.frame, size, self.queries)
-        kernel = getattr(self.options, "kernel", "auto")
-        return trace_batch(tree, query, rays, sink, progress, kernel, self._races)
-
-    def working_bytes(self, kind: Kind, ray_count: int) -> int:
-        """See `Structure.working_bytes`."""
-        is_batched = kind is Kind.FIRST_HIT or kind is Kind.ANY_HIT
-        return instance_bytes(ray_count) if is_batched else 0
+    batch_kernels = BATCH_KERNELS
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         return TopTrees.of(boxes, self.triangles.instances)

@@ -17,11 +17,15 @@ from raystream.kernels.queries import Wanted, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
+from raystream.machines.batch import batch_bytes, call_size, trace_batch
 from raystream.programs.run import run_on_hits
 from raystream.structures import Structure
 
 #: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
+
+#: Least rays of a call.
+_LEAST = 256
 
 #: Bytes of a thread's calls besides: Python's objects, and the splits of the rays of a call.
 _CALL_BYTES = 1 << 16
@@ -65,7 +69,7 @@ class Branching(Backend):
         """
         if query.kind is not Kind.MULTI_HIT:
             counts = sink.tallies is not None
-            if counts or not self.structure.trace_batch(query, rays, sink, progress):
+            if counts or not trace_batch(self.structure, query, rays, sink, progress):
                 self.trace_singly(query, rays, sink, progress)
         elif sink.tallies is not None or query.limit == 0:
             filled, half = self.room_for_hits(query, rays, sink, progress)
@@ -87,7 +91,7 @@ class Branching(Backend):
         """
         small = thread_count() * _CALL_BYTES
         if kind is not Kind.MULTI_HIT:
-            return small + self.structure.working_bytes(kind, ray_count)
+            return small + batch_bytes(self.structure, kind, ray_count)
         capacity = max(FIRST_CAPACITY, 4 * -(-hit_count // max(ray_count, 1)))
         return small + thread_count() * 16 * capacity + 24 * ray_count + 16 * hit_count
 
@@ -154,13 +158,15 @@ class Branching(Backend):
         def body(begin: int, end: int) -> None:
             kernel(begin, end, *shared, *output)
 
-        parallel_for(body, len(rays), self._chunk(len(rays)), progress)
+        parallel_for(
+            body, len(rays), call_size(len(rays), _LEAST, structure.rays_per_call()), progress
+        )
         del kept  # the kernel reads it by address
 
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Pass all hits to the sink's visitor."""
         structure, visitor = self.structure, sink.visitor
-        if structure.trace_batch(query, rays, sink, progress):
+        if trace_batch(structure, query, rays, sink, progress):
             return
         assert visitor is not None
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
@@ -176,12 +182,7 @@ class Branching(Backend):
             return int(reached)
 
         body = GrowingBuffers(HitRows.of, fill, FIRST_CAPACITY)
-        parallel_for(body, len(rays), self._chunk(len(rays)), progress)
+        parallel_for(
+            body, len(rays), call_size(len(rays), _LEAST, structure.rays_per_call()), progress
+        )
         del kept
-
-    def _chunk(self, count: int) -> int:
-        """Number of rays per kernel call."""
-        # Small batches are split among the threads, too, but not so far that starting a call costs
-        # more than its rays.
-        share = max(256, -(-count // (4 * thread_count())))
-        return min(self.structure.rays_per_call(), share)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -21,6 +21,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.queries import RayQueries, Searches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
+from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.registry import StructureOptions
 
 #: Most rays per call of a compiled loop: enough to amortise the call (about 20 microseconds), few
@@ -103,6 +104,8 @@ class Structure(ABC):
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
     precision : {"float32", "float64"}
         Precision of triangles and distances.
+    batch_kernels : mapping of Kind to BatchKernels
+        The kernels that trace many rays of a query at a time, if there are any.
     is_outdated : bool
         Whether `updated` has moved its arrays, which another structure has now.
     """
@@ -112,6 +115,7 @@ class Structure(ABC):
     make_searches: ClassVar[Callable[..., Searches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
     precision: ClassVar[str] = "float32"
+    batch_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
     is_outdated: bool = False
     triangles: Triangles
     report: BuildReport
@@ -196,9 +200,10 @@ class Structure(ABC):
         """The number of sectors that hits can name; None if they name none."""
         return None
 
-    def working_bytes(self, kind: Kind, ray_count: int) -> int:
-        """Most bytes that `trace_batch` needs besides the results, except for `Kind.MULTI_HIT`."""
-        return 0
+    @cached_property
+    def kernel_times(self) -> dict[Hashable, Any]:
+        """Times of these kernels by kind of batch; see `machines.race`."""
+        return {}
 
     def rays_per_call(self) -> int:
         """Most rays per call of a compiled loop."""
@@ -241,32 +246,6 @@ class Structure(ABC):
         structure = type(self)(triangles, self.options, progress=progress)
         seconds = time.perf_counter() - started
         return structure, UpdateReport(True, seconds, math.nan, math.nan)
-
-    def trace_batch(
-        self,
-        query: Query,
-        rays: RayBatch,
-        sink: Sink,
-        progress: Progress | None = None,
-    ) -> bool:
-        """Run a query with kernels that trace many rays at a time, if there are suitable ones.
-
-        Parameters
-        ----------
-        query : Query
-            Without counters. Its filter is a `HitFilter` or None.
-        rays : RayBatch
-        sink : Sink
-            Of `Kind.MULTI_HIT` with a visitor.
-        progress : callable, optional
-            Called with (rays done, rays).
-
-        Returns
-        -------
-        bool
-            False if it did nothing: the machine traces the rays one by one.
-        """
-        return False
 
 
 def _restored(

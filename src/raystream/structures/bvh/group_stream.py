@@ -23,7 +23,6 @@ import numpy as np
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
-    address,
     compress,
     count_trailing_zeros,
     f32x8,
@@ -60,7 +59,6 @@ from raystream.structures.bvh.group_rays import (
     HOT_AT,
     LANE_SHIFT,
     LISTS_AT,
-    MEMORY_BYTES,
     PLACES_AT,
     RAY_BITS,
     Hot,
@@ -361,7 +359,7 @@ _trace_block = device(block_trace(leaf_visit(TESTS)))
 
 
 @kernel
-def trace_groups(begin, end, tree, source, wants_any, filter_, out):
+def trace_groups(begin, end, tree, source, wants_any, filter_, out, memory):
     """Trace packets begin to end.
 
     Parameters
@@ -374,9 +372,10 @@ def trace_groups(begin, end, tree, source, wants_any, filter_, out):
         Find whether there is a hit, else the nearest one.
     filter_ : HitFilter or None
     out : ResultAddresses
+    memory : int
+        Address of `MEMORY_BYTES` bytes; a multiple of 64.
     """
-    array = np.empty(MEMORY_BYTES + 64, np.uint8)
-    memory = (address(array) + np.uint64(63)) & ~np.uint64(63)
+    memory = np.uint64(memory)
     stack = scratch(STREAM_STACK_BYTES)
     small = Small(scratch(SMALL_BYTES))
     groups = memory + LISTS_AT
@@ -386,5 +385,3 @@ def trace_groups(begin, end, tree, source, wants_any, filter_, out):
         count, ray_count = load_block(memory, source, first, last, groups, filter_ is not None)
         _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, mine)
         store_block(memory, source.order, first, last, wants_any, out)
-    # The memory must outlive its addresses.
-    array[0] = np.uint8(0)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
-from raystream.core.query import Query
 from raystream.jit.constants import BYTES_64, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, i32x16, load, scratch, store
-from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.growing_buffers import GrowingBuffers
-from raystream.kernels.hits import HitArrays, HitBatch, Sink
+from raystream.kernels.hits import HitArrays, HitBatch
 from raystream.kernels.ray import world_t
-from raystream.structures.bvh.layout import TreeAddresses
+from raystream.structures.batch_kernels import Batch, Calls
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_hits import (
     BUFFERS,
@@ -36,10 +34,12 @@ from raystream.structures.bvh.packet_rays import (
     PACKET_RAYS,
     Group,
     GroupLanes,
-    PacketSource,
     group_rows,
     t_transform,
 )
+
+if TYPE_CHECKING:
+    from raystream.structures.base import Structure
 
 _LANES = np.uint64(16)
 _LANE = np.uint64(4)
@@ -100,26 +100,14 @@ class PacketBuffers(NamedTuple):
         return HitBatch(self.rows, self.splits[: ray_count + 1], self.ray_ids[:ray_count], 0)
 
 
-def visit_all(
-    tree: TreeAddresses,
-    source: PacketSource,
-    query: Query,
-    sink: Sink,
-    progress: Progress | None,
-) -> None:
-    """Deliver all hits of the rays of a batch to the sink's visitor, in parts.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with (packets done, packets).
-    """
+def visit_all(structure: Structure, batch: Batch) -> Calls:
+    """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel`."""
+    query, visitor, source = batch.query, batch.sink.visitor, batch.packets(structure.frame)
+    assert visitor is not None
     goal = ALL + SURFACES if query.surfaces else ALL
     # Unsorted hits have 32-bit ray indices.
-    sorts = query.is_ordered or int(source.order.ray_count) >= 2**31
-    nowhere = ZERO_U64
-    visitor = sink.visitor
-    assert visitor is not None
+    sorts = query.is_ordered or len(batch.rays) >= 2**31
+    tree, nowhere = structure.arrays, ZERO_U64
 
     def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
         reached, used, ray_count = _collect_packets(
@@ -129,31 +117,15 @@ def visit_all(
             visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
         return int(reached)
 
-    body = GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY)
-    packet_count = source.order.packet_count
-    parallel_for(body, packet_count, _share(packet_count, PACKETS_PER_CALL), progress)
+    return GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY), ()
 
 
-def _share(packet_count: int, most: int) -> int:
-    """Packets per call: so that the threads finish together."""
-    return max(min(-(-packet_count // (8 * thread_count())), most), 8)
-
-
-def count_all(
-    tree: TreeAddresses, source: PacketSource, query: Query, progress: Progress | None
-) -> NDArray[np.int64]:
-    """Count the hits of the rays of a batch."""
-    counts = np.zeros(int(source.order.ray_count), np.int64)
-    at = np.uint64(counts.ctypes.data)
-    goal = COUNT + SURFACES if query.surfaces else COUNT
+def count_all(structure: Structure, batch: Batch) -> Calls:
+    """Count the hits of packets; see `BatchKernel`."""
+    source, at = batch.packets(structure.frame), np.uint64(batch.sink.counts.ctypes.data)
+    goal = COUNT + SURFACES if batch.query.surfaces else COUNT
     nowhere = np.zeros(BUFFERS.itemsize // 8, np.uint64)
-
-    def body(begin: int, end: int) -> None:
-        _collect_packets(begin, end, tree, source, goal, False, nowhere, at)
-
-    packet_count = source.order.packet_count
-    parallel_for(body, packet_count, _share(packet_count, COUNTED_PER_CALL), progress)
-    return counts
+    return _collect_packets, (structure.arrays, source, goal, False, nowhere, at)
 
 
 @kernel

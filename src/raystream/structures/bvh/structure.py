@@ -10,25 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.query import UNLIMITED, Kind, Query
-from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.hits import Sink
-from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.base import BuildReport, Structure, UpdateReport
 from raystream.structures.bvh.build import build_arrays
-from raystream.structures.bvh.kernel_choice import (
-    SMALL_BATCH,
-    Tree,
-    count_batch,
-    kernel_bytes,
-    trace_batch,
-    visit_batch,
-)
+from raystream.structures.bvh.kernel_choice import BATCH_KERNELS
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses, check_arrays
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.race import Races
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import stack_half
@@ -48,6 +36,7 @@ class BvhStructure(Structure):
 
     traverse = staticmethod(traverse)
     stack_bytes = STACK_BYTES
+    batch_kernels = BATCH_KERNELS
     options: Bvh
 
     def __init__(
@@ -62,8 +51,10 @@ class BvhStructure(Structure):
         self.triangles = triangles
         self.tree = tree
         self.options = options
-        self._numbers = Tree.of(tree, self.frame)
-        self._races = Races()
+        addresses = (one.ctypes.data if len(one) else 0 for one in tree)
+        self._addresses = TreeAddresses._make(map(np.uint64, addresses))
+        if len(tree.nodes) == 0:
+            self.batch_kernels = {}
         held_ids = triangles.prim_ids
         is_held = tree.prim_ids >= 0
         if np.count_nonzero(is_held) != len(held_ids):
@@ -89,7 +80,7 @@ class BvhStructure(Structure):
     @property
     def arrays(self) -> TreeAddresses:
         """Addresses of the tree, which the structure keeps alive."""
-        return self._numbers.addresses
+        return self._addresses
 
     @property
     def memory(self) -> dict[str, NDArray[Any]]:
@@ -167,50 +158,9 @@ class BvhStructure(Structure):
             moved.__dict__.pop(name, None)
         self.is_outdated = True
         moved.triangles = triangles
-        moved._numbers = Tree.of(self.tree, moved.frame)
         seconds = time.perf_counter() - started
         moved.report = BuildReport(seconds, self.report.byte_count)
         return moved
-
-    def trace_batch(
-        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
-    ) -> bool:
-        """Run a query with one of the kernels for many rays; see `engine`."""
-        kind, tree = query.kind, self._numbers
-        if kind is Kind.FIRST_HIT or kind is Kind.ANY_HIT:
-            if self._is_traced_singly():
-                return False
-            if kind is Kind.ANY_HIT:
-                to = ResultAddresses.of_any(sink.seen, sink.status)
-            else:
-                to = ResultAddresses.of_first(sink.memory, sink.status)
-            wants_any, filter_ = kind is Kind.ANY_HIT, query.on_hit
-            trace_batch(tree, rays, wants_any, filter_, to, progress, self.kernel, self._races)
-            return True
-        if not self._may_collect(rays, query.limit):
-            return False
-        only_if_narrow = self.kernel == "auto"
-        if kind is Kind.MULTI_HIT:
-            return visit_batch(tree, query, rays, sink, progress, only_if_narrow)
-        return count_batch(tree, query, rays, sink, progress, only_if_narrow)
-
-    def working_bytes(self, kind: Kind, ray_count: int) -> int:
-        """See `Structure.working_bytes`."""
-        if kind is Kind.COUNT_HITS:
-            return 8 * ray_count if self.kernel in ("auto", "packet") else 0
-        if self._is_traced_singly():
-            return 0
-        return kernel_bytes(self.kernel, ray_count)
-
-    def _may_collect(self, batch: RayBatch, limit: int) -> bool:
-        """Whether packets may trace a batch: they find all hits."""
-        if limit != UNLIMITED or len(self.tree.nodes) == 0 or len(batch) == 0:
-            return False
-        return self.kernel == "packet" or (self.kernel == "auto" and len(batch) > SMALL_BATCH)
-
-    def _is_traced_singly(self) -> bool:
-        """Whether `traverse` traces first and any hits; it takes empty trees too."""
-        return self.kernel == "single" or len(self.tree.nodes) == 0
 
 
 def trace_cost(tree: BvhArrays) -> float:

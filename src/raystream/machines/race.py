@@ -9,10 +9,12 @@ again after twice as many batches each time.
 
 from __future__ import annotations
 
+import itertools
+import threading
 import time
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from raystream.jit.threads import Progress, part_of
 
@@ -43,6 +45,9 @@ Run = Callable[[str, int, int, Progress | None], object]
 #: The last place at or before a ray where a batch may be divided.
 Cut = Callable[[int], int]
 
+#: Held by a race.
+_racing = threading.Lock()
+
 
 @dataclass
 class _Kind:
@@ -50,13 +55,13 @@ class _Kind:
 
     Attributes
     ----------
-    batch_count : int
-        Batches so far.
+    numbers : iterator of int
+        Of the batches, from 1 on: several threads take them.
     rates : dict of str to float
         Seconds per ray by kernel.
     """
 
-    batch_count: int = 0
+    numbers: Iterator[int] = field(default_factory=lambda: itertools.count(1))
     rates: dict[str, float] = field(default_factory=dict)
 
 
@@ -77,10 +82,16 @@ def _rate(time: _Time) -> float:
 
 
 class Races:
-    """Times of the kernels by kind of batch."""
+    """Times of the kernels by kind of batch.
 
-    def __init__(self) -> None:
-        self._kinds: dict[Hashable, _Kind] = {}
+    Parameters
+    ----------
+    kinds : dict, optional
+        Keeps them; see `Structure.kernel_times`.
+    """
+
+    def __init__(self, kinds: dict[Hashable, Any] | None = None) -> None:
+        self._kinds: dict[Hashable, _Kind] = {} if kinds is None else kinds
 
     def plan(self, kind: Hashable, names: Sequence[str], is_ready: bool) -> tuple[str, bool]:
         """The kernel for a batch of a kind, and whether to race.
@@ -96,8 +107,7 @@ class Races:
         if kind not in self._kinds and len(self._kinds) >= _MOST_KINDS:
             self._kinds.clear()
         known = self._kinds.setdefault(kind, _Kind())
-        known.batch_count += 1
-        number = known.batch_count
+        number = next(known.numbers)
         is_due = number & (number - 1) == 0 and (is_ready or number >= 4)
         return _fastest(names, known.rates), is_due
 
@@ -119,6 +129,32 @@ def _fastest(names: Sequence[str], rates: dict[str, float]) -> str:
         if name in rates and best in rates and rates[name] * _LEAD < rates[best]:
             best = name
     return best
+
+
+def run_fastest(
+    names: Sequence[str],
+    count: int,
+    cut: Cut,
+    run: Run,
+    races: Races,
+    kind: Hashable,
+    progress: Progress | None,
+    cold: Sequence[str],
+) -> None:
+    """Trace a batch by the fastest kernel, as far as that is known; see `run_race`.
+
+    Notes
+    -----
+    One race at a time: two would measure each other. A batch that is due meanwhile is not raced.
+    """
+    name, is_due = races.plan(kind, names, not cold)
+    if not is_due or not _racing.acquire(blocking=False):
+        run(name, 0, count, progress)
+        return
+    try:
+        run_race(names, count, cut, run, races, kind, progress, cold)
+    finally:
+        _racing.release()
 
 
 def run_race(

@@ -1,0 +1,177 @@
+"""Batches of rays on the CPU: their order, their kernels, and the calls of these on all threads.
+
+A structure declares its kernels for many rays (`structures.batch_kernels`). Which of them traces a
+batch is said by the structure's option, or by a sample of the rays and, for large batches, by a
+race of those that may be the fastest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.query import UNLIMITED, Kind, Query
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.kernels.aligned import ALIGNMENT, aligned_array
+from raystream.kernels.hits import Sink
+from raystream.kernels.ray_source import RaySource
+from raystream.machines.race import LEAST_RACE, Races, run_fastest
+from raystream.structures import Structure
+from raystream.structures.batch_kernels import Batch, BatchKernel, Calls
+from raystream.structures.bvh.coherence import probe
+from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
+from raystream.structures.bvh.packet_rays import PacketOrder
+
+#: Most spare memories: of up to 40 MB each, of which calls have written a small part.
+_MOST_SPARE = 4
+
+#: Memory of calls that have ended, for later ones: new pages took a tenth of the time. Several
+#: threads append and pop.
+_spare: list[NDArray[np.float32]] = []
+
+#: Of kernels for single rays.
+_NO_ORDER = BatchOrder(PacketOrder.of_rows(0, 0))
+
+#: Kernels that have traced a batch in this process, without or with a filter: those are loaded.
+_loaded: set[tuple[Callable[..., object], bool]] = set()
+
+
+def trace_batch(
+    structure: Structure,
+    query: Query,
+    rays: RayBatch,
+    sink: Sink,
+    progress: Progress | None = None,
+) -> bool:
+    """Run a query with a structure's kernels for many rays, if one suits them.
+
+    Parameters
+    ----------
+    structure : Structure
+    query : Query
+        Without counters. Its filter is a `HitFilter` or None.
+    rays : RayBatch
+    sink : Sink
+        Of `Kind.MULTI_HIT` with a visitor.
+    progress : callable, optional
+        Called with (rays done, rays).
+
+    Returns
+    -------
+    bool
+        False if it did nothing: the machine traces the rays one by one.
+    """
+    count, has_filter = len(rays), query.on_hit is not None
+    known = structure.batch_kernels.get(query.kind)
+    # Worlds and numbers of hits are for single rays.
+    if known is None or count == 0 or rays.worlds is not None or query.limit != UNLIMITED:
+        return False
+    kernels, name = known.kernels, known.named(structure.options, count)
+    if has_filter:
+        kernels = {key: one for key, one in kernels.items() if one.takes_filter}
+    is_open = name == "auto"
+    if not is_open and name not in kernels:
+        return False
+    is_packed = is_open or kernels[name].by_packets
+    source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, is_packed)
+    order = BatchOrder(PacketOrder.of(rays.shape)) if is_packed else _NO_ORDER
+    names = [name]
+    kind: tuple[int, ...] = ()
+    if is_open:
+        # What the tree would take in float32 decides how many rays share a node.
+        size = structure.report.byte_count * 4 // np.dtype(structure.precision).itemsize
+        found = probe(source, order.packets, structure.frame, size)
+        suited = known.suited(found, count, size)[: None if count >= LEAST_RACE else 1]
+        if suited[0] not in kernels:
+            return False
+        names = [one for one in suited if one in kernels]
+        kind = query.kind is Kind.ANY_HIT, has_filter, count.bit_length(), *found.kind()
+    is_long = count >= LEAST_RAYS and not order.packets.width
+    if is_long and any(kernels[one].is_tiled for one in names):
+        order = find_order(source, count, structure.frame)
+    batch = Batch(query, rays, sink, source, order.packets)
+
+    def run(name: str, begin: int, end: int, progress: Progress | None) -> None:
+        kernel = kernels[name]
+        _call_kernel(kernel, kernel.bind(structure, batch), order, (begin, end), progress)
+        _loaded.add((kernel.bind, has_filter))
+
+    if len(names) == 1:
+        run(names[0], 0, count, progress)
+    else:
+        cold = [one for one in names if (kernels[one].bind, has_filter) not in _loaded]
+        races = Races(structure.kernel_times)
+        run_fastest(names, count, lambda ray: order.cut(ray).ray, run, races, kind, progress, cold)
+    del kept  # the kernels read it by address
+    return True
+
+
+def batch_bytes(structure: Structure, kind: Kind, ray_count: int) -> int:
+    """Most bytes that `trace_batch` needs besides the results and the hits of `Kind.MULTI_HIT`."""
+    known = structure.batch_kernels.get(kind)
+    if known is None:
+        return 0
+    name = known.named(structure.options, ray_count)
+    used = [one for key, one in known.kernels.items() if name in ("auto", key)]
+    tables = 2 * ray_count if any(one.is_tiled for one in used) else 0  # of rows and packets
+    return tables + thread_count() * max((one.memory_bytes for one in used), default=0)
+
+
+def call_size(count: int, least: int, most: int, share: int = 4, block: int = 1) -> int:
+    """Rays or packets of a call; see `BatchKernel`.
+
+    Small batches are split among the threads, too, but not so far that starting a call costs more
+    than its rays.
+    """
+    if count <= least:  # without counting threads: that takes 2 us
+        return min(least, most)
+    size = -(-count // (share * thread_count()))
+    if size > block:  # whole blocks
+        size -= size % block
+    return min(most, max(least, size))
+
+
+def _call_kernel(
+    kernel: BatchKernel,
+    calls: Calls,
+    order: BatchOrder,
+    rays: tuple[int, int],
+    progress: Progress | None,
+) -> None:
+    """Trace the rays between two cuts of an order on all threads."""
+    trace, arguments = calls
+    first, end = (order.cut(ray).packet for ray in rays) if kernel.by_packets else rays
+    count, byte_count = end - first, kernel.memory_bytes
+    if count <= kernel.least and not byte_count and progress is None:  # small batches
+        trace(first, end, *arguments)
+        return
+
+    def body(low: int, high: int) -> None:
+        if not byte_count:
+            trace(first + low, first + high, *arguments)
+            return
+        memory = _memory_of(byte_count)
+        trace(first + low, first + high, *arguments, memory.ctypes.data)
+        if len(_spare) < _MOST_SPARE:
+            _spare.append(memory)
+
+    def report(done: int, _: int) -> object:
+        assert progress is not None
+        return progress(done * (rays[1] - rays[0]) // count, rays[1] - rays[0])
+
+    size = call_size(count, kernel.least, kernel.most, kernel.share, kernel.block)
+    shown = None if progress is None else report
+    parallel_for(body, count, size, shown, joins_chunks=kernel.joins_chunks)
+
+
+def _memory_of(byte_count: int) -> NDArray[np.float32]:
+    """Memory for a call: of one that has ended, if there is enough of it."""
+    try:
+        memory = _spare.pop()
+    except IndexError:
+        memory = aligned_array(0, 1)
+    is_enough = memory.nbytes >= byte_count
+    return memory if is_enough else aligned_array(-(-byte_count // ALIGNMENT), ALIGNMENT // 4)

@@ -1,0 +1,69 @@
+"""The memory of calls: used again, by one call at a time, and not kept without limit."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import assert_same_bits
+from meshes import soup
+from raystream.machines import batch
+
+TRACERS = ({}, {"precision": "float64"})
+
+
+def scattered(count, rng):
+    return rng.random((count, 3), np.float32), rng.normal(size=(count, 3)).astype(np.float32)
+
+
+@pytest.fixture
+def spare(monkeypatch):
+    """Memory of calls that have ended, at first none."""
+    kept = []
+    monkeypatch.setattr(batch, "_spare", kept)
+    return kept
+
+
+@pytest.mark.parametrize("options", TRACERS)
+def test_memory_is_used_again(spare, options, rng):
+    tracer = rs.Tracer(rs.Scene.from_arrays(*soup(200, 1)), kernel="groups", **options)
+    rays = scattered(700, rng)
+    tracer.first_hit(*rays)
+    first = {id(memory) for memory in spare}
+    assert first
+    for _ in range(3):
+        tracer.any_hit(*rays)
+    assert first <= {id(memory) for memory in spare}
+    assert len(spare) <= batch._MOST_SPARE
+
+
+def test_threads_do_not_share_memory(spare, rng):
+    """Several threads trace with two tracers at once, whose calls need memory of two sizes."""
+    scene = rs.Scene.from_arrays(*soup(200, 1))
+    rays = scattered(6000, rng)
+    tracers = [rs.Tracer(scene, kernel="groups", **options) for options in TRACERS]
+    wanted = [rs.Tracer(scene, kernel="single", **options).first_hit(*rays) for options in TRACERS]
+
+    def trace(number):
+        return number % 2, tracers[number % 2].first_hit(*rays)
+
+    with ThreadPoolExecutor(6) as pool:
+        for which, hits in pool.map(trace, range(24)):
+            for name in ("t", "u", "v", "prim_id"):
+                assert_same_bits(getattr(hits, name), getattr(wanted[which], name))
+    assert len({id(memory) for memory in spare}) == len(spare) <= batch._MOST_SPARE + 6
+
+
+def test_an_interrupted_call_gives_no_memory_back(spare, monkeypatch):
+    """A thread may still write to it."""
+    kernel = batch.BatchKernel(lambda *_: None, 1, 1, by_packets=False, memory_bytes=64)
+
+    def interrupted(begin, end, memory):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        batch._call_kernel(kernel, (interrupted, ()), batch._NO_ORDER, (0, 1), None)
+    assert spare == []
