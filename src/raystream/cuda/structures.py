@@ -80,7 +80,7 @@ class BuiltOnDevice(Protocol):
 
 
 def is_built_there(structure: Structure, gpu: Gpu) -> bool:
-    """Whether a structure was built on this device, where it keeps its own layout."""
+    """Whether a structure was built on this device."""
     return isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
 
 
@@ -100,8 +100,9 @@ def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
         If there is not enough memory; nothing has been copied then.
     """
     is_own = is_own or not has_binary_layout(traced_as(structure))
-    if is_own and is_built_there(structure, gpu):
-        return cast("BuiltOnDevice", structure).resident
+    if is_built_there(structure, gpu):
+        built: Any = structure
+        return cast("Resident", built.resident if is_own else built.binary)
     tree, given = lay_out(structure, is_own=is_own)
     nested = structure.nested
     # Address 0 marks arrays that are absent.
