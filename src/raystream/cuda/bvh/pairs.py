@@ -125,19 +125,15 @@ def _choose(node, lanes, count, is_balanced, costs, choices):
         if size == ONE_U64:
             store(at, np.float64(0.0))
             continue
-        # In a balanced tree, at most half of the set's size rounded up to a power of two.
-        most = size - ONE_U64
-        if is_balanced:
-            most = ONE_U64
-            while most + most < size:
-                most += most
+        # In a balanced tree both parts have half of the children.
+        most = (size + ONE_U64) >> ONE_U64 if is_balanced else size
         least, choice = np.float64(np.inf), ZERO_U64
         # The lowest member is always in the left part: no tree is tried twice.
         lowest = members & (~members + ONE_U64)
         part = (members - ONE_U64) & members
         while part != ZERO_U64:
             other = members ^ part
-            is_allowed = not is_balanced or (_size(part) <= most and _size(other) <= most)
+            is_allowed = max(_size(part), _size(other)) <= most
             if part & lowest != ZERO_U64 and is_allowed:
                 cost = load(np.float64, costs + (part << SHIFT_64))
                 cost += load(np.float64, costs + (other << SHIFT_64))
