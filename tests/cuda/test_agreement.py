@@ -66,8 +66,8 @@ def test_structures_equal_brute_force(gpu, tracer, name):
     [pytest.param(one, marks=[pytest.mark.exhaustive] * (one != "random_soup")) for one in CASES],
 )
 def test_the_cpus_layout_equals_brute_force(gpu, monkeypatch, name):
-    """That of trees built on the device, here of one that was not."""
-    monkeypatch.setattr("raystream.cuda.backend.has_binary_layout", lambda _: False)
+    """That of counters and closest points, here for all queries."""
+    monkeypatch.setattr("raystream.cuda.structures.has_binary_layout", lambda _: False)
     case = few_of(case_of(name))
     answers = answers_of(
         rs.Tracer(case.scene, "bvh", "cuda"), rays_of(case), is_brief=is_simulated()

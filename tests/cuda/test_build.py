@@ -19,6 +19,7 @@ need("numba_cuda")
 
 import raystream as rs
 from cases import CASES
+from raystream.cuda.bvh.binary import unfold
 from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.layout import BvhArrays, check_arrays
@@ -125,6 +126,27 @@ def test_trees_are_whole(device, name):
     assert_whole(structure)
     if structure.cost_when_built == structure.cost_when_built:  # nan: a scene without area
         assert structure.cost_when_built == pytest.approx(trace_cost(structure.tree))
+
+
+def bytes_of(resident):
+    return [one.host().tobytes() for one in resident.arrays]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_binary_nodes_are_those_of_the_copy_on_the_host(device, name):
+    structure = built(case_of(name).scene, "bvh").structure
+    expected = unfold(structure.tree)
+    assert bytes_of(structure.binary) == [one.tobytes() for one in expected.values()]
+
+
+def test_binary_nodes_follow_an_update(device):
+    case = case_of("closed_mesh")
+    tracer = built(case.scene, "bvh")
+    before = bytes_of(tracer.structure.binary)
+    assert not tracer.update(case.vertices * 1.05).rebuilt
+    after = bytes_of(tracer.structure.binary)
+    assert after != before
+    assert after == [one.tobytes() for one in unfold(tracer.structure.tree).values()]
 
 
 @pytest.mark.parametrize("structure", ["bvh", "grid"])

@@ -21,7 +21,6 @@ from raystream.core.rays import RayBatch
 from raystream.cuda.bvh import binary
 from raystream.cuda.bvh.binary import unfold
 from raystream.cuda.bvh.kernels import lay_out
-from raystream.cuda.bvh.pairs import depth_of
 from raystream.cuda.query_kernels import RowAddresses
 from raystream.cuda.structures import kernels_of
 from raystream.kernels.hits import HitAddresses, HitArrays
@@ -124,19 +123,22 @@ def test_triangles_that_moved_away_are_left_out():
     check_layout(tracer.structure)
 
 
+def depth_of(nodes):
+    """Nodes on the longest path; parents come before their children."""
+    depths = np.ones(len(nodes), int)
+    for row, links in enumerate(nodes.view(np.int32)[:, 12:14]):
+        depths[links[links > 0]] = depths[row] + 1
+    return depths.max()
+
+
 def test_too_deep_trees_are_balanced(monkeypatch):
     """Boxes each of which is four times the last one: the least area makes a list of them."""
     corners = np.repeat(4.0 ** np.arange(12), 3).reshape(-1, 3, 1) * np.eye(3)
     structure = bvh_of(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3), max_leaf_size=1)
-
-    def depth():
-        links = unfold(structure.tree)[1]["nodes"].view(np.int32)
-        return depth_of(links, np.zeros(len(links), np.int32))
-
     most = 3 * structure.quality()["depth"]
-    assert depth() > most
-    monkeypatch.setattr(binary, "STACK_BYTES", 0)
-    assert depth() <= most
+    assert depth_of(unfold(structure.tree)["nodes"]) > most
+    monkeypatch.setattr(binary, "ANY_SHAPE_DEPTH", 0)
+    assert depth_of(unfold(structure.tree)["nodes"]) <= most
     check_layout(structure)
 
 

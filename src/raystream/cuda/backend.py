@@ -19,7 +19,7 @@ from raystream.cuda.programs.payload import record_of
 from raystream.cuda.queries import QUERIES, trace_on_device
 from raystream.cuda.rays import usual_limits
 from raystream.cuda.staging import StagingStreams
-from raystream.cuda.structures import is_built_there, kernels_of, place
+from raystream.cuda.structures import kernels_of, place
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import Gpu
 from raystream.jit.threads import Progress
@@ -73,17 +73,16 @@ class CudaBackend(Backend):
         self.rays_at_once = operator.index(rays_at_once)
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
-        is_own = is_built_there(structure, gpu) or not has_binary_layout(traced_as(structure))
         self._scene = DeviceScene(
             gpu,
-            kernels_of(traced_as(structure), is_own=is_own),
-            place(structure, gpu, is_own=is_own),
+            kernels_of(traced_as(structure)),
+            place(structure, gpu),
             structure.frame,
             structure.triangles,
             DeviceTriangles(gpu, structure.triangles),
             HitIds(gpu, structure.triangles),
         )
-        self._own_scene = self._scene if is_own else None
+        self._own_scene = None if has_binary_layout(traced_as(structure)) else self._scene
         #: Whether the scene has triangles alone, where they are: for shading and programs.
         self._is_plain = isinstance(structure.triangles, Triangles)
         self._staging_streams = StagingStreams(gpu)

@@ -79,11 +79,6 @@ class BuiltOnDevice(Protocol):
     resident: Resident
 
 
-def is_built_there(structure: Structure, gpu: Gpu) -> bool:
-    """Whether a structure was built on this device, where it keeps its own layout."""
-    return isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
-
-
 def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
     """Copy the arrays of a structure's traversal to a device, or return those built there.
 
@@ -100,8 +95,9 @@ def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
         If there is not enough memory; nothing has been copied then.
     """
     is_own = is_own or not has_binary_layout(traced_as(structure))
-    if is_own and is_built_there(structure, gpu):
-        return cast("BuiltOnDevice", structure).resident
+    if isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number:
+        built: Any = structure
+        return cast("Resident", built.resident if is_own else built.binary)
     tree, given = lay_out(structure, is_own=is_own)
     nested = structure.nested
     # Address 0 marks arrays that are absent.

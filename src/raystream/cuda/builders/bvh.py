@@ -16,6 +16,7 @@ from raystream.cuda.builders.device_resident import DeviceResident, finish
 from raystream.cuda.builders.linear import link_by_keys
 from raystream.cuda.builders.refit import cost_of, refit
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
+from raystream.cuda.bvh.binary import BinaryAddresses, unfold_on_device
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
@@ -59,6 +60,13 @@ class DeviceBvh(DeviceResident, BvhStructure):
         self._held_ids = triangles.prim_ids
         byte_count = sum(4 * one.shape[0] * one.shape[1] for one in wide[:2])
         self.report = finish(gpu, byte_count, started)
+
+    @property
+    def binary(self) -> Resident:
+        """New binary nodes of the tree as it is now."""
+        nodes, leaves, levels = self.wide
+        arrays = unfold_on_device(self.gpu, nodes, leaves, len(levels) - 1)
+        return Resident(BinaryAddresses(*(one.address for one in arrays)), arrays)
 
     @cached_property
     def _on_host(self) -> BvhStructure:

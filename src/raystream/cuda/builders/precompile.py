@@ -8,6 +8,7 @@ import numpy as np
 
 from raystream.cuda.builders import binary_tree, clusters, linear, lists, refit, wide
 from raystream.cuda.builders.graph.precompile import graph_kernels
+from raystream.cuda.bvh import pairs
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.cuda.block_kernel import BlockKernel
@@ -23,6 +24,7 @@ def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     nodes = binary_tree.NodesAt(NULL, NULL, NULL, np.int64(1))
     number = np.float64(0.0)
     frame = binary_tree.KeyFrame((number, number, number), number, NULL)
+    wide_at = pairs.WideAt(NULL, NULL, NULL)
     listed = clusters.ClusterList(NULL, NULL)
 
     def at(count: int) -> tuple[np.uint64, ...]:
@@ -44,6 +46,8 @@ def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         (wide.KERNELS.count_lanes, (NULL, nodes, *at(2))),
         (wide.KERNELS.give_rows, (*at(3), nodes, *at(4))),
         (wide.KERNELS.write_node, (nodes, *at(6))),
+        (pairs.KERNELS.count_row, (wide_at,)),
+        (pairs.KERNELS.write_row, (wide_at, False, *at(2))),
         (refit.KERNELS.move_leaves, at(4)),
         (refit.KERNELS.move_nodes, at(2)),
         (refit.KERNELS.add_costs, at(4)),

@@ -60,9 +60,9 @@ def lay_out(structure: Structure, *, is_own: bool = False) -> LaidOut:
     """Convert a structure to the layout that its kernel reads; with `is_own`, leave it as it is."""
     if is_own or not has_binary_layout(traced_as(structure)):
         return LaidOut(structure.arrays, structure.memory)
-    from raystream.cuda.bvh.binary import unfold
+    from raystream.cuda.bvh.binary import BinaryAddresses, unfold
 
     bvh: Any = structure
-    kind, arrays = unfold(bvh.tree)
+    arrays = unfold(bvh.tree)
     places = [array.ctypes.data if array.size else 0 for array in arrays.values()]
-    return LaidOut(kind(*map(np.uint64, places)), arrays)
+    return LaidOut(BinaryAddresses(*map(np.uint64, places)), arrays)

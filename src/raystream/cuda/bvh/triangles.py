@@ -28,6 +28,22 @@ _LAST = np.uint64(28)
 
 
 @device
+def hittable_count(leaves, child):
+    """Number of a leaf's triangles that can be hit: the others have NaN corners."""
+    count = np.uint64(0)
+    block = leaf_address(leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
+        for k in range(np.uint64(BLOCK_SIZE)):
+            at = block + (k << SHIFT_32)
+            x = load(np.float32, at)
+            if load(np.int32, at + PRIM_IDS) >= np.int32(0) and x == x:
+                count += ONE_U64
+        block += BLOCK
+    return count
+
+
+@device
 def copy_leaf(leaves, child, to):
     """Copy the triangles of a leaf that can be hit.
 
