@@ -419,7 +419,7 @@ GRAPH_KERNELS = (
 _KERNELS = (
     *("count_cells", "fill_pairs", "find_split", "make_key", "make_leaf", "link", "clear", "climb"),
     *("begin_cluster", "find_match", "count_places", "merge", "count_lanes", "give_rows"),
-    *("write_node", "move_leaves", "move_nodes", "add_costs"),
+    *("write_node", "count_row", "write_row", "move_leaves", "move_nodes", "add_costs"),
     *TREE_KERNELS,
     *GRAPH_KERNELS,
     *("add_tiles_32", "scan_tiles_32", "count_digits_32", "scatter_32"),

@@ -44,7 +44,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
     Its options have ``quality="fast"``, which applies if the CPU rebuilds it.
     """
 
-    _host_names = ("tree", "_numbers", "_races")
+    _host_names = ("tree", "_addresses")
 
     def __init__(
         self,
