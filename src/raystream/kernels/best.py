@@ -1,7 +1,7 @@
 """The nearest hits of rays that are traced together, and the one rule by which a hit is kept.
 
-A hit is kept by its t as it is told, then by the number of its triangle. In a scene without
-instances t is told as it is found, in the tree's space; in an instance, as it is reported.
+A hit is kept by its reported t, then by the number of its triangle; `told` is a reported t. In a
+scene without instances, that is t in the tree's space; in an instance, t in world space.
 `Best.first_id` says which, when a kernel is compiled: see there.
 """
 
@@ -62,9 +62,9 @@ class Best(NamedTuple):
     ----------
     ray : view
         See `best_views`. With ``limit``: beyond this t, in the tree's space, no hit is wanted. In
-        an instance also with ``t_scale`` and ``t_offset``, to t as it is told.
+        an instance also with ``t_scale`` and ``t_offset``, which give the reported t.
     hit : view
-        With ``t`` as it is told, ``prim_id``, ``u`` and ``v``. In a scene without instances, ``t``
+        With the reported ``t``, ``prim_id``, ``u`` and ``v``. In a scene without instances, ``t``
         and ``limit`` are one field.
     first_id : int32 or None
         In an instance, the number of the object's first triangle, see `search.InstanceRay`. None
@@ -126,9 +126,9 @@ def _number(first_id, prim_id):
 
 @device
 def far_limits(told, t_scale, t_offset):
-    """Distances in object space beyond which all are told as more than `told`.
+    """Distances in object space beyond which every reported t is more than `told`.
 
-    Not the least ones, as of `kernels.ray.local_limit`: what is kept is decided by told distances.
+    Not the least ones, as of `kernels.ray.local_limit`: reported distances decide what is kept.
     """
     t = widen(told)
     slack = absolute(t) * 2.0**-22 + absolute(t_offset) * 2.0**-48 + 2.0**-147
@@ -139,7 +139,7 @@ def far_limits(told, t_scale, t_offset):
 
 @device
 def shorten_lanes(first_id, ray, taken, told, wants_any):
-    """End the searches of some lanes at hits with a told distance; see `Best` for the rest."""
+    """End the searches of some lanes at hits with a reported t; see `Best` for the rest."""
     limit = ray.limit
     if wants_any:
         far = f32x16(-_INF)
