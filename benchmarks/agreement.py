@@ -2,10 +2,13 @@
 
     python benchmarks/agreement.py --rays 5000000 --structure bvh
     python benchmarks/agreement.py --rays 5000000 --structure bvh --device cuda
+    python benchmarks/agreement.py --kind spheres
 
 Runs every case of the test suite repeatedly with other seeds, more rays, and intervals of all kinds
 (t_min above, at and below zero), and counts the rays whose answer differs in any bit of any query.
-The figures in docs/decisions come from here.
+With `--kind`, the rays meet another kind of geometry or precision, by each of the BVH's kernels in
+turn: the cases placed by several transforms, or in float64; spheres; or height fields. The figures
+in docs/decisions come from here.
 """
 
 import argparse
@@ -20,24 +23,36 @@ import raystream as rs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import cases
+import field_rays
+import sphere_rays
+from instanced import moved, random_transforms
+
+#: Rays of a batch.
+RAY_COUNT = 10_000
+
+
+def bits(values):
+    """The bits of each number; equal numbers of other types stay equal."""
+    return values.view(f"u{values.itemsize}") if values.dtype.kind == "f" else values
 
 
 def differing(tracer, oracle, rays):
     """Whether any query gives different bits, for each ray."""
     wrong = np.zeros(len(rays["origins"]), bool)
+    columns = ("t", "u", "v", "prim_id", "mesh_id", "instance_id")
     first, expected = tracer.first_hit(**rays), oracle.first_hit(**rays)
-    for column in ("t", "u", "v", "prim_id"):
-        a, b = getattr(first, column), getattr(expected, column)
-        wrong |= a.view(np.int32) != b.view(np.int32)
+    for column in (*columns, "status"):
+        wrong |= bits(getattr(first, column)) != bits(getattr(expected, column))
     wrong |= tracer.any_hit(**rays) != oracle.any_hit(**rays)
     for crossings in ("triangles", "surfaces"):
         many = tracer.multi_hit(**rays, crossings=crossings)
         expected = oracle.multi_hit(**rays, crossings=crossings)
         wrong |= many.counts != expected.counts
+        wrong |= tracer.count_hits(**rays, crossings=crossings) != expected.counts
         if np.array_equal(many.ray_splits, expected.ray_splits):
-            for column in ("t", "u", "v", "prim_id"):
-                a, b = getattr(many, column), getattr(expected, column)
-                np.logical_or.at(wrong, many.ray_id, a.view(np.int32) != b.view(np.int32))
+            for column in columns:
+                a, b = bits(getattr(many, column)), bits(getattr(expected, column))
+                np.logical_or.at(wrong, many.ray_id, a != b)
     return wrong
 
 
@@ -82,39 +97,98 @@ CUDA_OPTIONS = {
     "grid": [*OPTIONS["grid"], {"build": "device"}],
 }
 
+#: The ways to trace other kinds on the CPU, and those of them that float64 has.
+KERNELS = [{"kernel": name} for name in ("auto", "packet", "groups", "wavefront", "single")]
+KERNELS_IN_FLOAT64 = [one for one in KERNELS if one["kernel"] != "wavefront"]
+
+
+def triangles(rng):
+    """The scenes and rays of all cases."""
+    for make in cases.CASES.values():
+        case = make(rng)
+        yield case.scene, {"origins": case.origins, "directions": case.directions}
+
+
+def instances(rng):
+    """The cases' scenes, placed by transforms of all kinds, and the rays placed likewise."""
+    for scene, rays in triangles(rng):
+        low, high = scene.bounds
+        places = random_transforms(rng, 5, float(np.abs([low, high]).max()))
+        places[0] = np.eye(3, 4)
+        placed = rng.integers(0, len(places), len(rays["origins"]))
+        origins, directions = rays["origins"].copy(), rays["directions"].copy()
+        for k, place in enumerate(places):
+            rows = placed == k
+            origins[rows] = moved(place, origins[rows])
+            directions[rows] = moved(place, directions[rows], is_point=False)
+        yield rs.Scene.instances(scene, places), {"origins": origins, "directions": directions}
+
+
+def spheres(rng):
+    """Spheres of all sizes, near and far."""
+    for count, size, offset, radii, spread in sphere_rays.SETTINGS.values():
+        centers = rng.uniform(-size, size, (count, 3)) + offset
+        radii = np.exp(rng.uniform(*np.log(radii), count))
+        targets = rng.integers(0, count, RAY_COUNT)
+        origins, directions, *_ = sphere_rays.some_rays(rng, centers, radii, targets, spread)
+        yield rs.Scene.spheres(centers, radii), {"origins": origins, "directions": directions}
+
+
+def fields(rng):
+    """Height fields of all shapes, with and without holes."""
+    for shape, missing, place in field_rays.PLACES.values():
+        heights = field_rays.random_heights(rng, *shape, missing)
+        rays = field_rays.rays_at(rng, field_rays.mesh_of(heights, **place), RAY_COUNT)
+        limited = {name: rays[name] for name in ("origins", "directions")}
+        yield rs.Scene.height_field(heights, **place), limited
+
+
+#: For each kind its scenes, and options of the BVH on the CPU, used in turn.
+KINDS = {
+    "triangles": (triangles, KERNELS),
+    "float64": (triangles, [{"precision": "float64", **one} for one in KERNELS_IN_FLOAT64]),
+    "instances": (instances, KERNELS),
+    "spheres": (spheres, KERNELS),
+    "fields": (fields, KERNELS),
+}
+
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--rays", type=int, default=1_000_000)
     parser.add_argument("--structure", choices=OPTIONS, default="bvh")
+    parser.add_argument("--kind", choices=KINDS, help="by the kernels of the BVH on the CPU")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    cases.RAY_COUNT = 10_000
-    done, wrong = Counter(), Counter()
+    cases.RAY_COUNT = RAY_COUNT
+    done, wrong, names = Counter(), Counter(), Counter()
     started = time.perf_counter()
-    kinds = ["t_min = 0", "t_min > 0", "t_min < 0", "t_min = t of a hit", "t_max = t of a hit"]
-    seed = arguments.seed
+    limited = ["t_min = 0", "t_min > 0", "t_min < 0", "t_min = t of a hit", "t_max = t of a hit"]
+    seed, structure = arguments.seed, arguments.structure
+    known = OPTIONS if arguments.device == "cpu" else CUDA_OPTIONS
+    make, choices = KINDS[arguments.kind] if arguments.kind else (triangles, known[structure])
     while sum(done.values()) < arguments.rays:
-        for number, make in enumerate(cases.CASES.values()):
-            rng = np.random.default_rng([seed, sum(done.values())])
-            case = make(rng)
-            known = OPTIONS if arguments.device == "cpu" else CUDA_OPTIONS
-            choices = known[arguments.structure]
+        rng = np.random.default_rng([seed, sum(done.values())])
+        for number, (scene, rays) in enumerate(make(rng)):
             options = choices[(seed + number) % len(choices)]
-            tracer = rs.Tracer(case.scene, arguments.structure, arguments.device, **options)
-            oracle = rs.Tracer(case.scene, "brute")
-            rays = {"origins": case.origins, "directions": case.directions}
+            tracer = rs.Tracer(scene, structure, arguments.device, **options)
+            precision = {key: options[key] for key in options if key == "precision"}
+            oracle = rs.Tracer(scene, "brute", **precision)
             t = oracle.first_hit(**rays).t
-            for kind in kinds:
+            for kind in limited:
                 low, high = limits(kind, t, rng)
                 bad = differing(tracer, oracle, {**rays, "t_min": low, "t_max": high})
                 done[kind] += len(bad)
                 wrong[kind] += int(np.count_nonzero(bad))
+                if bad.any():
+                    names[f"scene {number}, {options}"] += int(np.count_nonzero(bad))
         seed += 1
-    for kind in kinds:
+    for kind in limited:
         print(f"{kind:20s} {done[kind]:>10,} rays, {wrong[kind]} differ")
-    print(f"{len(cases.CASES)} kinds of scene and ray, {time.perf_counter() - started:.0f} s")
+    for name, count in names.items():
+        print(f"{count:,} differ: {name}")
+    print(f"{number + 1} kinds of scene and ray, {time.perf_counter() - started:.0f} s")
     return 1 if any(wrong.values()) else 0
 
 
