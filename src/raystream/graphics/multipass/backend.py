@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import operator
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_choice, check_least
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.backend import Chunk, GraphicsBackend
@@ -125,11 +125,8 @@ class MultipassBackend(GraphicsBackend):
     ) -> None:
         traversal = kernels_of(structure)
         super().__init__(structure, opened, rays_at_once)
-        if loop not in LOOPS:
-            raise ValueError(f"loop: expected one of {', '.join(map(repr, LOOPS))}, got {loop!r}")
-        if memory not in MEMORIES:
-            known = ", ".join(map(repr, MEMORIES))
-            raise ValueError(f"memory: expected one of {known}, got {memory!r}")
+        check_choice("loop", loop, LOOPS)
+        check_choice("memory", memory, MEMORIES)
         self._host_scheduler = make_scheduler(scheduler, threshold)
         if loop == "device" and not isinstance(scheduler, str):
             known = ", ".join(map(repr, SCHEDULERS))
@@ -140,9 +137,9 @@ class MultipassBackend(GraphicsBackend):
         self._threshold = float(threshold)
         self._traversal = traversal
         self._steps = steps_of(structure)
-        self.traversal_steps = _at_least_one("traversal_steps", traversal_steps)
-        self.intersections = _at_least_one("intersections", intersections)
-        self.max_passes = _at_least_one("max_passes", max_passes)
+        self.traversal_steps = check_least("traversal_steps", traversal_steps, 1)
+        self.intersections = check_least("intersections", intersections, 1)
+        self.max_passes = check_least("max_passes", max_passes, 1)
         self.loop = loop
         self.passes: Passes | None = None
         self._constants = TriangleConstants.if_supported(structure, loop, self.intersections)
@@ -330,10 +327,3 @@ class MultipassBackend(GraphicsBackend):
             )
             self._plans[key] = make_plan(self.opened, self._traversal, inputs)
         return self._plans[key]
-
-
-def _at_least_one(name: str, number: int) -> int:
-    number = operator.index(number)
-    if number < 1:
-        raise ValueError(f"{name}: expected at least 1, got {number}")
-    return number

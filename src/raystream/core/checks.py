@@ -1,0 +1,22 @@
+"""Checks of arguments, with the name of the argument in the error."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable
+from typing import Any
+
+
+def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
+    """Raise ValueError if a value is none of these names."""
+    if value not in choices:
+        known = ", ".join(map(repr, choices))
+        raise ValueError(f"{name}: expected one of {known}, got {value!r}")
+
+
+def check_least(name: str, value: Any, least: int) -> int:
+    """The value as an integer; ValueError if it is less than `least`, TypeError if it is none."""
+    number = operator.index(value)
+    if number < least:
+        raise ValueError(f"{name}: expected at least {least}, got {number}")
+    return number
