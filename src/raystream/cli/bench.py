@@ -73,26 +73,17 @@ class ContenderOptions:
 class MeasureOptions:
     """Options of how speed is measured."""
 
-    width: Annotated[
-        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image width in pixels.")
-    ] = 1024
-    height: Annotated[
-        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image height in pixels.")
-    ] = 768
-    repeats: Annotated[
-        int,
-        typer.Option(min=1, metavar="N", help="Rounds after the warm-up; medians are reported."),
-    ] = 5
+    width: Annotated[int, options.count("Image width in pixels.", most=1 << 14)] = 1024
+    height: Annotated[int, options.count("Image height in pixels.", most=1 << 14)] = 768
+    repeats: Annotated[int, options.count("Rounds after the warm-up; medians are reported.")] = 5
     threads: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Threads per contender, on as many cores [default: RAYSTREAM_THREADS, else "
-            "one per core]",
+        options.count(
+            "Threads per contender, on as many cores [default: RAYSTREAM_THREADS, else "
+            "one per core]"
         ),
     ] = None
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the random rays.")] = 0
+    seed: Annotated[int, options.count("Seed of the random rays.", least=0)] = 0
 
 
 @expand_groups
@@ -117,12 +108,10 @@ def bench(
     measuring: MeasureOptions,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE.json",
-            help="Write all measurements as they are made; with --report: tables (.md, .rst) or "
+        options.output(
+            "Write all measurements as they are made; with --report: tables (.md, .rst) or "
             "the chart (.svg).",
+            metavar="FILE.json",
         ),
     ] = None,
     resume: Annotated[

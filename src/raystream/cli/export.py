@@ -26,13 +26,7 @@ def export(
     scene: options.SceneName,
     *,
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="PAGE",
-            help="The page: a .html file or, with --split, a folder.",
-        ),
+        Path, options.output("The page: a .html file or, with --split, a folder.", metavar="PAGE")
     ],
     structure: Annotated[
         list[str] | None,

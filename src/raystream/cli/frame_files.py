@@ -37,11 +37,7 @@ class AnimationOptions:
     ] = None
     fps: Annotated[
         float | None,
-        typer.Option(
-            metavar="RATE",
-            callback=options.positive,
-            help="Frame rate [default: from the scene file, else 24]",
-        ),
+        options.positive_number("RATE", "Frame rate [default: from the scene file, else 24]"),
     ] = None
 
     def is_animation(self, output: Path | None) -> bool:

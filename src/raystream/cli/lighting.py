@@ -57,11 +57,7 @@ class LightingOptions:
     ] = None
     environment_rotation: Annotated[
         float | None,
-        typer.Option(
-            metavar="DEGREES",
-            callback=options.finite,
-            help="Rotation of the map, counterclockwise as seen from above.",
-        ),
+        options.number("DEGREES", "Rotation of the map, counterclockwise as seen from above."),
     ] = None
     lights: Annotated[
         str | None,

@@ -48,8 +48,7 @@ class QueryOptions:
     multi: Annotated[bool, typer.Option("--multi", help="All hits of each ray.")] = False
     count: Annotated[bool, typer.Option("--count", help="Number of hits of each ray.")] = False
     max_hits: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="K", help="With --multi: keep the nearest K hits."),
+        int | None, options.count("With --multi: keep the nearest K hits.", least=0, metavar="K")
     ] = None
     crossings: Annotated[
         str | None,
@@ -94,10 +93,8 @@ class StoreOptions:
     ] = False
     block_rays: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="With .zarr: approximate number of rays in memory at a time [default: 1048576]",
+        options.count(
+            "With .zarr: approximate number of rays in memory at a time [default: 1048576]"
         ),
     ] = None
 
@@ -114,13 +111,7 @@ def query(
         ),
     ],
     output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Output file for the hits: .npz, or .zarr for rays in a Zarr store.",
-        ),
+        Path, options.output("Output file for the hits: .npz, or .zarr for rays in a Zarr store.")
     ],
     *,
     what: QueryOptions,

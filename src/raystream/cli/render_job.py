@@ -43,12 +43,9 @@ class ImageOptions:
 
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Output file: .png, .exr or .hdr, or - for a PNG on stdout; frames and videos "
-            "with --frames. [default: SCENE.png]",
+        options.output(
+            "Output file: .png, .exr or .hdr, or - for a PNG on stdout; frames and videos "
+            "with --frames. [default: SCENE.png]"
         ),
     ] = None
     force: Annotated[

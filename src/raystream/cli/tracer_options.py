@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from raystream.cli.console import BadInputError
-from raystream.cli.options import DEFAULT_MACHINES, DEVICES, choice
+from raystream.cli.options import DEFAULT_MACHINES, DEVICES, choice, count
 from raystream.core.choices import MACHINES, SCHEDULERS
 from raystream.core.errors import RaystreamError
 from raystream.structures import STRUCTURES
@@ -121,11 +121,7 @@ class TracerOptions:
     ] = None
     gpu: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="With --device cuda: the GPU's CUDA device number [default: 0]",
-        ),
+        count("With --device cuda: the GPU's CUDA device number [default: 0]", least=0),
     ] = None
 
     def arguments(self) -> TracerArguments:

@@ -44,13 +44,7 @@ class ServerOptions:
         ),
     ] = "127.0.0.1"
     port: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=65535,
-            metavar="N",
-            help="Port [default: 8008, or any free one]",
-        ),
+        int | None, options.count("Port [default: 8008, or any free one]", least=0, most=65535)
     ] = None
     token: Annotated[
         str | None,
@@ -69,11 +63,10 @@ class ServerOptions:
     ] = None
     upload_limit: Annotated[
         int,
-        typer.Option(
-            min=1,
-            max=1 << 20,
+        options.count(
+            "Maximum size of a model dropped on the page, with all its files, in MiB.",
+            most=1 << 20,
             metavar="MIB",
-            help="Maximum size of a model dropped on the page, with all its files, in MiB.",
         ),
     ] = 256
 
