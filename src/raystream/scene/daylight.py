@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.checks import check_finite
 from raystream.scene.camera import unit_vector
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 
@@ -118,8 +119,7 @@ def daylight(
     >>> sunny = scene.replace(lights=rs.daylight(200, 35, up=scene.up))
     """
     axis = unit_vector("up", up)
-    if not math.isfinite(azimuth):
-        raise ValueError(f"azimuth: expected a finite number, got {azimuth}")
+    check_finite("azimuth", azimuth)
     if not 0.0 < elevation <= 90.0:
         raise ValueError(f"elevation: expected above 0 and at most 90 degrees, got {elevation}")
     if not 1.7 <= turbidity <= 10.0:

@@ -153,7 +153,11 @@ def _quaternion(axis: Array, degrees: float) -> Array:
 
 def quaternion_matrix(q: Array) -> Array:
     """Return the rotation matrix, shape (3, 3), of a non-zero quaternion w, x, y, z."""
-    w, x, y, z = q / np.linalg.norm(q)
+    return unit_quaternion_matrix(*(q / np.linalg.norm(q)))
+
+
+def unit_quaternion_matrix(w: float, x: float, y: float, z: float) -> Array:
+    """Return the rotation matrix, shape (3, 3), of a quaternion of length 1."""
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
