@@ -83,6 +83,19 @@ class Batch:
     stuck_count: int = 0
 
 
+def limited(batches: Iterator[Batch], max_passes: int) -> Iterator[Batch]:
+    """The same batches; GraphicsError behind one with which there are more passes than allowed."""
+    count = 0
+    for batch in batches:
+        yield batch
+        count += len(batch.passes)
+        if count > max_passes:
+            raise GraphicsError(
+                f"multipass: {batch.active_count:,} rays are still active after {count:,} passes; "
+                f"max_passes is {max_passes:,}"
+            )
+
+
 def run_on_device(
     work: Work, device_scheduler: DeviceScheduler, inner: Sequence[int]
 ) -> Iterator[Batch]:
