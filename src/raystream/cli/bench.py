@@ -46,25 +46,22 @@ class ContenderOptions:
 
     peers: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES",
-            help=f"Comma-separated peers to compare against, from {', '.join(options.PEERS)}, or "
+        options.value(
+            "NAMES",
+            f"Comma-separated peers to compare against, from {', '.join(options.PEERS)}, or "
             "'none'. Peers that are not installed are listed as absent. [default: all that "
             "support a query of the sets]",
         ),
     ] = None
     option: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="A Tracer option, such as max_leaf_size=8. Repeatable.",
-        ),
+        options.value("KEY=VALUE", "A Tracer option, such as max_leaf_size=8. Repeatable."),
     ] = None
     variant: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME:KEY=VALUE,...",
-            help="An additional raystream contender with these Tracer options. Repeatable.",
+        options.value(
+            "NAME:KEY=VALUE,...",
+            "An additional raystream contender with these Tracer options. Repeatable.",
         ),
     ] = None
 
@@ -99,9 +96,7 @@ def bench(
     ] = None,
     sets: Annotated[
         str,
-        typer.Option(
-            metavar="NAMES", help=f"Comma-separated ray sets, from {', '.join(options.RAY_SETS)}."
-        ),
+        options.value("NAMES", f"Comma-separated ray sets, from {', '.join(options.RAY_SETS)}."),
     ] = ",".join(options.DEFAULT_SETS),
     *,
     contenders: ContenderOptions,
@@ -115,14 +110,12 @@ def bench(
         ),
     ] = None,
     resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Keep the scenes that are complete in --output."),
+        bool, options.flag("--resume", "Keep the scenes that are complete in --output.")
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.json",
-            help="Measure nothing: show a stored result, or write it to --output.",
+        options.value(
+            "FILE.json", "Measure nothing: show a stored result, or write it to --output."
         ),
     ] = None,
     json: options.Json = False,

@@ -42,10 +42,9 @@ class CameraOptions:
 
     camera: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="One of the scene's cameras, by name or by number from 0; the options "
-            "below change it.",
+        options.value(
+            "NAME",
+            "One of the scene's cameras, by name or by number from 0; the options below change it.",
         ),
     ] = None
     eye: Annotated[Vector | None, _vector("Position of the camera.")] = None

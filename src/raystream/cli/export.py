@@ -38,15 +38,10 @@ def export(
         ),
     ] = None,
     size: Annotated[
-        str,
-        typer.Option(metavar="WIDTHxHEIGHT", help="Size of the image for visitors without WebGPU."),
+        str, options.value("WIDTHxHEIGHT", "Size of the image for visitors without WebGPU.")
     ] = "960x540",
     split: Annotated[
-        bool,
-        typer.Option(
-            "--split",
-            help="Write a folder of files for a web server, for large scenes.",
-        ),
+        bool, options.flag("--split", "Write a folder of files for a web server, for large scenes.")
     ] = False,
     viewing: CameraOptions,
     threads: options.Threads = None,

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.console import BadInputError, refuse
 
@@ -28,9 +26,9 @@ class AnimationOptions:
 
     frames: Annotated[
         str | None,
-        typer.Option(
-            metavar="RANGE",
-            help="Frames of an animated scene, as a Python index or slice: 0:100, 0:100:5, 7, -1, "
+        options.value(
+            "RANGE",
+            "Frames of an animated scene, as a Python index or slice: 0:100, 0:100:5, 7, -1, "
             "or : for all. --output is then a pattern such as name%04d.png, a folder, or a video: "
             f"{' '.join(VIDEOS)}; the first four need raystream[video].",
         ),

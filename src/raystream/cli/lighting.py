@@ -49,9 +49,9 @@ class LightingOptions:
     ] = None
     environment: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="An equirectangular map (.hdr, .exr, .png or .jpg) instead of the scene's sky; "
+        options.value(
+            "FILE",
+            "An equirectangular map (.hdr, .exr, .png or .jpg) instead of the scene's sky; "
             "its top is up.",
         ),
     ] = None

@@ -98,6 +98,16 @@ def positive(value: float | None) -> float | None:
     return value
 
 
+def flag(name: str, text: str) -> Any:
+    """Make an option without a value, with a help text."""
+    return typer.Option(name, help=text)
+
+
+def value(metavar: str, text: str) -> Any:
+    """Make an option for any text, with a help text."""
+    return typer.Option(metavar=metavar, help=text)
+
+
 def number(metavar: str, text: str) -> Any:
     """Make an option for a finite number, with a help text."""
     return typer.Option(metavar=metavar, help=text, callback=finite)
@@ -131,7 +141,7 @@ SceneName = Annotated[str, SCENE]
 Threads = Annotated[
     int | None, count("Number of threads [default: RAYSTREAM_THREADS, else one per core]")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
+Json = Annotated[bool, flag("--json", "Print the figures as JSON.")]
 
 
 @dataclass(frozen=True)

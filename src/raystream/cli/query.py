@@ -42,11 +42,12 @@ class QueryOptions:
     """Options of what to find for each ray."""
 
     first: Annotated[
-        bool, typer.Option("--first", help="Nearest hit of each ray (the default).")
+        bool,
+        options.flag("--first", "Nearest hit of each ray (the default)."),
     ] = False
-    any: Annotated[bool, typer.Option("--any", help="Whether each ray hits anything.")] = False
-    multi: Annotated[bool, typer.Option("--multi", help="All hits of each ray.")] = False
-    count: Annotated[bool, typer.Option("--count", help="Number of hits of each ray.")] = False
+    any: Annotated[bool, options.flag("--any", "Whether each ray hits anything.")] = False
+    multi: Annotated[bool, options.flag("--multi", "All hits of each ray.")] = False
+    count: Annotated[bool, options.flag("--count", "Number of hits of each ray.")] = False
     max_hits: Annotated[
         int | None, options.count("With --multi: keep the nearest K hits.", least=0, metavar="K")
     ] = None
@@ -88,8 +89,7 @@ class StoreOptions:
     """Options of a query over Zarr stores."""
 
     resume: Annotated[
-        bool,
-        typer.Option("--resume", help="With .zarr: resume an interrupted query, if there is one."),
+        bool, options.flag("--resume", "With .zarr: resume an interrupted query, if there is one.")
     ] = False
     block_rays: Annotated[
         int | None,

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.console import BadInputError
 
@@ -88,9 +86,9 @@ class SamplingOptions:
     ] = None
     preset: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Mode path: a set of options; arnold is Purcell's path tracer, with two diffuse "
+        options.value(
+            "NAME",
+            "Mode path: a set of options; arnold is Purcell's path tracer, with two diffuse "
             "bounces and no samples of lights.",
         ),
     ] = None

@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.camera_options import CameraOptions
@@ -37,9 +35,9 @@ class ServerOptions:
 
     host: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address to listen on. The default serves this machine only; one of the machine's "
+        options.value(
+            "ADDRESS",
+            "Address to listen on. The default serves this machine only; one of the machine's "
             "addresses, or 0.0.0.0, also serves others, who then need the token.",
         ),
     ] = "127.0.0.1"
@@ -48,17 +46,16 @@ class ServerOptions:
     ] = None
     token: Annotated[
         str | None,
-        typer.Option(
-            metavar="TEXT",
-            help="Access token: 16 or more letters and digits [default: generated if others can "
+        options.value(
+            "TEXT",
+            "Access token: 16 or more letters and digits [default: generated if others can "
             "reach the viewer]",
         ),
     ] = None
     browser: Annotated[
         bool | None,
-        typer.Option(
-            "--open/--no-open",
-            help="Open the page in a browser [default: if there is a screen]",
+        options.flag(
+            "--open/--no-open", "Open the page in a browser [default: if there is a screen]"
         ),
     ] = None
     upload_limit: Annotated[
