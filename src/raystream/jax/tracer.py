@@ -134,8 +134,7 @@ class JaxTracer:
         Array of shape S, bool
         """
         rays = _rays(origins, directions, t_min, t_max)
-        seen: jax.Array = callbacks.any_hit(self.tracer, rays)
-        return seen
+        return callbacks.any_hit(self.tracer, rays)
 
     def count_hits(
         self,
@@ -161,8 +160,7 @@ class JaxTracer:
         """
         counts_surfaces(crossings)
         rays = _rays(origins, directions, t_min, t_max)
-        counts: jax.Array = callbacks.count_hits(self.tracer, crossings, rays)
-        return counts
+        return callbacks.count_hits(self.tracer, crossings, rays)
 
     def multi_hit(
         self,

@@ -12,7 +12,7 @@ from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import sample_all_lights
 
 #: Stages that shade, and whether shadow rays are traced after them.
-_SHADING = {
+_SHADING: dict[PathStage, bool] = {
     shade_by_lights: False,
     shade_by_facing_ratio: False,
     sample_all_lights: True,

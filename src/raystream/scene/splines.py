@@ -38,8 +38,7 @@ def position_at(keys: Array, time: float) -> Array:
     # Hermite form on [0, 1].
     cubic = leaving + arriving - 2.0 * step
     square = 3.0 * step - 2.0 * leaving - arriving
-    point: Array = values[i] + s * (leaving + s * (square + s * cubic))
-    return point
+    return values[i] + s * (leaving + s * (square + s * cubic))
 
 
 def key_turns(keys: Array) -> list[Array]:
@@ -181,8 +180,7 @@ def _log(q: Array) -> Array:
     sine = float(np.linalg.norm(q[1:]))
     if sine == 0.0:
         return np.zeros(3)
-    vector: Array = q[1:] * (math.atan2(sine, float(q[0])) / sine)
-    return vector
+    return q[1:] * (math.atan2(sine, float(q[0])) / sine)
 
 
 def _exp(vector: Array) -> Array:
@@ -199,8 +197,7 @@ def slerp(p: Array, q: Array, s: float) -> Array:
     sine = math.sin(angle)
     if sine < 1e-9:  # equal or opposite: linear interpolation suffices
         return p + s * (q - p) if cosine > 0.0 else p
-    result: Array = (math.sin((1 - s) * angle) * p + math.sin(s * angle) * q) / sine
-    return result
+    return (math.sin((1 - s) * angle) * p + math.sin(s * angle) * q) / sine
 
 
 def slerp_rows(p: Array, q: Array, s: Array) -> Array:
@@ -211,5 +208,4 @@ def slerp_rows(p: Array, q: Array, s: Array) -> Array:
     is_line = sine < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):
         arc = (np.sin((1.0 - s) * angle) * p + np.sin(s * angle) * q) / sine
-    result: Array = np.where(is_line, np.where(cosine > 0.0, p + s * (q - p), p), arc)
-    return result
+    return np.where(is_line, np.where(cosine > 0.0, p + s * (q - p), p), arc)

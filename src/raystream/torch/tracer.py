@@ -144,8 +144,7 @@ class TorchTracer:
         Tensor of shape S, bool
         """
         rays = _rays(origins, directions, t_min, t_max)
-        seen: Tensor = torch.ops.raystream.any_hit(self._number, *_detached(*rays))
-        return seen
+        return torch.ops.raystream.any_hit(self._number, *_detached(*rays))
 
     def count_hits(
         self,
@@ -171,8 +170,7 @@ class TorchTracer:
         """
         surfaces = counts_surfaces(crossings)
         rays = _detached(*_rays(origins, directions, t_min, t_max))
-        counts: Tensor = torch.ops.raystream.count_hits(self._number, *rays, surfaces)
-        return counts
+        return torch.ops.raystream.count_hits(self._number, *rays, surfaces)
 
     def multi_hit(
         self,
@@ -289,8 +287,7 @@ def _joined(vertices: Tensor | Sequence[Tensor] | None) -> Tensor | None:
     if vertices is None:
         return None
     given = vertices if isinstance(vertices, Tensor) else torch.cat(list(vertices))
-    checked: Tensor = checked_vertices(given, given.is_floating_point())
-    return checked
+    return checked_vertices(given, given.is_floating_point())
 
 
 class _Crossing(torch.autograd.Function):

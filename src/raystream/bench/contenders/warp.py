@@ -118,8 +118,7 @@ class Warp(Contender):
         """Test whether each ray hits anything."""
         seen = wp.empty(len(rays), dtype=wp.bool, device=self._device)
         self._launch(_any, rays, [seen])
-        result: NDArray[np.bool_] = seen if _is_on_gpu(rays) else seen.numpy()
-        return result
+        return seen if _is_on_gpu(rays) else seen.numpy()
 
     def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
         """Find the nearest point of the triangles to each point."""

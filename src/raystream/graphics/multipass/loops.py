@@ -158,8 +158,7 @@ class _Counts:
         queue = self._opened.device.queue
         queue.submit([encoder.finish()])
         memory = queue.read_buffer(self._answers, 0, 8 * count)
-        answers: list[int] = np.frombuffer(memory, np.uint64).tolist()
-        return answers
+        return np.frombuffer(memory, np.uint64).tolist()
 
 
 def run_by_queries(
