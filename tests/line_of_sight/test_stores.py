@@ -12,7 +12,7 @@ import raystream as rs
 from extras import need
 from meshes import soup
 from raystream.core.errors import FileFormatError
-from raystream.line_of_sight import resumable_store, visibility
+from raystream.line_of_sight import resumable_array, visibility
 
 need("zarr")
 
@@ -77,7 +77,7 @@ def test_groups_hold_the_same_matrix(form, is_half, most, tracer, points, tmp_pa
 @pytest.mark.parametrize("is_half", [False, True])
 def test_interrupted_groups_resume(form, is_half, tracer, points, tmp_path, monkeypatch):
     monkeypatch.setattr(visibility, "MOST_TILE", 600)
-    monkeypatch.setattr(resumable_store, "_INTERVAL", 0.0)
+    monkeypatch.setattr(resumable_array, "_INTERVAL", 0.0)
     a, b = points
     pair = (a,) if is_half else (a, b)
     expected = rs.visibility(tracer, *pair)
@@ -107,7 +107,7 @@ def test_interrupted_groups_resume(form, is_half, tracer, points, tmp_path, monk
 def test_killed_in_the_middle_of_a_band(tracer, points, tmp_path, monkeypatch):
     """What was written after the last record is written again."""
     monkeypatch.setattr(visibility, "MOST_TILE", 90)
-    monkeypatch.setattr(resumable_store, "_INTERVAL", 0.0)
+    monkeypatch.setattr(resumable_array, "_INTERVAL", 0.0)
     path = tmp_path / "seen.zarr"
     journal = tmp_path / "seen.zarr.progress.json"
     before = []

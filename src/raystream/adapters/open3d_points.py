@@ -152,5 +152,4 @@ class PointMethods:
         directions[0] = _DIRECTION
         for direction in directions:
             votes += tracer.count_hits(points, direction, crossings="surfaces") % 2 == 1
-        inside: NDArray[np.bool_] = votes * 2 > count
-        return inside
+        return votes * 2 > count

@@ -64,8 +64,7 @@ def outcome(result: Result, rays: Rays | Points | None = None) -> NDArray[Any]:
             assert result.positions is not None, "expected a distance or positions"
             away = result.positions.astype(np.float64) - rays.points
             distance = np.sqrt(np.einsum("ij,ij->i", away, away))
-        found: NDArray[Any] = np.asarray(distance, np.float64) / rays.unit
-        return found
+        return np.asarray(distance, np.float64) / rays.unit
     if isinstance(result, FirstHits):
         t = np.ravel(result.t)
         return np.where(t < MISS_T, t, np.inf)
@@ -106,5 +105,4 @@ def _first_differs(ours: NDArray[Any], theirs: NDArray[Any]) -> NDArray[np.bool_
     a = np.where(hit_a, ours, 0.0).astype(np.float64)
     b = np.where(hit_b, theirs, 0.0).astype(np.float64)
     far = np.abs(a - b) > T_TOLERANCE * np.maximum(np.abs(a), np.abs(b))
-    differs: NDArray[np.bool_] = (hit_a != hit_b) | (hit_a & hit_b & far)
-    return differs
+    return (hit_a != hit_b) | (hit_a & hit_b & far)

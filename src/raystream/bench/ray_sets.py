@@ -116,8 +116,7 @@ def _light(view: _View) -> NDArray[np.float64]:
     seen = view.hits.t
     free = float(view.tracer.first_hit(eye, away).t)
     distance = LIGHT_SHIFT * float(np.median(seen)) if len(seen) else 1.0
-    light: NDArray[np.float64] = eye + min(distance, 0.5 * free) * away
-    return light
+    return eye + min(distance, 0.5 * free) * away
 
 
 def _ao(view: _View) -> Rays:
@@ -173,8 +172,7 @@ def _grid(view: _View) -> Points:
 
 def _unit_vectors(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
     vectors = generator.normal(size=(count, 3))
-    result: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return result
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _spawn(view: _View, directions: NDArray[np.float64], t_max: float) -> Rays:

@@ -12,6 +12,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from raystream._version import __version__
+from raystream.cli import options
 from raystream.cli.bench import bench
 from raystream.cli.compare import compare
 from raystream.cli.console import (
@@ -80,9 +81,7 @@ def before_command(
     ] = False,
     debug: Annotated[
         bool,
-        typer.Option(
-            "--debug", help="Show tracebacks for bad input too, as RAYSTREAM_DEBUG=1 does."
-        ),
+        options.flag("--debug", "Show tracebacks for bad input too, as RAYSTREAM_DEBUG=1 does."),
     ] = False,
 ) -> None:
     """Trace rays against triangles, and render images."""

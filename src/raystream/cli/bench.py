@@ -46,25 +46,22 @@ class ContenderOptions:
 
     peers: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES",
-            help=f"Comma-separated peers to compare against, from {', '.join(options.PEERS)}, or "
+        options.value(
+            "NAMES",
+            f"Comma-separated peers to compare against, from {', '.join(options.PEERS)}, or "
             "'none'. Peers that are not installed are listed as absent. [default: all that "
             "support a query of the sets]",
         ),
     ] = None
     option: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="A Tracer option, such as max_leaf_size=8. Repeatable.",
-        ),
+        options.value("KEY=VALUE", "A Tracer option, such as max_leaf_size=8. Repeatable."),
     ] = None
     variant: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME:KEY=VALUE,...",
-            help="An additional raystream contender with these Tracer options. Repeatable.",
+        options.value(
+            "NAME:KEY=VALUE,...",
+            "An additional raystream contender with these Tracer options. Repeatable.",
         ),
     ] = None
 
@@ -73,26 +70,17 @@ class ContenderOptions:
 class MeasureOptions:
     """Options of how speed is measured."""
 
-    width: Annotated[
-        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image width in pixels.")
-    ] = 1024
-    height: Annotated[
-        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image height in pixels.")
-    ] = 768
-    repeats: Annotated[
-        int,
-        typer.Option(min=1, metavar="N", help="Rounds after the warm-up; medians are reported."),
-    ] = 5
+    width: Annotated[int, options.count("Image width in pixels.", most=1 << 14)] = 1024
+    height: Annotated[int, options.count("Image height in pixels.", most=1 << 14)] = 768
+    repeats: Annotated[int, options.count("Rounds after the warm-up; medians are reported.")] = 5
     threads: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Threads per contender, on as many cores [default: RAYSTREAM_THREADS, else "
-            "one per core]",
+        options.count(
+            "Threads per contender, on as many cores [default: RAYSTREAM_THREADS, else "
+            "one per core]"
         ),
     ] = None
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the random rays.")] = 0
+    seed: Annotated[int, options.count("Seed of the random rays.", least=0)] = 0
 
 
 @expand_groups
@@ -108,32 +96,26 @@ def bench(
     ] = None,
     sets: Annotated[
         str,
-        typer.Option(
-            metavar="NAMES", help=f"Comma-separated ray sets, from {', '.join(options.RAY_SETS)}."
-        ),
+        options.value("NAMES", f"Comma-separated ray sets, from {', '.join(options.RAY_SETS)}."),
     ] = ",".join(options.DEFAULT_SETS),
     *,
     contenders: ContenderOptions,
     measuring: MeasureOptions,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE.json",
-            help="Write all measurements as they are made; with --report: tables (.md, .rst) or "
+        options.output(
+            "Write all measurements as they are made; with --report: tables (.md, .rst) or "
             "the chart (.svg).",
+            metavar="FILE.json",
         ),
     ] = None,
     resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Keep the scenes that are complete in --output."),
+        bool, options.flag("--resume", "Keep the scenes that are complete in --output.")
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.json",
-            help="Measure nothing: show a stored result, or write it to --output.",
+        options.value(
+            "FILE.json", "Measure nothing: show a stored result, or write it to --output."
         ),
     ] = None,
     json: options.Json = False,

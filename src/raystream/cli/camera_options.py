@@ -25,11 +25,15 @@ PROJECTIONS = ("perspective", "orthographic", "equirectangular")
 _NAMES = {"height": "view_height"}
 
 
-def _finite_vector(value: Vector | None) -> Vector | None:
-    """Accept three finite numbers or an omitted option."""
-    if value is not None and not all(map(math.isfinite, value)):
-        raise typer.BadParameter(f"expected three finite numbers, got {value}")
-    return value
+def _vector(text: str) -> Any:
+    """Make an option for three finite numbers, with a help text."""
+
+    def check(value: Vector | None) -> Vector | None:
+        if value is not None and not all(map(math.isfinite, value)):
+            raise typer.BadParameter(f"expected three finite numbers, got {value}")
+        return value
+
+    return typer.Option(metavar="X Y Z", help=text, callback=check)
 
 
 @dataclass(frozen=True)
@@ -38,56 +42,28 @@ class CameraOptions:
 
     camera: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="One of the scene's cameras, by name or by number from 0; the options "
-            "below change it.",
+        options.value(
+            "NAME",
+            "One of the scene's cameras, by name or by number from 0; the options below change it.",
         ),
     ] = None
-    eye: Annotated[
-        Vector | None,
-        typer.Option(metavar="X Y Z", callback=_finite_vector, help="Position of the camera."),
-    ] = None
-    look_at: Annotated[
-        Vector | None,
-        typer.Option(
-            metavar="X Y Z", callback=_finite_vector, help="The point in the centre of the image."
-        ),
-    ] = None
-    up: Annotated[
-        Vector | None,
-        typer.Option(
-            metavar="X Y Z", callback=_finite_vector, help="The direction that is up in the image."
-        ),
-    ] = None
-    fov: Annotated[
-        float | None,
-        typer.Option(metavar="DEGREES", callback=options.finite, help="Vertical field of view."),
-    ] = None
+    eye: Annotated[Vector | None, _vector("Position of the camera.")] = None
+    look_at: Annotated[Vector | None, _vector("The point in the centre of the image.")] = None
+    up: Annotated[Vector | None, _vector("The direction that is up in the image.")] = None
+    fov: Annotated[float | None, options.number("DEGREES", "Vertical field of view.")] = None
     projection: Annotated[
         str | None, options.choice(PROJECTIONS, f"Projection: {' or '.join(PROJECTIONS)}.")
     ] = None
     view_height: Annotated[
         float | None,
-        typer.Option(
-            metavar="LENGTH",
-            callback=options.finite,
-            help="Height of an orthographic view, in the scene's units.",
-        ),
+        options.number("LENGTH", "Height of an orthographic view, in the scene's units."),
     ] = None
     aperture: Annotated[
-        float | None,
-        typer.Option(
-            metavar="LENGTH", callback=options.finite, help="Lens diameter, for depth of field."
-        ),
+        float | None, options.number("LENGTH", "Lens diameter, for depth of field.")
     ] = None
     focus: Annotated[
         float | None,
-        typer.Option(
-            metavar="LENGTH",
-            callback=options.finite,
-            help="Distance to the plane in focus [default: to --look-at]",
-        ),
+        options.number("LENGTH", "Distance to the plane in focus [default: to --look-at]"),
     ] = None
 
     @property

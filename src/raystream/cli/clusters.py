@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from raystream.cli import options
 from raystream.cli.console import BadInputError, refuse
 from raystream.cli.options import Threads
 from raystream.cli.tracer_options import TracerArguments
@@ -28,9 +27,9 @@ class ClusterOptions:
 
     cluster: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Render on the workers of a Dask cluster: the address of its scheduler, such as "
+        options.value(
+            "ADDRESS",
+            "Render on the workers of a Dask cluster: the address of its scheduler, such as "
             "tcp://127.0.0.1:8786; or local:2 for two workers on this machine. The image is "
             "the same, bit for bit.",
         ),

@@ -30,19 +30,14 @@ def compare(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Write the difference in false colours, with a scale below: .png, .exr or .hdr.",
+        options.output(
+            "Write the difference in false colours, with a scale below: .png, .exr or .hdr."
         ),
     ] = None,
     maximum: Annotated[
         float | None,
-        typer.Option(
-            metavar="DIFFERENCE",
-            help="With --output: the top of the scale [default: the largest difference]",
-            callback=options.positive,
+        options.positive_number(
+            "DIFFERENCE", "With --output: the top of the scale [default: the largest difference]"
         ),
     ] = None,
     json: options.Json = False,

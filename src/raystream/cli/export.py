@@ -26,13 +26,7 @@ def export(
     scene: options.SceneName,
     *,
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="PAGE",
-            help="The page: a .html file or, with --split, a folder.",
-        ),
+        Path, options.output("The page: a .html file or, with --split, a folder.", metavar="PAGE")
     ],
     structure: Annotated[
         list[str] | None,
@@ -44,15 +38,10 @@ def export(
         ),
     ] = None,
     size: Annotated[
-        str,
-        typer.Option(metavar="WIDTHxHEIGHT", help="Size of the image for visitors without WebGPU."),
+        str, options.value("WIDTHxHEIGHT", "Size of the image for visitors without WebGPU.")
     ] = "960x540",
     split: Annotated[
-        bool,
-        typer.Option(
-            "--split",
-            help="Write a folder of files for a web server, for large scenes.",
-        ),
+        bool, options.flag("--split", "Write a folder of files for a web server, for large scenes.")
     ] = False,
     viewing: CameraOptions,
     threads: options.Threads = None,

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.console import BadInputError, refuse
 
@@ -28,20 +26,16 @@ class AnimationOptions:
 
     frames: Annotated[
         str | None,
-        typer.Option(
-            metavar="RANGE",
-            help="Frames of an animated scene, as a Python index or slice: 0:100, 0:100:5, 7, -1, "
+        options.value(
+            "RANGE",
+            "Frames of an animated scene, as a Python index or slice: 0:100, 0:100:5, 7, -1, "
             "or : for all. --output is then a pattern such as name%04d.png, a folder, or a video: "
             f"{' '.join(VIDEOS)}; the first four need raystream[video].",
         ),
     ] = None
     fps: Annotated[
         float | None,
-        typer.Option(
-            metavar="RATE",
-            callback=options.positive,
-            help="Frame rate [default: from the scene file, else 24]",
-        ),
+        options.positive_number("RATE", "Frame rate [default: from the scene file, else 24]"),
     ] = None
 
     def is_animation(self, output: Path | None) -> bool:

@@ -6,8 +6,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.console import BadInputError
 from raystream.cli.tracer_options import TracerArguments
@@ -36,10 +34,8 @@ class HeatmapOptions:
     ] = None
     maximum: Annotated[
         float | None,
-        typer.Option(
-            help="With --heatmap: top of the scale [default: the largest count]",
-            metavar="COUNT",
-            callback=options.positive,
+        options.positive_number(
+            "COUNT", "With --heatmap: top of the scale [default: the largest count]"
         ),
     ] = None
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.compiling import compiling
@@ -31,8 +29,7 @@ def info(
     threads: options.Threads = None,
     loading: options.SceneOptions,
     devices: Annotated[
-        bool,
-        typer.Option("--devices", help="List the available devices; takes no SCENE."),
+        bool, options.flag("--devices", "List the available devices; takes no SCENE.")
     ] = False,
     json: options.Json = False,
 ) -> None:

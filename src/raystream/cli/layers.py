@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import typer
-
+from raystream.cli import options
 from raystream.cli.console import BadInputError, write_note
 
 if TYPE_CHECKING:
@@ -54,17 +53,17 @@ class LayerOptions:
 
     layers: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Extra layers (AOVs) of the first hit to write to an EXR: comma-separated from "
+        options.value(
+            "NAMES",
+            "Extra layers (AOVs) of the first hit to write to an EXR: comma-separated from "
             f"{','.join(NAMES)}, or none [default: all]",
         ),
     ] = None
     denoise: Annotated[
         bool | None,
-        typer.Option(
+        options.flag(
             "--denoise/--no-denoise",
-            help="Denoise the image; best with raystream[denoise], Open Image Denoise [default: "
+            "Denoise the image; best with raystream[denoise], Open Image Denoise [default: "
             "as --quality says]",
         ),
     ] = None

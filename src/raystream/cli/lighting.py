@@ -49,19 +49,15 @@ class LightingOptions:
     ] = None
     environment: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="An equirectangular map (.hdr, .exr, .png or .jpg) instead of the scene's sky; "
+        options.value(
+            "FILE",
+            "An equirectangular map (.hdr, .exr, .png or .jpg) instead of the scene's sky; "
             "its top is up.",
         ),
     ] = None
     environment_rotation: Annotated[
         float | None,
-        typer.Option(
-            metavar="DEGREES",
-            callback=options.finite,
-            help="Rotation of the map, counterclockwise as seen from above.",
-        ),
+        options.number("DEGREES", "Rotation of the map, counterclockwise as seen from above."),
     ] = None
     lights: Annotated[
         str | None,

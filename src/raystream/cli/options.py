@@ -98,6 +98,36 @@ def positive(value: float | None) -> float | None:
     return value
 
 
+def flag(name: str, text: str) -> Any:
+    """Make an option without a value, with a help text."""
+    return typer.Option(name, help=text)
+
+
+def value(metavar: str, text: str) -> Any:
+    """Make an option for any text, with a help text."""
+    return typer.Option(metavar=metavar, help=text)
+
+
+def number(metavar: str, text: str) -> Any:
+    """Make an option for a finite number, with a help text."""
+    return typer.Option(metavar=metavar, help=text, callback=finite)
+
+
+def positive_number(metavar: str, text: str) -> Any:
+    """Make an option for a finite number above 0, with a help text."""
+    return typer.Option(metavar=metavar, help=text, callback=positive)
+
+
+def count(text: str, least: int = 1, most: int | None = None, metavar: str = "N") -> Any:
+    """Make an option for an integer from `least` to `most`, with a help text."""
+    return typer.Option(min=least, max=most, metavar=metavar, help=text)
+
+
+def output(text: str, metavar: str = "FILE") -> Any:
+    """Make the option ``--output``, with a help text."""
+    return typer.Option("--output", "-o", metavar=metavar, help=text)
+
+
 SCENE_HELP = (
     "A model file (OBJ, PLY, STL, OFF, glTF, GLB, AFF, NFF; optionally compressed as .gz), a "
     f"structure saved by Tracer.save (.npz), a built-in scene ({', '.join(SCENES)}; "
@@ -109,31 +139,18 @@ SCENE = typer.Argument(
 
 SceneName = Annotated[str, SCENE]
 Threads = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="Number of threads [default: RAYSTREAM_THREADS, else one per core]",
-    ),
+    int | None, count("Number of threads [default: RAYSTREAM_THREADS, else one per core]")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
+Json = Annotated[bool, flag("--json", "Print the figures as JSON.")]
 
 
 @dataclass(frozen=True)
 class SceneOptions:
     """Options of loading a scene."""
 
-    time: Annotated[
-        float,
-        typer.Option(
-            metavar="T", callback=finite, help="For animated scenes (AFF, glTF): the time to show."
-        ),
-    ] = 0.0
+    time: Annotated[float, number("T", "For animated scenes (AFF, glTF): the time to show.")] = 0.0
     triangles: Annotated[
-        int | None,
-        typer.Option(
-            min=1, metavar="N", help="For built-in scenes: approximate number of triangles."
-        ),
+        int | None, count("For built-in scenes: approximate number of triangles.")
     ] = None
 
 

@@ -42,14 +42,14 @@ class QueryOptions:
     """Options of what to find for each ray."""
 
     first: Annotated[
-        bool, typer.Option("--first", help="Nearest hit of each ray (the default).")
+        bool,
+        options.flag("--first", "Nearest hit of each ray (the default)."),
     ] = False
-    any: Annotated[bool, typer.Option("--any", help="Whether each ray hits anything.")] = False
-    multi: Annotated[bool, typer.Option("--multi", help="All hits of each ray.")] = False
-    count: Annotated[bool, typer.Option("--count", help="Number of hits of each ray.")] = False
+    any: Annotated[bool, options.flag("--any", "Whether each ray hits anything.")] = False
+    multi: Annotated[bool, options.flag("--multi", "All hits of each ray.")] = False
+    count: Annotated[bool, options.flag("--count", "Number of hits of each ray.")] = False
     max_hits: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="K", help="With --multi: keep the nearest K hits."),
+        int | None, options.count("With --multi: keep the nearest K hits.", least=0, metavar="K")
     ] = None
     crossings: Annotated[
         str | None,
@@ -89,15 +89,12 @@ class StoreOptions:
     """Options of a query over Zarr stores."""
 
     resume: Annotated[
-        bool,
-        typer.Option("--resume", help="With .zarr: resume an interrupted query, if there is one."),
+        bool, options.flag("--resume", "With .zarr: resume an interrupted query, if there is one.")
     ] = False
     block_rays: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="With .zarr: approximate number of rays in memory at a time [default: 1048576]",
+        options.count(
+            "With .zarr: approximate number of rays in memory at a time [default: 1048576]"
         ),
     ] = None
 
@@ -114,13 +111,7 @@ def query(
         ),
     ],
     output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Output file for the hits: .npz, or .zarr for rays in a Zarr store.",
-        ),
+        Path, options.output("Output file for the hits: .npz, or .zarr for rays in a Zarr store.")
     ],
     *,
     what: QueryOptions,

@@ -43,17 +43,13 @@ class ImageOptions:
 
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Output file: .png, .exr or .hdr, or - for a PNG on stdout; frames and videos "
-            "with --frames. [default: SCENE.png]",
+        options.output(
+            "Output file: .png, .exr or .hdr, or - for a PNG on stdout; frames and videos "
+            "with --frames. [default: SCENE.png]"
         ),
     ] = None
     force: Annotated[
-        bool,
-        typer.Option("--force", help="Replace an output file that raystream did not write."),
+        bool, options.flag("--force", "Replace an output file that raystream did not write.")
     ] = False
     mode: Annotated[
         str | None,
@@ -65,13 +61,11 @@ class ImageOptions:
     ] = None
     heat: HeatmapOptions
     animation: AnimationOptions
-    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size in pixels.")] = "1024x768"
+    size: Annotated[str, options.value("WIDTHxHEIGHT", "Size in pixels.")] = "1024x768"
     sampling: SamplingOptions
     resume: Annotated[
         bool,
-        typer.Option(
-            "--resume", help="Resume from the checkpoint next to the image, if there is one."
-        ),
+        options.flag("--resume", "Resume from the checkpoint next to the image, if there is one."),
     ] = False
     view: CameraOptions
     exposure: Annotated[

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.console import BadInputError
 
@@ -63,42 +61,34 @@ class SamplingOptions:
     ] = None
     samples: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help=f"Paths per pixel [default: with --noise or --time-limit at most {MAX_SAMPLES:,}]",
+        options.count(
+            f"Paths per pixel [default: with --noise or --time-limit at most {MAX_SAMPLES:,}]"
         ),
     ] = None
     noise: Annotated[
         float | None,
-        typer.Option(
-            metavar="X",
-            callback=options.positive,
-            help="Stop once the estimated relative error of the image falls below X; 0.01 is one "
+        options.positive_number(
+            "X",
+            "Stop once the estimated relative error of the image falls below X; 0.01 is one "
             "per cent.",
         ),
     ] = None
     time_limit: Annotated[
         float | None,
-        typer.Option(
-            metavar="SECONDS",
-            callback=options.positive,
-            help="End at the sample nearest to this many seconds.",
-        ),
+        options.positive_number("SECONDS", "End at the sample nearest to this many seconds."),
     ] = None
     max_bounces: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Modes whitted, kajiya and path: maximum number of bounces [default: 8, 3 and 8]",
+        options.count(
+            "Modes whitted, kajiya and path: maximum number of bounces [default: 8, 3 and 8]",
+            least=0,
         ),
     ] = None
     preset: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Mode path: a set of options; arnold is Purcell's path tracer, with two diffuse "
+        options.value(
+            "NAME",
+            "Mode path: a set of options; arnold is Purcell's path tracer, with two diffuse "
             "bounces and no samples of lights.",
         ),
     ] = None
@@ -111,11 +101,8 @@ class SamplingOptions:
     ] = None
     seed: Annotated[
         int,
-        typer.Option(
-            min=0,
-            max=(1 << 32) - 1,
-            metavar="N",
-            help="Seed of the sampler: the same seed gives the same image.",
+        options.count(
+            "Seed of the sampler: the same seed gives the same image.", least=0, most=(1 << 32) - 1
         ),
     ] = 0
 

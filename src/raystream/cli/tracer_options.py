@@ -8,10 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import typer
-
+from raystream.cli import options
 from raystream.cli.console import BadInputError
-from raystream.cli.options import DEFAULT_MACHINES, DEVICES, choice
 from raystream.core.choices import MACHINES, SCHEDULERS
 from raystream.core.errors import RaystreamError
 from raystream.structures import STRUCTURES
@@ -41,7 +39,7 @@ class TracerArguments:
 
     def figures(self) -> dict[str, Any]:
         """Describe the execution for ``--json``: ``machine``, ``device``, ``scheduler``."""
-        machine = self.options.get("machine", DEFAULT_MACHINES[self.device])
+        machine = self.options.get("machine", options.DEFAULT_MACHINES[self.device])
         figures = {"machine": machine, "device": self.device}
         if machine == "multipass":
             figures["scheduler"] = self.options.get("scheduler", SCHEDULERS[0])
@@ -70,17 +68,19 @@ class TracerOptions:
 
     structure: Annotated[
         str | None,
-        choice(STRUCTURES, f"Acceleration structure: {' or '.join(STRUCTURES)} [default: bvh]"),
+        options.choice(
+            STRUCTURES, f"Acceleration structure: {' or '.join(STRUCTURES)} [default: bvh]"
+        ),
     ] = None
     traversal: Annotated[
         str | None,
-        choice(
+        options.choice(
             TRAVERSALS, f"kd-tree traversal: {' or '.join(TRAVERSALS)} [default: {TRAVERSALS[0]}]"
         ),
     ] = None
     machine: Annotated[
         str | None,
-        choice(
+        options.choice(
             MACHINES,
             "Execution model: branching runs each ray from start to end; multipass advances all "
             "rays one step per pass (not on cuda); compute runs each ray in a compute shader "
@@ -89,7 +89,7 @@ class TracerOptions:
     ] = None
     scheduler: Annotated[
         str | None,
-        choice(
+        options.choice(
             SCHEDULERS,
             "With --machine multipass: selects the rays of each pass, "
             f"{' or '.join(SCHEDULERS)} [default: {SCHEDULERS[0]}]",
@@ -97,35 +97,31 @@ class TracerOptions:
     ] = None
     option: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="An option of the structure or the machine, such as resolution=50, quality=fast "
+        options.value(
+            "KEY=VALUE",
+            "An option of the structure or the machine, such as resolution=50, quality=fast "
             "or threshold=0.3. Repeatable.",
         ),
     ] = None
     device: Annotated[
         str,
-        choice(
-            DEVICES,
+        options.choice(
+            options.DEVICES,
             "Device that traces rays: cpu; graphics, any GPU through Vulkan, Metal or Direct3D "
             "12; or cuda, an NVIDIA GPU (see raystream info --devices).",
         ),
     ] = "cpu"
     adapter: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="With --device graphics: part of the adapter's name [default: RAYSTREAM_ADAPTER, "
+        options.value(
+            "NAME",
+            "With --device graphics: part of the adapter's name [default: RAYSTREAM_ADAPTER, "
             "else the best one]",
         ),
     ] = None
     gpu: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="With --device cuda: the GPU's CUDA device number [default: 0]",
-        ),
+        options.count("With --device cuda: the GPU's CUDA device number [default: 0]", least=0),
     ] = None
 
     def arguments(self) -> TracerArguments:

@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.camera_options import CameraOptions
@@ -37,43 +35,35 @@ class ServerOptions:
 
     host: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address to listen on. The default serves this machine only; one of the machine's "
+        options.value(
+            "ADDRESS",
+            "Address to listen on. The default serves this machine only; one of the machine's "
             "addresses, or 0.0.0.0, also serves others, who then need the token.",
         ),
     ] = "127.0.0.1"
     port: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=65535,
-            metavar="N",
-            help="Port [default: 8008, or any free one]",
-        ),
+        int | None, options.count("Port [default: 8008, or any free one]", least=0, most=65535)
     ] = None
     token: Annotated[
         str | None,
-        typer.Option(
-            metavar="TEXT",
-            help="Access token: 16 or more letters and digits [default: generated if others can "
+        options.value(
+            "TEXT",
+            "Access token: 16 or more letters and digits [default: generated if others can "
             "reach the viewer]",
         ),
     ] = None
     browser: Annotated[
         bool | None,
-        typer.Option(
-            "--open/--no-open",
-            help="Open the page in a browser [default: if there is a screen]",
+        options.flag(
+            "--open/--no-open", "Open the page in a browser [default: if there is a screen]"
         ),
     ] = None
     upload_limit: Annotated[
         int,
-        typer.Option(
-            min=1,
-            max=1 << 20,
+        options.count(
+            "Maximum size of a model dropped on the page, with all its files, in MiB.",
+            most=1 << 20,
             metavar="MIB",
-            help="Maximum size of a model dropped on the page, with all its files, in MiB.",
         ),
     ] = 256
 

@@ -75,8 +75,7 @@ def column(records: NDArray[Any], name: str) -> NDArray[Any]:
 
 def rows(block: NDArray[np.object_], name: str) -> NDArray[Any]:
     """Extract a column from the result of `multi_block`."""
-    found: NDArray[Any] = block[0][name]
-    return found
+    return block[0][name]
 
 
 def derived(*columns: NDArray[Any], digest: str, name: str) -> NDArray[Any]:
@@ -91,8 +90,7 @@ def derived(*columns: NDArray[Any], digest: str, name: str) -> NDArray[Any]:
     triangles = tracer_of(digest).structure.triangles
     nothing = np.empty(prim_id.shape, np.float32)
     hits = Hits(nothing, u, v, prim_id, np.empty(prim_id.shape, np.uint8), triangles)
-    found: NDArray[Any] = getattr(hits, name)
-    return found
+    return getattr(hits, name)
 
 
 #: The worker function of each query, and the dtype of its chunks.

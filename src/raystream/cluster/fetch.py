@@ -63,8 +63,7 @@ class OnceCache:
             with self._lock:
                 if name in self._made:
                     self._made.move_to_end(name)
-                    found: T = self._made[name]
-                    return found
+                    return self._made[name]
             made = make()
             with self._lock:
                 self._made[name] = made
@@ -164,8 +163,7 @@ def _request(worker: Any, **arguments: Any) -> dict[str, Any]:
     operation = getattr(worker.scheduler, STORE)
     for left in reversed(range(_ATTEMPTS)):
         try:
-            answer: dict[str, Any] = sync(worker.loop, operation, **arguments)
-            return answer
+            return sync(worker.loop, operation, **arguments)
         except OSError as error:  # includes Dask's connection errors
             if not left:
                 raise ClusterError(f"the scheduler does not answer: {error}") from error

@@ -14,13 +14,11 @@ from raystream.cluster.tracer_bundles import pack_tracer
 from raystream.cluster.uploader import uploader_of
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
-from raystream.rendering.arguments import check_camera, check_size
 from raystream.rendering.image import Image
 from raystream.rendering.layers import choose_layers
-from raystream.rendering.lighting import check_lights
 from raystream.rendering.limits import Limits
 from raystream.rendering.progressive import render_samples
-from raystream.rendering.render import RENDERERS
+from raystream.rendering.render import checked_renderer
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.view_light import decide
 from raystream.scene.camera import Camera
@@ -102,24 +100,15 @@ def render(
     ...     rs.load("cornell"), "path", samples=64, client="tcp://127.0.0.1:8786"
     ... )  # doctest: +SKIP
     """
-    if mode not in RENDERERS:
-        known = ", ".join(repr(known) for known in RENDERERS)
-        raise ValueError(f"mode: expected one of {known}, got {mode!r}")
-    width, height = check_size(size)
-    check_camera(camera)
-    check_lights(lights)
+    renderer, size, given = checked_renderer(mode, size, camera, lights, options)
     wanted = choose_layers(layers)
-    renderer = RENDERERS[mode]
-    samples = renderer.samples(samples, noise, time_limit, sampler)
-    limits = Limits(samples, noise, time_limit)
-    given = [name for name in (*renderer.options, "preset") if name in options]
-    own = renderer.complete({name: options.pop(name) for name in given})
+    limits = Limits(renderer.samples(samples, noise, time_limit, sampler), noise, time_limit)
+    own = renderer.complete(given)
     chosen = renderer.check(own)
     numbers = Sampler.of(sampler, seed, limits.samples)
     bundle = pack_tracer(scene, structure, device, options, for_rendering=True)
     # Only the choice of lights is traced in this process: its warning and checkpoints need it.
     here = Tracer(scene, "brute") if isinstance(scene, Scene) else scene
-    size = width, height
     context = decide(renderer, here, camera, size, numbers, chosen, wanted, lights)
     drawn, view = (sampler, seed, limits.samples), context.camera
     spec = image_spec(mode, size, view, drawn, own, wanted, context.chosen_lights)

@@ -10,6 +10,7 @@ import dask.array as da
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.array_checks import leading_shape
 from raystream.core.rays import as_real_array
 
 #: Rays per chunk made from NumPy arrays.
@@ -49,13 +50,7 @@ class LazyRays(NamedTuple):
         """
         named = (("origins", origins), ("directions", directions))
         vectors = [_vectors(name, _checked(name, values)) for name, values in named]
-        try:
-            shape = np.broadcast_shapes(vectors[0].shape, vectors[1].shape)
-        except ValueError:
-            raise ValueError(
-                f"origins and directions: shapes {vectors[0].shape} and {vectors[1].shape} "
-                "do not broadcast against each other"
-            ) from None
+        shape = (*leading_shape(np.broadcast_shapes, *vectors), 3)
         chunks = _chunks_of(vectors, shape)
         o, d = (_chunked(array, shape, chunks) for array in vectors)
         limits = [

@@ -24,8 +24,6 @@ from raystream.structures import StructureOptions
 from raystream.tracer import Tracer as LocalTracer
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from distributed import Client
 
 
@@ -229,12 +227,7 @@ class Tracer:
     def __enter__(self) -> Tracer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 import time
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_least
 from raystream.core.query import Kind, Query
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.dispatch_size import DispatchSize
@@ -85,9 +85,7 @@ class GraphicsBackend(LocalFrameBackend):
     def __init__(self, structure: Structure, opened: OpenDevice, rays_at_once: int) -> None:
         self.structure = structure
         self.opened = opened
-        self.rays_at_once = operator.index(rays_at_once)
-        if self.rays_at_once < 1:
-            raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
+        self.rays_at_once = check_least("rays_at_once", rays_at_once, 1)
         self._shaders: ShaderStructure = shader_structure_of(structure)
         self._sizes: dict[Kind, DispatchSize] = {}
 

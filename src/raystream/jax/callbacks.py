@@ -114,8 +114,7 @@ def count_hits(tracer: Tracer, crossings: str, rays: tuple[Any, ...]) -> Any:
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def first_hit(tracer: Tracer, rays: tuple[Any, ...], vertices: Any) -> Columns:
     """t, u, v and prim_id of the nearest hits; see `Tracer.first_hit`."""
-    found: Columns = _ask(partial(_first_on_host, tracer), _columns(_shape(rays)), rays, vertices)
-    return found
+    return _ask(partial(_first_on_host, tracer), _columns(_shape(rays)), rays, vertices)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
@@ -124,8 +123,7 @@ def multi_hit(
 ) -> Columns:
     """t, u, v and prim_id of the nearest few hits; see `Tracer.multi_hit`."""
     host = partial(_multi_on_host, tracer, max_hits, crossings)
-    found: Columns = _ask(host, _columns(_shape(rays, max_hits)), rays, vertices)
-    return found
+    return _ask(host, _columns(_shape(rays, max_hits)), rays, vertices)
 
 
 @first_hit.defjvp

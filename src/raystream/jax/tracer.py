@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from raystream.core.array_checks import checked_rays, checked_vertices
 from raystream.core.query import counts_surfaces
 from raystream.core.scene_checks import check_plain
 from raystream.jax import callbacks
@@ -133,8 +134,7 @@ class JaxTracer:
         Array of shape S, bool
         """
         rays = _rays(origins, directions, t_min, t_max)
-        seen: jax.Array = callbacks.any_hit(self.tracer, rays)
-        return seen
+        return callbacks.any_hit(self.tracer, rays)
 
     def count_hits(
         self,
@@ -160,8 +160,7 @@ class JaxTracer:
         """
         counts_surfaces(crossings)
         rays = _rays(origins, directions, t_min, t_max)
-        counts: jax.Array = callbacks.count_hits(self.tracer, crossings, rays)
-        return counts
+        return callbacks.count_hits(self.tracer, crossings, rays)
 
     def multi_hit(
         self,
@@ -223,25 +222,7 @@ jax.tree_util.register_static(JaxTracer)
 
 
 def _rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> tuple[jax.Array, ...]:
-    vectors = _real("origins", origins), _real("directions", directions)
-    for name, one in zip(("origins", "directions"), vectors, strict=True):
-        if one.ndim == 0 or one.shape[-1] != 3:
-            raise ValueError(f"{name}: expected shape (..., 3), got {one.shape}")
-    try:
-        shape = jnp.broadcast_shapes(*(one.shape[:-1] for one in vectors))
-    except ValueError:
-        raise ValueError(
-            f"origins and directions: shapes {vectors[0].shape} and {vectors[1].shape} do not "
-            "broadcast against each other"
-        ) from None
-    limits = _real("t_min", t_min), _real("t_max", t_max)
-    for name, one in zip(("t_min", "t_max"), limits, strict=True):
-        lengths = zip(reversed(one.shape), reversed(shape), strict=False)
-        if one.ndim > len(shape) or any(a not in (1, b) for a, b in lengths):
-            raise ValueError(
-                f"{name}: shape {one.shape} does not broadcast to the rays' shape {shape}"
-            )
-    return (*vectors, *limits)
+    return checked_rays(_real, jnp.broadcast_shapes, origins, directions, t_min, t_max)
 
 
 def _real(name: str, values: Any) -> jax.Array:
@@ -264,8 +245,4 @@ def _joined(vertices: Any) -> jax.Array | None:
         return None
     is_many = isinstance(vertices, Sequence) and not hasattr(vertices, "ndim")
     given = jnp.concatenate(list(vertices)) if is_many else jnp.asarray(vertices)
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise ValueError(f"vertices: expected shape (V, 3), got {given.shape}")
-    if not jnp.issubdtype(given.dtype, jnp.floating):
-        raise TypeError(f"vertices: expected floating-point numbers, got dtype {given.dtype}")
-    return given
+    return checked_vertices(given, jnp.issubdtype(given.dtype, jnp.floating))

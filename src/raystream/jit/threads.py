@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import operator
 import os
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
+from raystream.core.checks import check_least
 from raystream.jit.processors import Helpers
 
 #: Called with the steps done and their total, from the calling thread.
@@ -94,10 +94,7 @@ def set_thread_count(count: int | None) -> None:
         If it is not an integer.
     """
     global _chosen_count
-    count = None if count is None else operator.index(count)
-    if count is not None and count < 1:
-        raise ValueError(f"threads: expected at least 1, got {count}")
-    _chosen_count = count
+    _chosen_count = None if count is None else check_least("threads", count, 1)
 
 
 def _thread_pool() -> tuple[ThreadPoolExecutor, Helpers]:

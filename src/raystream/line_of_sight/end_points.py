@@ -266,8 +266,7 @@ def is_clear(
 def _largest(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Largest absolute component; NumPy is ten times slower along an axis of three."""
     x, y, z = np.moveaxis(vectors, -1, 0)
-    largest: NDArray[np.float64] = np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(z))
-    return largest
+    return np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(z))
 
 
 def _side(

@@ -62,8 +62,7 @@ class PlacedPlanes(NamedTuple):
         for k in range(3):
             row = inverse[..., k, :]
             length = np.maximum(length, np.abs(row[..., 0] * x + row[..., 1] * y + row[..., 2] * z))
-        units: NDArray[np.float64] = self.far + UNIT * (FAR_UNITS + REACH_UNITS) * length
-        return units
+        return self.far + UNIT * (FAR_UNITS + REACH_UNITS) * length
 
 
 def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:

@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from raystream.ray_files.durable import locked
 from raystream.ray_files.journal import (
     Journal,
     QueryProgress,
-    differing_names,
+    check_same_query,
     journal_path,
     read_journal,
     write_journal,
@@ -28,7 +29,29 @@ from raystream.ray_files.journal import (
 _INTERVAL = 2.0
 
 
-class ResumableArray:
+class ResumableOutput(ABC):
+    """An output that is being filled, and the journal of its progress."""
+
+    def __init__(self, path: Path, identity: dict[str, Any], done: int) -> None:
+        self._path, self._identity = path, identity
+        self._recorded, self._time = done, time.monotonic()
+
+    @abstractmethod
+    def synchronize(self) -> None:
+        """Wait until everything written is on disk."""
+
+    def record(self, rays: int, rows: int = 0, *, at_once: bool = False) -> None:
+        """Note that the results of this many rays are written; at most every 2 seconds."""
+        if rays == self._recorded:
+            return
+        if not at_once and time.monotonic() - self._time < _INTERVAL:
+            return
+        self.synchronize()
+        write_journal(journal_path(self._path), self._identity, QueryProgress(rays=rays, rows=rows))
+        self._recorded, self._time = rays, time.monotonic()
+
+
+class ResumableArray(ResumableOutput):
     """A ``.npy`` file that is mapped to memory, and the journal of its progress.
 
     Attributes
@@ -40,20 +63,13 @@ class ResumableArray:
     """
 
     def __init__(self, path: Path, identity: dict[str, Any], array: Any, done: int) -> None:
+        super().__init__(path, identity, done)
         self.array: NDArray[Any] = array
         self.done = done
-        self._path, self._identity = path, identity
-        self._recorded, self._time = done, time.monotonic()
 
-    def record(self, rays: int, *, at_once: bool = False) -> None:
-        """Note that the results of this many rays are in `array`; at most every 2 seconds."""
-        if rays == self._recorded:
-            return
-        if not at_once and time.monotonic() - self._time < _INTERVAL:
-            return
+    def synchronize(self) -> None:
+        """Wait until everything written is on disk."""
         self.array.flush()  # type: ignore[attr-defined]
-        write_journal(journal_path(self._path), self._identity, QueryProgress(rays=rays))
-        self._recorded, self._time = rays, time.monotonic()
 
 
 @contextlib.contextmanager
@@ -113,13 +129,7 @@ def continued(path: Path, identity: dict[str, Any]) -> Iterator[Journal]:
             raise FileFormatError(path, "is being written by another process")
         found = read_journal(journal_path(path))
         words = {"scene_digest": "the scene", "points_digest": "the points"}
-        names = differing_names(found.identity, identity, words)
-        if names:
-            raise FileFormatError(
-                path,
-                f"belongs to another query (different: {names}); delete it to start over, or "
-                "choose another output",
-            )
+        check_same_query(path, found.identity, identity, words)
         yield found
 
 

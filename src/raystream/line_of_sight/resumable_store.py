@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamError
-from raystream.line_of_sight.resumable_array import continued
+from raystream.line_of_sight.resumable_array import ResumableOutput, continued
 from raystream.ray_files.blocks import Block
 from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, create_array
 from raystream.ray_files.durable import synchronize
@@ -22,9 +21,6 @@ from raystream.ray_files.journal import (
     journal_path,
     write_journal,
 )
-
-#: Seconds between two records of the progress: what an interruption may lose.
-_INTERVAL = 2.0
 
 _KEY = "raystream"
 
@@ -54,7 +50,7 @@ class MatrixFile:
         self._column.write(Block(0, 0, box), values)
 
 
-class ResumableStore:
+class ResumableStore(ResumableOutput):
     """A Zarr group that is being filled, and the journal of its progress.
 
     Attributes
@@ -66,10 +62,9 @@ class ResumableStore:
     def __init__(
         self, path: Path, identity: dict[str, Any], done: QueryProgress, arrays: dict[str, Any]
     ) -> None:
-        self.done = done
-        self._path, self._identity, self._arrays = path, identity, arrays
+        super().__init__(path, identity, done.rays)
+        self.done, self._arrays = done, arrays
         self._columns: list[BlockColumn | RowColumn] = []
-        self._recorded, self._time = done.rays, time.monotonic()
 
     def matrix(self, name: str) -> MatrixFile:
         """An array to be written by whole chunks."""
@@ -82,16 +77,6 @@ class ResumableStore:
         column = RowColumn(self._arrays[name], count, grows)
         self._columns.append(column)
         return column
-
-    def record(self, rays: int, rows: int = 0, *, at_once: bool = False) -> None:
-        """Note that the results of this many rays are written; at most every 2 seconds."""
-        if rays == self._recorded:
-            return
-        if not at_once and time.monotonic() - self._time < _INTERVAL:
-            return
-        self.synchronize()
-        write_journal(journal_path(self._path), self._identity, QueryProgress(rays=rays, rows=rows))
-        self._recorded, self._time = rays, time.monotonic()
 
     def synchronize(self) -> None:
         """Wait until everything written is on disk."""

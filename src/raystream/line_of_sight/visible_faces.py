@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_least
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.memory import check_memory
@@ -119,9 +119,7 @@ def visible_faces(
     check_tracer(tracer)
     width, height = check_size(size)
     camera = _as_camera(tracer, camera, width / height)
-    points = operator.index(points_per_face)
-    if points < 0:
-        raise ValueError(f"points_per_face: expected at least 0, got {points}")
+    points = check_least("points_per_face", points_per_face, 0)
     triangles: Any = tracer.structure.triangles
     check_triangles("visible_faces", triangles)
     check_no_worlds("visible_faces", triangles)

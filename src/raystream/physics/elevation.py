@@ -169,8 +169,7 @@ def _numbers(name: str, values: Sequence[float] | ArrayLike, count: int) -> list
     array = as_real_array(name, values)
     if array.shape != (count,):
         raise ValueError(f"{name}: expected {count} numbers, got shape {array.shape}")
-    numbers: list[float] = array.astype(np.float64).tolist()
-    return numbers
+    return array.astype(np.float64).tolist()
 
 
 def _axis(name: str, values: NDArray[Any]) -> NDArray[np.float64]:

@@ -44,8 +44,7 @@ class LibraryThickness(LibraryColumns):
 
     def host(self) -> Thickness:
         """The segments in NumPy arrays."""
-        found: Thickness = self._hits
-        return found
+        return self._hits
 
     @property
     def mesh_names(self) -> tuple[str, ...]:
@@ -81,8 +80,7 @@ class LibraryLidarReturns(LibraryColumns):
 
     def host(self) -> LidarReturns:
         """The returns in NumPy arrays."""
-        found: LidarReturns = self._hits
-        return found
+        return self._hits
 
 
 def in_library_of(origins: Any, directions: Any, found: Any, kind: type[LibraryColumns]) -> Any:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import operator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_least
 from raystream.core.hits import RayRows
 from raystream.core.primitives import Primitives
 from raystream.core.rays import RayBatch
@@ -185,8 +185,8 @@ def lidar_returns(
         _check("threshold", threshold, 0.0, 1.0),
     )
     receiver = Receiver(
-        _count("max_returns", max_returns),
-        _count("sub_rays", sub_rays),
+        check_least("max_returns", max_returns, 1),
+        check_least("sub_rays", sub_rays, 1),
         math.tan(math.radians(_check("divergence", divergence, 0.0, MAX_DIVERGENCE) / 2)),
         _check("separation", separation, 0.0, math.inf),
         _check("min_range", min_range, 0.0, math.inf),
@@ -222,10 +222,3 @@ def _check(name: str, value: float, low: float, high: float) -> float:
     if not low <= value <= high:
         raise ValueError(f"{name}: expected a number from {low:g} to {high:g}, got {value}")
     return float(value)
-
-
-def _count(name: str, value: int) -> int:
-    count = operator.index(value)
-    if count < 1:
-        raise ValueError(f"{name}: expected at least 1, got {count}")
-    return count

@@ -103,8 +103,7 @@ class LidarSweep(LidarReturns):
         the motion, which nothing has compensated yet.
         """
         directions = self.pattern.directions[self.ray_id]
-        points: NDArray[np.float64] = self.ranges[:, None] * directions
-        return points
+        return self.ranges[:, None] * directions
 
     def deskewed(self, time: float | None = None) -> NDArray[np.float64]:
         """Compensate the sensor's motion: the points in the sensor's frame at one time.
@@ -321,8 +320,7 @@ def _joined(parts: list[LidarReturns], rows: list[NDArray[np.int64]]) -> tuple[A
     order = np.argsort(owner, kind="stable")
 
     def column(name: str) -> NDArray[Any]:
-        values: NDArray[Any] = np.concatenate([getattr(part, name) for part in parts])[order]
-        return values
+        return np.concatenate([getattr(part, name) for part in parts])[order]
 
     returns = Returns(*(column(name) for name in Returns._fields))
     splits = np.concatenate([[0], np.cumsum(counts)])

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.checks import check_finite
 from raystream.core.height_field import HeightField
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_number, as_real_array
@@ -213,8 +214,7 @@ class Terrain:
         column; at the border and next to cells without data, those of a line.
         """
         azimuth, altitude = as_number("azimuth", azimuth), as_number("altitude", altitude)
-        if not math.isfinite(azimuth):
-            raise ValueError(f"azimuth: expected a finite number, got {azimuth}")
+        check_finite("azimuth", azimuth)
         if not 0.0 < altitude <= 90.0:
             raise ValueError(f"altitude: expected more than 0 and at most 90, got {altitude}")
         sun = direction_to_sun(azimuth, altitude)
@@ -233,8 +233,7 @@ class Terrain:
     def _lowered(self, eye: NDArray[np.float64], earth_radius: Any, refraction: Any) -> Terrain:
         """The terrain as it is to be seen on a curved Earth in straight lines from an eye."""
         bending = as_number("refraction", refraction)
-        if not math.isfinite(bending):
-            raise ValueError(f"refraction: expected a finite number, got {bending}")
+        check_finite("refraction", bending)
         if earth_radius is None:
             if bending:
                 raise ValueError("refraction: expected 0 without earth_radius")

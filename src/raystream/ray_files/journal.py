@@ -92,9 +92,18 @@ def parse_counts(counts: Any) -> QueryProgress:
     return QueryProgress(**counts)
 
 
-def differing_names(
-    theirs: dict[str, Any], ours: dict[str, Any], words: Mapping[str, str] | None = None
-) -> str:
-    """List what differs between two identities, in these words; empty if they are the same."""
-    names = (name for name in {*theirs, *ours} if theirs.get(name) != ours.get(name))
-    return ", ".join(sorted({(words or {}).get(name, name) for name in names}))
+def check_same_query(
+    path: Path, theirs: Any, ours: Mapping[str, Any], words: Mapping[str, str]
+) -> None:
+    """Raise FileFormatError, with what differs in these words, unless identities are the same."""
+    if not isinstance(theirs, dict):
+        names = ["all"]
+    else:
+        keys = (key for key in {*theirs, *ours} if theirs.get(key) != ours.get(key))
+        names = sorted({words.get(key, key) for key in keys})
+    if names:
+        raise FileFormatError(
+            path,
+            f"belongs to another query (different: {', '.join(names)}); delete it to start over, "
+            "or choose another output",
+        )

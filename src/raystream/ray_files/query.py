@@ -12,6 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from raystream.core.checks import check_least
 from raystream.core.errors import FileFormatError
 from raystream.core.query import Crossings, counts_surfaces
 from raystream.core.scene_checks import check_no_worlds, check_triangles
@@ -139,13 +140,12 @@ def query_zarr(
     if query not in QUERIES:
         raise ValueError(f"query: expected {' or '.join(QUERIES)}, got {query!r}")
     options = _options(query, max_hits, crossings)
-    if operator.index(block_rays) < 1:
-        raise ValueError(f"block_rays: expected at least 1, got {block_rays}")
+    block_rays = check_least("block_rays", block_rays, 1)
     require_zarr()
     target = Path(output)
     source = RayStore(rays)
     _check_separate(Path(rays), target)
-    blocks = source.divide(operator.index(block_rays))
+    blocks = source.divide(block_rays)
     triangles: Any = tracer.structure.triangles
     check_triangles("query_zarr", triangles)
     check_no_worlds("query_zarr", triangles)

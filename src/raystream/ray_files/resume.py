@@ -16,7 +16,7 @@ from raystream.ray_files.hit_store import (
 )
 from raystream.ray_files.journal import (
     QueryProgress,
-    differing_names,
+    check_same_query,
     journal_path,
     parse_counts,
     read_journal,
@@ -96,13 +96,7 @@ def prepare_output(
 def _check_same(path: Path, theirs: Any, ours: dict[str, Any]) -> None:
     if isinstance(theirs, dict) and theirs.get("block") != ours["block"]:
         theirs = {**theirs, "ray_digest": ours["ray_digest"]}  # of other rays, with other blocks
-    names = differing_names(theirs, ours, _WORDS) if isinstance(theirs, dict) else "all"
-    if names:
-        raise FileFormatError(
-            path,
-            f"belongs to another query (different: {names}); delete it to start over, or choose "
-            "another output",
-        )
+    check_same_query(path, theirs, ours, _WORDS)
 
 
 def _done(target: Path, found: Any) -> QueryProgress:

@@ -7,6 +7,7 @@ import operator
 from collections.abc import Mapping
 from typing import Any
 
+from raystream.core.checks import check_least
 from raystream.core.choices import DeviceOptions
 from raystream.core.memory import check_memory
 from raystream.core.scene_checks import check_drawable
@@ -44,10 +45,7 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
 
 def check_samples(samples: int) -> int:
     """Validate the number of samples: at least 1, else ValueError."""
-    samples = operator.index(samples)
-    if samples < 1:
-        raise ValueError(f"samples: expected at least 1, got {samples}")
-    return samples
+    return check_least("samples", samples, 1)
 
 
 def check_camera(camera: Camera | None) -> None:

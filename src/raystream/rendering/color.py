@@ -57,12 +57,10 @@ _DECODED = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055
 
 def decode_srgb(encoded: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Decode sRGB bytes to linear values in [0, 1], of the same shape, float32."""
-    result: NDArray[np.float32] = _DECODED[encoded]
-    return result
+    return _DECODED[encoded]
 
 
 def luminance(linear: NDArray[Any]) -> NDArray[Any]:
     """Luminance of linear colours, shape (..., 3): shape (...), same dtype."""
     weights = np.array(LUMINANCE, linear.dtype)
-    result: NDArray[Any] = linear @ weights
-    return result
+    return linear @ weights

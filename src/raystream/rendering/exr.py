@@ -137,5 +137,4 @@ def _openexr(purpose: str) -> ModuleType:
         import OpenEXR
     except ImportError:
         raise ImportError(f"{purpose} .exr needs OpenEXR: pip install 'raystream[exr]'") from None
-    module: ModuleType = OpenEXR
-    return module
+    return OpenEXR

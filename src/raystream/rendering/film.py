@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_choice
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import check_memory
 from raystream.core.npz import read_npz, write_npz
@@ -119,9 +120,7 @@ class Film:
         ValueError
             If the name is unknown, the shape is wrong, or pixels are out of range.
         """
-        if name not in LAYERS:
-            known = ", ".join(repr(known) for known in LAYERS)
-            raise ValueError(f"layer: expected one of {known}, got {name!r}")
+        check_choice("layer", name, LAYERS)
         kind = LAYERS[name]
         if values.ndim < 1 or values.shape[1:] != kind.shape:
             expected = "(N,)" if kind.width == 1 else "(N, 3)"

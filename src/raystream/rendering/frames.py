@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.checks import check_choice
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_size
@@ -151,9 +152,7 @@ def render_frames(
 
 def split_options(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Separate options of an image from those of a tracer."""
-    if mode not in RENDERERS:
-        known = ", ".join(repr(known) for known in RENDERERS)
-        raise ValueError(f"mode: expected one of {known}, got {mode!r}")
+    check_choice("mode", mode, RENDERERS)
     for name in _SINGLE_IMAGE_OPTIONS:
         if name in options:
             raise TypeError(f"{name}: only for a single image; render each frame by itself")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_choice
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
@@ -183,9 +184,7 @@ def heatmap(
     MemoryError
         If the image does not fit into memory.
     """
-    if what not in HEATMAPS:
-        known = ", ".join(repr(known) for known in HEATMAPS)
-        raise ValueError(f"what: expected one of {known}, got {what!r}")
+    check_choice("what", what, HEATMAPS)
     width, height = check_size(size)
     samples = check_samples(samples)
     sampler = Sampler.of("sobol", seed, samples)

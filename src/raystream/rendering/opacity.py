@@ -210,5 +210,4 @@ def _opacity_of(texture: Texture) -> NDArray[np.uint8] | None:
         return pixels[:, :, 0]
     if pixels.shape[2] == 4 and not (pixels[:, :, 3] == 255).all():
         return pixels[:, :, 3]
-    grey: NDArray[np.uint8] = np.rint(pixels[:, :, :3] @ np.array(LUMINANCE)).astype(np.uint8)
-    return grey
+    return np.rint(pixels[:, :, :3] @ np.array(LUMINANCE)).astype(np.uint8)

@@ -15,12 +15,7 @@ from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.machines import MultipassBackend
 from raystream.machines.ray_loop import RayLoop
 from raystream.rendering.ao import distance_of, sampler_of, spawn_ambient_rays
-from raystream.rendering.integrator import (
-    PathStage,
-    RenderContext,
-    find_surfaces,
-    trace_shadow_rays,
-)
+from raystream.rendering.integrator import PathStage, RenderContext
 from raystream.rendering.path import shade_surfaces
 from raystream.rendering.raycast import shade_by_lights
 from raystream.rendering.sampling.sampler import PixelSample
@@ -41,6 +36,7 @@ from raystream.rendering.shading.pixel_rays import (
 from raystream.rendering.shading.shadow_rays import ShadowRays
 from raystream.rendering.shading.streams import Paths, StreamAddresses
 from raystream.rendering.shading.tables import HAS_TRANSMISSION
+from raystream.rendering.shading_stages import shading_of
 from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 
@@ -99,9 +95,6 @@ def _whitted_arguments(context: RenderContext, _: int) -> tuple[Any, ...]:
     return context.punctual, float(options["min_weight"]), bool(options["casts_shadows"])
 
 
-#: Modes whose stages end with `trace_shadow_rays`.
-_SHADOWED = frozenset({shade_surfaces, sample_all_lights, spawn_ambient_rays})
-
 #: The modes, by the stage that shades.
 _MODES: MappingProxyType[PathStage, _Mode] = MappingProxyType(
     {
@@ -157,10 +150,7 @@ class MultipassBands:
         context = self._context
         if context.opacity is not None or context.camera.projection != "perspective":
             return False
-        if len(stages) < 2 or stages[0] is not find_surfaces or stages[1] not in _MODES:
-            return False
-        _, shading, *rest = stages
-        return rest == [trace_shadow_rays] * (shading in _SHADOWED)
+        return shading_of(stages) is not None
 
     def trace(
         self,

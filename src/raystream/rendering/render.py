@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from os import PathLike
 from typing import Any
 
+from raystream.core.checks import check_choice
 from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.ao import AO
@@ -30,7 +31,7 @@ from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
-__all__ = ["MODES", "RENDERERS", "render"]
+__all__ = ["MODES", "RENDERERS", "checked_renderer", "render"]
 
 RENDERERS: dict[str, Integrator] = {
     renderer.name: renderer for renderer in (RAYCAST, VIS, SHADOW, WHITTED, XRAY, AO, KAJIYA, PATH)
@@ -38,6 +39,29 @@ RENDERERS: dict[str, Integrator] = {
 
 #: Description of each mode, by its name.
 MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDERERS.items()}
+
+
+def checked_renderer(
+    mode: str,
+    size: tuple[int, int],
+    camera: Camera | None,
+    lights: str,
+    options: dict[str, Any],
+) -> tuple[Integrator, tuple[int, int], dict[str, Any]]:
+    """The renderer of a mode, the size of an image, and the mode's options, which are taken out.
+
+    Raises
+    ------
+    ValueError, TypeError, MemoryError
+        See `render`.
+    """
+    check_choice("mode", mode, RENDERERS)
+    size = check_size(size)
+    check_camera(camera)
+    check_lights(lights)
+    renderer = RENDERERS[mode]
+    own = [name for name in (*renderer.options, "preset") if name in options]
+    return renderer, size, {name: options.pop(name) for name in own}
 
 
 def render(
@@ -142,21 +166,12 @@ def render(
     >>> image.pixels.shape
     (24, 32, 3)
     """
-    if mode not in RENDERERS:
-        known = ", ".join(repr(known) for known in RENDERERS)
-        raise ValueError(f"mode: expected one of {known}, got {mode!r}")
-    width, height = check_size(size)
-    check_camera(camera)
-    check_lights(lights)
+    renderer, size, own = checked_renderer(mode, size, camera, lights, options)
     wanted = choose_layers(layers)
-    renderer = RENDERERS[mode]
-    samples = renderer.samples(samples, noise, time_limit, sampler)
-    limits = Limits(samples, noise, time_limit)
-    own = [name for name in (*renderer.options, "preset") if name in options]
-    chosen = renderer.check(renderer.complete({name: options.pop(name) for name in own}))
-    numbers = Sampler.of(sampler, seed, samples)
+    limits = Limits(renderer.samples(samples, noise, time_limit, sampler), noise, time_limit)
+    chosen = renderer.check(renderer.complete(own))
+    numbers = Sampler.of(sampler, seed, limits.samples)
     tracer = make_tracer(scene, structure, device, options)
-    size = width, height
     context = decide(renderer, tracer, camera, size, numbers, chosen, wanted, lights)
     return render_samples(
         renderer, context, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress

@@ -93,8 +93,7 @@ def read_rgbe(path: str) -> NDArray[np.float32]:
         colors = colors[::-1]
     if found[3] == b"-":
         colors = colors[:, ::-1]
-    result: NDArray[np.float32] = np.ascontiguousarray(colors)
-    return result
+    return np.ascontiguousarray(colors)
 
 
 def _exposure_of(path: str, header: bytes) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_choice
 from raystream.rendering.color import luminance
 
 #: Luminance that `auto_exposure` gives the mean of what is seen, and the bright parts.
@@ -80,9 +81,7 @@ def auto_exposure(pixels: NDArray[Any]) -> float:
 
 def check_tone(tone: str) -> None:
     """Raise ValueError if the name is unknown."""
-    if tone not in TONES:
-        known = ", ".join(repr(known) for known in TONES)
-        raise ValueError(f"tone: expected one of {known}, got {tone!r}")
+    check_choice("tone", tone, TONES)
 
 
 def _linear(light: NDArray[np.float64]) -> NDArray[np.float64]:

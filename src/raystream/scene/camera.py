@@ -23,8 +23,7 @@ def unit_vector(name: str, values: ArrayLike) -> NDArray[np.float64]:
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise ValueError(f"{name}: expected three finite numbers, not all zero, got {values!r}")
     vector = vector / np.abs(vector).max()
-    result: NDArray[np.float64] = vector / np.linalg.norm(vector)
-    return result
+    return vector / np.linalg.norm(vector)
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.checks import check_finite
 from raystream.scene.camera import Camera
 from raystream.scene.splines import position_at, quaternion_matrix, rotation_at
 
@@ -112,8 +112,7 @@ class CameraTrack:
         ValueError
             If `time` is not finite, or the interpolated camera is not.
         """
-        if not math.isfinite(time):
-            raise ValueError(f"time: expected a finite number, got {time}")
+        check_finite("time", time)
         eye = np.array(self.still.eye)
         toward, up = np.array(self.still.look_at) - eye, np.array(self.still.up)
         with np.errstate(all="ignore"):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.checks import check_finite
 from raystream.scene.camera import unit_vector
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 
@@ -118,8 +119,7 @@ def daylight(
     >>> sunny = scene.replace(lights=rs.daylight(200, 35, up=scene.up))
     """
     axis = unit_vector("up", up)
-    if not math.isfinite(azimuth):
-        raise ValueError(f"azimuth: expected a finite number, got {azimuth}")
+    check_finite("azimuth", azimuth)
     if not 0.0 < elevation <= 90.0:
         raise ValueError(f"elevation: expected above 0 and at most 90 degrees, got {elevation}")
     if not 1.7 <= turbidity <= 10.0:
@@ -153,8 +153,7 @@ def _sunlight(zenith_angle: float, turbidity: float) -> NDArray[np.float64]:
     mass = 1.0 / (math.cos(zenith_angle) + 0.15 * (93.885 - degrees) ** -1.253)
     haze = max(0.04608 * turbidity - 0.04586, 0.0)
     depth = 0.008735 * _WAVELENGTHS**-4.08 + haze * _WAVELENGTHS**-1.3 + _OZONE * _OZONE_AMOUNT
-    dimmed: NDArray[np.float64] = _SUN_ILLUMINANCE / _UNIT * np.exp(-depth * mass)
-    return dimmed
+    return _SUN_ILLUMINANCE / _UNIT * np.exp(-depth * mass)
 
 
 def _sky(zenith_angle: float, turn: float, turbidity: float) -> NDArray[np.float64]:
@@ -203,5 +202,4 @@ def _irradiance(sky: NDArray[np.float64]) -> NDArray[np.float64]:
     height, width = _SIZE
     angles = (np.arange(height // 2) + 0.5) * (math.pi / height)
     areas = np.sin(angles) * np.cos(angles) * (math.pi / height) * (2.0 * math.pi / width)
-    total: NDArray[np.float64] = np.einsum("i,ijk->k", areas, sky[: height // 2])
-    return total
+    return np.einsum("i,ijk->k", areas, sky[: height // 2])

@@ -59,8 +59,7 @@ class KeyTrack:
             return self._normalized(_hermite(before, out, into, after, s))
         if self.is_rotation:
             return slerp(before, -after if before @ after < 0.0 else after, s)
-        value: Array = before + s * (after - before)
-        return value
+        return before + s * (after - before)
 
     def at_times(self, times: Array) -> Array:
         """The values at N times, shape (N, W): those of `at`, but for rounding."""
@@ -83,8 +82,7 @@ class KeyTrack:
         if self.is_rotation:
             is_far = np.einsum("nk,nk->n", before, after) < 0.0
             return slerp_rows(before, np.where(is_far[:, None], -after, after), s)
-        value: Array = before + s[:, None] * (after - before)
-        return value
+        return before + s[:, None] * (after - before)
 
     def _normalized(self, value: Array) -> Array:
         """Normalise a rotation; return other values unchanged."""

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_finite
 from raystream.scene.material import Color
 
 Vector = tuple[float, float, float]
@@ -157,8 +158,7 @@ class EnvironmentLight:
         object.__setattr__(self, "rotation", float(self.rotation))
         if not any(self.up):
             raise ValueError("up: must not be zero")
-        if not math.isfinite(self.rotation):
-            raise ValueError(f"rotation: expected a finite number, got {self.rotation}")
+        check_finite("rotation", self.rotation)
         if isinstance(self.image, str | PathLike):
             object.__setattr__(self, "image", Path(self.image))
         elif self.image is not None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 from difflib import get_close_matches
 from os import PathLike, fspath
 from pathlib import Path
 
+from raystream.core.checks import check_finite
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import FOLDER
 from raystream.scene.io.formats import SUFFIXES, read_model
@@ -68,8 +68,7 @@ def load(
     >>> scene = rs.load("cornell")  # doctest: +SKIP
     >>> rs.load("kitchen.aff", time=5.0)  # doctest: +SKIP
     """
-    if not math.isfinite(time):
-        raise ValueError(f"time: expected a finite number, got {time}")
+    check_finite("time", time)
     name = fspath(source)
     if not isinstance(name, str):
         raise TypeError(f"source: expected text or a path, got {type(source).__name__}")

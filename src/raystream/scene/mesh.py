@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from contextlib import nullcontext
 from typing import Any
 
@@ -114,9 +115,7 @@ class Mesh:
             raise ValueError(
                 f"vertices: expected {len(self.vertices):,}, as before, got {len(positions):,}"
             )
-        mesh = Mesh.__new__(Mesh)
-        for name in Mesh.__slots__:
-            setattr(mesh, name, getattr(self, name))
+        mesh = copy.copy(self)
         mesh.vertices = positions
         if normals is not None:
             mesh.normals = _attribute("normals", normals, (len(positions), 3))
@@ -134,9 +133,7 @@ class Mesh:
         ValueError, TypeError
             As `Mesh`.
         """
-        mesh = Mesh.__new__(Mesh)
-        for name in Mesh.__slots__:
-            setattr(mesh, name, getattr(self, name))
+        mesh = copy.copy(self)
         mesh.material_ids = _material_ids(material_ids, len(self.faces))
         return mesh
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.attributes import Attributes
+from raystream.core.checks import check_finite
 from raystream.core.triangles import Triangles
 from raystream.notebook import html_table
 from raystream.scene.animation import FPS, Animation, Timeline
@@ -368,8 +368,7 @@ class Scene(PrimitiveScene):
         ValueError
             If `time` is not finite.
         """
-        if not math.isfinite(time):
-            raise ValueError(f"time: expected a finite number, got {time}")
+        check_finite("time", time)
         track = self.camera_track
         return self.camera if track is None else track.at(time)
 
@@ -404,8 +403,7 @@ class Scene(PrimitiveScene):
         >>> tracer = rs.Tracer(scene)  # doctest: +SKIP
         >>> report = tracer.update(scene.at(5.0))  # doctest: +SKIP
         """
-        if not math.isfinite(time):
-            raise ValueError(f"time: expected a finite number, got {time}")
+        check_finite("time", time)
         scene = self._with(_views=self._views.at(time))
         if self._animation is not None:
             posed = self._animation.at(time)

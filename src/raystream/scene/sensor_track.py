@@ -213,5 +213,4 @@ def _rotated(quaternions: Array, vectors: Array) -> Array:
     """Rotate vectors by unit quaternions; the identity keeps their bits."""
     along = quaternions[..., 1:]
     twice = 2.0 * np.cross(along, vectors)
-    result: Array = vectors + quaternions[..., :1] * twice + np.cross(along, twice)
-    return result
+    return vectors + quaternions[..., :1] * twice + np.cross(along, twice)

@@ -38,8 +38,7 @@ def position_at(keys: Array, time: float) -> Array:
     # Hermite form on [0, 1].
     cubic = leaving + arriving - 2.0 * step
     square = 3.0 * step - 2.0 * leaving - arriving
-    point: Array = values[i] + s * (leaving + s * (square + s * cubic))
-    return point
+    return values[i] + s * (leaving + s * (square + s * cubic))
 
 
 def key_turns(keys: Array) -> list[Array]:
@@ -153,7 +152,11 @@ def _quaternion(axis: Array, degrees: float) -> Array:
 
 def quaternion_matrix(q: Array) -> Array:
     """Return the rotation matrix, shape (3, 3), of a non-zero quaternion w, x, y, z."""
-    w, x, y, z = q / np.linalg.norm(q)
+    return unit_quaternion_matrix(*(q / np.linalg.norm(q)))
+
+
+def unit_quaternion_matrix(w: float, x: float, y: float, z: float) -> Array:
+    """Return the rotation matrix, shape (3, 3), of a quaternion of length 1."""
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -177,8 +180,7 @@ def _log(q: Array) -> Array:
     sine = float(np.linalg.norm(q[1:]))
     if sine == 0.0:
         return np.zeros(3)
-    vector: Array = q[1:] * (math.atan2(sine, float(q[0])) / sine)
-    return vector
+    return q[1:] * (math.atan2(sine, float(q[0])) / sine)
 
 
 def _exp(vector: Array) -> Array:
@@ -195,8 +197,7 @@ def slerp(p: Array, q: Array, s: float) -> Array:
     sine = math.sin(angle)
     if sine < 1e-9:  # equal or opposite: linear interpolation suffices
         return p + s * (q - p) if cosine > 0.0 else p
-    result: Array = (math.sin((1 - s) * angle) * p + math.sin(s * angle) * q) / sine
-    return result
+    return (math.sin((1 - s) * angle) * p + math.sin(s * angle) * q) / sine
 
 
 def slerp_rows(p: Array, q: Array, s: Array) -> Array:
@@ -207,5 +208,4 @@ def slerp_rows(p: Array, q: Array, s: Array) -> Array:
     is_line = sine < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):
         arc = (np.sin((1.0 - s) * angle) * p + np.sin(s * angle) * q) / sine
-    result: Array = np.where(is_line, np.where(cosine > 0.0, p + s * (q - p), p), arc)
-    return result
+    return np.where(is_line, np.where(cosine > 0.0, p + s * (q - p), p), arc)

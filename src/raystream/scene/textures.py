@@ -114,8 +114,7 @@ def checker(
 
     def squares(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         place = np.floor(u * across) + np.floor(v * up)
-        result: NDArray[np.float64] = colors[(place % 2.0).astype(np.intp)]
-        return result
+        return colors[(place % 2.0).astype(np.intp)]
 
     return baked(squares, (across * texels, up * texels), name="checker")
 
@@ -191,8 +190,7 @@ def _gradient_noise(
 
     def slope(right: int, up: int) -> NDArray[Any]:
         angle = angles[(row + up) % count, (column + right) % count]
-        result: NDArray[Any] = np.cos(angle) * (x - right) + np.sin(angle) * (y - up)
-        return result
+        return np.cos(angle) * (x - right) + np.sin(angle) * (y - up)
 
     across, upward = (s * s * s * (s * (6.0 * s - 15.0) + 10.0) for s in (x, y))
     lower = slope(0, 0) * (1.0 - across) + slope(1, 0) * across

@@ -81,8 +81,7 @@ class BvhMap(BlockMap):
         keys = records.memory[:top].view(np.int32)
         links = records.memory[half : half + top].view(np.int32)
         limit = int(np.float32(records.t_far).view(np.int32)) | _LANE_BITS
-        numbers: list[int] = self._numbers(links)[keys <= limit][::-1].tolist()
-        return numbers
+        return self._numbers(links)[keys <= limit][::-1].tolist()
 
     def _local_spot(self, number: int, records: Records) -> LocalSpot:
         """The ray's interval in a box, up to rounding; empty if it misses the root."""

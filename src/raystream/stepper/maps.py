@@ -184,8 +184,7 @@ class GraphMap(BlockMap):
 
     def box(self, number: int) -> NDArray[np.float64]:
         """See `StructureMap.box`."""
-        box: NDArray[np.float64] = self.boxes[number]
-        return box
+        return self.boxes[number]
 
     def _behind(self, link: int) -> list[int]:
         """The sectors that a link leads to."""

@@ -72,8 +72,7 @@ class StructureMap(ABC):
 def to_world(structure: Structure, local: NDArray[np.float64]) -> NDArray[np.float64]:
     """Transform positions from a structure's local frame to world space."""
     triangles = structure.triangles
-    world: NDArray[np.float64] = local / triangles.scale + triangles.center
-    return world
+    return local / triangles.scale + triangles.center
 
 
 class BlockMap(StructureMap):

@@ -45,8 +45,7 @@ class Condition:
     @property
     def array(self) -> NDArray[np.bool_]:
         """The current result for each record."""
-        result: NDArray[np.bool_] = _OPERATIONS[self.operation](self.stream.array, self.value)
-        return result
+        return _OPERATIONS[self.operation](self.stream.array, self.value)
 
     def count(self) -> int:
         """Number of records for which it holds."""

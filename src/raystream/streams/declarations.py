@@ -11,6 +11,7 @@ import numpy as np
 
 from raystream.streams.constants import as_constant
 from raystream.streams.gather import GatherArray
+from raystream.streams.layout import Layout
 from raystream.streams.record_stream import RecordStream
 from raystream.streams.source import KernelSource
 from raystream.streams.stream import Stream
@@ -80,6 +81,10 @@ class Declarations:
         keys = [key for key, one in self.inputs.items() if one is stream]
         return stream.name or (keys[0] if keys else None)
 
+    def layout_of(self, gather: GatherArray) -> Layout:
+        """Records of a gather array."""
+        return gather.layout
+
     def add_gather(self, name: str, key: str, value: Any) -> None:
         """Declare a gather array, or a named tuple of gather arrays and constants."""
         fields = getattr(value, "_fields", None)
@@ -131,7 +136,7 @@ def declare(
         declared.add_gather(name, key, value)
     for key, value in (constants or {}).items():
         declared.add_constant(name, key, value)
-    _check_streams(name, declared)
+    check_streams(name, declared.inputs, declared.outputs, Stream, _expected)
     for key, gather in declared.gathers.items():
         if gather.stream is None and any(s.shares_memory(gather.array) for s in written):
             raise ValueError(
@@ -141,19 +146,43 @@ def declare(
     return declared
 
 
-def _check_streams(name: str, declared: Declarations) -> None:
-    for key, stream in declared.inputs.items():
-        if stream is not INDEX and not isinstance(stream, Stream):
-            raise TypeError(f"{name}, input {key!r}: expected a Stream, got {_kind(stream)}")
-    if not declared.outputs:
+def check_streams(
+    name: str,
+    inputs: Mapping[str, Any],
+    outputs: Sequence[Any],
+    kind: type[RecordStream],
+    wrong: Callable[[str, object], str],
+) -> None:
+    """Check the streams of a kernel, on any device.
+
+    Parameters
+    ----------
+    name : str
+        Of the kernel.
+    inputs : mapping of str to stream or INDEX
+    outputs : sequence of stream
+    kind : type
+        The device's streams.
+    wrong : callable
+        Says what was expected and what is there instead.
+
+    Raises
+    ------
+    TypeError, ValueError
+        See `Kernel`.
+    """
+    for key, stream in inputs.items():
+        if stream is not INDEX and not isinstance(stream, kind):
+            raise TypeError(f"{name}, input {key!r}: {wrong('a Stream', stream)}")
+    if not outputs:
         raise ValueError(f"{name}: a kernel writes at least one stream")
-    for stream in declared.outputs:
-        if not isinstance(stream, Stream):
-            raise TypeError(f"{name}, outputs: expected streams, got {_kind(stream)}")
-    if len({id(stream) for stream in declared.outputs}) < len(declared.outputs):
+    for stream in outputs:
+        if not isinstance(stream, kind):
+            raise TypeError(f"{name}, outputs: {wrong('streams', stream)}")
+    if len({id(stream) for stream in outputs}) < len(outputs):
         raise ValueError(f"{name}: writes a stream twice")
-    streams = [*declared.inputs.values(), *declared.outputs]
-    lengths = {len(stream) for stream in streams if isinstance(stream, Stream)}
+    streams = [*inputs.values(), *outputs]
+    lengths = {len(stream) for stream in streams if stream is not INDEX}
     if len(lengths) > 1:
         found = ", ".join(f"{length:,}" for length in sorted(lengths))
         raise ValueError(f"{name}: its streams differ in length: {found} records")
@@ -177,8 +206,8 @@ def _check_parameters(name: str, function: Callable[..., Any], declared: list[st
             raise TypeError(f"{name}: the function has no parameter {key!r}")
 
 
-def _kind(value: object) -> str:
+def _expected(wanted: str, value: object) -> str:
     kind = type(value)
-    if isinstance(value, RecordStream):  # of another device
-        return f"a {kind.__name__} of {kind.__module__}"
-    return kind.__name__
+    is_elsewhere = isinstance(value, RecordStream)  # of another device
+    got = f"a {kind.__name__} of {kind.__module__}" if is_elsewhere else kind.__name__
+    return f"expected {wanted}, got {got}"

@@ -61,11 +61,7 @@ class GatherArray:
             self.layout = find_layout(label, array, vectors)
         record_shape = array.shape[array.ndim - 1 :] if self.layout.component_count else ()
         found = array.shape[: array.ndim - len(record_shape)]
-        if shape is None:
-            shape = found
-        elif math.prod(shape) != math.prod(found) or min(shape, default=-1) < 0:
-            raise ValueError(f"{label}: {math.prod(found):,} records cannot have shape {shape}")
-        self.shape = tuple(shape)
+        self.shape = shape_of_records(label, found, shape)
         self._array_shape = (*self.shape, *record_shape)
         self._array = array
 
@@ -74,3 +70,14 @@ class GatherArray:
         """The current records; not a copy if the shape allows it."""
         array = self._array if self.stream is None else self.stream.array
         return np.reshape(array, self._array_shape)
+
+
+def shape_of_records(
+    label: str, found: tuple[int, ...], wanted: tuple[int, ...] | None
+) -> tuple[int, ...]:
+    """The shape that is wanted for records, or the one found; ValueError if it does not fit."""
+    if wanted is None:
+        return found
+    if math.prod(wanted) != math.prod(found) or min(wanted, default=-1) < 0:
+        raise ValueError(f"{label}: {math.prod(found):,} records cannot have shape {wanted}")
+    return tuple(map(int, wanted))

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from raystream.core.errors import LoopLimitError
 from raystream.jit.threads import Progress, parallel_for
 from raystream.jit.user_loops import Loop
-from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
 from raystream.streams.condition import Condition
 from raystream.streams.constants import changed_constant
-from raystream.streams.counters import Counters, Pass
+from raystream.streams.counters import Counters
 from raystream.streams.declarations import INDEX, Declarations, declare
+from raystream.streams.record_kernel import RecordKernel
 from raystream.streams.source import compile_kernel
 from raystream.streams.stream import Stream, as_condition
 
@@ -26,7 +24,7 @@ __all__ = ["CHUNK", "INDEX", "Kernel"]
 CHUNK = 1 << 14
 
 
-class Kernel:
+class Kernel(RecordKernel):
     """A function of one record, with the streams that it reads and writes.
 
     Parameters
@@ -101,17 +99,14 @@ class Kernel:
     ) -> None:
         self.function = function
         self.name: str = getattr(function, "__name__", "kernel") if name is None else name
-        self._declared = declare(self.name, function, inputs, outputs, gathers, constants)
+        self._declared: Declarations = declare(
+            self.name, function, inputs, outputs, gathers, constants
+        )
         self._source = self._declared.source()
         self.record_count = len(self._declared.outputs[0])
         self.where: Condition | None = as_condition(where, self.record_count)
         self._streams = self._declared.streams()
         self._loops: dict[tuple[str | None, int | None, bool], Loop] = {}
-
-    @property
-    def constants(self) -> Mapping[str, Any]:
-        """The current constants."""
-        return MappingProxyType(self._declared.constants)
 
     @property
     def declared(self) -> Declarations:
@@ -202,51 +197,6 @@ class Kernel:
             counters.passes.append(self.pass_of(condition, total, run_count, gathered))
         return total
 
-    def loop(
-        self,
-        *,
-        where: Any = None,
-        limit: int = LOOP_LIMIT,
-        counters: Counters | None = None,
-        progress: Progress | None = None,
-    ) -> int:
-        """Execute until no record is written.
-
-        Parameters
-        ----------
-        where, counters : optional
-            As for `execute`. A condition is evaluated again in each call.
-        limit : int
-            Maximum number of calls.
-        progress : callable, optional
-            Called after each call with (records that it did not write, records).
-
-        Returns
-        -------
-        int
-            The number of calls, including the last, which wrote nothing.
-
-        Raises
-        ------
-        LoopLimitError
-            If the last call within the limit still wrote records.
-        """
-        written = 0
-        for call in range(1, check_limit(self.name, limit) + 1):
-            written = self.execute(where=where, counters=counters)
-            if progress:
-                progress(self.record_count - written, self.record_count)
-            if not written:
-                return call
-        raise LoopLimitError(self.name, limit, written)
-
-    def run(self, counters: Counters | None = None) -> Count:
-        """Execute once, as a step of a chain."""
-        return Count(1, 1, self.execute(counters=counters))
-
-    def __repr__(self) -> str:
-        return f"<Kernel {self.name!r}: {self.record_count:,} records>"
-
     def _loop(self, condition: Condition | None = None, is_counted: bool = False) -> Loop:
         operation = None if condition is None else condition.operation
         place = self._place(condition)
@@ -279,39 +229,3 @@ class Kernel:
                 arguments.append(condition.stream.array)
             arguments.append(condition.value)
         return arguments
-
-    def pass_of(
-        self, condition: Condition | None, written: int, run: int, gathered: Sequence[int]
-    ) -> Pass:
-        """The record of a pass, with words computed from the counts.
-
-        Parameters
-        ----------
-        condition : Condition or None
-        written, run : int
-            Records written, and those that the function ran on.
-        gathered : sequence of int
-            Records read of each gather array.
-        """
-        read: dict[str, int] = {}
-        wrote: dict[str, int] = {}
-
-        def add(words: dict[str, int], name: str, more: int) -> None:
-            words[name] = words.get(name, 0) + more
-
-        for key, stream in self._declared.inputs.items():
-            if isinstance(stream, Stream):
-                add(read, stream.name or key, run * stream.layout.word_count)
-        for (key, gather), count in zip(self._declared.gathers.items(), gathered, strict=True):
-            add(read, gather.name or key, count * gather.layout.word_count)
-        if condition is not None:
-            state = condition.stream
-            add(
-                read,
-                self._declared.name_of(state) or "where",
-                self.record_count * state.layout.word_count,
-            )
-        for k, stream in enumerate(self._declared.outputs):
-            name = self._declared.name_of(stream) or f"output {k}"
-            add(wrote, name, written * stream.layout.word_count)
-        return Pass(self.name, self.record_count, run, written, read, wrote)

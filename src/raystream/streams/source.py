@@ -191,8 +191,7 @@ def _parameter_names(function: Callable[..., Any]) -> Sequence[str]:
         raise TypeError(
             f"{getattr(function, '__name__', function)}: a function that folds takes two records"
         )
-    names: Sequence[str] = code.co_varnames[:2]
-    return names
+    return code.co_varnames[:2]
 
 
 def _copy_first(layout: Layout) -> list[str]:

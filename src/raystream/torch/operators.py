@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from raystream.core.array_checks import leading_shape
 from raystream.core.crossing import check_vertices, corners_of
 from raystream.core.padded_hits import pad
 from raystream.tracer import Tracer
@@ -25,23 +25,6 @@ def register(tracer: Tracer) -> int:
     number = next(_numbers)
     _TRACERS[number] = tracer
     return number
-
-
-def leading_shape(origins: Tensor, directions: Tensor) -> Sequence[int]:
-    """The rays' leading shape.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not broadcast.
-    """
-    try:
-        return torch.broadcast_shapes(origins.shape[:-1], directions.shape[:-1])
-    except RuntimeError:
-        raise ValueError(
-            f"origins and directions: shapes {tuple(origins.shape)} and "
-            f"{tuple(directions.shape)} do not broadcast against each other"
-        ) from None
 
 
 _RAYS = "Tensor origins, Tensor directions, Tensor t_min, Tensor t_max"
@@ -138,10 +121,14 @@ def _vertex_ids(tracer: int, prim_id: Tensor, vertices: Tensor | None = None) ->
     return torch.from_numpy(ids).to(prim_id.device)
 
 
+def _fake(origins: Tensor, directions: Tensor, dtype: torch.dtype, *more: int) -> Tensor:
+    shape = leading_shape(torch.broadcast_shapes, origins, directions)
+    return origins.new_empty((*shape, *more), dtype=dtype)
+
+
 def _fake_hits(origins: Tensor, directions: Tensor, *more: int) -> tuple[Tensor, ...]:
-    shape = (*leading_shape(origins, directions), *more)
-    floats = [origins.new_empty(shape, dtype=torch.float32) for _ in range(3)]
-    return (*floats, origins.new_empty(shape, dtype=torch.int32))
+    floats = [_fake(origins, directions, torch.float32, *more) for _ in range(3)]
+    return (*floats, _fake(origins, directions, torch.int32, *more))
 
 
 def _first(argument: Any, axis: int | None) -> Any:
@@ -202,16 +189,14 @@ def _define() -> None:
         "any_hit",
         f"(int tracer, {_RAYS}) -> Tensor",
         _any_hit,
-        lambda tracer, o, d, t_min, t_max: o.new_empty(leading_shape(o, d), dtype=torch.bool),
+        lambda tracer, o, d, t_min, t_max: _fake(o, d, torch.bool),
         _one_batch(lambda *rays: ops.any_hit(*rays), 1),
     )
     _operator(
         "count_hits",
         f"(int tracer, {_RAYS}, bool surfaces) -> Tensor",
         _count_hits,
-        lambda tracer, o, d, t_min, t_max, surfaces: o.new_empty(
-            leading_shape(o, d), dtype=torch.int64
-        ),
+        lambda tracer, o, d, t_min, t_max, surfaces: _fake(o, d, torch.int64),
         _one_batch(lambda *rays: ops.count_hits(*rays), 1),
     )
     _operator(

@@ -11,10 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from raystream.core.array_checks import checked_rays, checked_vertices
 from raystream.core.crossing import inverse_rows, points_at
 from raystream.core.query import counts_surfaces
 from raystream.core.scene_checks import check_plain
-from raystream.torch.operators import leading_shape, register
+from raystream.torch.operators import register
 from raystream.tracer import Tracer
 
 _REAL = frozenset(
@@ -143,8 +144,7 @@ class TorchTracer:
         Tensor of shape S, bool
         """
         rays = _rays(origins, directions, t_min, t_max)
-        seen: Tensor = torch.ops.raystream.any_hit(self._number, *_detached(*rays))
-        return seen
+        return torch.ops.raystream.any_hit(self._number, *_detached(*rays))
 
     def count_hits(
         self,
@@ -170,8 +170,7 @@ class TorchTracer:
         """
         surfaces = counts_surfaces(crossings)
         rays = _detached(*_rays(origins, directions, t_min, t_max))
-        counts: Tensor = torch.ops.raystream.count_hits(self._number, *rays, surfaces)
-        return counts
+        return torch.ops.raystream.count_hits(self._number, *rays, surfaces)
 
     def multi_hit(
         self,
@@ -264,20 +263,7 @@ class _Rays(NamedTuple):
 
 
 def _rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> _Rays:
-    vectors = _real("origins", origins), _real("directions", directions)
-    for name, one in zip(("origins", "directions"), vectors, strict=True):
-        if one.ndim == 0 or one.shape[-1] != 3:
-            raise ValueError(f"{name}: expected shape (..., 3), got {tuple(one.shape)}")
-    shape = leading_shape(*vectors)
-    limits = _real("t_min", t_min), _real("t_max", t_max)
-    for name, one in zip(("t_min", "t_max"), limits, strict=True):
-        lengths = zip(reversed(one.shape), reversed(shape), strict=False)
-        if one.ndim > len(shape) or any(a not in (1, b) for a, b in lengths):
-            raise ValueError(
-                f"{name}: shape {tuple(one.shape)} does not broadcast to the rays' shape "
-                f"{tuple(shape)}"
-            )
-    return _Rays(*vectors, *limits)
+    return _Rays(*checked_rays(_real, torch.broadcast_shapes, origins, directions, t_min, t_max))
 
 
 def _real(name: str, values: Any) -> Tensor:
@@ -301,11 +287,7 @@ def _joined(vertices: Tensor | Sequence[Tensor] | None) -> Tensor | None:
     if vertices is None:
         return None
     given = vertices if isinstance(vertices, Tensor) else torch.cat(list(vertices))
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise ValueError(f"vertices: expected shape (V, 3), got {tuple(given.shape)}")
-    if not given.is_floating_point():
-        raise TypeError(f"vertices: expected floating-point numbers, got dtype {given.dtype}")
-    return given
+    return checked_vertices(given, given.is_floating_point())
 
 
 class _Crossing(torch.autograd.Function):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 from html import escape
 from os import PathLike
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.options import Options
@@ -123,12 +122,7 @@ class View:
     def __enter__(self) -> View:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:

@@ -112,11 +112,6 @@ class ProgressiveImage(ABC):
         """Expected seconds for the rest of the sample; nan if unknown."""
         return self._cost.expected(self.width * (self.height - self._row))
 
-    @property
-    def seconds_of_row(self) -> float:
-        """Expected seconds per row; nan if unknown."""
-        return self._cost.expected(self.width)
-
     def advance(self, seconds: float, is_wanted: Callable[[], bool]) -> bool:
         """Render one slice.
 

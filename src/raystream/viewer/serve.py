@@ -11,7 +11,6 @@ import os
 import socket
 import threading
 import time
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from raystream.core.errors import RaystreamError
@@ -204,12 +203,7 @@ class ViewServer:
     def __enter__(self) -> ViewServer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _run(self) -> None:

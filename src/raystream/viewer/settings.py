@@ -222,15 +222,7 @@ _READERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "maximum": lambda given: read_number(given, "maximum", 0.0, 1e9, above=True),
     "samples": lambda given: read_integer(given, "samples", 1, MAX_SAMPLES),
 }
-_OPTIONAL = (
-    "traversal",
-    "machine",
-    "scheduler",
-    "max_bounces",
-    "heatmap",
-    "maximum",
-    "samples",
-)
+_OPTIONAL = [field.name for field in fields(Settings) if field.default is None]
 
 #: Settings that are reset when another one changes.
 _DEPENDS = {

@@ -256,5 +256,4 @@ def device_is_free(device: str) -> bool:
 
 def device_lock(device: str) -> AbstractContextManager[Any]:
     """Return the lock of a device that only one thread may use at a time."""
-    lock: AbstractContextManager[Any] = _LOCKS.get(device, nullcontext())
-    return lock
+    return _LOCKS.get(device, nullcontext())

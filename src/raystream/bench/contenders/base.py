@@ -189,6 +189,8 @@ class Contender(ABC):
         Ways to run a query, all timed; the fastest counts.
     queries : frozenset of str
         Supported queries, each with its method.
+    version : str
+        The package's version.
     notes : str
         A note for readers of its figures.
     has_instances : bool
@@ -202,23 +204,22 @@ class Contender(ABC):
     notes: ClassVar[str] = ""
     has_instances: ClassVar[bool] = False
     is_watertight: bool = False
+    version: str
+
+    #: The package's structure; None before `build` and after `release`.
+    _built: Any = None
 
     @abstractmethod
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
         """Import the package."""
 
-    @property
-    @abstractmethod
-    def version(self) -> str:
-        """The package's version."""
-
     @abstractmethod
     def build(self, geometry: Geometry) -> None:
         """Build the structure, replacing the previous one."""
 
-    @abstractmethod
     def release(self) -> None:
         """Free the structure."""
+        self._built = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:
         """Find the nearest hit of each ray."""

@@ -51,13 +51,8 @@ class Embreex(Contender):
         self.is_watertight = bool(options.get("robust"))
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads)
-        self._scene: Any = None
+        self.version = version("embreex")
         self._step = 0.0
-
-    @property
-    def version(self) -> str:
-        """The package's version."""
-        return version("embreex")
 
     def build(self, geometry: Geometry) -> None:
         """Add the triangles; the first ray triggers the build."""
@@ -65,13 +60,9 @@ class Embreex(Contender):
         TriangleMesh(scene=scene, vertices=geometry.vertices, indices=geometry.faces)
         one = np.ones((1, 3), np.float32)
         scene.run(one, one)
-        self._scene = scene
+        self._built = scene
         size = geometry.vertices.max(axis=0) - geometry.vertices.min(axis=0)
         self._step = _STEP * float(np.linalg.norm(size))
-
-    def release(self) -> None:
-        """Free the structure."""
-        self._scene = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
         """Find the nearest hit of each ray."""
@@ -84,7 +75,7 @@ class Embreex(Contender):
         limit = _limit(rays.t_max)
 
         def run(rows: slice) -> None:
-            found = self._scene.run(origins[rows], directions[rows], dists=limit, query="OCCLUDED")
+            found = self._built.run(origins[rows], directions[rows], dists=limit, query="OCCLUDED")
             np.equal(found, 0, out=seen[rows])
 
         self._spread(run, len(origins))
@@ -123,7 +114,7 @@ class Embreex(Contender):
         limit = _limit(t_max)
 
         def run(rows: slice) -> None:
-            found = self._scene.run(origins[rows], directions[rows], dists=limit, output=True)
+            found = self._built.run(origins[rows], directions[rows], dists=limit, output=True)
             t[rows], prim_id[rows] = found["tfar"], found["primID"]
 
         self._spread(run, len(origins))

@@ -38,28 +38,19 @@ class Fcpw(Contender):
     notes = "returns a list of objects, which is not converted to arrays within the time"
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
-        self._scene: Any = None
-
-    @property
-    def version(self) -> str:
-        """The package's version."""
-        return importlib.metadata.version("fcpw")
+        self.version = importlib.metadata.version("fcpw")
 
     def build(self, geometry: Geometry) -> None:
         """Build a BVH by the surface area heuristic, with vectors."""
-        self._scene = fcpw.scene_3D()
-        self._scene.set_object_count(1)
-        self._scene.set_object_vertices(np.asfortranarray(geometry.vertices), 0)
-        self._scene.set_object_triangles(np.asfortranarray(geometry.faces), 0)
-        self._scene.build(fcpw.aggregate_type.bvh_surface_area, True)
-
-    def release(self) -> None:
-        """Free the structure."""
-        self._scene = None
+        self._built = fcpw.scene_3D()
+        self._built.set_object_count(1)
+        self._built.set_object_vertices(np.asfortranarray(geometry.vertices), 0)
+        self._built.set_object_triangles(np.asfortranarray(geometry.faces), 0)
+        self._built.build(fcpw.aggregate_type.bvh_surface_area, True)
 
     def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
         """Find the nearest point of the triangles to each point."""
         found = fcpw.interaction_3D_list()
         limits = np.full(len(points), np.inf, np.float32)
-        self._scene.find_closest_points(np.asfortranarray(points.points), limits, found)
+        self._built.find_closest_points(np.asfortranarray(points.points), limits, found)
         return Closest(_Interactions(found))

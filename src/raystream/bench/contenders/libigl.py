@@ -28,13 +28,9 @@ class Libigl(Contender):
     notes = "computes in float64"
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
+        self.version = importlib.metadata.version("libigl")
         self._tree: Any = None
         self._mesh: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
-
-    @property
-    def version(self) -> str:
-        """The package's version."""
-        return importlib.metadata.version("libigl")
 
     def build(self, geometry: Geometry) -> None:
         """Build the tree from arrays of the types that it takes."""

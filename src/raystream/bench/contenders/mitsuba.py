@@ -40,12 +40,7 @@ class Mitsuba(Contender):
             mitsuba.Float([1.0, 2.0]).numpy()
         except RuntimeError as error:  # LLVM is missing
             raise UnavailableError(str(error)) from error
-        self._scene: Any = None
-
-    @property
-    def version(self) -> str:
-        """The package's version."""
-        return str(mitsuba.__version__)
+        self.version = str(mitsuba.__version__)
 
     def build(self, geometry: Geometry) -> None:
         """Make a scene with one mesh, or of instances of shape groups."""
@@ -63,23 +58,19 @@ class Mitsuba(Contender):
                     "to_world": mitsuba.ScalarTransform4f(matrix),
                     "shape": {"type": "ref", "id": f"object{object_id}"},
                 }
-        self._scene = mitsuba.load_dict(scene)
+        self._built = mitsuba.load_dict(scene)
         drjit.sync_thread()
-
-    def release(self) -> None:
-        """Free the structure."""
-        self._scene = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:
         """Find the nearest hit of each ray."""
-        found = self._scene.ray_intersect_preliminary(_rays(rays), coherent=mode == "coherent")
+        found = self._built.ray_intersect_preliminary(_rays(rays), coherent=mode == "coherent")
         drjit.eval(found.t, found.prim_index)  # both in one kernel
         return FirstHits(found.t.numpy(), found.prim_index.numpy())
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:
         """Test whether each ray hits anything."""
         # By keyword: the second positional argument is the mask of active rays.
-        seen: NDArray[np.bool_] = self._scene.ray_test(
+        seen: NDArray[np.bool_] = self._built.ray_test(
             _rays(rays), coherent=mode == "coherent"
         ).numpy()
         return seen

@@ -32,12 +32,7 @@ class Open3D(Contender):
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
         self._threads = threads
-        self._scene: Any = None
-
-    @property
-    def version(self) -> str:
-        """The package's version."""
-        return str(open3d.__version__)
+        self.version = str(open3d.__version__)
 
     def build(self, geometry: Geometry) -> None:
         """Add the triangles; the first rays trigger the build."""
@@ -45,27 +40,23 @@ class Open3D(Contender):
         scene = open3d.t.geometry.RaycastingScene(nthreads=self._threads)
         scene.add_triangles(tensor(geometry.vertices), tensor(geometry.faces.view(np.uint32)))
         scene.cast_rays(tensor(np.ones((1, 6), np.float32)))
-        self._scene = scene
-
-    def release(self) -> None:
-        """Free the structure."""
-        self._scene = None
+        self._built = scene
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
         """Find the nearest hit of each ray."""
-        found = self._scene.cast_rays(_tensor(rays), nthreads=self._threads)
+        found = self._built.cast_rays(_tensor(rays), nthreads=self._threads)
         return FirstHits(found["t_hit"].numpy(), found["primitive_ids"].numpy())
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
         """Test whether each ray hits anything."""
-        seen: NDArray[np.bool_] = self._scene.test_occlusions(
+        seen: NDArray[np.bool_] = self._built.test_occlusions(
             _tensor(rays), tfar=rays.t_max, nthreads=self._threads
         ).numpy()
         return seen
 
     def multi_hit(self, rays: Rays, mode: str) -> AllHits:  # noqa: ARG002
         """Find all hits of each ray, sorted."""
-        found = self._scene.list_intersections(_tensor(rays), nthreads=self._threads)
+        found = self._built.list_intersections(_tensor(rays), nthreads=self._threads)
         t = found["t_hit"].numpy()
         # Positive floats sort like their bits: one key for ray and t, one fast sort.
         key = found["ray_ids"].numpy().astype(np.uint64)
@@ -77,7 +68,7 @@ class Open3D(Contender):
     def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
         """Find the nearest point of the triangles to each point; it gives no distances."""
         given = open3d.core.Tensor.from_numpy(points.points)
-        found = self._scene.compute_closest_points(given, nthreads=self._threads)
+        found = self._built.compute_closest_points(given, nthreads=self._threads)
         return Closest(None, found["points"].numpy())
 
 

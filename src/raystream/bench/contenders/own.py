@@ -31,6 +31,7 @@ class Raystream(Contender):
     is_watertight = True
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
+        self.version = __version__
         set_thread_count(threads)
         self._options = dict(options)
         is_plain = options.get("machine", "branching") == "branching"
@@ -38,11 +39,6 @@ class Raystream(Contender):
         if is_plain and options.get("structure", "bvh") in names_with("nearest"):
             self.queries = self.queries | {"closest"}
         self._tracer: Tracer | None = None
-
-    @property
-    def version(self) -> str:
-        """The package's version."""
-        return __version__
 
     @property
     def tracer(self) -> Tracer:

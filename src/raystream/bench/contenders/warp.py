@@ -91,30 +91,21 @@ class Warp(Contender):
     notes = "on the CPU its kernels run on one thread; no query for all hits"
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
-        self._mesh: Any = None
+        self.version = str(wp.config.version)
         self._device = str(options.get("device", "cpu"))
         self._constructor = options.get("constructor")
         self.kernel_seconds: float | None = None
         if self._device != "cpu" and not wp.is_cuda_available():
             raise UnavailableError("Warp finds no GPU")
 
-    @property
-    def version(self) -> str:
-        """The package's version."""
-        return str(wp.config.version)
-
     def build(self, geometry: Geometry) -> None:
         """Make a mesh, with Warp's default constructor unless specified."""
-        self._mesh = wp.Mesh(
+        self._built = wp.Mesh(
             points=self._array(geometry.vertices, wp.vec3),
             indices=self._array(geometry.faces.ravel(), wp.int32),
             bvh_constructor=self._constructor,
         )
         wp.synchronize()
-
-    def release(self) -> None:
-        """Free the structure."""
-        self._mesh = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
         """Find the nearest hit of each ray."""
@@ -127,8 +118,7 @@ class Warp(Contender):
         """Test whether each ray hits anything."""
         seen = wp.empty(len(rays), dtype=wp.bool, device=self._device)
         self._launch(_any, rays, [seen])
-        result: NDArray[np.bool_] = seen if _is_on_gpu(rays) else seen.numpy()
-        return result
+        return seen if _is_on_gpu(rays) else seen.numpy()
 
     def closest_point(self, points: Points, mode: str) -> Closest:  # noqa: ARG002
         """Find the nearest point of the triangles to each point."""
@@ -147,7 +137,7 @@ class Warp(Contender):
         self._run(kernel, len(rays), inputs, outputs)
 
     def _run(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
-        inputs = [self._mesh.id, *inputs]
+        inputs = [self._built.id, *inputs]
         begin = end = None
         if self._device != "cpu":
             stream = wp.get_stream(self._device)

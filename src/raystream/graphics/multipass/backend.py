@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import operator
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_choice, check_least
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.backend import Chunk, GraphicsBackend
@@ -23,6 +23,7 @@ from raystream.graphics.multipass.loops import (
     MOST_PASSES,
     Batch,
     Work,
+    limited,
     run_by_queries,
     run_on_device,
 )
@@ -30,6 +31,7 @@ from raystream.graphics.multipass.plan import Plan, PlanInputs, make_plan
 from raystream.graphics.multipass.ray_loop import LoopStreams, has_targets
 from raystream.graphics.multipass.ray_streams import RayStreams
 from raystream.graphics.streams.kernel import FragmentKernel
+from raystream.graphics.streams.textures import StreamShape
 from raystream.graphics.termination import ENDLESS, hit_counts
 from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Capabilities
@@ -125,11 +127,8 @@ class MultipassBackend(GraphicsBackend):
     ) -> None:
         traversal = kernels_of(structure)
         super().__init__(structure, opened, rays_at_once)
-        if loop not in LOOPS:
-            raise ValueError(f"loop: expected one of {', '.join(map(repr, LOOPS))}, got {loop!r}")
-        if memory not in MEMORIES:
-            known = ", ".join(map(repr, MEMORIES))
-            raise ValueError(f"memory: expected one of {known}, got {memory!r}")
+        check_choice("loop", loop, LOOPS)
+        check_choice("memory", memory, MEMORIES)
         self._host_scheduler = make_scheduler(scheduler, threshold)
         if loop == "device" and not isinstance(scheduler, str):
             known = ", ".join(map(repr, SCHEDULERS))
@@ -140,9 +139,9 @@ class MultipassBackend(GraphicsBackend):
         self._threshold = float(threshold)
         self._traversal = traversal
         self._steps = steps_of(structure)
-        self.traversal_steps = _at_least_one("traversal_steps", traversal_steps)
-        self.intersections = _at_least_one("intersections", intersections)
-        self.max_passes = _at_least_one("max_passes", max_passes)
+        self.traversal_steps = check_least("traversal_steps", traversal_steps, 1)
+        self.intersections = check_least("intersections", intersections, 1)
+        self.max_passes = check_least("max_passes", max_passes, 1)
         self.loop = loop
         self.passes: Passes | None = None
         self._constants = TriangleConstants.if_supported(structure, loop, self.intersections)
@@ -151,7 +150,7 @@ class MultipassBackend(GraphicsBackend):
         self._latest = Kind.FIRST_HIT
         self._streams = RayStreams(opened, self._shaders, memory)
         self._plans: dict[tuple[Kind, bool, bool], Plan] = {}
-        self._device_scheduler: DeviceScheduler | None = None
+        self._device_schedulers: dict[tuple[tuple[int, ...], bool], DeviceScheduler] = {}
         self._plan(Kind.FIRST_HIT, False, False)  # raises for a kernel that does not compile
 
     def recording(self, passes: Passes) -> MultipassBackend:
@@ -220,46 +219,52 @@ class MultipassBackend(GraphicsBackend):
 
     def _loop(self, work: Work) -> None:
         """Pass after pass, until no ray is active."""
-        count = 0
-        for batch in self._batches(work):
-            count += len(batch.passes)
+        rays = self._streams.rays
+        batches = self._batches(work, self._traversal.kernels, rays.count, rays.shape)
+        for batch in limited(batches, self.max_passes):
             if self.passes is not None:
                 self.passes.draw_count += batch.draw_count
                 for kernel, active in batch.passes:
                     self.passes.counters.passes.append(self._pass(kernel, active))
-            if count > self.max_passes:
-                raise GraphicsError(
-                    f"multipass: {batch.active_count:,} rays are still active after "
-                    f"{count:,} passes; max_passes is {self.max_passes:,}"
-                )
 
-    def _batches(self, work: Work) -> Iterator[Batch]:
-        kernels = self._traversal.kernels
+    def _batches(
+        self, work: Work, kernels: Sequence[FragmentKernel], count: int, shape: StreamShape
+    ) -> Iterator[Batch]:
+        """The passes of these kernels on `count` rays, whose streams have this shape."""
         if self.loop == "queries":
             return run_by_queries(work, self._host_scheduler, self._steps.kernels)
-        if self._device_scheduler is None:
-            self._device_scheduler = DeviceScheduler(
-                self.opened, kernels, str(self._scheduler), self._threshold, MOST_PASSES
+        key = tuple(int(one.state) for one in kernels), work.spawns
+        if key not in self._device_schedulers:
+            self._device_schedulers[key] = DeviceScheduler(
+                self.opened,
+                kernels,
+                str(self._scheduler),
+                self._threshold,
+                MOST_PASSES,
+                spawns=work.spawns,
             )
-        scheduler, last = self._device_scheduler, len(kernels) - 1
-        inner = range(1, last if self._scheduler in _SHADE_LAST else last + 1)
-        rays = self._streams.rays
-        scheduler.begin(rays.count, rays.shape, self._streams.passes.stencil)
-        return run_on_device(work, scheduler, inner)
+        scheduler, last = self._device_schedulers[key], len(kernels) - 1
+        scheduler.begin(count, shape, work.streams.stencil)
+        is_last = self._scheduler in _SHADE_LAST and not work.spawns
+        return run_on_device(work, scheduler, range(not work.spawns, last if is_last else last + 1))
 
-    def loop_machine(self) -> LoopMachine:
-        """The machine as renderers' loops run on it."""
-        constants = {
+    @property
+    def _step_constants(self) -> dict[str, float]:
+        """Values of ``override`` declarations of the traversal's kernels."""
+        return {
             "TRAVERSAL_STEPS": float(self.traversal_steps),
             "INTERSECTIONS": float(self.intersections),
             **self._shaders.constants,
         }
+
+    def loop_machine(self) -> LoopMachine:
+        """The machine as renderers' loops run on it."""
         return LoopMachine(
             self._traversal,
             self._shaders,
             self._streams.rays,
             self.structure.triangles.max_coordinate,
-            constants,
+            self._step_constants,
             self._loop_batches,
             self.max_passes,
         )
@@ -268,20 +273,7 @@ class MultipassBackend(GraphicsBackend):
         self, work: Work, kernels: Sequence[FragmentKernel], streams: LoopStreams
     ) -> Iterator[Batch]:
         """The passes of a renderer's loop: its shading spawns rays."""
-        if self.loop == "queries":
-            return run_by_queries(work, self._host_scheduler, self._steps.kernels)
-        scheduler = DeviceScheduler(
-            self.opened,
-            kernels,
-            str(self._scheduler),
-            self._threshold,
-            MOST_PASSES,
-            spawns=work.spawns,
-        )
-        scheduler.begin(streams.count, streams.shape, streams.passes.stencil)
-        last = len(kernels) - 1
-        is_last = self._scheduler in _SHADE_LAST and not work.spawns
-        return run_on_device(work, scheduler, range(not work.spawns, last if is_last else last + 1))
+        return self._batches(work, kernels, streams.count, streams.shape)
 
     def bands_on_device(self, context: RenderContext) -> FragmentBands | None:
         """Render samples of an image in loops; see `Tracer.bands_on_device`."""
@@ -317,23 +309,10 @@ class MultipassBackend(GraphicsBackend):
             inputs = PlanInputs(
                 self._shaders,
                 rays.instead(kind, counts),
-                {
-                    "QUERY": float(kind),
-                    "SURFACES": float(surfaces),
-                    "TRAVERSAL_STEPS": float(self.traversal_steps),
-                    "INTERSECTIONS": float(self.intersections),
-                    **self._shaders.constants,
-                },
+                {"QUERY": float(kind), "SURFACES": float(surfaces), **self._step_constants},
                 rays.layouts(kind, counts),
                 counts,
                 rays.rewrite,
             )
             self._plans[key] = make_plan(self.opened, self._traversal, inputs)
         return self._plans[key]
-
-
-def _at_least_one(name: str, number: int) -> int:
-    number = operator.index(number)
-    if number < 1:
-        raise ValueError(f"{name}: expected at least 1, got {number}")
-    return number

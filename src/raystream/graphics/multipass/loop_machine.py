@@ -18,7 +18,7 @@ from raystream.graphics.multipass.loop_plan import (
     make_loop_plan,
     make_resuming_draw,
 )
-from raystream.graphics.multipass.loops import Batch, Work
+from raystream.graphics.multipass.loops import Batch, Work, limited
 from raystream.graphics.multipass.plan import Plan, PlanInputs
 from raystream.graphics.multipass.ray_loop import FragmentLoop, LoopStreams
 from raystream.graphics.ray_textures import RayTextures
@@ -134,16 +134,10 @@ class LoopMachine(NamedTuple):
         progress: Progress | None,
     ) -> int:
         """Passes until no ray is active; returns how many pixels wait for more room."""
-        count = stuck = 0
-        for batch in self.batches(work, kernels, streams):
-            count += len(batch.passes)
+        stuck = 0
+        for batch in limited(self.batches(work, kernels, streams), self.max_passes):
             stuck = batch.stuck_count
             passes.update(kernels[number].name for number, _ in batch.passes)
-            if count > self.max_passes:
-                raise GraphicsError(
-                    f"multipass: {batch.active_count:,} rays are still active after "
-                    f"{count:,} passes; max_passes is {self.max_passes:,}"
-                )
             if progress:
                 progress(max(streams.count - batch.active_count, 0), streams.count)
         return stuck

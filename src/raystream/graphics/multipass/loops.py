@@ -83,6 +83,19 @@ class Batch:
     stuck_count: int = 0
 
 
+def limited(batches: Iterator[Batch], max_passes: int) -> Iterator[Batch]:
+    """The same batches; GraphicsError behind one with which there are more passes than allowed."""
+    count = 0
+    for batch in batches:
+        yield batch
+        count += len(batch.passes)
+        if count > max_passes:
+            raise GraphicsError(
+                f"multipass: {batch.active_count:,} rays are still active after {count:,} passes; "
+                f"max_passes is {max_passes:,}"
+            )
+
+
 def run_on_device(
     work: Work, device_scheduler: DeviceScheduler, inner: Sequence[int]
 ) -> Iterator[Batch]:
@@ -145,8 +158,7 @@ class _Counts:
         queue = self._opened.device.queue
         queue.submit([encoder.finish()])
         memory = queue.read_buffer(self._answers, 0, 8 * count)
-        answers: list[int] = np.frombuffer(memory, np.uint64).tolist()
-        return answers
+        return np.frombuffer(memory, np.uint64).tolist()
 
 
 def run_by_queries(

@@ -11,16 +11,12 @@ import numpy as np
 from raystream.graphics.packing import FAR as MOST_LENGTH
 from raystream.kernels.ray import FAR
 from raystream.rendering.ao import distance_of, spawn_ambient_rays
-from raystream.rendering.integrator import (
-    PathStage,
-    RenderContext,
-    find_surfaces,
-    trace_shadow_rays,
-)
+from raystream.rendering.integrator import PathStage, RenderContext
 from raystream.rendering.path import shade_surfaces
 from raystream.rendering.raycast import shade_by_lights
 from raystream.rendering.sampling.sampler import KINDS
 from raystream.rendering.shading.tables import ABSORBS, HAS_TRANSMISSION, IS_ROUGH
+from raystream.rendering.shading_stages import shading_of
 from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 from raystream.scene.lights import SpotLight
@@ -93,9 +89,6 @@ def _path_shadows(context: RenderContext) -> int:
     return int(rules.samples_lights and not context.lights.is_dark and rules.max_bounces > 0)
 
 
-#: Stages after which shadow rays are traced.
-_SHADOWED = frozenset({shade_surfaces, sample_all_lights, spawn_ambient_rays})
-
 #: The modes, by the stage that shades.
 _MODES: MappingProxyType[PathStage, Mode] = MappingProxyType(
     {
@@ -126,11 +119,8 @@ _MODES: MappingProxyType[PathStage, Mode] = MappingProxyType(
 
 def mode_of(stages: Sequence[PathStage]) -> Mode | None:
     """The mode of a renderer's stages; None if they have no shaders."""
-    if len(stages) < 2 or stages[0] is not find_surfaces or stages[1] not in _MODES:
-        return None
-    _, shading, *rest = stages
-    ends = [trace_shadow_rays] * (shading in _SHADOWED)
-    return _MODES[shading] if rest == ends else None
+    shading = shading_of(stages)
+    return None if shading is None else _MODES[shading]
 
 
 def unsupported(context: RenderContext) -> str | None:

@@ -23,7 +23,11 @@ struct View {
     forward_low: vec3f,
 }
 
-fn view_axis(right: Wide, up: Wide, forward: Wide, across: Wide, down: Wide) -> Wide {
+// A component of the vector to a place `across` and `down` from one unit ahead.
+fn view_axis(view: View, axis: u32, across: Wide, down: Wide) -> Wide {
+    let right = Wide(view.right[axis], view.right_low[axis]);
+    let up = Wide(view.up[axis], view.up_low[axis]);
+    let forward = Wide(view.forward[axis], view.forward_low[axis]);
     let beside = wide_difference(wide_product(right, across), wide_product(up, down));
     return wide_sum(beside, forward);
 }
@@ -47,28 +51,11 @@ fn eye_vector(view: View, columns: Wide, rows: Wide) -> WideVector {
     let scale = Wide(view.scale, view.scale_low);
     let across = wide_product(columns, scale);
     let down = wide_product(rows, scale);
-    let x = view_axis(
-        Wide(view.right.x, view.right_low.x),
-        Wide(view.up.x, view.up_low.x),
-        Wide(view.forward.x, view.forward_low.x),
-        across,
-        down,
+    return WideVector(
+        view_axis(view, 0u, across, down),
+        view_axis(view, 1u, across, down),
+        view_axis(view, 2u, across, down),
     );
-    let y = view_axis(
-        Wide(view.right.y, view.right_low.y),
-        Wide(view.up.y, view.up_low.y),
-        Wide(view.forward.y, view.forward_low.y),
-        across,
-        down,
-    );
-    let z = view_axis(
-        Wide(view.right.z, view.right_low.z),
-        Wide(view.up.z, view.up_low.z),
-        Wide(view.forward.z, view.forward_low.z),
-        across,
-        down,
-    );
-    return WideVector(x, y, z);
 }
 
 fn wide_unit(v: WideVector) -> vec3f {

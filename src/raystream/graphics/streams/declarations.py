@@ -13,6 +13,9 @@ from raystream.graphics.streams.stream import Stream, check_device
 from raystream.graphics.streams.wgsl_text import Function, Member, WgslText
 from raystream.graphics.streams.wgsl_types import CONSTANT_TYPES, constant_words, type_of
 from raystream.streams import INDEX
+from raystream.streams.declarations import check_streams
+from raystream.streams.layout import Layout
+from raystream.streams.record_stream import RecordStream
 
 #: Names that begin with it belong to the code that is generated around a kernel's function.
 PREFIX = "raystream_"
@@ -49,13 +52,15 @@ class Declarations:
     types: dict[str, str]
     opened: OpenDevice
 
-    @property
-    def name_of(self) -> dict[int, str]:
-        """Names of streams for counters, by their ids: their own, else those of parameters."""
-        names = {id(one): f"output {k}" for k, one in enumerate(self.outputs)}
-        names |= {id(one): key for key, one in reversed(self.inputs.items())}
-        streams = [one for one in (*self.inputs.values(), *self.outputs) if one is not INDEX]
-        return names | {id(one): one.name for one in streams if one.name}
+    def name_of(self, stream: RecordStream) -> str | None:
+        """A stream's name for counters: its own, else that of the parameter or output."""
+        keys = [key for key, one in self.inputs.items() if one is stream]
+        keys += [f"output {k}" for k, one in enumerate(self.outputs) if one is stream]
+        return stream.name or (keys[0] if keys else None)
+
+    def layout_of(self, gather: GatherArray) -> Layout:
+        """Records of a gather array."""
+        return gather.stream(self.opened).layout
 
 
 def declare(
@@ -100,7 +105,7 @@ def declare(
         None,  # type: ignore[arg-type]
     )
     _check_names(name, found)
-    _check_streams(name, found)
+    check_streams(name, found.inputs, found.outputs, Stream, _expected)
     found.opened = written[0].opened
     for key, one in found.inputs.items():
         if one is not INDEX:
@@ -164,25 +169,7 @@ def _check_names(name: str, found: Declarations) -> None:
             raise TypeError(f"{name}: the source declares {key!r}, the name of a gather array")
 
 
-def _check_streams(name: str, found: Declarations) -> None:
-    for key, stream in found.inputs.items():
-        if stream is not INDEX and not isinstance(stream, Stream):
-            raise TypeError(f"{name}, input {key!r}: {_expected(stream)}")
-    if not found.outputs:
-        raise ValueError(f"{name}: a kernel writes at least one stream")
-    for stream in found.outputs:
-        if not isinstance(stream, Stream):
-            raise TypeError(f"{name}, outputs: {_expected(stream)}")
-    if len({id(stream) for stream in found.outputs}) < len(found.outputs):
-        raise ValueError(f"{name}: writes a stream twice")
-    streams = [*found.inputs.values(), *found.outputs]
-    lengths = {len(stream) for stream in streams if stream is not INDEX}
-    if len(lengths) > 1:
-        counts = ", ".join(f"{length:,}" for length in sorted(lengths))
-        raise ValueError(f"{name}: its streams differ in length: {counts} records")
-
-
-def _expected(value: object) -> str:
+def _expected(_: str, value: object) -> str:
     kind = type(value)
     where = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
     return f"expected a Stream of raystream.graphics.streams, got {where}"

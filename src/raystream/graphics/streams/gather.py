@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.streams.stream import Stream
+from raystream.streams.gather import shape_of_records
 from raystream.streams.layout import native_array
 from raystream.streams.record_stream import RecordStream
 
@@ -70,13 +70,7 @@ class GatherArray:
                 )
             found = array.shape[: array.ndim - vectors]
             self._records = array.reshape(-1, array.shape[-1]) if vectors else array.reshape(-1)
-        if shape is None:
-            shape = found
-        elif math.prod(shape) != math.prod(found) or min(shape, default=-1) < 0:
-            raise ValueError(
-                f"{self._label}: {math.prod(found):,} records cannot have shape {shape}"
-            )
-        self.shape: tuple[int, ...] = tuple(int(length) for length in shape)
+        self.shape = shape_of_records(self._label, found, shape)
 
     def stream(self, opened: OpenDevice) -> Stream:
         """The stream that it reads; of an array, a copy on the device."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from raystream.core.errors import LoopLimitError
 from raystream.graphics.buffers import Buffer, ReadBack, uniform, whole
 from raystream.graphics.error_scope import guarded
 from raystream.graphics.errors import GraphicsError
@@ -16,16 +14,16 @@ from raystream.graphics.fragment_program import cover_screen
 from raystream.graphics.pipelines import Program, bind, fragment_pipeline
 from raystream.graphics.streams.compile_errors import check_source
 from raystream.graphics.streams.conditions import as_device_condition
-from raystream.graphics.streams.declarations import declare
+from raystream.graphics.streams.declarations import Declarations, declare
 from raystream.graphics.streams.program import COUNTER_SLOTS, KernelProgram, make_program, reads_of
 from raystream.graphics.streams.stream import Stream
 from raystream.graphics.streams.wgsl_types import constant_words, type_of
-from raystream.streams import INDEX, Counters, Pass
-from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
+from raystream.streams import Counters
 from raystream.streams.condition import Condition
+from raystream.streams.record_kernel import RecordKernel
 
 
-class Kernel:
+class Kernel(RecordKernel):
     """A function of one record in WGSL, with the streams that it reads and writes.
 
     It becomes a fragment program, run by drawing all records (Christen 2005, section 4.2).
@@ -106,7 +104,9 @@ class Kernel:
         where: Any = None,
         name: str | None = None,
     ) -> None:
-        self._declared = declare(name, source, function, inputs, outputs, gathers, constants)
+        self._declared: Declarations = declare(
+            name, source, function, inputs, outputs, gathers, constants
+        )
         self.name: str = self._declared.function.name if name is None else name
         self.record_count = len(self._declared.outputs[0])
         self.where: Condition | None = self._condition(where)
@@ -115,11 +115,6 @@ class Kernel:
         self._counters = Buffer(self._declared.opened, f"counters of {self.name}")
         self._read_back = ReadBack(self._declared.opened)
         self._program(self.where, False)  # raises if it does not compile
-
-    @property
-    def constants(self) -> Mapping[str, Any]:
-        """The current constants."""
-        return MappingProxyType(self._declared.constants)
 
     @property
     def wgsl(self) -> str:
@@ -185,47 +180,12 @@ class Kernel:
                     raise IndexError(
                         f"{self.name}, gather array {key!r}: {wrong:,} indices out of range"
                     )
-            counters.passes.append(self._pass(condition, *counts[: 2 + len(tables)].tolist()))
+            written, run, *gathered = counts[: 2 + len(tables)].tolist()
+            counters.passes.append(self.pass_of(condition, written, run, gathered))
         for stream in self._declared.outputs:
             if _is_in(stream, program.reads) and self.record_count:
                 stream.swap()
         return int(counts[0])
-
-    def loop(
-        self, *, where: Any = None, limit: int = LOOP_LIMIT, counters: Counters | None = None
-    ) -> int:
-        """Execute until no record is written.
-
-        Parameters
-        ----------
-        where, counters : optional
-            As for `execute`. A condition is evaluated again in each call.
-        limit : int
-            Maximum number of calls.
-
-        Returns
-        -------
-        int
-            The number of calls, including the last, which wrote nothing.
-
-        Raises
-        ------
-        LoopLimitError
-            If the last call within the limit still wrote records.
-        """
-        written = 0
-        for call in range(1, check_limit(self.name, limit) + 1):
-            written = self.execute(where=where, counters=counters)
-            if not written:
-                return call
-        raise LoopLimitError(self.name, limit, written)
-
-    def run(self, counters: Counters | None = None) -> Count:
-        """Execute once, as a step of a chain."""
-        return Count(1, 1, self.execute(counters=counters))
-
-    def __repr__(self) -> str:
-        return f"<Kernel {self.name!r}: {self.record_count:,} records>"
 
     def _condition(self, where: Any) -> Condition | None:
         opened = self._declared.opened
@@ -313,29 +273,6 @@ class Kernel:
         if content != self._uniform[0]:
             self._uniform = content, uniform(self._declared.opened, content)
         return self._uniform[1]
-
-    def _pass(self, condition: Condition | None, written: int, run: int, *gathered: int) -> Pass:
-        """The record of a pass, with words computed from the counts."""
-        declared = self._declared
-        read: dict[str, int] = {}
-        wrote: dict[str, int] = {}
-        names = declared.name_of
-
-        def add(words: dict[str, int], name: str, count: int, stream: Stream) -> None:
-            words[name] = words.get(name, 0) + count * stream.layout.word_count
-
-        for key, stream in declared.inputs.items():
-            if stream is not INDEX:
-                add(read, stream.name or key, run, stream)
-        for (key, table), count in zip(declared.gathers.items(), gathered, strict=True):
-            add(read, table.name or key, count, table.stream(declared.opened))
-        if condition is not None:
-            assert isinstance(condition.stream, Stream)
-            name = names.get(id(condition.stream), condition.stream.name or "where")
-            add(read, name, self.record_count, condition.stream)
-        for stream in declared.outputs:
-            add(wrote, names[id(stream)], written, stream)
-        return Pass(self.name, self.record_count, run, written, read, wrote)
 
 
 def _is_in(stream: Stream, streams: Sequence[Stream]) -> bool:

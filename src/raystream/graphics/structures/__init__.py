@@ -31,8 +31,7 @@ def shader_structure_of(structure: Structure) -> ShaderStructure:
         from raystream.graphics.structures.instances import instanced_structure
 
         return instanced_structure(placed)
-    shaders: ShaderStructure = form_of(structure.name, "graphics")(structure)
-    return shaders
+    return form_of(structure.name, "graphics")(structure)
 
 
 def build_with_shaders(

@@ -44,8 +44,7 @@ def has_lost_triangles(tree: BvhArrays) -> bool:
 
 def _lost(tree: BvhArrays) -> NDArray[np.bool_]:
     """The slots of triangles without coordinates, shape (B, 4)."""
-    lost: NDArray[np.bool_] = np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)
-    return lost
+    return np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)
 
 
 def stack_size(half: int) -> int:

@@ -176,8 +176,7 @@ class Gpu:
         if is_simulated():
             return np.empty(byte_count, np.uint8)
         with self.doing(f"pinning {byte_count:,} bytes of host memory"):
-            made: NDArray[np.uint8] = cuda.pinned_array(byte_count, np.uint8)
-            return made
+            return cuda.pinned_array(byte_count, np.uint8)
 
     def copy(self, to: Any, source: Any, byte_count: int, stream: CudaStream) -> None:
         """Copy bytes asynchronously between addresses on the device or the host.

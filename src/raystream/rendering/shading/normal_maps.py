@@ -135,16 +135,14 @@ def _turned(normal, geometric, back, is_mirror):
 
 
 @device_call
-def mapped_normal(
-    tables, prim, material, weights, texcoord, geometric, normal, is_front, back, layer
-):
+def mapped_normal(tables, prim, material, place, geometric, normal, is_front, back, layer):
     """The shading normal of a normal-mapped surface, or of 16.
 
     Parameters
     ----------
     tables : SceneTables
     prim, material : int32
-    weights, texcoord : tuple of two float64
+    place : tuple of two pairs of float64
         Barycentrics of vertices 1 and 2; texture coordinates.
     geometric, normal : tuple of three float64
         Unit geometric and interpolated normals, on the side of the view.
@@ -161,7 +159,7 @@ def mapped_normal(
         Unit vector that faces the view, on the side of the geometric normal. Not perturbed where
         texture coordinates are missing or degenerate.
     """
-    s, t = texcoord
+    weights, (s, t) = place
     vertices = vertices_of(tables, prim)
     is_mirrored = _is_mirrored(tables, vertices)
     # Mirrored tangents follow the others in memory.

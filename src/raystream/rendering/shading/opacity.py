@@ -85,8 +85,7 @@ def is_there(hit: Any, rays: Any) -> bool:
     kind = gather(np.int32, rays.tables.kinds, material_of(rays.tables, hit.prim_id))
     if kind == OPAQUE:
         return True
-    result: bool = _is_there(hit.prim_id, hit.instance_id, hit.u, hit.v, hit.ray, kind, rays)
-    return result
+    return _is_there(hit.prim_id, hit.instance_id, hit.u, hit.v, hit.ray, kind, rays)
 
 
 @kernel

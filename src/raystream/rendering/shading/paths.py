@@ -121,12 +121,12 @@ def _emission(tables, lights, options, point, back, distance, pdf, weights, mask
 
 
 @device
-def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights, mask, is_alone):
+def _light_sampled(tables, lights, numbers, point, lobes, back, weights, mask, is_alone):
     """A sample of the lights for each point: `LightSample`, its light, and where there is any.
 
     `is_alone` says that no scattered ray may find the same light.
     """
-    pixel, sample, dimension = numbers
+    sampler, pixel, sample, dimension = numbers
     u, v = draw_pair_lanes(sampler, pixel, sample, dimension)
     choice = draw_lanes(sampler, pixel, sample, dimension + 2)
     found = sample_light(tables, lights, point, choice, u, v)
@@ -201,9 +201,9 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, options, onwa
     is_last = not options.follows_last and bounce + 1 >= options.max_bounces
     lobes = lobes_at(tables, point, back)
     if options.samples_lights and not lights.is_dark:
-        numbers = key, samples, dimension
+        numbers = sampler, key, samples, dimension
         found, light, is_lit = _light_sampled(
-            tables, lights, sampler, numbers, point, lobes, back, weights, is_hit, is_last
+            tables, lights, numbers, point, lobes, back, weights, is_hit, is_last
         )
         light = _clamped(light, most_sampled)
         rays = put_shadow_rays(rays, is_lit, pixels, tables, point, found, light)

@@ -272,12 +272,12 @@ def _bent(tables, prim, weights, point, smooth, direction, layer):
     """The normals of points as if all had a normal map; `layer` is `BASE` or `COAT`."""
     dx, dy, dz = direction
     scale = -_WHOLE / square_root(dx * dx + dy * dy + dz * dz)
+    weights = widen_number(weights[0]), widen_number(weights[1])
     return mapped_normal(
         tables,
         prim,
         point.material,
-        (widen_number(weights[0]), widen_number(weights[1])),
-        (point.u, point.v),
+        (weights, (point.u, point.v)),
         (point.gx, point.gy, point.gz),
         smooth,
         point.is_front,

@@ -244,8 +244,7 @@ class Atlas:
 def _heights_of(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The luminance of texels, in [0, 1]: the four bytes of each a float32."""
     linear = texels.reshape(-1, 4)[:, :3] @ (np.array(LUMINANCE, np.float32) / np.float32(255.0))
-    heights: NDArray[np.uint8] = linear.astype(np.float32).view(np.uint8).reshape(texels.shape)
-    return heights
+    return linear.astype(np.float32).view(np.uint8).reshape(texels.shape)
 
 
 def _wrap_bits(texture: Texture) -> np.int32:

@@ -65,7 +65,7 @@ class WhittedOptions(NamedTuple):
 @device
 def _continue(onward, pixel, tables, point, toward, weights, color, min_weight):
     """Write the next ray of a path, unless it weighs too little; returns the cursor."""
-    weight = weights[0] * color[0], weights[1] * color[1], weights[2] * color[2]
+    weight = times(weights, color)
     if not max(weight[0], weight[1], weight[2]) > min_weight:
         return onward
     origin = spawn_origin(tables, point, toward)
@@ -73,11 +73,13 @@ def _continue(onward, pixel, tables, point, toward, weights, color, min_weight):
 
 
 @device
-def _sample_all_lights(rays, pixel, batch, tables, lights, lobes, point, back, weights, shadows):
+def _sample_all_lights(rays, pixel, batch, tables, lights, surface, weights, shadows):
     """Add the light of each light that a surface faces, or write its shadow ray.
 
-    Returns the cursor of shadow rays.
+    `surface` is its point, lobes, and the unit vector to the ray's origin. Returns the cursor of
+    shadow rays.
     """
+    point, lobes, back = surface
     for number in range(lights.light_count):
         found = incident_light(tables, lights, number, point)
         if not found.is_valid:
@@ -89,11 +91,7 @@ def _sample_all_lights(rays, pixel, batch, tables, lights, lobes, point, back, w
             row = pixel - batch.first_pixel
             add_light(batch.radiance, row, weights, times(color, found.color), 1.0)
             continue
-        light = (
-            weights[0] * color[0] * found.color[0],
-            weights[1] * color[1] * found.color[1],
-            weights[2] * color[2] * found.color[2],
-        )
+        light = times(times(weights, color), found.color)
         rays = put_shadow_ray(rays, pixel, tables, point, found, light)
     return rays
 
@@ -141,17 +139,9 @@ def shade_whitted_path(i, batch, tables, lights, options, onward, rays):
     add_light(radiance, pixel, weights, times(diffuse_albedo(lobes), lights.ambient), 1.0)
     if tables.kinds & IS_ROUGH:
         add_light(radiance, pixel, weights, reflected_surroundings(lobes, lights), 1.0)
+    surface = point, lobes, back
     rays = _sample_all_lights(
-        rays,
-        pixel_id,
-        batch,
-        tables,
-        lights,
-        lobes,
-        point,
-        back,
-        weights,
-        options.casts_shadows,
+        rays, pixel_id, batch, tables, lights, surface, weights, options.casts_shadows
     )
     if not options.continues:
         return onward, rays

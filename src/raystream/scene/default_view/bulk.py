@@ -89,8 +89,7 @@ def _inside_shell(
     def are_inner(rows: slice) -> NDArray[np.bool_]:
         near, far = sizes.low[:, rows], sizes.high[:, rows]
         inner = ((near < end) & (far > start) & (far - near < half.max())).all(axis=0)
-        found: NDArray[np.bool_] = inner if mask is None else inner & mask[rows]
-        return found
+        return inner if mask is None else inner & mask[rows]
 
     # Some triangles suffice to see that an ordinary model has no shell.
     some = slice(None, None, max(1, len(sizes.areas) // _PICKED))
@@ -213,5 +212,4 @@ def _is_connected(
     reached = 0
     while (further := int(farthest[: reached + gap + 1].max())) > reached:
         reached = further
-    is_connected: NDArray[np.bool_] = last <= reached
-    return is_connected
+    return last <= reached

@@ -113,8 +113,7 @@ def _direction(up: NDArray[np.float64], azimuth: float, elevation: float) -> NDA
     right = np.cross(up, front)
     around, above = math.radians(azimuth), math.radians(elevation)
     level = math.cos(around) * front + math.sin(around) * right
-    direction: NDArray[np.float64] = math.cos(above) * level + math.sin(above) * up
-    return direction
+    return math.cos(above) * level + math.sin(above) * up
 
 
 def _look(

@@ -143,8 +143,7 @@ def _mixed(keys: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """The final steps of MurmurHash3 (Austin Appleby, 2011): all bits depend on all bits."""
     keys = (keys ^ (keys >> np.uint32(16))) * np.uint32(0x85EBCA6B)
     keys = (keys ^ (keys >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-    mixed: NDArray[np.uint32] = keys ^ (keys >> np.uint32(16))
-    return mixed
+    return keys ^ (keys >> np.uint32(16))
 
 
 def _blocks(count: int) -> list[slice]:

@@ -56,8 +56,7 @@ class SurfaceSamples(NamedTuple):
         """Cosines between the normals and the directions toward the eye, shape (T,)."""
         offsets = offsets[:, : self.target_count]
         along = np.einsum("ij,ij->j", self.normals[:, : self.target_count], offsets)
-        cosines: NDArray[np.float32] = -along / np.sqrt(np.einsum("ij,ij->j", offsets, offsets))
-        return cosines
+        return -along / np.sqrt(np.einsum("ij,ij->j", offsets, offsets))
 
 
 def components(

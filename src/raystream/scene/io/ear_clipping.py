@@ -88,8 +88,7 @@ class _Outlines:
     def turns(self, a: Rows, b: Rows, c: Rows) -> Array:
         """Twice the areas of triangles, above 0 if counter-clockwise."""
         x, y = self.x, self.y
-        turns: Array = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
-        return turns
+        return (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
 
     def windows(self, keys: Array, low: Array, high: Array) -> tuple[Rows, Rows]:
         """First and last, exclusive, of the sorted keys from `low` to `high`, with a margin."""

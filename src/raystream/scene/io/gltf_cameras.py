@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.checks import check_finite
 from raystream.core.errors import FileFormatError
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion
@@ -37,8 +38,7 @@ class NodeCamera:
 
     def at(self, time: float) -> Camera:
         """The camera at a time; ValueError if that is not finite."""
-        if not math.isfinite(time):
-            raise ValueError(f"time: expected a finite number, got {time}")
+        check_finite("time", time)
         return _view(self._path, self._tree.matrix(self._place, time), self._lens)
 
 

@@ -126,5 +126,4 @@ def _draco(file: GltfFile) -> ModuleType:
         raise file.error(
             "is compressed with Draco, which needs DracoPy: pip install 'raystream[draco]'"
         ) from None
-    module: ModuleType = DracoPy
-    return module
+    return DracoPy

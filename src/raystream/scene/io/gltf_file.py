@@ -146,8 +146,7 @@ class GltfFile:
             raise self.error(f"is damaged: {key} has no entry {index}")
         if not isinstance(items[index], dict):
             raise self.error(f"is damaged: entry {index} of {key} is not an object")
-        item: Node = items[index]
-        return item
+        return items[index]
 
     def name(self, entry: Node) -> str:
         """Get the name of an object; empty if absent or not text."""

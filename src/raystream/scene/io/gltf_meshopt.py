@@ -76,5 +76,4 @@ def _meshopt(file: GltfFile) -> ModuleType:
         raise file.error(
             "is compressed with meshopt, which needs meshopt: pip install 'raystream[meshopt]'"
         ) from None
-    module: ModuleType = meshopt
-    return module
+    return meshopt

@@ -11,6 +11,7 @@ from raystream.scene.io.gltf_animation import NodeTracks
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.part_names import path_name
 from raystream.scene.key_tracks import KeyTrack
+from raystream.scene.splines import unit_quaternion_matrix
 
 Matrix = NDArray[np.float64]
 
@@ -141,14 +142,7 @@ def _rotation(x: float, y: float, z: float, w: float) -> Matrix:
     length = math.hypot(x, y, z, w)
     if not length > 0.0:
         return np.eye(3)
-    x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return unit_quaternion_matrix(w / length, x / length, y / length, z / length)
 
 
 def _roots(file: GltfFile) -> list[int]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.scene.io.files import find_sibling, read_model_bytes
-from raystream.scene.io.partial import warn_partial
+from raystream.scene.io.partial import listed, warn_partial
 from raystream.scene.io.text import decoded, plain_text
 from raystream.scene.material import Color, Material
 from raystream.scene.texture import Affine, Texture, Wrap
@@ -121,9 +121,7 @@ def read_mtl(path: Path) -> dict[str, Material]:
     textures = _Textures(path)
     made = {name: _material(name, entries, textures) for name, entries in materials.items()}
     for reason, names in textures.faults.items():
-        listed = ", ".join(repr(name[:60]) for name in names[:5])
-        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-        warn_partial(path, f"{reason}: {listed}{more}")
+        warn_partial(path, f"{reason}: {listed(names)}")
     return made
 
 

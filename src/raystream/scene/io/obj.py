@@ -17,7 +17,7 @@ from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.mtl import read_mtl
 from raystream.scene.io.obj_corners import Corners, read_corners
 from raystream.scene.io.part_names import MAX_PARTS, number_repeats, path_name
-from raystream.scene.io.partial import warn_partial
+from raystream.scene.io.partial import listed, warn_partial
 from raystream.scene.io.text import Lines, decoded, parse_floats, plain_text, shown
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
@@ -265,7 +265,7 @@ def _materials(
                 missing.append(name)
         place_of_span[span] = places[name]
     if missing and known:
-        warn_partial(path, f"undefined materials: {_listed(missing)}")
+        warn_partial(path, f"undefined materials: {listed(missing)}")
     return materials, place_of_span[spans]
 
 
@@ -288,13 +288,8 @@ def _read_libraries(path: Path, names: list[str]) -> dict[str, Material]:
             except FileFormatError as error:
                 warn_partial(path, f"material library not used: {error}")
     if missing:
-        warn_partial(path, f"material libraries not found: {_listed(missing)}")
+        warn_partial(path, f"material libraries not found: {listed(missing)}")
     return known
-
-
-def _listed(names: list[str]) -> str:
-    listed = ", ".join(repr(name[:60]) for name in names[:5])
-    return f"{listed} and {len(names) - 5} more" if len(names) > 5 else listed
 
 
 def _parts(

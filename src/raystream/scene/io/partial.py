@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,12 @@ from raystream.scene.scene import Scene
 def warn_partial(path: Path, reason: str) -> None:
     """Issue one `RaystreamWarning` that names the file and what was skipped."""
     warnings.warn(f"{path}: {reason}", RaystreamWarning, stacklevel=2)
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first five of some names, and how many more there are."""
+    first = ", ".join(repr(name[:60]) for name in names[:5])
+    return f"{first} and {len(names) - 5} more" if len(names) > 5 else first
 
 
 def warn_crossed(path: Path, count: int) -> None:

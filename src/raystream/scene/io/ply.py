@@ -177,5 +177,4 @@ def _strip_triangles(indices: NDArray[np.int64], rows: NDArray[np.int64]) -> NDA
     triangles = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
     odd = place[:-2] % 2 == 1
     triangles[odd] = triangles[odd][:, [1, 0, 2]]
-    kept: NDArray[np.int64] = triangles[whole]
-    return kept
+    return triangles[whole]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from raystream.scene.camera import Camera
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.procedural.finishes import polished
 from raystream.scene.procedural.layout import floor_cells
 from raystream.scene.procedural.parts import Part, instance, merge, to_mesh, yaw
 from raystream.scene.procedural.shapes import boxes as plain_boxes
@@ -34,13 +35,7 @@ MATERIALS = (
     Material("slate", diffuse=(0.2, 0.26, 0.33)),
     Material("chalk", diffuse=(0.7, 0.7, 0.68)),
     Material("red", diffuse=(0.65, 0.05, 0.05), specular=(0.4, 0.4, 0.4), shininess=80.0),
-    Material(
-        "steel",
-        diffuse=(0.06, 0.06, 0.07),
-        specular=(0.7, 0.7, 0.7),
-        shininess=150.0,
-        reflection=(0.7, 0.72, 0.75),
-    ),
+    polished("steel", (0.06, 0.06, 0.07), gloss=0.7, shininess=150.0, reflection=(0.7, 0.72, 0.75)),
     Material("teal", diffuse=(0.03, 0.35, 0.37), specular=(0.4, 0.4, 0.4), shininess=80.0),
     Material("amber", diffuse=(0.8, 0.42, 0.04), specular=(0.4, 0.4, 0.4), shininess=80.0),
 )

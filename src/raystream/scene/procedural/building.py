@@ -13,6 +13,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight, PointLight
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.procedural.finishes import polished
 from raystream.scene.procedural.furnishings import furnishings
 from raystream.scene.procedural.parts import Part, merge_copies, separate_copies, to_mesh
 from raystream.scene.procedural.rooms import (
@@ -48,13 +49,7 @@ SHADES = 8
 MATERIALS = (
     Material("matte", diffuse=(1.0, 1.0, 1.0)),
     Material("lawn", diffuse=(0.13, 0.24, 0.06)),
-    Material(
-        "ceramic",
-        diffuse=(1.0, 1.0, 1.0),
-        specular=(0.35, 0.35, 0.35),
-        shininess=90.0,
-        reflection=(0.06, 0.06, 0.06),
-    ),
+    polished("ceramic", (1.0,) * 3, gloss=0.35, shininess=90.0, reflection=(0.06,) * 3),
     Material("cloth", diffuse=(1.0, 1.0, 1.0)),
     Material("foliage", diffuse=(1.0, 1.0, 1.0)),
 )

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from raystream.scene.camera import Camera
 from raystream.scene.lights import PointLight
-from raystream.scene.material import Color, Material
+from raystream.scene.material import Material
+from raystream.scene.procedural.finishes import MIRROR, polished
 from raystream.scene.procedural.parts import instance, to_mesh, yaw
 from raystream.scene.procedural.shapes import box, room
 from raystream.scene.procedural.size import check_triangles
@@ -77,13 +78,6 @@ def cubes(triangles: int = DEFAULT_TRIANGLES) -> Scene:
 
 
 def _materials() -> tuple[Material, ...]:
-    mirror = Material(
-        "mirror",
-        diffuse=(0.03, 0.03, 0.03),
-        specular=(0.8, 0.8, 0.8),
-        shininess=200.0,
-        reflection=(0.85, 0.85, 0.85),
-    )
     gold = Material(
         "gold mirror",
         diffuse=(0.08, 0.05, 0.02),
@@ -94,19 +88,12 @@ def _materials() -> tuple[Material, ...]:
     return (
         Material("wall", diffuse=(0.72, 0.7, 0.66)),
         Material("floor", diffuse=(0.42, 0.4, 0.38), reflection=(0.08, 0.08, 0.08)),
-        mirror,
+        MIRROR,
         gold,
-        *(_glossy(color) for color in COLORS),
-    )
-
-
-def _glossy(color: Color) -> Material:
-    return Material(
-        "glossy",
-        diffuse=color,
-        specular=(0.4, 0.4, 0.4),
-        shininess=60.0,
-        reflection=(0.1, 0.1, 0.1),
+        *(
+            polished("glossy", color, gloss=0.4, shininess=60.0, reflection=(0.1,) * 3)
+            for color in COLORS
+        ),
     )
 
 

@@ -11,6 +11,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.material import Material
 from raystream.scene.procedural.city import city
+from raystream.scene.procedural.finishes import polished
 from raystream.scene.procedural.parts import Part, separate_copies, to_mesh
 from raystream.scene.procedural.robot import PART_COUNT, robot_copies, robot_parts
 from raystream.scene.procedural.shapes import patch
@@ -30,33 +31,15 @@ MATERIALS = (
     Material("stripe", diffuse=(0.75, 0.72, 0.6)),
     Material("stone", diffuse=(0.75, 0.75, 0.75)),
     Material("curb", diffuse=(0.42, 0.41, 0.4)),
-    Material(
-        "curtain wall",
-        diffuse=(0.22, 0.27, 0.32),
-        specular=(0.3, 0.3, 0.3),
-        shininess=90.0,
-        reflection=(0.25, 0.27, 0.3),
+    polished(
+        "curtain wall", (0.22, 0.27, 0.32), gloss=0.3, shininess=90.0, reflection=(0.25, 0.27, 0.3)
     ),
-    Material(
-        "paint",
-        diffuse=(0.8, 0.8, 0.8),
-        specular=(0.35, 0.35, 0.35),
-        shininess=70.0,
-        reflection=(0.05, 0.05, 0.05),
+    polished("paint", (0.8,) * 3, gloss=0.35, shininess=70.0, reflection=(0.05,) * 3),
+    polished(
+        "metal", (0.25, 0.26, 0.28), gloss=0.7, shininess=120.0, reflection=(0.35, 0.36, 0.38)
     ),
-    Material(
-        "metal",
-        diffuse=(0.25, 0.26, 0.28),
-        specular=(0.7, 0.7, 0.7),
-        shininess=120.0,
-        reflection=(0.35, 0.36, 0.38),
-    ),
-    Material(
-        "visor",
-        diffuse=(0.015, 0.018, 0.022),
-        specular=(0.8, 0.8, 0.8),
-        shininess=250.0,
-        reflection=(0.3, 0.3, 0.32),
+    polished(
+        "visor", (0.015, 0.018, 0.022), gloss=0.8, shininess=250.0, reflection=(0.3, 0.3, 0.32)
     ),
     Material("eye", diffuse=(0.1, 0.85, 0.9), specular=(0.5, 0.5, 0.5), shininess=100.0),
     Material("rubber", diffuse=(0.05, 0.05, 0.055)),

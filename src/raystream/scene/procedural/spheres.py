@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from raystream.scene.camera import Camera
 from raystream.scene.lights import PointLight
-from raystream.scene.material import Color, Material
+from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.procedural.finishes import MIRROR, polished
 from raystream.scene.procedural.layout import floor_cells
 from raystream.scene.procedural.parts import Part, instance, to_mesh, yaw
 from raystream.scene.procedural.shapes import box, room, sphere
@@ -83,14 +84,11 @@ def _materials() -> tuple[Material, ...]:
         Material("wall", diffuse=(0.72, 0.7, 0.66)),
         Material("floor", diffuse=(0.8, 0.8, 0.8), textures={"diffuse": _tiles()}),
         *(Material("cube", diffuse=color) for color in cubes),
-        *(_glossy(color) for color in glossy),
-        Material(
-            "mirror",
-            diffuse=(0.03, 0.03, 0.03),
-            specular=(0.8, 0.8, 0.8),
-            shininess=200.0,
-            reflection=(0.85, 0.85, 0.85),
+        *(
+            polished("glossy", color, gloss=0.4, shininess=60.0, reflection=(0.08,) * 3)
+            for color in glossy
         ),
+        MIRROR,
         Material(
             "glass",
             diffuse=(0.01, 0.01, 0.01),
@@ -100,16 +98,6 @@ def _materials() -> tuple[Material, ...]:
             transmission=(0.9, 0.93, 0.92),
             ior=1.5,
         ),
-    )
-
-
-def _glossy(color: Color) -> Material:
-    return Material(
-        "glossy",
-        diffuse=color,
-        specular=(0.4, 0.4, 0.4),
-        shininess=60.0,
-        reflection=(0.08, 0.08, 0.08),
     )
 
 

@@ -6,7 +6,6 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 #: Maximum files of one upload.
@@ -243,12 +242,7 @@ class IncomingFile:
         self._folder.complete(self._upload, self._name)
         self._is_whole = True
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         assert self._file is not None
         self._folder.incoming_count -= 1
         self._file.close()

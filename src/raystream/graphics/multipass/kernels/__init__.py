@@ -24,5 +24,4 @@ def kernels_of(structure: Structure) -> TraversalKernels:
             f"device 'graphics': machine='multipass' supports the structures {known}, "
             f"not {structure.name!r}; use machine='compute'"
         )
-    kernels: TraversalKernels = make(structure)
-    return kernels
+    return make(structure)
