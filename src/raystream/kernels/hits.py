@@ -305,10 +305,10 @@ class HitAccumulator:
 
     def whole(self) -> tuple[NDArray[np.int64], HitArrays]:
         """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
-        if len(self._parts) == 1:
+        if len(self._parts) == 1:  # of a small batch
             only, found, ids, _ = self._parts[0]
             if ids is _NO_IDS and found is not None and len(found) == len(self._counts) + 1:
-                return found, only  # a small batch
+                return found, only
         splits = np.zeros(len(self._counts) + 1, np.int64)
         np.cumsum(self._counts, out=splits[1:])
         hits = allocate_hits(int(splits[-1]))

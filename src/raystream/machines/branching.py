@@ -15,13 +15,12 @@ from raystream.kernels.aligned import array_address
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import (
     HitAccumulator,
-    HitAddresses,
     HitArrays,
     HitBatch,
     Sink,
     allocate_hits,
 )
-from raystream.kernels.queries import HitLimits, RayScene, RowAddresses, output_of
+from raystream.kernels.queries import HitLimits, RayScene, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
@@ -43,14 +42,12 @@ class HitRows(NamedTuple):
     """Buffers for `RayQueries.collect_hits`."""
 
     hits: HitArrays
-    addresses: HitAddresses
     capacity: int
 
     @classmethod
     def of(cls, capacity: int) -> HitRows:
         """Allocate `capacity` hits."""
-        hits = allocate_hits(capacity)
-        return cls(hits, HitAddresses.of(hits), capacity)
+        return cls(allocate_hits(capacity), capacity)
 
 
 class Branching(Backend):
@@ -196,13 +193,11 @@ class Branching(Backend):
             return
         assert visitor is not None
         scene, kept = self._scene_of(query, rays, sink)
-        limits = HitLimits.of(query)
+        collect, limits = structure.queries.collect_hits, HitLimits.of(query)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)
-            to = RowAddresses(limits, np.uint64(array_address(splits)), rows.addresses, None)
-            room = np.uint64(rows.capacity)
-            reached = structure.queries.collect_hits(begin, end, scene, to, room)
+            reached = collect(begin, end, scene, limits, splits, rows.hits)
             if reached > begin:
                 visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, begin))
             return int(reached)

@@ -60,8 +60,8 @@ def make_float64_kernels(searches: Searches) -> QueryKernels:
 
     @kernel
     def count_hits(i, scene, out):
-        memory, limits = (scratch(STACK_BYTES), scratch(LANES_BYTES)), out.limits
-        total = count(scene.arrays, _ray(scene, i), limits.most, limits.surfaces, memory)
+        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
+        total = count(scene.arrays, _ray(scene, i), out.most, out.surfaces, memory)
         store(out.counts + (i << SHIFT_64), np.int64(total))
 
     @kernel
@@ -73,7 +73,7 @@ def make_float64_kernels(searches: Searches) -> QueryKernels:
             return
         memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
         own = scene.arrays, _ray(scene, i)
-        kept = keep(*own, capacity, out.hits, first, out.limits.surfaces, memory)
+        kept = keep(*own, capacity, out.hits, first, out.surfaces, memory)
         store(out.found + (i << SHIFT_64), np.int64(kept))
 
     return QueryKernels(*(RangeKernel(one) for one in (first_hit, any_hit, count_hits, multi_hit)))
