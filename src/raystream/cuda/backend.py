@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.errors import RaystreamError
@@ -83,8 +84,10 @@ class CudaBackend(Backend):
             HitIds(gpu, structure.triangles),
         )
         self._own_scene = None if has_binary_layout(traced_as(structure)) else self._scene
-        #: Whether the scene has triangles alone, where they are: for shading and programs.
-        self._is_plain = isinstance(structure.triangles, Triangles)
+        #: Whether the scene has triangles alone, where they are, in float32: for shading and
+        #: programs.
+        is_plain = isinstance(structure.triangles, Triangles)
+        self._is_plain = is_plain and structure.precision == "float32"
         self._staging_streams = StagingStreams(gpu)
         self._points: DevicePoints | None = None
         usual_limits(gpu)  # now, so that no query waits for them
@@ -94,12 +97,11 @@ class CudaBackend(Backend):
     ) -> None:
         """Answer a query of rays in host memory; see `Backend.run`."""
         query = query._replace(on_hit=None)
-        if query.kind is not Kind.MULTI_HIT:
-            self._trace(query, rays, sink, progress)
-            return
-        filled, half = self.room_for_hits(query, rays, sink, progress)
-        self._trace(query, rays, filled, half)
-        sink.put(filled.splits, filled.hits)
+        trace = partial(self._trace, query, rays)
+        if query.kind is Kind.MULTI_HIT:
+            self.count_then_fill(query, rays, sink, progress, trace)
+        else:
+            trace(sink, progress)
 
     def run_program(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
@@ -162,9 +164,7 @@ class CudaBackend(Backend):
             return None
         from raystream.cuda.rendering import CudaBands
 
-        gpu, kernels, resident, frame, *_ = self._scene
-        own = gpu, kernels, resident, frame, self._staging_streams
-        return CudaBands(context, *own, self.rays_at_once)
+        return CudaBands(context, self._scene, self._staging_streams, self.rays_at_once)
 
     def _trace(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         # Counters are those of the CPU's nodes.

@@ -23,14 +23,12 @@ from raystream.cuda.launch import DeviceScene, RayLauncher, Steps, resume
 from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.rounds import ProgramRounds
 from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
-from raystream.cuda.query_kernels import CountAddresses, RowAddresses
 from raystream.cuda.rays import place_device_rays
 from raystream.cuda.scan import prefix_sum
-from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays, HitBatch, Sink
-from raystream.kernels.ray_source import ResultAddresses
+from raystream.kernels.queries import CountAddresses, RowAddresses
 from raystream.programs.loop_source import Goal
 
 __all__ = ["QUERIES", "DeviceQuery", "trace_on_device"]
@@ -158,6 +156,13 @@ class DeviceQuery(ABC):
     def _shaped(self, array: DeviceArray) -> DeviceArray:
         return array.shaped(self.rays.rays.shape)
 
+    def _hits(self, hits: HitBlock, shape: tuple[int, ...]) -> tuple[Any, ...]:
+        """The arguments of results with hits, in order, besides the first one of several."""
+        t, u, v, numbers = hits.columns(shape)
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return t, u, v, prim_id, status, triangles, instance_id
+
     def _program(self) -> ProgramRounds | None:
         """The rounds of the filter, if the query has one."""
         if self.query.on_hit is None or self.query.limit == 0:
@@ -167,9 +172,8 @@ class DeviceQuery(ABC):
     def _count(self, limit: int) -> DeviceArray:
         """Count the hits of each ray, at most `limit`, and write the status."""
         counts = self.scope.empty("counts", len(self.rays), np.int64)
-        wanted = bool(self.query.surfaces), np.uint64(limit)
-        to = CountAddresses(self.status.address, counts.address)
-        self.rays.launch(self.scene.kernels.count_hits, *wanted, to)
+        to = CountAddresses.of(self.query._replace(limit=limit), counts.address)
+        self.rays.launch(self.scene.kernels.count_hits, to, status=self.status.address)
         return counts
 
 
@@ -182,8 +186,8 @@ class FirstHit(DeviceQuery):
         program = self._program()
         self.hits = HitBlock.empty(self.rays, len(self.rays))
         self.status = self._cleared("status", np.uint8)
-        to = ResultAddresses(*self.hits.addresses, NULL, self.status.address)
-        self.rays.launch(self.scene.kernels.first_hit, to)
+        kernel, to = self.scene.kernels.first_hit, self.hits.addresses
+        self.rays.launch(kernel, to, status=self.status.address)
         if program is not None:
             yield from program.replace_rejected(self.hits.addresses)
 
@@ -192,10 +196,7 @@ class FirstHit(DeviceQuery):
         return self.hits.block, self.status
 
     def result(self) -> DeviceHits:
-        t, u, v, numbers = self.hits.columns(self.rays.rays.shape)
-        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
-        status, triangles = self._shaped(self.status), self.scene.triangles
-        return DeviceHits(t, u, v, prim_id, status, triangles, instance_id)
+        return DeviceHits(*self._hits(self.hits, self.rays.rays.shape))
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         self.hits.copy_rows(copies[0], sink.hits.part(rows))
@@ -211,9 +212,8 @@ class AnyHit(DeviceQuery):
         if self.query.on_hit is None:
             self.seen = self.scope.empty("answers", len(self.rays), np.bool_)
             self.status = self._cleared("status", np.uint8)
-            nowhere = NULL, NULL, NULL, NULL
-            to = ResultAddresses(*nowhere, self.seen.address, self.status.address)
-            self.rays.launch(self.scene.kernels.any_hit, to)
+            kernel, to = self.scene.kernels.any_hit, self.seen.address
+            self.rays.launch(kernel, to, status=self.status.address)
             return
         nearest = FirstHit(self.query, self.rays)
         yield from nearest.launch()
@@ -299,8 +299,9 @@ class MultiHit(DeviceQuery):
     def _write(self) -> None:
         """Write the hits of each ray to its rows."""
         self.found = self.scope.empty("counts", len(self.rays), np.int64)
-        to = RowAddresses(self.splits.address, self.hits.addresses, self.found.address)
-        self.rays.launch(self.scene.kernels.multi_hit, bool(self.query.surfaces), to)
+        splits, found = self.splits.address, self.found.address
+        to = RowAddresses(self.query.surfaces, splits, self.hits.addresses, found)
+        self.rays.launch(self.scene.kernels.multi_hit, to)
 
     @property
     def outputs(self) -> tuple[DeviceArray, ...]:
@@ -309,10 +310,7 @@ class MultiHit(DeviceQuery):
         return self.hits.block, self.splits, self.status
 
     def result(self) -> DeviceMultiHits:
-        t, u, v, numbers = self.hits.columns((self.hits.hit_count,))
-        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
-        status, triangles = self._shaped(self.status), self.scene.triangles
-        return DeviceMultiHits(self.splits, t, u, v, prim_id, status, triangles, instance_id)
+        return DeviceMultiHits(self.splits, *self._hits(self.hits, (self.hits.hit_count,)))
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         if self._splits is not None:

@@ -15,9 +15,8 @@ from raystream.cuda.rendering.columns import HitColumns, StreamColumns
 from raystream.cuda.rendering.kernels import GENERATE_CAMERA_RAYS
 from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
-from raystream.jit.constants import NULL
-from raystream.jit.cuda import Gpu, RangeKernel
-from raystream.kernels.ray_source import ResultAddresses
+from raystream.jit.cuda import RangeKernel
+from raystream.kernels.queries import RayScene
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.integrator import RenderContext
 from raystream.rendering.sampling.sampler import PixelSample
@@ -25,10 +24,8 @@ from raystream.rendering.shading.camera_rays import view_of
 from raystream.rendering.shading.streams import ShadingBatch
 
 if TYPE_CHECKING:
-    from raystream.cuda.query_kernels import QueryKernels
+    from raystream.cuda.launch import DeviceScene
     from raystream.cuda.staging import StagingStream
-    from raystream.cuda.structures import Resident
-    from raystream.kernels.ray import SceneFrame
 
 
 class RenderScene:
@@ -36,11 +33,7 @@ class RenderScene:
 
     Parameters
     ----------
-    gpu : Gpu
-    kernels : QueryKernels
-    resident : Resident
-        The structure.
-    frame : SceneFrame
+    queries : DeviceScene
     context : RenderContext
 
     Attributes
@@ -50,21 +43,13 @@ class RenderScene:
         None for cameras whose paths begin on the host.
     """
 
-    def __init__(
-        self,
-        gpu: Gpu,
-        kernels: QueryKernels,
-        resident: Resident,
-        frame: SceneFrame,
-        context: RenderContext,
-    ) -> None:
-        self.gpu, self.kernels, self.resident, self.frame = gpu, kernels, resident, frame
-        self.context = context
+    def __init__(self, queries: DeviceScene, context: RenderContext) -> None:
+        self.queries, self.gpu, self.context = queries, queries.gpu, context
         self.sampler: Any = plain(context.sampler)
         self.view: Any = None
         if context.camera.projection == "perspective":
             self.view = plain(view_of(context.camera, context.width, context.height))
-        self._memory = TableMemory(gpu, context.kept)
+        self._memory = TableMemory(self.gpu, context.kept)
         self._placed: dict[str, Any] = {}
         self._lock = threading.Lock()
 
@@ -192,15 +177,13 @@ class DeviceBand:
         kernel.launch(self.scene.gpu, count, arguments, self._staging.stream.native)
 
     def trace(
-        self, kernel: RangeKernel, rays: StreamColumns, count: int, has_ends: bool, **to: np.uint64
+        self, kernel: RangeKernel, rays: StreamColumns, count: int, has_ends: bool, to: Any
     ) -> None:
-        """Launch a query for rays; `to` are the addresses of its results."""
+        """Launch a query of rays that writes to `to`."""
         status = self.empty("status", count, np.uint8)  # not read
-        places = dict.fromkeys(ResultAddresses._fields, NULL) | to
-        places["status"] = status.address
-        source = rays.source(*self._limits, has_ends)
-        scene, answers = self.scene, ResultAddresses(**places)
-        self.run(kernel, count, source, scene.frame, scene.resident.tree, None, answers)
+        source, held = rays.source(*self._limits, has_ends), self.scene.queries
+        shared = source, held.frame, held.resident.tree, status.address
+        self.run(kernel, count, RayScene(*shared, None, None), to)
 
     def wait(self) -> None:
         """Wait until all launches are done."""
