@@ -53,18 +53,17 @@ def wide_leaves(tree):
 
 
 def prim_ids_of(triangles):
-    return triangles.view(np.int32)[:, 3]
+    return triangles.view(np.int32)[:, 9]
 
 
 def binary_leaves(nodes, triangles):
     """`wide_leaves` of the binary layout: all that contain a leaf."""
-    links, is_last = nodes.view(np.int32)[:, 12:14], triangles.view(np.int32)[:, 7]
+    links, is_last = nodes.view(np.int32)[:, 6::8], triangles.view(np.int32)[:, 10]
     pending = [(0, np.full(3, -np.inf), np.full(3, np.inf))] if len(nodes) else []
     while pending:
         row, outer_low, outer_high = pending.pop()
         for side in range(2):
-            places = [[4 * side, 4 * side + 2, 8 + 2 * side]]
-            low, high = nodes[row, np.add(places, [[0], [1]])]
+            low, high = nodes[row, 8 * side : 8 * side + 6].reshape(3, 2).T
             link = int(links[row, side])
             if not (low <= high).all():
                 continue
@@ -78,9 +77,9 @@ def binary_leaves(nodes, triangles):
 
 def check_layout(structure):
     """Each triangle of a leaf is within leaves whose boxes, and those around them, contain it."""
-    _, arrays = lay_out(structure)
+    arrays = lay_out(structure).arrays
     found = {}
-    for low, high, ids in binary_leaves(arrays["nodes"], arrays["triangles"]):
+    for low, high, ids in binary_leaves(arrays["nodes"], arrays["leaves"]):
         for one in ids.tolist():
             found.setdefault(one, []).append((low, high))
     entries = 0
@@ -88,9 +87,9 @@ def check_layout(structure):
         for one in ids.tolist():
             entries += 1
             assert any((a <= low).all() and (b >= high).all() for a, b in found[one])
-    assert entries == len(arrays["triangles"]) == sum(map(len, found.values()))
-    corners = arrays["triangles"].reshape(-1, 3, 4)[:, :, :3]
-    ids = prim_ids_of(arrays["triangles"])
+    assert entries == len(arrays["leaves"]) == sum(map(len, found.values()))
+    corners = arrays["leaves"][:, :9].reshape(-1, 3, 3)
+    ids = prim_ids_of(arrays["leaves"])
     np.testing.assert_array_equal(corners, structure.triangles.corners[ids])
 
 
@@ -126,7 +125,7 @@ def test_triangles_that_moved_away_are_left_out():
 def depth_of(nodes):
     """Nodes on the longest path; parents come before their children."""
     depths = np.ones(len(nodes), int)
-    for row, links in enumerate(nodes.view(np.int32)[:, 12:14]):
+    for row, links in enumerate(nodes.view(np.int32)[:, 6::8]):
         depths[links[links > 0]] = depths[row] + 1
     return depths.max()
 
@@ -136,9 +135,9 @@ def test_too_deep_trees_are_balanced(monkeypatch):
     corners = np.repeat(4.0 ** np.arange(12), 3).reshape(-1, 3, 1) * np.eye(3)
     structure = bvh_of(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3), max_leaf_size=1)
     most = 3 * structure.quality()["depth"]
-    assert depth_of(unfold(structure.tree)["nodes"]) > most
+    assert depth_of(unfold(*structure.tree).nodes) > most
     monkeypatch.setattr(binary, "ANY_SHAPE_DEPTH", 0)
-    assert depth_of(unfold(structure.tree)["nodes"]) <= most
+    assert depth_of(unfold(*structure.tree).nodes) <= most
     check_layout(structure)
 
 
@@ -147,7 +146,7 @@ def test_too_deep_trees_are_balanced(monkeypatch):
 
 def traced(structure, case, splits):
     """First hits, and all hits for which there are rows, by the layout's kernels on the CPU."""
-    kernels, (tree, _kept) = kernels_of("bvh"), lay_out(structure)
+    kernels, (tree, *_kept) = kernels_of("bvh"), lay_out(structure)
     batch = RayBatch(case.origins, case.directions, case.t_min, case.t_max)
     source, _also = RaySource.of(batch.origins, batch.directions, batch.limits)
     status = np.zeros(len(batch), np.uint8)

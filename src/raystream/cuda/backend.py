@@ -9,7 +9,7 @@ from raystream.core.errors import RaystreamError
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.core.triangles import Triangles
-from raystream.cuda.bvh.kernels import has_binary_layout, traced_as
+from raystream.cuda.bvh.kernels import layout_of, traced_as
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.host_rays import trace_from_host
 from raystream.cuda.launch import DeviceScene
@@ -82,7 +82,7 @@ class CudaBackend(Backend):
             DeviceTriangles(gpu, structure.triangles),
             HitIds(gpu, structure.triangles),
         )
-        self._own_scene = None if has_binary_layout(traced_as(structure)) else self._scene
+        self._own_scene = None if layout_of(traced_as(structure)) else self._scene
         #: Whether the scene has triangles alone, where they are: for shading and programs.
         self._is_plain = isinstance(structure.triangles, Triangles)
         self._staging_streams = StagingStreams(gpu)

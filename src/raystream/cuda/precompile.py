@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
-from raystream.cuda.bvh.kernels import has_binary_layout, lay_out, traced_as
+from raystream.cuda.bvh.kernels import lay_out, layout_of, traced_as
 from raystream.cuda.hit_ids import HALVE, SPLIT, InstanceIds
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.point_kernels import nearest_kernel
@@ -124,7 +124,7 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
         *(
             (f"{name}, own layout", name, {"is_own": True})
             for name in STRUCTURES
-            if has_binary_layout(name)
+            if layout_of(name)
         ),
         *((f"{one}, float64", one, {"precision": "float64"}) for one in ("bvh", "brute")),
     ]

@@ -16,7 +16,7 @@ from raystream.cuda.builders.device_resident import DeviceResident, finish
 from raystream.cuda.builders.linear import link_by_keys
 from raystream.cuda.builders.refit import cost_of, refit
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
-from raystream.cuda.bvh.binary import BinaryAddresses, unfold_on_device
+from raystream.cuda.bvh.binary import unfold_on_device
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
@@ -66,7 +66,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
         """New binary nodes of the tree as it is now."""
         nodes, leaves, levels = self.wide
         arrays = unfold_on_device(self.gpu, nodes, leaves, len(levels) - 1)
-        return Resident(BinaryAddresses(*(one.address for one in arrays)), arrays)
+        return Resident(TreeAddresses(*(one.address for one in arrays)), arrays)
 
     @cached_property
     def _on_host(self) -> BvhStructure:

@@ -1,0 +1,184 @@
+"""Instances on the GPU: one loop through the tree over them and the trees of their objects.
+
+Where a ray enters an instance, a mark on the stack says that the ray goes on outside when all
+within has been visited. So the threads of a warp visit nodes together, be it those of the tree over
+the instances or of an object, and there is one stack.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.bvh import binary
+from raystream.cuda.bvh.binary_traversal import DONE, ENTRY, ROOT, pop, ray_traversal
+from raystream.cuda.bvh.kernels import LaidOut, with_arrays
+from raystream.cuda.bvh.triangles import search_triangles
+from raystream.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
+from raystream.instances.structure import InstancedBvh
+from raystream.instances.traversal import WorldRay, object_ray
+from raystream.jit.constants import NULL, TWO_U64, ZERO_U64
+from raystream.jit.cpu import device
+from raystream.jit.simd import store
+from raystream.jit.views import view
+from raystream.kernels.ray import Ray, prepare_ray
+from raystream.kernels.search import InstanceRay, Search, enter_instance, is_full, leave_instance
+from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
+
+#: The mark on the stack: no leaf has this link.
+_LEAVE = np.int32(-(2**31))
+
+_LEAF_SHIFT = np.int32(3)
+_TREE = np.uint64(TREE.itemsize)
+
+
+#: A ray outside of the instances, in memory while it is inside one: the tree there, the ray in the
+#: scene and in the world, and the interval and distances of its search.
+_OUTSIDE = np.dtype(
+    [
+        ("nodes", "u8"),
+        ("leaves", "u8"),
+        ("axes", "u8", 3),
+        ("world", "f8", 6),
+        ("t_scale", "f8"),
+        ("t_offset", "f8"),
+        ("numbers", "f4", 18),
+        ("world_t_min", "f4"),
+        ("world_t_max", "f4"),
+        ("t_min", "f4"),
+        ("t_far", "f4"),
+    ]
+)
+_Outside = view(_OUTSIDE)
+
+#: Bytes of a search's memory: this, the stacks of two trees, and a mark.
+STACK_BYTES = _OUTSIDE.itemsize + 2 * binary.STACK_BYTES + 8
+
+_MEMORY = np.uint64(_OUTSIDE.itemsize)
+
+
+class _Place(NamedTuple):
+    """Where a ray is: in the tree over the instances, or in that of an object.
+
+    Attributes
+    ----------
+    nodes, leaves : uint64
+        Of this tree.
+    objects : uint64
+        Address of the first `ObjectRecord`.
+    is_inside : bool
+        Whether it is an object's.
+    outside : uint64
+        Address of an `_Outside`.
+    """
+
+    nodes: np.uint64
+    leaves: np.uint64
+    objects: np.uint64
+    is_inside: bool
+    outside: np.uint64
+
+
+@device
+def _at_leaf(place, ray, search, link, stack, top):
+    """Test the triangles of an object, enter an instance, or leave it; see `binary_walk`."""
+    _, leaves, objects, is_inside, at = place
+    if link == _LEAVE:
+        place, ray, search = _left(objects, at, search)
+    elif is_inside:
+        search, is_over = search_triangles(place, link, ray, search)
+        if is_over:
+            return place, ray, search, DONE, top
+    else:
+        outside = _Outside(at)
+        instance = InstanceRecord(leaves, np.uint64(np.int32(~link) >> _LEAF_SHIFT))
+        object_ = ObjectRecord(objects, np.uint64(instance.object_id))
+        world = WorldRay(*outside.world, outside.world_t_min, outside.world_t_max, True)
+        local = object_ray(instance, world, object_)
+        inner = enter_instance(search, local, instance.first_id)
+        if inner.t_min <= inner.t_far and object_.nodes != NULL:
+            outside.t_far = search.t_far
+            store(top, _LEAVE)
+            place = _Place(object_.nodes, object_.leaves, objects, True, at)
+            origin, reach = (local.ox, local.oy, local.oz), object_.max_coordinate
+            ray = prepare_ray(*origin, local.dx, local.dy, local.dz, reach)
+            return place, ray, inner, ROOT, top + ENTRY
+    link, top = pop(stack, top)
+    return place, ray, search, link, top
+
+
+@device
+def _left(objects, at, inner):
+    """The place, ray and search outside of the instance that the ray leaves."""
+    outside = _Outside(at)
+    search = Search(
+        outside.t_min,
+        outside.t_far,
+        inner.hit_count,
+        inner.capacity,
+        inner.hits,
+        inner.first_row,
+        inner.surfaces,
+        inner.counters,
+        inner.filter,
+        InstanceRay(outside.t_scale, outside.t_offset, np.int32(0)),
+    )
+    place = _Place(outside.nodes, outside.leaves, objects, False, at)
+    ray = Ray(*outside.axes, *outside.numbers)
+    return place, ray, leave_instance(search, inner)
+
+
+_traverse_tree = ray_traversal(_at_leaf)
+
+
+@device
+def traverse(scene, ray, search, stack):
+    """Search the instances of the ray's world, then those of all worlds."""
+    top, whole, outside = scene.top, scene.ray, _Outside(stack)
+    outside.axes = ray.kx, ray.ky, ray.kz
+    outside.numbers = ray[3:]
+    outside.world = whole[:6]
+    outside.world_t_min, outside.world_t_max = whole.t_min, whole.t_max
+    outside.t_scale, outside.t_offset = search.instance.t_scale, search.instance.t_offset
+    outside.t_min = search.t_min
+    for k in range(TWO_U64):
+        if k == ZERO_U64 and scene.world < np.int32(0):
+            continue
+        at = top.trees + np.uint64(scene.world) * _TREE if k == ZERO_U64 else top.shared
+        tree = TreeRecord(at)
+        outside.nodes, outside.leaves = tree.nodes, tree.leaves
+        place = _Place(tree.nodes, tree.leaves, top.objects, False, stack)
+        search = _traverse_tree(place, ray, search, stack + _MEMORY)
+        if is_full(search):
+            break
+    return search
+
+
+def lay_out(structure: InstancedBvh) -> LaidOut:
+    """Convert the trees over the instances; see `bvh.kernels.LAYOUTS`."""
+    first, memory = structure.trees.first_nodes, structure.memory
+    # The trees are a row of them: links become those of one tree, and back.
+    nodes = memory["nodes"].copy()
+    begins = np.repeat(first[:-1], np.diff(first))[:, None]
+    _add(nodes[:, CHILDREN_AT // 4 :][:, :WIDTH], begins)
+    made = binary.unfold(nodes)
+    starts = made.firsts[first]
+    _add(made.nodes.reshape(-1, 2, 8)[:, :, 6], -np.repeat(starts[:-1], np.diff(starts))[:, None])
+    trees = memory["trees"].copy()
+    has_nodes = trees["nodes"] != 0
+    places = made.nodes.ctypes.data + starts[:-1] * made.nodes.strides[0]
+    trees["nodes"] = np.where(has_nodes, places, 0)
+    laid = with_arrays(structure, {"nodes": made.nodes, "trees": trees})
+    shared = np.uint64(trees.ctypes.data + trees.nbytes - TREE.itemsize)
+
+    def objects():
+        return [one for held in structure.objects for one in binary.unfold(*held.tree)[:2]]
+
+    return laid._replace(tree=laid.tree._replace(shared=shared), nested=objects)
+
+
+def _add(links, first):
+    """Add a number to links to nodes, in place."""
+    links = links.view(np.int32)
+    links += np.where(links > 0, first, 0).astype(np.int32)
