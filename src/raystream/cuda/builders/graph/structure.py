@@ -135,7 +135,7 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
     prim_ids = gpu.empty("triangles of blocks", (block_count, 4), np.int32)
     given = ordered.leaves, tree.boxes, lists.lists, lists.sizes, firsts, rows, prim_ids
     addresses = tuple(one.address for one in given)
-    sectors.KERNELS.write_sector.launch(gpu, sector_count, addresses)
+    sectors.write_sector.launch(gpu, sector_count, addresses)
     linked.write(gpu, rows)
     bins = _fill_bins(gpu, triangles, tree, ordered)
     blocks = gpu.empty("blocks", (block_count, BLOCK_FLOATS), np.float32)
@@ -154,5 +154,5 @@ def _fill_bins(gpu: Gpu, triangles: Triangles, tree: GrownTree, ordered: Ordered
     of_tree = tree.nodes.address, ordered.sectors.address
     _, y_count, z_count = map(np.uint64, counts)
     given = *of_tree, *of_places, y_count, z_count, bins.address
-    sectors.KERNELS.fill_bin.launch(gpu, bins.size, given)
+    sectors.fill_bin.launch(gpu, bins.size, given)
     return bins
