@@ -23,39 +23,36 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.jit.views import view
 from raystream.kernels.ray import Ray, prepare_ray
-from raystream.kernels.search import InstanceRay, Search, enter_instance, is_full, leave_instance
+from raystream.kernels.search import enter_instance, is_full
 from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
 
 #: The mark on the stack: no leaf has this link.
 _LEAVE = np.int32(-(2**31))
 
 _LEAF_SHIFT = np.int32(3)
-_TREE = np.uint64(TREE.itemsize)
+_NO_ID = np.int32(0)
 
+_LIMITS = [("t_min", "f4"), ("t_max", "f4")]
+_WORLD = np.dtype([*((name, "f8") for name in WorldRay._fields[:6]), *_LIMITS])
 
-#: A ray outside of the instances, in memory while it is inside one: the tree there, the ray in the
-#: scene and in the world, and the interval and distances of its search.
+#: A ray while it is inside an instance: the tree and the ray outside, and there the interval and
+#: distances of its search, by the names of a `LocalRay`; and the ray in the world.
 _OUTSIDE = np.dtype(
     [
-        ("nodes", "u8"),
-        ("leaves", "u8"),
-        ("axes", "u8", 3),
-        ("world", "f8", 6),
+        *((name, "u8") for name in ("nodes", "leaves", "objects")),
+        ("world", _WORLD),
         ("t_scale", "f8"),
         ("t_offset", "f8"),
+        ("axes", "u8", 3),
         ("numbers", "f4", 18),
-        ("world_t_min", "f4"),
-        ("world_t_max", "f4"),
-        ("t_min", "f4"),
-        ("t_far", "f4"),
+        *_LIMITS,
     ]
 )
 _Outside = view(_OUTSIDE)
+_MEMORY = np.uint64(_OUTSIDE.itemsize)
 
 #: Bytes of a search's memory: this, the stacks of two trees, and a mark.
 STACK_BYTES = _OUTSIDE.itemsize + 2 * binary.STACK_BYTES + 8
-
-_MEMORY = np.uint64(_OUTSIDE.itemsize)
 
 
 class _Place(NamedTuple):
@@ -65,8 +62,6 @@ class _Place(NamedTuple):
     ----------
     nodes, leaves : uint64
         Of this tree.
-    objects : uint64
-        Address of the first `ObjectRecord`.
     is_inside : bool
         Whether it is an object's.
     outside : uint64
@@ -75,7 +70,6 @@ class _Place(NamedTuple):
 
     nodes: np.uint64
     leaves: np.uint64
-    objects: np.uint64
     is_inside: bool
     outside: np.uint64
 
@@ -83,50 +77,29 @@ class _Place(NamedTuple):
 @device
 def _at_leaf(place, ray, search, link, stack, top):
     """Test the triangles of an object, enter an instance, or leave it; see `binary_walk`."""
-    _, leaves, objects, is_inside, at = place
+    outside = _Outside(place.outside)
     if link == _LEAVE:
-        place, ray, search = _left(objects, at, search)
-    elif is_inside:
+        # The scene is entered as an instance would be: what is left of its interval is the same.
+        search = enter_instance(search, outside, _NO_ID)
+        ray = Ray(*outside.axes, *outside.numbers)
+        place = _Place(outside.nodes, outside.leaves, False, place.outside)
+    elif place.is_inside:
         search, is_over = search_triangles(place, link, ray, search)
         if is_over:
             return place, ray, search, DONE, top
     else:
-        outside = _Outside(at)
-        instance = InstanceRecord(leaves, np.uint64(np.int32(~link) >> _LEAF_SHIFT))
-        object_ = ObjectRecord(objects, np.uint64(instance.object_id))
-        world = WorldRay(*outside.world, outside.world_t_min, outside.world_t_max, True)
-        local = object_ray(instance, world, object_)
-        inner = enter_instance(search, local, instance.first_id)
+        instance = InstanceRecord(place.leaves, np.uint64(np.int32(~link) >> _LEAF_SHIFT))
+        object_ = ObjectRecord(outside.objects, np.uint64(instance.object_id))
+        one = object_ray(instance, outside.world, object_)
+        inner = enter_instance(search, one, instance.first_id)
         if inner.t_min <= inner.t_far and object_.nodes != NULL:
-            outside.t_far = search.t_far
             store(top, _LEAVE)
-            place = _Place(object_.nodes, object_.leaves, objects, True, at)
-            origin, reach = (local.ox, local.oy, local.oz), object_.max_coordinate
-            ray = prepare_ray(*origin, local.dx, local.dy, local.dz, reach)
+            reach = object_.max_coordinate
+            ray = prepare_ray(one.ox, one.oy, one.oz, one.dx, one.dy, one.dz, reach)
+            place = _Place(object_.nodes, object_.leaves, True, place.outside)
             return place, ray, inner, ROOT, top + ENTRY
     link, top = pop(stack, top)
     return place, ray, search, link, top
-
-
-@device
-def _left(objects, at, inner):
-    """The place, ray and search outside of the instance that the ray leaves."""
-    outside = _Outside(at)
-    search = Search(
-        outside.t_min,
-        outside.t_far,
-        inner.hit_count,
-        inner.capacity,
-        inner.hits,
-        inner.first_row,
-        inner.surfaces,
-        inner.counters,
-        inner.filter,
-        InstanceRay(outside.t_scale, outside.t_offset, np.int32(0)),
-    )
-    place = _Place(outside.nodes, outside.leaves, objects, False, at)
-    ray = Ray(*outside.axes, *outside.numbers)
-    return place, ray, leave_instance(search, inner)
 
 
 _traverse_tree = ray_traversal(_at_leaf)
@@ -136,19 +109,22 @@ _traverse_tree = ray_traversal(_at_leaf)
 def traverse(scene, ray, search, stack):
     """Search the instances of the ray's world, then those of all worlds."""
     top, whole, outside = scene.top, scene.ray, _Outside(stack)
-    outside.axes = ray.kx, ray.ky, ray.kz
-    outside.numbers = ray[3:]
-    outside.world = whole[:6]
-    outside.world_t_min, outside.world_t_max = whole.t_min, whole.t_max
+    outside.objects = top.objects
+    world = outside.world
+    world.ox, world.oy, world.oz = whole.ox, whole.oy, whole.oz
+    world.dx, world.dy, world.dz = whole.dx, whole.dy, whole.dz
+    world.t_min, world.t_max = whole.t_min, whole.t_max
     outside.t_scale, outside.t_offset = search.instance.t_scale, search.instance.t_offset
-    outside.t_min = search.t_min
+    outside.axes, outside.numbers = ray[:3], ray[3:]
+    outside.t_min, outside.t_max = search.t_min, search.t_far
     for k in range(TWO_U64):
-        if k == ZERO_U64 and scene.world < np.int32(0):
+        if k == ZERO_U64 and scene.world < _NO_ID:
             continue
-        at = top.trees + np.uint64(scene.world) * _TREE if k == ZERO_U64 else top.shared
-        tree = TreeRecord(at)
+        tree = TreeRecord(top.shared)
+        if k == ZERO_U64:
+            tree = TreeRecord(top.trees, np.uint64(scene.world))
         outside.nodes, outside.leaves = tree.nodes, tree.leaves
-        place = _Place(tree.nodes, tree.leaves, top.objects, False, stack)
+        place = _Place(tree.nodes, tree.leaves, False, stack)
         search = _traverse_tree(place, ray, search, stack + _MEMORY)
         if is_full(search):
             break
