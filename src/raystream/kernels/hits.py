@@ -14,6 +14,7 @@ from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for, thread_count
+from raystream.kernels.aligned import array_address
 from raystream.kernels.tally import new_tallies
 
 #: From this many hits on the free memory is checked, which takes longer than a small query.
@@ -105,12 +106,20 @@ class HitAddresses(NamedTuple):
     @classmethod
     def of(cls, hits: HitArrays) -> HitAddresses:
         """Addresses of hits; the caller keeps the arrays alive."""
-        return cls(*np.array([one.ctypes.data for one in hits], np.uint64))
+        t, u, v, prim_id = hits
+        return cls(
+            np.uint64(array_address(t)),
+            np.uint64(array_address(u)),
+            np.uint64(array_address(v)),
+            np.uint64(array_address(prim_id)),
+        )
 
     @classmethod
-    def of_rows(cls, address: np.uint64, count: int, item_bytes: int = 4) -> HitAddresses:
+    def of_rows(cls, address: int, count: int, item_bytes: int = 4) -> HitAddresses:
         """Addresses of the rows of an array of shape (4, count)."""
-        return cls(*(address + np.uint64(item_bytes * count * k) for k in range(4)))
+        at, step = int(address), item_bytes * count
+        rows = np.uint64(at), np.uint64(at + step), np.uint64(at + 2 * step)
+        return cls(*rows, np.uint64(at + 3 * step))
 
 
 @device
@@ -296,6 +305,10 @@ class HitAccumulator:
 
     def whole(self) -> tuple[NDArray[np.int64], HitArrays]:
         """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
+        if len(self._parts) == 1:
+            only, found, ids, _ = self._parts[0]
+            if ids is _NO_IDS and found is not None and len(found) == len(self._counts) + 1:
+                return found, only  # a small batch
         splits = np.zeros(len(self._counts) + 1, np.int64)
         np.cumsum(self._counts, out=splits[1:])
         hits = allocate_hits(int(splits[-1]))

@@ -98,8 +98,8 @@ class Backend(ABC):
         Returns
         -------
         callable or None
-            ``cast(ox, oy, oz, dx, dy, dz, t_min, t_max) -> ((t, u, v, prim_id), status)``: Python
-            floats in world space to Python numbers. Several threads may call it.
+            ``cast((ox, oy, oz, dx, dy, dz, t_min, t_max)) -> ((t, u, v, prim_id), status)``:
+            Python floats in world space to Python numbers. Several threads may call it.
         """
         return None
 

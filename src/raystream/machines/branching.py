@@ -11,9 +11,17 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, rising, thread_count
+from raystream.kernels.aligned import array_address
 from raystream.kernels.growing_buffers import GrowingBuffers
-from raystream.kernels.hits import HitAccumulator, HitArrays, HitBatch, Sink, allocate_hits
-from raystream.kernels.queries import Wanted, output_of
+from raystream.kernels.hits import (
+    HitAccumulator,
+    HitAddresses,
+    HitArrays,
+    HitBatch,
+    Sink,
+    allocate_hits,
+)
+from raystream.kernels.queries import HitLimits, RayScene, RowAddresses, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
@@ -35,12 +43,14 @@ class HitRows(NamedTuple):
     """Buffers for `RayQueries.collect_hits`."""
 
     hits: HitArrays
+    addresses: HitAddresses
     capacity: int
 
     @classmethod
     def of(cls, capacity: int) -> HitRows:
         """Allocate `capacity` hits."""
-        return cls(allocate_hits(capacity), capacity)
+        hits = allocate_hits(capacity)
+        return cls(hits, HitAddresses.of(hits), capacity)
 
 
 class Branching(Backend):
@@ -149,19 +159,35 @@ class Branching(Backend):
             The rays' frame [default: the scene's].
         """
         structure = self.structure
-        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
-        kernel = structure.queries[query.kind]
-        output = output_of(query, sink)
-        arrays = structure.arrays_for(query, rays, sink)
-        shared = source, structure.frame if frame is None else frame, arrays, sink.tallies
+        scene, kept = self._scene_of(query, rays, sink, frame)
+        kernel, out = structure.queries[query.kind], output_of(query, sink)
+        size = call_size(len(rays), _LEAST, structure.rays_per_call())
+        if len(rays) <= size and progress is None:  # small batches
+            kernel(0, len(rays), scene, out)
+            return
 
         def body(begin: int, end: int) -> None:
-            kernel(begin, end, *shared, *output)
+            kernel(begin, end, scene, out)
 
-        parallel_for(
-            body, len(rays), call_size(len(rays), _LEAST, structure.rays_per_call()), progress
-        )
+        parallel_for(body, len(rays), size, progress)
         del kept  # the kernel reads it by address
+
+    def _scene_of(
+        self, query: Query, rays: RayBatch, sink: Sink, frame: SceneFrame | None = None
+    ) -> tuple[RayScene, object]:
+        """The arguments that rays share, and the objects to keep alive until they are traced."""
+        structure, tallies = self.structure, sink.tallies
+        has_filter = query.kind is Kind.FIRST_HIT or query.kind is Kind.ANY_HIT
+        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
+        scene = RayScene(
+            source,
+            structure.frame if frame is None else frame,
+            structure.arrays_for(query, rays, sink),
+            np.uint64(array_address(sink.status)),
+            None if tallies is None else np.uint64(array_address(tallies)),
+            query.on_hit if has_filter else None,
+        )
+        return scene, kept
 
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Pass all hits to the sink's visitor."""
@@ -169,14 +195,14 @@ class Branching(Backend):
         if trace_batch(structure, query, rays, sink, progress):
             return
         assert visitor is not None
-        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
-        arrays = structure.arrays_for(query, rays, sink)
-        shared = source, structure.frame, arrays, np.uint64(sink.status.ctypes.data)
-        wanted = Wanted.of(query)
+        scene, kept = self._scene_of(query, rays, sink)
+        limits = HitLimits.of(query)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)
-            reached = structure.queries.collect_hits(begin, end, *shared, wanted, splits, rows.hits)
+            to = RowAddresses(limits, np.uint64(array_address(splits)), rows.addresses, None)
+            room = np.uint64(rows.capacity)
+            reached = structure.queries.collect_hits(begin, end, scene, to, room)
             if reached > begin:
                 visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, begin))
             return int(reached)

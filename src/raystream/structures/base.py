@@ -19,7 +19,7 @@ from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
-from raystream.kernels.queries import RayQueries, Searches, ray_queries, searches
+from raystream.kernels.queries import RayQueries, RaySearches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.registry import StructureOptions
@@ -112,7 +112,7 @@ class Structure(ABC):
 
     traverse: ClassVar[Callable[..., Any]]
     stack_bytes: ClassVar[int] = 8
-    make_searches: ClassVar[Callable[..., Searches]] = staticmethod(searches)
+    make_searches: ClassVar[Callable[..., RaySearches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
     precision: ClassVar[str] = "float32"
     batch_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})

@@ -20,13 +20,14 @@ from raystream.kernels.ray_source import load_direction, load_origin
 
 
 @device
-def _ray(source, i, frame, status):
-    """Ray i, prepared; its status is written if it is invalid, unless `status` is None."""
+def _ray(scene, i):
+    """Ray i, prepared; its status is written if it is invalid, unless there is none."""
+    source = scene.source
     t_min = load(np.float64, source.t_min + i * source.t_min_step)
     t_max = load(np.float64, source.t_max + i * source.t_max_step)
     origin, direction = load_origin(source, i), load_direction(source, i)
-    ray = prepare_float64(origin, direction, t_min, t_max, frame)
-    note_status(status, i, ray.status)
+    ray = prepare_float64(origin, direction, t_min, t_max, scene.frame)
+    note_status(scene.status, i, ray.status)
     return ray
 
 
@@ -47,34 +48,32 @@ def make_float64_kernels(searches: Searches) -> QueryKernels:
     nearest, anything, count, keep = searches
 
     @kernel
-    def first_hit(i, source, frame, tree, _tallies, out):
+    def first_hit(i, scene, hits):
         memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-        ray = _ray(source, i, frame, out.status)
-        write_nearest(out, i, nearest(tree, ray, memory), ray)
+        ray = _ray(scene, i)
+        write_nearest(hits, i, nearest(scene.arrays, ray, memory), ray)
 
     @kernel
-    def any_hit(i, source, frame, tree, _tallies, out):
+    def any_hit(i, scene, seen):
         memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-        ray = _ray(source, i, frame, out.status)
-        store(out.seen + i, np.uint8(anything(tree, ray, memory)))
+        store(seen + i, np.uint8(anything(scene.arrays, _ray(scene, i), memory)))
 
     @kernel
-    def count_hits(i, source, frame, tree, _tallies, surfaces, limit, out):
-        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-        ray = _ray(source, i, frame, out.status)
-        total = count(tree, ray, limit, surfaces, memory)
+    def count_hits(i, scene, out):
+        memory, limits = (scratch(STACK_BYTES), scratch(LANES_BYTES)), out.limits
+        total = count(scene.arrays, _ray(scene, i), limits.most, limits.surfaces, memory)
         store(out.counts + (i << SHIFT_64), np.int64(total))
 
     @kernel
-    def multi_hit(i, source, frame, tree, _tallies, surfaces, out):
+    def multi_hit(i, scene, out):
         first = np.uint64(load(np.int64, out.splits + (i << SHIFT_64)))
         capacity = np.uint64(load(np.int64, out.splits + ((i + ONE_U64) << SHIFT_64))) - first
         store(out.found + (i << SHIFT_64), np.int64(0))
         if capacity == ZERO_U64:
             return
         memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-        ray = _ray(source, i, frame, None)
-        kept = keep(tree, ray, capacity, out.hits, first, surfaces, memory)
+        own = scene.arrays, _ray(scene, i)
+        kept = keep(*own, capacity, out.hits, first, out.limits.surfaces, memory)
         store(out.found + (i << SHIFT_64), np.int64(kept))
 
     return QueryKernels(*(RangeKernel(one) for one in (first_hit, any_hit, count_hits, multi_hit)))
