@@ -32,37 +32,45 @@ _NODE = np.uint64(64)
 _SECOND_ROW, _SECOND_CHILD = np.uint64(16), np.uint64(32)
 
 
-def binary_walk(enter: Callable[..., Any], at_leaf: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a walk of binary nodes.
+def binary_walk(
+    interval: Callable[..., Any], enter: Callable[..., Any], at_leaf: Callable[..., Any]
+) -> Callable[..., Any]:
+    """Make the walk of binary nodes.
 
     Parameters
     ----------
+    interval : device function
+        ``interval(line, search) -> (near, far)``: the closed interval of distances in which boxes
+        are wanted.
     enter : device function
-        ``enter(box, ray, search) -> (distance, is_entered)`` for a child's box, a tuple (low x,
-        high x, low y, high y, low z, high z) of float32. The child at the lesser distance is
-        visited first.
+        ``enter(box, line, search, near, far) -> (distance, is_entered)`` for a child's box, a tuple
+        (low x, high x, low y, high y, low z, high z) of float32. The child at the lesser distance
+        is visited first.
     at_leaf : device function
-        ``at_leaf(tree, ray, search, link, stack, top) -> (tree, ray, search, link, top)`` at a
-        negative link: the next link, from `pop` or `DONE`. It may go on in another tree, with
-        another ray of the same type; see `simple_leaf`.
+        ``at_leaf(tree, line, search, link, stack, top) -> (tree, line, search, link, top)`` at a
+        negative link: the next link, from `pop` or `DONE`. It may continue in another tree, with
+        another line of the same type; see `one_tree`.
 
     Returns
     -------
     device function
-        ``walk(tree, ray, search, stack) -> search``, where `tree` has the address of the root,
-        ``nodes``; 0 for an empty tree.
+        ``walk(tree, line, search, stack) -> search``. `tree` has the address of the root,
+        ``nodes``, 0 for an empty tree; `line` is the ray or point as the functions take it.
     """
 
     @device
-    def walk(tree, ray, search, stack):
-        link, top = DONE if tree.nodes == NULL else ROOT, stack
+    def walk(tree, line, search, stack):
+        near, far = interval(line, search)
+        # Written so that a NaN ends it.
+        link = ROOT if tree.nodes != NULL and near <= far else DONE
+        top = stack
         while link != DONE:
             while link >= ROOT and link != DONE:
                 at = tree.nodes + np.uint64(link) * _NODE
                 left_box, left = _child(at)
                 right_box, right = _child(at + _SECOND_CHILD)
-                left_distance, enters_left = enter(left_box, ray, search)
-                right_distance, enters_right = enter(right_box, ray, search)
+                left_distance, enters_left = enter(left_box, line, search, near, far)
+                right_distance, enters_right = enter(right_box, line, search, near, far)
                 if enters_left and enters_right:
                     is_right_nearer = right_distance < left_distance
                     store(top, left if is_right_nearer else right)
@@ -73,7 +81,8 @@ def binary_walk(enter: Callable[..., Any], at_leaf: Callable[..., Any]) -> Calla
                 else:
                     link, top = pop(stack, top)
             while link < ROOT:
-                tree, ray, search, link, top = at_leaf(tree, ray, search, link, stack, top)
+                tree, line, search, link, top = at_leaf(tree, line, search, link, stack, top)
+                near, far = interval(line, search)
         return search
 
     return walk
@@ -97,40 +106,30 @@ def pop(stack, top):
     return load(np.int32, top), top
 
 
-def simple_leaf(search_leaf: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the `at_leaf` of a walk in one tree.
-
-    Parameters
-    ----------
-    search_leaf : device function
-        ``search_leaf(tree, link, ray, search) -> (search, is_over)`` offers what is in a leaf.
-    """
+def one_tree(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the `at_leaf` of a walk in one tree with `structures.bvh.walk.tree_walk`'s function."""
 
     @device
-    def at_leaf(tree, ray, search, link, stack, top):
-        search, is_over = search_leaf(tree, link, ray, search)
+    def at_leaf(tree, line, search, link, stack, top):
+        search, is_over = visit_leaf(tree, link, line, search, stack)
         link, top = (DONE, top) if is_over else pop(stack, top)
-        return tree, ray, search, link, top
+        return tree, line, search, link, top
 
     return at_leaf
 
 
 @device
-def _enter_box(box, ray, search):
+def _interval(_ray, search):
+    return search.t_min, search.t_far
+
+
+@device
+def _enter(box, ray, _search, near, far):
     low_x, high_x, low_y, high_y, low_z, high_z = box
     t_in, t_out = box_interval(ray, low_x, low_y, low_z, high_x, high_y, high_z)
-    return t_in, max(t_in, search.t_min) <= min(t_out, search.t_far)
+    return t_in, max(t_in, near) <= min(t_out, far)
 
 
 def ray_traversal(at_leaf: Callable[..., Any]) -> Callable[..., Any]:
     """Make the traversal of a `Ray`; see `kernels.queries.ray_queries` for its arguments."""
-    walk = binary_walk(_enter_box, at_leaf)
-
-    @device
-    def traverse(tree, ray, search, stack):
-        # Written so that a NaN ends it.
-        if search.t_min <= search.t_far:
-            search = walk(tree, ray, search, stack)
-        return search
-
-    return traverse
+    return binary_walk(_interval, _enter, at_leaf)

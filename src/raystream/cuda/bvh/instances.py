@@ -84,7 +84,7 @@ def _at_leaf(place, ray, search, link, stack, top):
         ray = Ray(*outside.axes, *outside.numbers)
         place = _Place(outside.nodes, outside.leaves, False, place.outside)
     elif place.is_inside:
-        search, is_over = search_triangles(place, link, ray, search)
+        search, is_over = search_triangles(place, link, ray, search, stack)
         if is_over:
             return place, ray, search, DONE, top
     else:

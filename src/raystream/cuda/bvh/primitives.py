@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.bvh import binary, triangles
-from raystream.cuda.bvh.binary_traversal import ray_traversal, simple_leaf
+from raystream.cuda.bvh.binary_traversal import one_tree, ray_traversal
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
-from raystream.jit.constants import NULL
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full
 from raystream.primitives.field import FIELD_BYTES
@@ -19,12 +18,12 @@ STACK_BYTES = binary.STACK_BYTES + FIELD_BYTES
 
 
 @device
-def _search_leaf(tree, link, ray, search):
-    search = search_spheres(tree, link, ray, search, NULL)
+def _search_leaf(tree, link, ray, search, stack):
+    search = search_spheres(tree, link, ray, search, stack)
     return search, is_full(search)
 
 
-_traverse_spheres = ray_traversal(simple_leaf(_search_leaf))
+_traverse_spheres = ray_traversal(one_tree(_search_leaf))
 
 #: Search the trees of triangles, of each height field and of spheres.
 traverse = device(

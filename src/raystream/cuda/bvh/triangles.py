@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.cuda.bvh.binary_traversal import ray_traversal, simple_leaf
+from raystream.cuda.bvh.binary_traversal import one_tree, ray_traversal
 from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
@@ -72,13 +72,7 @@ def copy_leaf(leaves, child, to):
 
 
 @device
-def is_last(triangle):
-    """Whether the triangle at an address is the last one of its leaf."""
-    return load(np.int32, triangle + _LAST) != np.int32(0)
-
-
-@device
-def search_triangles(tree, link, ray, search):
+def search_triangles(tree, link, ray, search, _stack):
     """Offer the hits in a leaf to a search; returns it, and whether it is full."""
     at = tree.leaves + np.uint64(~link) * TRIANGLE
     while True:
@@ -100,4 +94,4 @@ def search_triangles(tree, link, ray, search):
 
 
 #: Traverse a tree of triangles with a ray.
-traverse = ray_traversal(simple_leaf(search_triangles))
+traverse = ray_traversal(one_tree(search_triangles))
