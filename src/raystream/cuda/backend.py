@@ -149,7 +149,7 @@ class CudaBackend(Backend):
     ) -> None:
         """Find the triangles nearest to points in host memory; see `Backend.find_nearest`."""
         if self._points is None:
-            resident = self._in_own_layout().resident
+            resident = self._scene.resident
             self._points = DevicePoints(self.gpu, self.structure, resident, self.rays_at_once)
         self._points.find(points, limits, capacity, out, progress)
 

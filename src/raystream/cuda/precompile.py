@@ -101,7 +101,7 @@ def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]
     made = {}
     for name in names_with("nearest search"):
         structure = build_structure(name, scene.triangles)
-        tree = lay_out(structure, is_own=True).tree
+        tree = lay_out(structure).tree
         arguments = PointSource(_AT, _AT, _AT), structure.frame, tree, _AT, _AT, to
         made[name] = nearest_kernel(name), arguments
     return made

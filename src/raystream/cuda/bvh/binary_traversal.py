@@ -21,11 +21,11 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
 from raystream.kernels.slab import box_interval
 
-#: The root's row, and links that are no row: none left.
+#: The root's row, and links that are no row: the latest one on the stack, and none.
 ROOT = np.int32(0)
-DONE = np.int32(2**31 - 1)
+NEXT, DONE = np.int32(2**31 - 2), np.int32(2**31 - 1)
 
-#: Bytes of a stack's entry: a link.
+#: Bytes of a stack's entry: a link; with distances, that of its box behind it.
 ENTRY = np.uint64(4)
 
 _NODE = np.uint64(64)
@@ -33,7 +33,11 @@ _SECOND_ROW, _SECOND_CHILD = np.uint64(16), np.uint64(32)
 
 
 def binary_walk(
-    interval: Callable[..., Any], enter: Callable[..., Any], at_leaf: Callable[..., Any]
+    interval: Callable[..., Any],
+    enter: Callable[..., Any],
+    at_leaf: Callable[..., Any],
+    *,
+    has_distances: bool = False,
 ) -> Callable[..., Any]:
     """Make the walk of binary nodes.
 
@@ -48,8 +52,11 @@ def binary_walk(
         is visited first.
     at_leaf : device function
         ``at_leaf(tree, line, search, link, stack, top) -> (tree, line, search, link, top)`` at a
-        negative link: the next link, from `pop` or `DONE`. It may continue in another tree, with
+        negative link: the next link is `NEXT`, `DONE` or, in another tree, `ROOT`, which may need
         another line of the same type; see `one_tree`.
+    has_distances : bool
+        Whether distances are float32, and kept with links on the stack, which then is twice as
+        large: so boxes that have left the interval are not visited.
 
     Returns
     -------
@@ -57,6 +64,15 @@ def binary_walk(
         ``walk(tree, line, search, stack) -> search``. `tree` has the address of the root,
         ``nodes``, 0 for an empty tree; `line` is the ray or point as the functions take it.
     """
+    entry = ENTRY + ENTRY if has_distances else ENTRY
+
+    @device
+    def pop(stack, top, far):
+        while top != stack:
+            top -= entry
+            if not has_distances or load(np.float32, top + ENTRY) <= far:
+                return load(np.int32, top), top
+        return DONE, top
 
     @device
     def walk(tree, line, search, stack):
@@ -74,15 +90,19 @@ def binary_walk(
                 if enters_left and enters_right:
                     is_right_nearer = right_distance < left_distance
                     store(top, left if is_right_nearer else right)
-                    top += ENTRY
+                    if has_distances:
+                        store(top + ENTRY, max(left_distance, right_distance))
+                    top += entry
                     link = right if is_right_nearer else left
                 elif enters_left or enters_right:
                     link = left if enters_left else right
                 else:
-                    link, top = pop(stack, top)
+                    link, top = pop(stack, top, far)
             while link < ROOT:
                 tree, line, search, link, top = at_leaf(tree, line, search, link, stack, top)
                 near, far = interval(line, search)
+                if link == NEXT:
+                    link, top = pop(stack, top, far)
         return search
 
     return walk
@@ -97,23 +117,13 @@ def _child(at):
     return (*box, lane(rest, 1)), lane(float_as_bits(rest), 2)
 
 
-@device
-def pop(stack, top):
-    """Pop the latest link, or `DONE` from an empty stack."""
-    if top == stack:
-        return DONE, top
-    top -= ENTRY
-    return load(np.int32, top), top
-
-
 def one_tree(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
     """Make the `at_leaf` of a walk in one tree with `structures.bvh.walk.tree_walk`'s function."""
 
     @device
     def at_leaf(tree, line, search, link, stack, top):
         search, is_over = visit_leaf(tree, link, line, search, stack)
-        link, top = (DONE, top) if is_over else pop(stack, top)
-        return tree, line, search, link, top
+        return tree, line, search, DONE if is_over else NEXT, top
 
     return at_leaf
 

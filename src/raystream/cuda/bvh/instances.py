@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.bvh import binary
-from raystream.cuda.bvh.binary_traversal import DONE, ENTRY, ROOT, pop, ray_traversal
+from raystream.cuda.bvh.binary_traversal import DONE, ENTRY, NEXT, ROOT, ray_traversal
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
 from raystream.cuda.bvh.triangles import search_triangles
 from raystream.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
@@ -98,8 +98,7 @@ def _at_leaf(place, ray, search, link, stack, top):
             ray = prepare_ray(one.ox, one.oy, one.oz, one.dx, one.dy, one.dz, reach)
             place = _Place(object_.nodes, object_.leaves, True, place.outside)
             return place, ray, inner, ROOT, top + ENTRY
-    link, top = pop(stack, top)
-    return place, ray, search, link, top
+    return place, ray, search, NEXT, top
 
 
 _traverse_tree = ray_traversal(_at_leaf)

@@ -72,6 +72,12 @@ def copy_leaf(leaves, child, to):
 
 
 @device
+def is_last(triangle):
+    """Whether the triangle at an address is the last one of its leaf."""
+    return load(np.int32, triangle + _LAST) != np.int32(0)
+
+
+@device
 def search_triangles(tree, link, ray, search, _stack):
     """Offer the hits in a leaf to a search; returns it, and whether it is full."""
     at = tree.leaves + np.uint64(~link) * TRIANGLE

@@ -40,7 +40,7 @@ class Bvh(StructureOptions):
     structure = "raystream.structures.bvh.structure:BvhStructure"
     forms: ClassVar = {
         "nearest": "raystream.structures.bvh.nearest:find_nearest",
-        "nearest search": "raystream.structures.bvh.nearest:POINT_SEARCH",
+        "nearest search": "raystream.cuda.bvh.points:POINT_SEARCH",
         "multipass": "raystream.machines.steps.bvh:steps",
         "cuda kernels": "raystream.cuda.bvh.plain",
         "cuda build": "raystream.cuda.builders.bvh:build_bvh",
