@@ -23,7 +23,7 @@ from raystream.cuda.bvh.binary import unfold
 from raystream.cuda.bvh.kernels import lay_out
 from raystream.cuda.structures import kernels_of
 from raystream.kernels.hits import HitAddresses, HitArrays
-from raystream.kernels.queries import HitLimits, RayScene, RowAddresses
+from raystream.kernels.queries import RayScene, RowAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.structures import build_structure
 from strategies import meshes, scenes_and_rays
@@ -153,7 +153,7 @@ def traced(structure, case, splits):
     first, many = HitArrays.empty(len(batch)), HitArrays.empty(int(splits[-1]))
     found = np.empty(len(batch), np.int64)
     to, rows = (HitAddresses(*map(address, hits)) for hits in (first, many))
-    to_rows = RowAddresses(HitLimits(False, NOWHERE, True), address(splits), rows, address(found))
+    to_rows = RowAddresses(False, address(splits), rows, address(found))
     shared = RayScene(source, structure.frame, tree, address(status), None, None)
     for i in map(np.uint64, range(len(batch))):
         kernels.first_hit.function(i, shared, to)

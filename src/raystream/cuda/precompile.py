@@ -19,7 +19,7 @@ from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.point_queries import NearestAddresses, PointSource
-from raystream.kernels.queries import CountAddresses, HitLimits, RayScene, RowAddresses
+from raystream.kernels.queries import CountAddresses, RayScene, RowAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with, options_of
@@ -77,12 +77,11 @@ def structure_kernels(
     tree = lay_out(structure, is_own=is_own).tree
     tallies, hits = _AT if counters else None, HitAddresses(_AT, _AT, _AT, _AT)
     shared = RayScene(_SOURCE, structure.frame, tree, _AT, tallies, None)
-    limits = HitLimits(True, _AT, True)
     arguments: dict[str, tuple[Any, ...]] = {
         "first_hit": (shared, hits),
         "any_hit": (shared, _AT),
-        "count_hits": (shared, CountAddresses(limits, _AT)),
-        "multi_hit": (shared._replace(status=None), RowAddresses(limits, _AT, hits, _AT)),
+        "count_hits": (shared, CountAddresses(True, _AT, _AT)),
+        "multi_hit": (shared._replace(status=None), RowAddresses(True, _AT, hits, _AT)),
     }
     return {query: (getattr(kernels, query), own) for query, own in arguments.items()}
 

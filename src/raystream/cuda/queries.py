@@ -28,7 +28,7 @@ from raystream.cuda.scan import prefix_sum
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays, HitBatch, Sink
-from raystream.kernels.queries import CountAddresses, HitLimits, RowAddresses
+from raystream.kernels.queries import CountAddresses, RowAddresses
 from raystream.programs.loop_source import Goal
 
 __all__ = ["QUERIES", "DeviceQuery", "trace_on_device"]
@@ -165,7 +165,7 @@ class DeviceQuery(ABC):
     def _count(self, limit: int) -> DeviceArray:
         """Count the hits of each ray, at most `limit`, and write the status."""
         counts = self.scope.empty("counts", len(self.rays), np.int64)
-        to = CountAddresses(HitLimits.of(self.query._replace(limit=limit)), counts.address)
+        to = CountAddresses.of(self.query._replace(limit=limit), counts.address)
         self.rays.launch(self.scene.kernels.count_hits, to, status=self.status.address)
         return counts
 
@@ -296,7 +296,7 @@ class MultiHit(DeviceQuery):
         """Write the hits of each ray to its rows."""
         self.found = self.scope.empty("counts", len(self.rays), np.int64)
         splits, found = self.splits.address, self.found.address
-        to = RowAddresses(HitLimits.of(self.query), splits, self.hits.addresses, found)
+        to = RowAddresses(self.query.surfaces, splits, self.hits.addresses, found)
         self.rays.launch(self.scene.kernels.multi_hit, to)
 
     @property

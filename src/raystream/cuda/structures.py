@@ -36,15 +36,8 @@ def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
 @cache
 def _made(made: Traced, is_own: bool) -> QueryKernels:
     held: Any = structure_class(made) if isinstance(made, str) else made
-    if held.precision == "float64":
-        # Here, not above: few tracers are in float64.
-        from raystream.cuda.float64.kernels import make_float64_kernels
-
-        return make_float64_kernels(held.searches)
-    if is_own:
-        return make_kernels(held.traverse, held.stack_bytes, held.make_searches)
-    layout = layout_of(made)
-    return make_kernels(layout.traverse, layout.STACK_BYTES, held.make_searches)
+    traced = held if is_own else layout_of(made)
+    return make_kernels(traced.traverse, traced.stack_bytes, held.make_searches)
 
 
 class Resident(NamedTuple):

@@ -64,6 +64,11 @@ class HitArrays(NamedTuple):
         t, u, v = (np.empty(count, kind) for _ in range(3))
         return cls(t, u, v, np.empty(count, np.int32))
 
+    @staticmethod
+    def row_bytes(kind: type[np.floating[Any]]) -> int:
+        """Bytes of a hit."""
+        return 3 * np.dtype(kind).itemsize + 4
+
     @classmethod
     def rows_of(cls, memory: NDArray[np.float32]) -> HitArrays:
         """The rows of an array of shape (4, K) as t, u, v and prim_id."""
@@ -258,8 +263,7 @@ def allocate_hits(count: int, kind: type[np.floating[Any]] = np.float32) -> HitA
 
 def _check_hits(count: int, kind: type[np.floating[Any]] = np.float32) -> None:
     remedy = "give max_hits, or fewer rays at a time"
-    hit_bytes = 3 * np.dtype(kind).itemsize + 4
-    check_memory(count * hit_bytes, f"multi_hit: {count:,} hits would", remedy)
+    check_memory(count * HitArrays.row_bytes(kind), f"multi_hit: {count:,} hits would", remedy)
 
 
 class HitAccumulator:
@@ -269,9 +273,12 @@ class HitAccumulator:
     ----------
     ray_count : int
         Rays of the batch.
+    kind : type
+        Of t, u and v.
     """
 
-    def __init__(self, ray_count: int) -> None:
+    def __init__(self, ray_count: int, kind: type[np.floating[Any]] = np.float32) -> None:
+        self._kind = kind
         self._counts = np.zeros(ray_count, np.int64)
         self._parts: list[HitBatch] = []
         self._in_order = False
@@ -297,7 +304,7 @@ class HitAccumulator:
         self._found += end - begin
         if self._found >= self._unchecked:  # before the memory for `whole` runs out
             self._unchecked = self._found + CHECKED_HITS
-            _check_hits(self._found)
+            _check_hits(self._found, self._kind)
         ids = _NO_IDS if found.ids is None else found.ids.astype(np.int64)
         part = HitBatch(found.hits.copy_of(slice(begin, end)), splits - begin, ids, found.first)
         count_rows(part.splits, ids, part.first, self._counts)
@@ -305,13 +312,13 @@ class HitAccumulator:
 
     def whole(self) -> tuple[NDArray[np.int64], HitArrays]:
         """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
-        if len(self._parts) == 1:
+        if len(self._parts) == 1:  # of a small batch
             only, found, ids, _ = self._parts[0]
             if ids is _NO_IDS and found is not None and len(found) == len(self._counts) + 1:
-                return found, only  # a small batch
+                return found, only
         splits = np.zeros(len(self._counts) + 1, np.int64)
         np.cumsum(self._counts, out=splits[1:])
-        hits = allocate_hits(int(splits[-1]))
+        hits = allocate_hits(int(splits[-1]), self._kind)
         nexts = splits[:-1].copy()
 
         def body(begin: int, end: int) -> None:

@@ -19,7 +19,7 @@ from raystream.jit.simd import load, scratch, store
 from raystream.kernels.aligned import array_address
 from raystream.kernels.answers import loop_of
 from raystream.kernels.hit_filter import HitFilter, RayFilter
-from raystream.kernels.hits import HitAddresses, Sink
+from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.kernels.search import begin_search, sort_hits
@@ -37,16 +37,16 @@ _DIRECTION, _LOW, _HIGH, _STATUS, _T, _U, _V, _PRIM_ID = (
 
 
 class HitLimits(NamedTuple):
-    """What a query that may find several hits of a ray wants of each.
+    """What a query that collects hits wants of each ray.
 
     Attributes
     ----------
     surfaces : bool
         See `kernels.triangle.intersect`.
     most : uint64
-        Most hits that are counted or collected.
+        Most hits.
     sorts : bool
-        Collected hits are sorted by t, then prim_id.
+        They are sorted by t, then prim_id.
     """
 
     surfaces: bool
@@ -214,17 +214,26 @@ def _finish_rows(hits, first, count, ray, sorts):
 
 
 class CountAddresses(NamedTuple):
-    """Where the counts of hits go.
+    """What is counted of each ray, and where the counts go.
 
     Attributes
     ----------
-    limits : HitLimits
+    surfaces : bool
+        See `kernels.triangle.intersect`.
+    most : uint64
+        Most hits that are counted.
     counts : uint64
         Address of an int64 per ray.
     """
 
-    limits: HitLimits
+    surfaces: bool
+    most: np.uint64
     counts: np.uint64
+
+    @classmethod
+    def of(cls, query: Query, counts: int) -> CountAddresses:
+        """For a query, with the address of the counts."""
+        return cls(query.surfaces, np.uint64(query.limit), np.uint64(counts))
 
 
 class RowAddresses(NamedTuple):
@@ -232,7 +241,8 @@ class RowAddresses(NamedTuple):
 
     Attributes
     ----------
-    limits : HitLimits
+    surfaces : bool
+        See `kernels.triangle.intersect`.
     splits : uint64
         Address of int64: ray i owns the rows splits[i] to splits[i + 1].
     hits : HitAddresses
@@ -240,7 +250,7 @@ class RowAddresses(NamedTuple):
         Address of an int64 per ray: the hits that were found.
     """
 
-    limits: HitLimits
+    surfaces: bool
     splits: np.uint64
     hits: HitAddresses
     found: np.uint64 | None
@@ -291,7 +301,7 @@ def ray_answers(of_ray: RaySearches) -> RayAnswers:
 
     @device
     def count_hits(i, scene, out, memory):
-        goal = SearchGoal(out.limits.most, None, i, out.limits.surfaces)
+        goal = SearchGoal(out.most, None, i, out.surfaces)
         store(out.counts + (i << SHIFT_64), np.int64(count(i, scene, goal, memory)))
 
     @device
@@ -300,7 +310,7 @@ def ray_answers(of_ray: RaySearches) -> RayAnswers:
         first = np.uint64(load(np.int64, at))
         capacity, found = np.uint64(load(np.int64, at + BYTES_64)) - first, ZERO_U64
         if capacity != ZERO_U64:
-            goal = SearchGoal(capacity, rows.hits, first, rows.limits.surfaces)
+            goal = SearchGoal(capacity, rows.hits, first, rows.surfaces)
             found = keep(i, scene, goal, True, memory)
             add_to(tally_of(scene.tallies, i), SHADINGS, found)
         _note_found(rows.found, i, found)
@@ -315,10 +325,10 @@ class RayQueries(NamedTuple):
     ----------
     first_hit, any_hit, count_hits, multi_hit : (begin, end, scene, out)
         The loops of `RayAnswers`.
-    collect_hits : (begin, end, scene, rows, room)
-        Writes the nearest hits of each ray to the first rows of `RowAddresses`, which has `room`
-        for hits, and splits[0] to splits[end - begin]. Returns the first ray that is not done:
-        `end`, or one whose hits do not fit.
+    collect_hits : (begin, end, scene, limits, splits, hits)
+        Writes the nearest hits of each ray, within `HitLimits`, to rows 0 to splits[end - begin]
+        of `hits` (HitArrays). Returns the first ray that is not done: `end`, or one whose hits do
+        not fit.
     cast : (frame, arrays, numbers)
         Takes one ray as eight float64 numbers: origin and direction, in world space, and limits,
         which are rounded to the precision. Returns its nearest hit ``(t, u, v, prim_id)``, and its
@@ -342,11 +352,10 @@ def output_of(query: Query, sink: Sink) -> Any:
         return HitAddresses.of_rows(array_address(memory), memory.strides[0] // memory.itemsize)
     if query.kind is Kind.ANY_HIT:
         return np.uint64(array_address(sink.seen))
-    limits = HitLimits.of(query)
     if query.kind is Kind.COUNT_HITS:
-        return CountAddresses(limits, np.uint64(array_address(sink.counts)))
+        return CountAddresses.of(query, array_address(sink.counts))
     splits = np.uint64(array_address(sink.splits))
-    return RowAddresses(limits, splits, HitAddresses.of(sink.hits), None)
+    return RowAddresses(query.surfaces, splits, HitAddresses.of(sink.hits), None)
 
 
 def ray_queries(
@@ -378,22 +387,21 @@ def ray_queries(
     nearest, keep, number = of_ray.nearest, of_ray.keep, of_ray.number
 
     @kernel
-    def collect_hits(begin, end, scene, rows, room):
-        memory = scratch(stack_bytes)
+    def collect_hits(begin, end, scene, limits, splits, hits):
+        memory, to = scratch(stack_bytes), hit_addresses(hits)
         store(memory, ZERO_U64)
-        limits, row, at = rows.limits, ZERO_U64, rows.splits
-        store(at, np.int64(0))
+        room, row = np.uint64(len(hits.t)), ZERO_U64
+        splits[0] = 0
         for i in range(np.uint64(begin), np.uint64(end)):
             capacity = min(limits.most, room - row)
             if capacity == ZERO_U64:
                 return np.int64(i)
-            goal = SearchGoal(capacity, rows.hits, row, limits.surfaces)
+            goal = SearchGoal(capacity, to, row, limits.surfaces)
             found = keep(i, scene, goal, limits.sorts, memory)
             if found == capacity and capacity != limits.most:
                 return np.int64(i)
             row += found
-            at += BYTES_64
-            store(at, np.int64(row))
+            splits[i + ONE_U64 - np.uint64(begin)] = row
         return np.int64(end)
 
     @kernel

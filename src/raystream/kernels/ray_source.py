@@ -47,7 +47,7 @@ class RaySource(NamedTuple):
         Three adjacent numbers per ray, world space: float32, or float64 where
         `origins_are_double` or `directions_are_double` is true.
     t_min, t_max : int
-        One float32 per ray; float64 for the kernels of `cuda.float64`.
+        One float32 per ray; float64 for searches in float64.
     origin_step, direction_step, t_min_step, t_max_step : int
         0 where all rays share one value.
     """

@@ -102,6 +102,12 @@ class Structure(ABC):
         Build and traversal options.
     make_searches : callable
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
+    queries : RayQueries
+        The queries of single rays.
+    ray_batch : type of RayBatch
+        What rays are made into.
+    least_rays : int
+        Least rays per call of the queries of single rays.
     precision : {"float32", "float64"}
         Precision of triangles and distances.
     batch_kernels : mapping of Kind to BatchKernels
@@ -114,6 +120,8 @@ class Structure(ABC):
     stack_bytes: ClassVar[int] = 8
     make_searches: ClassVar[Callable[..., RaySearches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
+    ray_batch: ClassVar[type[RayBatch]] = RayBatch
+    least_rays: ClassVar[int] = 256
     precision: ClassVar[str] = "float32"
     batch_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
     is_outdated: bool = False

@@ -44,8 +44,8 @@ def binary_walk(
     Parameters
     ----------
     interval : device function
-        ``interval(line, search) -> (near, far)``: the closed interval of distances in which boxes
-        are wanted.
+        ``interval(line, search) -> (near, far, last)``: the closed interval of distances in which
+        boxes are wanted; see `structures.bvh.walk.tree_walk`.
     enter : device function
         ``enter(box, line, search, near, far) -> (distance, is_entered)`` for a child's box, a tuple
         (low x, high x, low y, high y, low z, high z) of float32. The child at the lesser distance
@@ -76,7 +76,7 @@ def binary_walk(
 
     @device
     def walk(tree, line, search, stack):
-        near, far = interval(line, search)
+        near, far, _ = interval(line, search)
         # Written so that a NaN ends it.
         link = ROOT if tree.nodes != NULL and near <= far else DONE
         top = stack
@@ -100,7 +100,7 @@ def binary_walk(
                     link, top = pop(stack, top, far)
             while link < ROOT:
                 tree, line, search, link, top = at_leaf(tree, line, search, link, stack, top)
-                near, far = interval(line, search)
+                near, far, _ = interval(line, search)
                 if link == NEXT:
                     link, top = pop(stack, top, far)
         return search
@@ -130,7 +130,7 @@ def one_tree(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
 
 @device
 def _interval(_ray, search):
-    return search.t_min, search.t_far
+    return search.t_min, search.t_far, search.t_far
 
 
 @device

@@ -52,7 +52,7 @@ _Outside = view(_OUTSIDE)
 _MEMORY = np.uint64(_OUTSIDE.itemsize)
 
 #: Bytes of a search's memory: this, the stacks of two trees, and a mark.
-STACK_BYTES = _OUTSIDE.itemsize + 2 * binary.STACK_BYTES + 8
+stack_bytes = _OUTSIDE.itemsize + 2 * binary.STACK_BYTES + 8
 
 
 class _Place(NamedTuple):

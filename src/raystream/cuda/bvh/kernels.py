@@ -15,14 +15,15 @@ from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 Traced = str | type[Structure]
 
 #: Form of structures that have their own layouts and kernels on the device: a module with
-#: ``lay_out(structure)``, a `LaidOut`, and for that layout ``SEARCHES``, and the traversal
-#: ``traverse`` with ``STACK_BYTES`` of memory.
+#: ``lay_out(structure)``, a `LaidOut`, and for that layout the structure's ``traverse`` and
+#: ``stack_bytes``.
 LAYOUTS = "cuda kernels"
 
 #: These modules for structures that are not known by a name of their own.
 _MODULES = {
     "InstancedBvh": "raystream.cuda.bvh.instances",
     "PrimitiveBvh": "raystream.cuda.bvh.primitives",
+    "Float64Bvh": "raystream.cuda.bvh.float64",
 }
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from raystream.cuda.bvh.binary import STACK_BYTES, unfold
+from raystream.cuda.bvh import binary
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
 from raystream.cuda.bvh.triangles import traverse
 from raystream.structures.bvh.structure import BvhStructure
 
-__all__ = ["STACK_BYTES", "lay_out", "traverse"]
+__all__ = ["lay_out", "stack_bytes", "traverse"]
+
+stack_bytes = binary.STACK_BYTES
 
 
 def lay_out(structure: BvhStructure) -> LaidOut:
     """Convert a BVH; see `bvh.kernels.LAYOUTS`."""
-    made = unfold(*structure.tree)
+    made = binary.unfold(*structure.tree)
     return with_arrays(structure, {"nodes": made.nodes, "leaves": made.leaves})

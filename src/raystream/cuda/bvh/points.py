@@ -18,12 +18,6 @@ _STRIDE = np.int32(4)  # from one number of a triangle to the next
 
 
 @device
-def _interval(line, search):
-    near, far, _ = interval(line, search)
-    return near, far
-
-
-@device
 def _enter(box, line, search, _near, far):
     if line.is_far:
         squared = far_distance(box, line)
@@ -46,7 +40,7 @@ def _visit_leaf(tree, link, line, search, _stack):
         at += TRIANGLE
 
 
-_walk = binary_walk(_interval, _enter, one_tree(_visit_leaf), has_distances=True)
+_walk = binary_walk(interval, _enter, one_tree(_visit_leaf), has_distances=True)
 
 
 @device

@@ -14,7 +14,7 @@ from raystream.primitives.structure import PrimitiveBvh
 from raystream.primitives.traversal import search_spheres, trees_traversal
 
 #: Memory of a traversal: of the trees in turn, then of height fields.
-STACK_BYTES = binary.STACK_BYTES + FIELD_BYTES
+stack_bytes = binary.STACK_BYTES + FIELD_BYTES
 
 
 @device

@@ -22,7 +22,7 @@ from raystream.cuda.scan import prefix_sum
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray
 from raystream.kernels.hits import HitAddresses
-from raystream.kernels.queries import HitLimits, RowAddresses
+from raystream.kernels.queries import RowAddresses
 from raystream.programs.hits import RaysAt, RowsAt
 from raystream.programs.loop_source import Goal
 from raystream.programs.rows import SkipsAt
@@ -146,8 +146,7 @@ class ProgramRounds(NamedTuple):
         with launcher.scope.nested() as inner:
             memory = inner.ready("hits", (4, row_count), np.float32)
             hits = _moved_hits(HitAddresses.of_rows(memory.address, row_count), -first_row)
-            limits = HitLimits(bool(self.surfaces), NULL, True)
-            to = RowAddresses(limits, splits.address, hits, counts.address)
+            to = RowAddresses(self.surfaces, splits.address, hits, counts.address)
             kernel = launcher.scene.kernels.multi_hit
             launcher.launch(kernel, to, rows=rays)
             rows = RowsAt(*hits, splits.address, counts.address, np.uint64(delivered))
