@@ -46,7 +46,7 @@ def scene():
 #: Every structure, and its ways to be traced: options of `structure_kernels`.
 WAYS = {
     **{name: {} for name in STRUCTURES},
-    "bvh, own layout": {"is_own": True},
+    "bvh, own layout": {"is_own": True, "counters": True},
     "bvh, float64": {"precision": "float64"},
     "brute, float64": {"precision": "float64"},
 }

@@ -122,7 +122,7 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
     ways: list[tuple[str, str, dict[str, Any]]] = [
         *((name, name, {}) for name in STRUCTURES),
         *(
-            (f"{name}, own layout", name, {"is_own": True})
+            (f"{name}, own layout", name, {"is_own": True, "counters": True})
             for name in STRUCTURES
             if layout_of(name)
         ),
