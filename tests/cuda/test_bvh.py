@@ -141,6 +141,60 @@ def test_too_deep_trees_are_balanced(monkeypatch):
     check_layout(structure)
 
 
+# ---- Trees whose leaves are not triangles.
+
+
+def links_below(nodes, first, end):
+    """Links to leaves of the binary tree in some rows, which must all be reached."""
+    links = nodes[first:end].view(np.int32)[:, 6::8]
+    is_box = (nodes[first:end, 0::8] <= nodes[first:end, 1::8]).ravel()
+    inner = links[links > 0]
+    assert np.array_equal(np.sort(inner), np.arange(1, end - first))
+    return np.sort(links.ravel()[is_box & (links.ravel() < 0)])
+
+
+def wide_links(nodes):
+    links = nodes.view(np.int32)[:, 48:56]
+    return np.sort(links[links < 0])
+
+
+def test_blocks_of_spheres_and_of_float64_keep_their_links():
+    rng = np.random.default_rng(5)
+    balls = rs.Scene.spheres(rng.normal(size=(300, 3)), 0.1)
+    vertices, faces = soup(300)
+    mesh = rs.Scene.from_arrays(vertices, faces)
+    spheres = rs.Tracer(rs.Scene.combine([mesh, balls])).structure
+    exact = rs.Tracer(mesh, precision="float64").structure
+    for structure, name in ((spheres, "sphere_nodes"), (exact, "nodes")):
+        nodes = lay_out(structure).arrays[name]
+        expected = wide_links(structure.memory[name])
+        assert np.array_equal(links_below(nodes, 0, len(nodes)), expected)
+    check_layout(spheres._inner)
+
+
+def test_trees_of_worlds_stay_apart():
+    """All are expanded together; links are within the tree of each world."""
+    count = 200
+    places = np.tile(np.eye(3, 4), (count, 1, 1))
+    places[:, :, 3] = np.random.default_rng(6).normal(size=(count, 3)) * 5.0
+    worlds = np.where(np.arange(count) < 20, -1, np.arange(count) % 3)
+    scene = rs.Scene.instances(rs.load("cornell"), places, worlds=worlds)
+    structure = rs.Tracer(scene).structure
+    tree, arrays, objects = lay_out(structure)
+    ends = structure.trees.first_nodes
+    starts = (arrays["trees"]["nodes"] - np.uint64(arrays["nodes"].ctypes.data)) // 64
+    assert int(tree.shared - tree.trees) == 16 * (len(starts) - 1)
+    starts = [*map(int, starts), len(arrays["nodes"])]
+    for world in range(4):
+        found = links_below(arrays["nodes"], *starts[world : world + 2])
+        wide = structure.memory["nodes"][slice(*ends[world : world + 2])]
+        assert np.array_equal(found, wide_links(wide))
+        assert len(found) == (20 if world == 3 else 60)
+    (held,) = structure.objects
+    for ours, theirs in zip(objects(), unfold(*held.tree)[:2], strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+
+
 # ---- Traversals.
 
 
