@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.bvh.pairs import CHILD, KERNELS, WideAt, count_rows, write_rows
+from raystream.cuda.bvh.pairs import CHILD, COUNT, WRITE, WideAt, count_rows, write_rows
 from raystream.cuda.bvh.triangles import TRIANGLE_FLOATS
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray, Gpu
@@ -76,14 +76,14 @@ def unfold(nodes: NDArray[np.float32], leaves: NDArray[np.float32] | None = None
     firsts = np.zeros(count + 1, np.uint64)
     leaves_at = NULL if leaves is None else np.uint64(leaves.ctypes.data)
     given = WideAt(np.uint64(nodes.ctypes.data), leaves_at, np.uint64(firsts.ctypes.data))
-    parallel_for(lambda begin, end: count_rows(begin, end, given), count, CHUNK)
+    parallel_for(lambda begin, end: count_rows(begin, end, given, None), count, CHUNK)
     firsts[:] = np.cumsum(firsts) - firsts
     triangle_count, node_count = divmod(int(firsts[count]), 1 << 32)  # see `WideAt`
     pairs = aligned_array(node_count, NODE_FLOATS)
     triangles = aligned_array(triangle_count, TRIANGLE_FLOATS)
     depth = statistics(BvhArrays(nodes, _NO_LEAVES))["depth"]
     to = depth > ANY_SHAPE_DEPTH, np.uint64(pairs.ctypes.data), np.uint64(triangles.ctypes.data)
-    parallel_for(lambda begin, end: write_rows(begin, end, given, *to), count, CHUNK)
+    parallel_for(lambda begin, end: write_rows(begin, end, given, to), count, CHUNK)
     return Binary(pairs, triangles, (firsts & 0xFFFFFFFF).astype(np.int64))
 
 
@@ -100,12 +100,12 @@ def unfold_on_device(
     count = wide_nodes.shape[0]
     firsts = gpu.empty("binary nodes before each wide one", count + 1, np.uint64)
     given = WideAt(wide_nodes.address, leaves.address, firsts.address)
-    KERNELS.count_row.launch(gpu, count, (given,))
+    COUNT.launch(gpu, count, (given, None))
     Scan(gpu, count).run(firsts.address, count, firsts.address, np.uint64)
     triangle_count, node_count = divmod(int(firsts.part(count, 1).host()[0]), 1 << 32)
     nodes = gpu.empty("binary nodes", (node_count, NODE_FLOATS), np.float32)
     triangles = gpu.empty("triangles", (triangle_count, TRIANGLE_FLOATS), np.float32)
     to = depth > ANY_SHAPE_DEPTH, nodes.address, triangles.address
-    KERNELS.write_row.launch(gpu, count, (given, *to))
+    WRITE.launch(gpu, count, (given, to))
     gpu.wait()  # `firsts` is freed
     return nodes, triangles

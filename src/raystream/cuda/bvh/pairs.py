@@ -22,10 +22,11 @@ from raystream.jit.constants import (
     TWO_U64,
     ZERO_U64,
 )
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import device
 from raystream.jit.cuda import RangeKernel
-from raystream.jit.simd import f32x8, load, scratch, store
+from raystream.jit.simd import f32x8, load, store
 from raystream.jit.views import address_of, view
+from raystream.kernels.answers import loop_of, thread_of
 from raystream.structures.bvh.layout import WIDTH
 from raystream.structures.bvh.node_layout import BOX_FLIP, CHILDREN, NODE
 
@@ -81,10 +82,9 @@ def _list_children(node, leaves, children):
     return count, triangles
 
 
-@kernel
-def count_row(row, wide):
-    """Count the binary nodes of a wide node, and its triangles."""
-    children = scratch(_CHILDREN_BYTES)
+@device
+def count_row(row, wide, _, children):
+    """Count the binary nodes of a wide node, and its triangles; an answer."""
     count, triangles = _list_children(wide.nodes + row * NODE, wide.leaves, children)
     pairs = max(count, TWO_U64) - ONE_U64
     store(wide.firsts + (row << SHIFT_64), pairs | (triangles << BITS_32))
@@ -139,20 +139,21 @@ def _place_leaves(children, count, wide, firsts, triangles):
             triangle += copy_leaf(wide.leaves, link, triangles + triangle * TRIANGLE)
 
 
-@kernel
-def write_row(row, wide, is_balanced, pairs, triangles):
-    """Write the binary nodes of a wide node, and the triangles of its leaves.
+@device
+def write_row(row, wide, out, children):
+    """Write the binary nodes of a wide node, and the triangles of its leaves; an answer.
 
     Parameters
     ----------
     row : uint64
     wide : WideAt
-    is_balanced : bool
-        Whether its tree must have the fewest possible levels.
-    pairs, triangles : uint64
-        Addresses of all binary nodes and triangles.
+    out : tuple
+        Whether its tree must have the fewest possible levels, and the addresses of all binary nodes
+        and triangles.
+    children : uint64
+        Address of memory for `_CHILDREN_BYTES`.
     """
-    children = scratch(_CHILDREN_BYTES)
+    is_balanced, pairs, triangles = out
     firsts = load(np.uint64, wide.firsts + (row << SHIFT_64))
     count, _triangle_count = _list_children(wide.nodes + row * NODE, wide.leaves, children)
     _place_leaves(children, count, wide, firsts, triangles)
@@ -178,23 +179,6 @@ def write_row(row, wide, is_balanced, pairs, triangles):
         count = last
 
 
-@kernel
-def count_rows(begin, end, wide):
-    """`count_row` for several rows."""
-    for row in range(np.uint64(begin), np.uint64(end)):
-        count_row(row, wide)
-
-
-@kernel
-def write_rows(begin, end, wide, is_balanced, pairs, triangles):
-    """`write_row` for several rows."""
-    for row in range(np.uint64(begin), np.uint64(end)):
-        write_row(row, wide, is_balanced, pairs, triangles)
-
-
-class _Kernels(NamedTuple):
-    count_row: RangeKernel
-    write_row: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(count_row), RangeKernel(write_row))
+#: Loops over wide nodes with their `WideAt`, and threads of them.
+count_rows, write_rows = (loop_of(one, _CHILDREN_BYTES) for one in (count_row, write_row))
+COUNT, WRITE = (RangeKernel(thread_of(one, _CHILDREN_BYTES)) for one in (count_row, write_row))
