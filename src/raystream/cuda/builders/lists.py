@@ -21,7 +21,7 @@ from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.intrinsics import corners_at
 from raystream.jit.simd import load, store
 from raystream.structures.grid.build import TooManyError
@@ -139,8 +139,7 @@ def build_lists(
     begins = gpu.empty("places of references", count + 1, np.uint64)
     shared = typed, corners.address, prim_ids.address
     count_cells.launch(gpu, count, (*shared, begins.address))
-    Scan(gpu, count).run(begins.address, count, begins.address, np.uint64)
-    total = int(begins.part(count, 1).host()[0])
+    total = scan_in_place(gpu, begins)
     if total > most:
         raise TooManyError
     cells = gpu.empty("cells of references", total, np.uint32)

@@ -20,7 +20,7 @@ from raystream.cuda.bvh.pairs import CHILD, COUNT, WRITE, WideAt, count_rows, wr
 from raystream.cuda.bvh.triangles import TRIANGLE_FLOATS
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.threads import parallel_for
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import BLOCK_FLOATS
@@ -101,8 +101,7 @@ def unfold_on_device(
     firsts = gpu.empty("binary nodes before each wide one", count + 1, np.uint64)
     given = WideAt(wide_nodes.address, leaves.address, firsts.address)
     COUNT.launch(gpu, count, (given, None))
-    Scan(gpu, count).run(firsts.address, count, firsts.address, np.uint64)
-    triangle_count, node_count = divmod(int(firsts.part(count, 1).host()[0]), 1 << 32)
+    triangle_count, node_count = divmod(scan_in_place(gpu, firsts), 1 << 32)
     nodes = gpu.empty("binary nodes", (node_count, NODE_FLOATS), np.float32)
     triangles = gpu.empty("triangles", (triangle_count, TRIANGLE_FLOATS), np.float32)
     to = depth > ANY_SHAPE_DEPTH, nodes.address, triangles.address

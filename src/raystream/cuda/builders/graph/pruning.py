@@ -16,7 +16,7 @@ from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import WORD
 from raystream.structures.graph.cells import NODE_BYTES
@@ -162,8 +162,7 @@ def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
             weigh.launch(gpu, end - first, given)
 
     weigh_all(0)
-    Scan(gpu, count).run(used.address, count, used.address, np.uint64)
-    total = int(used.part(count, 1).host()[0])
+    total = scan_in_place(gpu, used)
     if total > room:
         weigh_all(total)
     cut.launch(gpu, count, (nodes, chosen))

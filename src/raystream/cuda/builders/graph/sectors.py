@@ -13,7 +13,7 @@ from raystream.jit.constants import BYTES_64, ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import Scan, scan_in_place
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, WORD
 from raystream.structures.graph.bins import leaf_at
@@ -176,9 +176,7 @@ def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
     for first, end in zip(tree.levels, tree.levels[1:], strict=False):
         given = nodes, is_in.address, numbers.rows.address, boxes, ropes.address, marks.address
         place_cells.launch(gpu, end - first, (np.uint64(first), *given))
-    scan = Scan(gpu, count)
-    scan.run(marks.address, count, marks.address, np.uint32)
-    sector_count = int(marks.part(count, 1).host()[0]) + 1
+    sector_count = scan_in_place(gpu, marks) + 1
     node_count = 2 * sector_count - 1
     rows = gpu.empty("rows of nodes", count, np.uint32)
     by_row = gpu.empty("nodes by row", node_count, np.uint32)
@@ -186,7 +184,7 @@ def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
     place_nodes.launch(gpu, count, (*old, rows.address, by_row.address))
     before = gpu.empty("leaves before rows", node_count + 1, np.uint32)
     mark_leaf.launch(gpu, node_count, (nodes, by_row.address, before.address))
-    scan.run(before.address, node_count, before.address, np.uint32)
+    Scan(gpu, node_count).run(before.address, node_count, before.address, np.uint32)
     codes = gpu.empty("codes", sector_count, np.uint64)
     leaves = gpu.empty("leaves", sector_count, np.uint32)
     listed = by_row.address, before.address, codes.address, leaves.address
@@ -214,5 +212,4 @@ def number_sectors(gpu: Gpu, ordered: Ordered, lists: Lists) -> tuple[DeviceArra
     firsts = gpu.empty("first blocks", count + 1, np.uint32)
     given = ordered.leaves.address, lists.sizes.address, ordered.sectors.address
     number_sector.launch(gpu, count, (*given, firsts.address))
-    Scan(gpu, count).run(firsts.address, count, firsts.address, np.uint32)
-    return firsts, int(firsts.part(count, 1).host()[0])
+    return firsts, scan_in_place(gpu, firsts)

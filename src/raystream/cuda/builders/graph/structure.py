@@ -21,7 +21,6 @@ from raystream.cuda.builders.kdtree.numbering import number_nodes
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.kernels.leaf_block import BLOCK_FLOATS
-from raystream.structures.base import Structure
 from raystream.structures.graph.bins import bin_corners, choose_bin_counts
 from raystream.structures.graph.build import graph_box, tree_settings_of
 from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays
@@ -80,9 +79,6 @@ class DeviceGraph(RebuiltOnDevice, GraphStructure):
         graph = GraphArrays(rows, built.sector_count, prim_ids, built.bins.host())
         made._set(self.triangles, graph, self.options, 0.0)
         return made
-
-    def _rebuilt(self, triangles: Triangles) -> Structure:
-        return build_graph(self.gpu, triangles, self.options)
 
 
 def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:

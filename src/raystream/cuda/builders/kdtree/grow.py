@@ -11,7 +11,7 @@ from raystream.cuda.builders.kdtree import partition, planes
 from raystream.cuda.builders.kdtree.partition import Counts, GrownTriangles, Made
 from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, References, Tried
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, root_box
 from raystream.structures.kdtree.layout import MAX_NODES
@@ -223,7 +223,7 @@ class _Grower:
         triangles = GrownTriangles(self.corners.address, np.float64(self.bound), self.overlap)
         given = choices, triangles, counts
         partition.count_parts.launch(gpu, count, (lists.at, *given))
-        found, split = _scanned(gpu, parts), _scanned(gpu, splits)
+        found, split = (scan_in_place(gpu, one, gpu.pooled) for one in (parts, splits))
         after = _Cells.allocate(gpu, 2 * (split >> 32))
         lists_after = _Lists.allocate(gpu, (found >> 32) + (found & _LOWER))
         nodes = gpu.pooled("nodes", (cell_count, 2), np.int32)
@@ -248,13 +248,3 @@ class _Grower:
             self.gpu.copy(to, one.address, one.nbytes, one.stream)
             to += np.uint64(one.nbytes)
         return made
-
-
-def _scanned(gpu: Gpu, counts: DeviceArray) -> int:
-    """Scan counts in place; the last row becomes their sum, which is returned."""
-    count = len(counts) - 1
-    if count == 0:  # a level whose cells have no references
-        gpu.clear(counts, counts.stream)
-        return 0
-    Scan(gpu, count, empty=gpu.pooled).run(counts.address, count, counts.address, np.uint64)
-    return int(counts.part(count, 1).host()[0])
