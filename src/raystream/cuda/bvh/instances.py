@@ -1,6 +1,6 @@
 """Instances on the GPU: one loop through the tree over them and the trees of their objects.
 
-Where a ray enters an instance, a mark on the stack says that the ray goes on outside when all
+Where a ray enters an instance, a mark on the stack says to continue outside when all
 within has been visited. So the threads of a warp visit nodes together, be it those of the tree over
 the instances or of an object, and there is one stack.
 """
