@@ -7,12 +7,13 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 from raystream.cuda.bvh.kernels import Traced, lay_out, layout_of, traced_as
 from raystream.cuda.nested import AddressMap, SharedAllocation
-from raystream.cuda.query_kernels import QueryKernels, make_kernels
+from raystream.cuda.query_kernels import make_kernels
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
+from raystream.kernels.queries import RayAnswers
 from raystream.structures import STRUCTURES, Structure, structure_class
 
 
-def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
+def kernels_of(made: Traced, *, is_own: bool = False) -> RayAnswers:
     """The query kernels of a structure.
 
     Parameters
@@ -34,7 +35,7 @@ def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
 
 
 @cache
-def _made(made: Traced, is_own: bool) -> QueryKernels:
+def _made(made: Traced, is_own: bool) -> RayAnswers:
     held: Any = structure_class(made) if isinstance(made, str) else made
     traced = held if is_own else layout_of(made)
     return make_kernels(traced.traverse, traced.stack_bytes, held.make_searches)
