@@ -67,7 +67,7 @@ def test_structures_equal_brute_force(gpu, tracer, name):
 )
 def test_the_cpus_layout_equals_brute_force(gpu, monkeypatch, name):
     """That of counters and closest points, here for all queries."""
-    monkeypatch.setattr("raystream.cuda.structures.has_binary_layout", lambda _: False)
+    monkeypatch.setattr("raystream.cuda.structures.layout_of", lambda _: None)
     case = few_of(case_of(name))
     answers = answers_of(
         rs.Tracer(case.scene, "bvh", "cuda"), rays_of(case), is_brief=is_simulated()

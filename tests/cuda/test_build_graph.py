@@ -103,13 +103,13 @@ def test_splits_are_taken_back_as_long_as_there_is_room(device, monkeypatch):
     from raystream.cuda.builders.graph import pruning
 
     budgets = []
-    usual = pruning.KERNELS.weigh.launch
+    usual = pruning.weigh.launch
 
     def launch(gpu, count, arguments):
         budgets.append(arguments[-1])
         usual(gpu, count, arguments)
 
-    monkeypatch.setattr(pruning.KERNELS.weigh, "launch", launch)
+    monkeypatch.setattr(pruning.weigh, "launch", launch)
     assert_same_graphs(rs.load("spheres"))
     assert any(budget.total > budget.room for budget in budgets)
 

@@ -53,18 +53,17 @@ def wide_leaves(tree):
 
 
 def prim_ids_of(triangles):
-    return triangles.view(np.int32)[:, 3]
+    return triangles.view(np.int32)[:, 9]
 
 
 def binary_leaves(nodes, triangles):
     """`wide_leaves` of the binary layout: all that contain a leaf."""
-    links, is_last = nodes.view(np.int32)[:, 12:14], triangles.view(np.int32)[:, 7]
+    links, is_last = nodes.view(np.int32)[:, 6::8], triangles.view(np.int32)[:, 10]
     pending = [(0, np.full(3, -np.inf), np.full(3, np.inf))] if len(nodes) else []
     while pending:
         row, outer_low, outer_high = pending.pop()
         for side in range(2):
-            places = [[4 * side, 4 * side + 2, 8 + 2 * side]]
-            low, high = nodes[row, np.add(places, [[0], [1]])]
+            low, high = nodes[row, 8 * side : 8 * side + 6].reshape(3, 2).T
             link = int(links[row, side])
             if not (low <= high).all():
                 continue
@@ -78,9 +77,9 @@ def binary_leaves(nodes, triangles):
 
 def check_layout(structure):
     """Each triangle of a leaf is within leaves whose boxes, and those around them, contain it."""
-    _, arrays = lay_out(structure)
+    arrays = lay_out(structure).arrays
     found = {}
-    for low, high, ids in binary_leaves(arrays["nodes"], arrays["triangles"]):
+    for low, high, ids in binary_leaves(arrays["nodes"], arrays["leaves"]):
         for one in ids.tolist():
             found.setdefault(one, []).append((low, high))
     entries = 0
@@ -88,9 +87,9 @@ def check_layout(structure):
         for one in ids.tolist():
             entries += 1
             assert any((a <= low).all() and (b >= high).all() for a, b in found[one])
-    assert entries == len(arrays["triangles"]) == sum(map(len, found.values()))
-    corners = arrays["triangles"].reshape(-1, 3, 4)[:, :, :3]
-    ids = prim_ids_of(arrays["triangles"])
+    assert entries == len(arrays["leaves"]) == sum(map(len, found.values()))
+    corners = arrays["leaves"][:, :9].reshape(-1, 3, 3)
+    ids = prim_ids_of(arrays["leaves"])
     np.testing.assert_array_equal(corners, structure.triangles.corners[ids])
 
 
@@ -126,7 +125,7 @@ def test_triangles_that_moved_away_are_left_out():
 def depth_of(nodes):
     """Nodes on the longest path; parents come before their children."""
     depths = np.ones(len(nodes), int)
-    for row, links in enumerate(nodes.view(np.int32)[:, 12:14]):
+    for row, links in enumerate(nodes.view(np.int32)[:, 6::8]):
         depths[links[links > 0]] = depths[row] + 1
     return depths.max()
 
@@ -136,10 +135,64 @@ def test_too_deep_trees_are_balanced(monkeypatch):
     corners = np.repeat(4.0 ** np.arange(12), 3).reshape(-1, 3, 1) * np.eye(3)
     structure = bvh_of(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3), max_leaf_size=1)
     most = 3 * structure.quality()["depth"]
-    assert depth_of(unfold(structure.tree)["nodes"]) > most
+    assert depth_of(unfold(*structure.tree).nodes) > most
     monkeypatch.setattr(binary, "ANY_SHAPE_DEPTH", 0)
-    assert depth_of(unfold(structure.tree)["nodes"]) <= most
+    assert depth_of(unfold(*structure.tree).nodes) <= most
     check_layout(structure)
+
+
+# ---- Trees whose leaves are not triangles.
+
+
+def links_below(nodes, first, end):
+    """Links to leaves of the binary tree in some rows, which must all be reached."""
+    links = nodes[first:end].view(np.int32)[:, 6::8]
+    is_box = (nodes[first:end, 0::8] <= nodes[first:end, 1::8]).ravel()
+    inner = links[links > 0]
+    assert np.array_equal(np.sort(inner), np.arange(1, end - first))
+    return np.sort(links.ravel()[is_box & (links.ravel() < 0)])
+
+
+def wide_links(nodes):
+    links = nodes.view(np.int32)[:, 48:56]
+    return np.sort(links[links < 0])
+
+
+def test_blocks_of_spheres_and_of_float64_keep_their_links():
+    rng = np.random.default_rng(5)
+    balls = rs.Scene.spheres(rng.normal(size=(300, 3)), 0.1)
+    vertices, faces = soup(300)
+    mesh = rs.Scene.from_arrays(vertices, faces)
+    spheres = rs.Tracer(rs.Scene.combine([mesh, balls])).structure
+    exact = rs.Tracer(mesh, precision="float64").structure
+    for structure, name in ((spheres, "sphere_nodes"), (exact, "nodes")):
+        nodes = lay_out(structure).arrays[name]
+        expected = wide_links(structure.memory[name])
+        assert np.array_equal(links_below(nodes, 0, len(nodes)), expected)
+    check_layout(spheres._inner)
+
+
+def test_trees_of_worlds_stay_apart():
+    """All are expanded together; links are within the tree of each world."""
+    count = 200
+    places = np.tile(np.eye(3, 4), (count, 1, 1))
+    places[:, :, 3] = np.random.default_rng(6).normal(size=(count, 3)) * 5.0
+    worlds = np.where(np.arange(count) < 20, -1, np.arange(count) % 3)
+    scene = rs.Scene.instances(rs.load("cornell"), places, worlds=worlds)
+    structure = rs.Tracer(scene).structure
+    tree, arrays, objects = lay_out(structure)
+    ends = structure.trees.first_nodes
+    starts = (arrays["trees"]["nodes"] - np.uint64(arrays["nodes"].ctypes.data)) // 64
+    assert int(tree.shared - tree.trees) == 16 * (len(starts) - 1)
+    starts = [*map(int, starts), len(arrays["nodes"])]
+    for world in range(4):
+        found = links_below(arrays["nodes"], *starts[world : world + 2])
+        wide = structure.memory["nodes"][slice(*ends[world : world + 2])]
+        assert np.array_equal(found, wide_links(wide))
+        assert len(found) == (20 if world == 3 else 60)
+    (held,) = structure.objects
+    for ours, theirs in zip(objects(), unfold(*held.tree)[:2], strict=True):
+        assert ours.tobytes() == theirs.tobytes()
 
 
 # ---- Traversals.
@@ -147,7 +200,7 @@ def test_too_deep_trees_are_balanced(monkeypatch):
 
 def traced(structure, case, splits):
     """First hits, and all hits for which there are rows, by the layout's kernels on the CPU."""
-    kernels, (tree, _kept) = kernels_of("bvh"), lay_out(structure)
+    kernels, (tree, *_kept) = kernels_of("bvh"), lay_out(structure)
     batch = RayBatch(case.origins, case.directions, case.t_min, case.t_max)
     source, _also = RaySource.of(batch.origins, batch.directions, batch.limits)
     status = np.zeros(len(batch), np.uint8)

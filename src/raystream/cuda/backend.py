@@ -10,7 +10,7 @@ from raystream.core.errors import RaystreamError
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.core.triangles import Triangles
-from raystream.cuda.bvh.kernels import has_binary_layout, traced_as
+from raystream.cuda.bvh.kernels import layout_of, traced_as
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.host_rays import trace_from_host
 from raystream.cuda.launch import DeviceScene
@@ -83,7 +83,7 @@ class CudaBackend(Backend):
             DeviceTriangles(gpu, structure.triangles),
             HitIds(gpu, structure.triangles),
         )
-        self._own_scene = None if has_binary_layout(traced_as(structure)) else self._scene
+        self._own_scene = None if layout_of(traced_as(structure)) else self._scene
         #: Whether the scene has triangles alone, where they are, in float32: for shading and
         #: programs.
         is_plain = isinstance(structure.triangles, Triangles)
@@ -151,7 +151,7 @@ class CudaBackend(Backend):
     ) -> None:
         """Find the triangles nearest to points in host memory; see `Backend.find_nearest`."""
         if self._points is None:
-            resident = self._in_own_layout().resident
+            resident = self._scene.resident
             self._points = DevicePoints(self.gpu, self.structure, resident, self.rays_at_once)
         self._points.find(points, limits, capacity, out, progress)
 

@@ -20,7 +20,7 @@ def _rounded(byte_count: int) -> int:
 
 
 class SharedAllocation:
-    """Contiguous arrays in one allocation of a device: a scene may have thousands of objects.
+    """Copies of contiguous arrays in one allocation: a scene may have thousands of objects.
 
     They must not change. A scene whose instances have moved has the same objects: their copies are
     shared as long as one of the two is in use.
@@ -29,8 +29,10 @@ class SharedAllocation:
     ----------
     gpu : Gpu
     name : str
-        For errors.
+        Of the layout, and for errors.
     arrays : sequence of ndarray
+    copies : sequence of ndarray
+        As they are, or in another layout.
 
     Attributes
     ----------
@@ -44,18 +46,24 @@ class SharedAllocation:
         If there is no memory for them.
     """
 
-    def __init__(self, gpu: Gpu, name: str, arrays: Sequence[NDArray[Any]]) -> None:
+    def __init__(
+        self,
+        gpu: Gpu,
+        name: str,
+        arrays: Sequence[NDArray[Any]],
+        copies: Sequence[NDArray[Any]],
+    ) -> None:
         self._arrays = tuple(arrays)  # while they are kept, no others have their addresses
-        self.memory = gpu.empty(name, self.bytes_of(arrays), np.uint8)
+        self.memory = gpu.empty(name, self.bytes_of(copies), np.uint8)
         self.addresses: list[np.uint64] = []
         first = 0
-        for one in arrays:
+        for one in copies:
             part = self.memory.part(first, one.nbytes)
             if one.nbytes:
                 part.fill(one.reshape(-1).view(np.uint8))
             self.addresses.append(part.address)
             first += _rounded(one.nbytes)
-        _known[_key(gpu, arrays)] = self
+        _known[_key(gpu, name, arrays)] = self
 
     @staticmethod
     def bytes_of(arrays: Iterable[NDArray[Any]]) -> int:
@@ -63,17 +71,17 @@ class SharedAllocation:
         return sum(_rounded(one.nbytes) for one in arrays)
 
     @staticmethod
-    def known(gpu: Gpu, arrays: Sequence[NDArray[Any]]) -> SharedAllocation | None:
+    def known(gpu: Gpu, name: str, arrays: Sequence[NDArray[Any]]) -> SharedAllocation | None:
         """The copies of these arrays that are in use, if there are any."""
-        return _known.get(_key(gpu, arrays))
+        return _known.get(_key(gpu, name, arrays))
 
 
-#: Copies in use, by device and the addresses of the arrays.
+#: Copies in use, by device, name and the addresses of the arrays.
 _known: WeakValueDictionary[tuple[Any, ...], SharedAllocation] = WeakValueDictionary()
 
 
-def _key(gpu: Gpu, arrays: Iterable[NDArray[Any]]) -> tuple[Any, ...]:
-    return gpu, *((one.ctypes.data, one.nbytes) for one in arrays)
+def _key(gpu: Gpu, name: str, arrays: Iterable[NDArray[Any]]) -> tuple[Any, ...]:
+    return gpu, name, *((one.ctypes.data, one.nbytes) for one in arrays)
 
 
 class AddressMap:

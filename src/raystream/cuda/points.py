@@ -51,7 +51,7 @@ class DevicePoints:
     gpu : Gpu
     structure : Structure
     resident : Resident
-        Its arrays on the device, in its own layout.
+        Its arrays on the device.
     points_at_once : int
         Most points on the device together; fewer if each has many rows.
     """

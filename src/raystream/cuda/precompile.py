@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.precompile import block_kernels, build_kernels
-from raystream.cuda.bvh.kernels import has_binary_layout, lay_out, traced_as
+from raystream.cuda.bvh.kernels import lay_out, layout_of, traced_as
 from raystream.cuda.hit_ids import HALVE, SPLIT, InstanceIds
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.point_kernels import nearest_kernel
@@ -100,7 +100,7 @@ def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]
     made = {}
     for name in names_with("nearest search"):
         structure = build_structure(name, scene.triangles)
-        tree = lay_out(structure, is_own=True).tree
+        tree = lay_out(structure).tree
         arguments = PointSource(_AT, _AT, _AT), structure.frame, tree, _AT, _AT, to
         made[name] = nearest_kernel(name), arguments
     return made
@@ -122,9 +122,9 @@ def all_kernels(scene: Scene) -> dict[tuple[str, str], Compiler]:
     ways: list[tuple[str, str, dict[str, Any]]] = [
         *((name, name, {}) for name in STRUCTURES),
         *(
-            (f"{name}, own layout", name, {"is_own": True})
+            (f"{name}, own layout", name, {"is_own": True, "counters": True})
             for name in STRUCTURES
-            if has_binary_layout(name)
+            if layout_of(name)
         ),
         *((f"{one}, float64", one, {"precision": "float64"}) for one in ("bvh", "brute")),
     ]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
-from raystream.cuda.bvh.kernels import LAYOUTS, Traced, has_binary_layout, lay_out, traced_as
+from raystream.cuda.bvh.kernels import Traced, lay_out, layout_of, traced_as
 from raystream.cuda.nested import AddressMap, SharedAllocation
 from raystream.cuda.query_kernels import make_kernels
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
 from raystream.kernels.queries import RayAnswers
-from raystream.structures import STRUCTURES, Structure, form_of, structure_class
+from raystream.structures import STRUCTURES, Structure, structure_class
 
 
 def kernels_of(made: Traced, *, is_own: bool = False) -> RayAnswers:
@@ -21,7 +21,7 @@ def kernels_of(made: Traced, *, is_own: bool = False) -> RayAnswers:
     made : str or type of Structure
         Name of the structure, or its class; see `bvh.kernels.traced_as`.
     is_own : bool
-        Whether a BVH has its own layout, which is the CPU's, instead of binary nodes.
+        Whether it has its own layout, which is the CPU's, instead of binary nodes.
 
     Raises
     ------
@@ -31,16 +31,14 @@ def kernels_of(made: Traced, *, is_own: bool = False) -> RayAnswers:
     if isinstance(made, str) and made not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
         raise CudaError(f"device 'cuda': supports the structures {known}, not {made!r}")
-    return _made(made, has_binary_layout(made) and not is_own)
+    return _made(made, is_own or layout_of(made) is None)
 
 
 @cache
-def _made(made: Traced, is_binary: bool) -> RayAnswers:
+def _made(made: Traced, is_own: bool) -> RayAnswers:
     held: Any = structure_class(made) if isinstance(made, str) else made
-    traverse, stack_bytes = held.traverse, held.stack_bytes
-    if is_binary and isinstance(made, str):
-        traverse, stack_bytes = form_of(made, LAYOUTS).binary_search()
-    return make_kernels(traverse, stack_bytes, held.make_searches)
+    traced = held if is_own else layout_of(made)
+    return make_kernels(traced.traverse, traced.stack_bytes, held.make_searches)
 
 
 class Resident(NamedTuple):
@@ -90,17 +88,18 @@ def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
     CudaError
         If there is not enough memory; nothing has been copied then.
     """
-    is_own = is_own or not has_binary_layout(traced_as(structure))
+    is_own = is_own or layout_of(traced_as(structure)) is None
     if isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number:
         built: Any = structure
         return cast("Resident", built.resident if is_own else built.binary)
-    tree, given = lay_out(structure, is_own=is_own)
+    tree, given, make_nested = lay_out(structure, is_own=is_own)
     nested = structure.nested
     # Address 0 marks arrays that are absent.
     memory = {name: one for name, one in given.items() if getattr(tree, name, one.size)}
-    held = SharedAllocation.known(gpu, nested.arrays) if nested.arrays else None
-    wanted = sum(one.nbytes for one in memory.values())
-    wanted += 0 if held else SharedAllocation.bytes_of(nested.arrays)
+    name = f"{structure.name}, objects{'' if is_own else ', binary nodes'}"
+    held = SharedAllocation.known(gpu, name, nested.arrays) if nested.arrays else None
+    copies = () if held else make_nested()
+    wanted = sum(one.nbytes for one in memory.values()) + SharedAllocation.bytes_of(copies)
     free = gpu.free_byte_count()
     if wanted > free:
         raise CudaError(
@@ -110,7 +109,7 @@ def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
     arrays = {name: gpu.upload(f"{structure.name}, {name}", one) for name, one in memory.items()}
     addresses = {name: one.address for name, one in arrays.items()}
     if nested.fields:
-        held = held or SharedAllocation(gpu, f"{structure.name}, objects", nested.arrays)
+        held = held or SharedAllocation(gpu, name, nested.arrays, copies)
         places = *addresses.values(), *held.addresses
         moved = AddressMap((*memory.values(), *nested.arrays), places)
         for name in memory.keys() & nested.fields.keys():

@@ -215,7 +215,7 @@ tree_searches = _line_searches(tree_blocks)
 @device
 def _parts(memory):
     """The stack and the lanes in the working memory of a ray."""
-    return memory, memory + np.uint64(STACK_BYTES)
+    return memory + np.uint64(LANES_BYTES), memory
 
 
 def float64_searches(blocks: Callable[..., Any]) -> RaySearches:

@@ -12,10 +12,8 @@ import numpy as np
 
 from raystream.float64.block import BLOCK, leaf_end
 from raystream.float64.ray import widened_far, widened_near
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
-    count_trailing_zeros,
     f32x8,
     f64x8,
     float_as_bits,
@@ -23,32 +21,19 @@ from raystream.jit.simd import (
     i32x8,
     lane_numbers,
     load,
-    mask_bits,
     maximum,
     minimum,
     narrow,
     widen,
 )
-from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.node_layout import (
-    BOX_FLIP,
-    CHILDREN,
-    LANE,
-    NODE,
-    leaf_address,
-    prefetch_child,
-)
-from raystream.structures.bvh.steps import begin, is_leaf, next_entry, push
+from raystream.structures.bvh.node_layout import BOX_FLIP, leaf_address
+from raystream.structures.bvh.walk import STACK_BYTES, tree_walk
+
+__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
 
 _ZERO = np.float64(0.0)
 _ZERO32 = np.float32(0.0)
 _KEY_BITS = np.int32(~7)
-
-#: Bytes of half the stack, for the deepest tree.
-_HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
-
-#: Bytes of the stack.
-STACK_BYTES = 2 * int(_HALF)
 
 
 class Float64Tree(NamedTuple):
@@ -70,36 +55,72 @@ class Float64Tree(NamedTuple):
 
 
 @device
-def _enter(node, ray, t_min, t_far):
-    """Test the boxes of a node's children; see `structures.bvh.steps.enter`."""
-    at_x = node + ray.planes[0]
-    at_y = node + ray.planes[1]
-    at_z = node + ray.planes[2]
+def box_interval(first, last, ray):
+    """Distances at which a ray enters and leaves boxes.
+
+    Parameters
+    ----------
+    first, last : triple of float32 vectors or numbers
+        The planes that it enters and leaves by.
+    ray : Float64Ray
+    """
     inv, near, far = ray.inv, ray.near, ray.far
-    t_in = maximum(
-        maximum(
-            fma(widen(load(f32x8, at_x)), inv[0], near[0]),
-            fma(widen(load(f32x8, at_y)), inv[1], near[1]),
-        ),
-        fma(widen(load(f32x8, at_z)), inv[2], near[2]),
-    )
-    t_out = minimum(
-        minimum(
-            fma(widen(load(f32x8, at_x ^ BOX_FLIP)), inv[0], far[0]),
-            fma(widen(load(f32x8, at_y ^ BOX_FLIP)), inv[1], far[1]),
-        ),
-        fma(widen(load(f32x8, at_z ^ BOX_FLIP)), inv[2], far[2]),
-    )
+    x_in, x_out = fma(widen(first[0]), inv[0], near[0]), fma(widen(last[0]), inv[0], far[0])
+    y_in, y_out = fma(widen(first[1]), inv[1], near[1]), fma(widen(last[1]), inv[1], far[1])
+    z_in, z_out = fma(widen(first[2]), inv[2], near[2]), fma(widen(last[2]), inv[2], far[2])
+    return maximum(maximum(x_in, y_in), z_in), minimum(minimum(x_out, y_out), z_out)
+
+
+@device
+def _enter(node, line, search, t_min, t_far):
+    """Test the boxes of a node's children; see `structures.bvh.steps.enter`."""
+    ray, _ = line
+    at_x, at_y, at_z = node + ray.planes[0], node + ray.planes[1], node + ray.planes[2]
+    first = load(f32x8, at_x), load(f32x8, at_y), load(f32x8, at_z)
+    last = load(f32x8, at_x ^ BOX_FLIP), load(f32x8, at_y ^ BOX_FLIP), load(f32x8, at_z ^ BOX_FLIP)
+    t_in, t_out = box_interval(first, last, ray)
     entered = maximum(t_in, f64x8(t_min)) <= minimum(t_out, f64x8(t_far))
     # Rounding to float32 keeps the order, so that a key is at most that of a farther limit.
     keys = float_as_bits(narrow(maximum(t_in, f64x8(_ZERO))))
     return (keys & _KEY_BITS) | lane_numbers(i32x8), entered
 
 
-@device
-def _limit(t_far):
-    """The limit of keys. Adding zero turns -0 into 0, whose bits are in the numbers' order."""
-    return np.float32(t_far) + _ZERO32
+def blocks_by(make_walk: Callable[..., Any]) -> Callable[..., Any]:
+    """Make `tree_blocks` for trees of another layout; ``make_walk(interval, visit_leaf)``."""
+
+    def make_traversal(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
+        @device
+        def interval(line, search):
+            ray, _ = line
+            far = widened_far(far_of(ray, search))
+            # Adding zero turns -0 into 0.
+            return widened_near(ray.line.t_min), far, np.float32(far) + _ZERO32
+
+        @device
+        def visit_leaf(tree, child, line, search, stack):
+            ray, lanes = line
+            block = leaf_address(tree.leaves, child)
+            end = leaf_end(block, child)
+            while block != end:
+                search, is_over = visit(block, ray, search, lanes)
+                if is_over:
+                    return search, True
+                block += BLOCK
+            return search, False
+
+        walk_tree = make_walk(interval, visit_leaf)
+
+        @device
+        def walk(tree, ray, search, stack, lanes, wants_any):
+            return walk_tree(tree, (ray, lanes), search, stack, wants_any)
+
+        return walk
+
+    return make_traversal
+
+
+def _wide_walk(interval: Callable[..., Any], visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    return tree_walk(interval, _enter, visit_leaf)
 
 
 def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
@@ -118,45 +139,11 @@ def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callab
     device function
         ``walk(tree, ray, search, stack, lanes, wants_any) -> search``
     """
+    made: Callable[..., Any] = _of_wide_trees(visit, far_of)
+    return made
 
-    @device
-    def walk(tree, ray, search, stack, lanes, wants_any):
-        t_min = widened_near(ray.line.t_min)
-        t_far = widened_far(far_of(ray, search))
-        if not t_min <= t_far:
-            return search
-        top = begin(tree, _ZERO32, _ZERO32, stack, _HALF)
-        found, child, top = next_entry(stack, _HALF, top, _limit(t_far))
-        while found:
-            if is_leaf(child):
-                block = leaf_address(tree.leaves, child)
-                end = leaf_end(block, child)
-                while block != end:
-                    search, is_over = visit(block, ray, search, lanes)
-                    if is_over:
-                        return search
-                    block += BLOCK
-                t_far = widened_far(far_of(ray, search))
-            else:
-                node = tree.nodes + np.uint64(child) * NODE
-                keys, entered = _enter(node, ray, t_min, t_far)
-                bits = mask_bits(entered)
-                if bits != ZERO_U64:
-                    if bits & (bits - ONE_U64) == ZERO_U64:
-                        at = node + CHILDREN + (count_trailing_zeros(bits) << SHIFT_32)
-                        child = load(np.int32, at)
-                        continue
-                    top = push(node, keys, entered, wants_any, stack, _HALF, top)
-                    top -= LANE  # the last one is within the interval
-                    child = load(np.int32, stack + _HALF + top)
-                    if top != ZERO_U64:
-                        below = load(np.int32, stack + _HALF + top - LANE)
-                        prefetch_child(below, tree.nodes, tree.leaves)
-                    continue
-            found, child, top = next_entry(stack, _HALF, top, _limit(t_far))
-        return search
 
-    return walk
+_of_wide_trees = blocks_by(_wide_walk)
 
 
 def all_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:

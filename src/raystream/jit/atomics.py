@@ -1,4 +1,4 @@
-"""Atomic operations and fences on memory shared by threads, for the CPU and CUDA."""
+"""Atomic operations on memory shared by threads, for the CPU and CUDA."""
 
 from __future__ import annotations
 
@@ -16,19 +16,6 @@ from raystream.jit.simd.nvvm import is_cuda
 
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
-
-
-@intrinsic
-def atomic_add(typing_context: Any, at: Any, amount: Any) -> Any:
-    """Atomically add to the uint32 at an address; returns the old value."""
-    if at != types.uint64 or amount != types.uint32:
-        return None
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = pointer_to(builder, arguments[0], _I32)
-        return builder.atomic_rmw("add", pointer, arguments[1], "monotonic")
-
-    return types.uint32(at, amount), generate
 
 
 def _call(builder: Any, name: str, returns: Any, *arguments: Any) -> Any:
@@ -99,17 +86,3 @@ def compare_and_swap(typing_context: Any, at: Any, expected: Any, number: Any) -
         return builder.extract_value(swapped, 0)
 
     return types.uint32(at, expected, number), generate
-
-
-@intrinsic
-def fence(typing_context: Any) -> Any:
-    """Order this thread's writes: all threads see earlier ones before later ones."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        if is_cuda(builder):
-            _call(builder, "llvm.nvvm.membar.gl", ir.VoidType())
-        else:
-            builder.fence("seq_cst")
-        return context.get_dummy_value()
-
-    return types.void(), generate

@@ -18,9 +18,9 @@ from raystream.primitives.field import FIELD_BYTES, traverse_all_cells, traverse
 from raystream.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
 from raystream.primitives.sphere import ExactRay, exact_ray, intersect_spheres
 from raystream.structures.brute.traversal import traverse as traverse_brute
-from raystream.structures.bvh.traversal import STACK_BYTES as TREE_BYTES
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 from raystream.structures.bvh.traversal import tree_traversal
+from raystream.structures.bvh.walk import STACK_BYTES as TREE_BYTES
 
 _LEAF_SHIFT = np.int32(3)
 _TREE = np.uint64(TREE_BYTES)
@@ -46,30 +46,47 @@ class _SphereTree(NamedTuple):
 
 
 @device
-def _search_spheres(tree, child, line, search, stack):  # noqa: ARG001
+def search_spheres(tree, child, line, search, stack):  # noqa: ARG001
+    """Offer the hits of a leaf's spheres to a search."""
     index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
     block = address_of(SphereBlock(tree.leaves, index))
     return intersect_spheres(block, tree.ray, tree.exact, search)
 
 
-_traverse_spheres = device(tree_traversal(_search_spheres))
+_traverse_spheres = device(tree_traversal(search_spheres))
 
 
-@device
-def traverse_trees(scene, ray, search, stack):
-    """Search the trees of triangles, of each height field and of spheres, one after another."""
-    held = scene.primitives
-    search = traverse_bvh(held, ray, search, stack)
-    line = block_ray(ray)
-    for k in range(held.field_count):
+def trees_traversal(search_triangles, search_spheres, tree_bytes):
+    """Make the traversal of the trees of triangles, of each height field and of spheres, in turn.
+
+    Parameters
+    ----------
+    search_triangles, search_spheres : device function
+        Traversals of a tree, see `kernels.queries.ray_queries`: of the primitives' own, and of one
+        with an `ExactRay`.
+    tree_bytes : uint64
+        Their memory, before that of height fields.
+    """
+
+    def traverse(scene, ray, search, stack):
+        held = scene.primitives
+        search = search_triangles(held, ray, search, stack)
+        line = block_ray(ray)
+        for k in range(held.field_count):
+            if is_full(search):
+                return search
+            field = FieldRecord(held.fields, k)
+            search = traverse_field(field, ray, line, search, stack + tree_bytes)
         if is_full(search):
             return search
-        field = FieldRecord(held.fields, k)
-        search = traverse_field(field, ray, line, search, stack + _TREE)
-    if is_full(search):
-        return search
-    tree = _SphereTree(held.sphere_nodes, held.sphere_blocks, ray, scene.exact)
-    return _traverse_spheres(tree, ray, search, stack)
+        tree = _SphereTree(held.sphere_nodes, held.sphere_blocks, ray, scene.exact)
+        return search_spheres(tree, ray, search, stack)
+
+    return traverse
+
+
+#: Search the trees of the processor's layout.
+traverse_trees = device(trees_traversal(traverse_bvh, _traverse_spheres, _TREE))
 
 
 @device

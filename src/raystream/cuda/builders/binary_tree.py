@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.triangles import Triangles
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
+from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
@@ -25,8 +25,9 @@ from raystream.structures.bvh.binary_tree import LINK_BYTES, Link
 from raystream.structures.bvh.collapse import COST_BYTES, leaf_costs, merge_costs
 from raystream.structures.bvh.prim_refs import COUNT_AT, REF_BYTES, write_ref
 
-#: Bits of a key per axis, and those for trees that must stay shallow.
-FINE_BITS, COARSE_BITS = 16, 10
+#: Bits of a key per axis.
+_BITS = 16
+_LAST_STEP = np.float64(2**_BITS - 1)
 
 #: Costs of a node and of a leaf block, as on the CPU.
 _COSTS = (np.float32(1.0), np.float32(1.0), np.float32(0.0))
@@ -93,30 +94,26 @@ class KeyFrame(NamedTuple):
         Twice the low corner of the bounds.
     scale : float64
         Key steps per unit of doubled coordinates.
-    bits : uint64
-        Bits per axis.
     """
 
     low: tuple[np.float64, np.float64, np.float64]
     scale: np.float64
-    bits: np.uint64
 
     @classmethod
-    def of(cls, triangles: Triangles, bits: int) -> KeyFrame:
+    def of(cls, triangles: Triangles) -> KeyFrame:
         """The frame of some triangles, with the same step size along all axes."""
         low, high = triangles.bounds.astype(np.float64)
         longest = float((high - low).max())
         x, y, z = 2.0 * low
-        scale = 2.0**bits / (2.0 * longest) if longest > 0.0 else 0.0
-        return cls((x, y, z), np.float64(scale), np.uint64(bits))
+        scale = 2.0**_BITS / (2.0 * longest) if longest > 0.0 else 0.0
+        return cls((x, y, z), np.float64(scale))
 
 
 @device
 def _step(place, low, frame):
     """Quantize a doubled coordinate along one axis."""
     steps = (place - low) * frame.scale
-    most = np.float64((ONE_U64 << frame.bits) - ONE_U64)
-    return np.uint64(np.int64(min(max(steps, 0.0), most)))
+    return np.uint64(np.int64(min(max(steps, 0.0), _LAST_STEP)))
 
 
 @device
@@ -129,8 +126,9 @@ def _spread_bits(number):
     return (number | (number << np.uint64(2))) & np.uint64(0x1249249249249249)
 
 
+@RangeKernel
 @kernel
-def _make_key(i, corners, prim_ids, frame, keys, values):
+def make_key(i, corners, prim_ids, frame, keys, values):
     """Write the key of the triangle in row i of `prim_ids`, and its prim_id."""
     prim_id = load(np.int32, prim_ids + (i << SHIFT_32))
     record = scratch(32)
@@ -144,8 +142,9 @@ def _make_key(i, corners, prim_ids, frame, keys, values):
     store(values + (i << SHIFT_32), np.uint32(prim_id))
 
 
+@RangeKernel
 @kernel
-def _make_leaf(i, corners, values, nodes):
+def make_leaf(i, corners, values, nodes):
     """Write row i of the tree: a leaf of one triangle."""
     box = nodes.boxes + i * np.uint64(REF_BYTES)
     write_ref(corners, load(np.int32, values + (i << SHIFT_32)), box)
@@ -173,17 +172,7 @@ def join(nodes, row, left, right):
     store(nodes.costs + row * np.uint64(COST_BYTES), costs)
 
 
-class _Kernels(NamedTuple):
-    make_key: RangeKernel
-    make_leaf: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(_make_key), RangeKernel(_make_leaf))
-
-
-def make_leaves(
-    gpu: Gpu, triangles: Triangles, corners: DeviceArray, nodes: Nodes, bits: int
-) -> DeviceArray:
+def make_leaves(gpu: Gpu, triangles: Triangles, corners: DeviceArray, nodes: Nodes) -> None:
     """Launch the kernels that write the leaves of a tree in key order.
 
     Parameters
@@ -194,13 +183,6 @@ def make_leaves(
         The triangles' corners.
     nodes : Nodes
         Its leaf rows are written.
-    bits : int
-        Key bits per axis.
-
-    Returns
-    -------
-    DeviceArray of shape (N,), uint64
-        The keys, in increasing order.
 
     Raises
     ------
@@ -210,9 +192,8 @@ def make_leaves(
     prim_ids = gpu.upload("prim_ids", triangles.prim_ids)
     keys = gpu.empty("keys", nodes.leaf_count, np.uint64)
     values = gpu.empty("triangles by key", nodes.leaf_count, np.uint32)
-    frame = KeyFrame.of(triangles, bits)
+    frame = KeyFrame.of(triangles)
     to = keys.address, values.address
-    KERNELS.make_key.launch(gpu, nodes.leaf_count, (corners.address, prim_ids.address, frame, *to))
-    keys, values = sort_pairs(gpu, keys, values, 3 * bits)
-    KERNELS.make_leaf.launch(gpu, nodes.leaf_count, (corners.address, values.address, nodes.at))
-    return keys
+    make_key.launch(gpu, nodes.leaf_count, (corners.address, prim_ids.address, frame, *to))
+    _, values = sort_pairs(gpu, keys, values, 3 * _BITS)
+    make_leaf.launch(gpu, nodes.leaf_count, (corners.address, values.address, nodes.at))

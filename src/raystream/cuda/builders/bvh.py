@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from raystream.core.triangles import Triangles
-from raystream.cuda.builders.binary_tree import COARSE_BITS, FINE_BITS, Nodes, make_leaves
+from raystream.cuda.builders.binary_tree import Nodes, make_leaves
 from raystream.cuda.builders.clusters import merge_clusters
 from raystream.cuda.builders.device_resident import DeviceResident, finish
-from raystream.cuda.builders.linear import link_by_keys
 from raystream.cuda.builders.refit import cost_of, refit
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
-from raystream.cuda.bvh.binary import BinaryAddresses, unfold_on_device
+from raystream.cuda.bvh.binary import unfold_on_device
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
@@ -66,7 +65,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
         """New binary nodes of the tree as it is now."""
         nodes, leaves, levels = self.wide
         arrays = unfold_on_device(self.gpu, nodes, leaves, len(levels) - 1)
-        return Resident(BinaryAddresses(*(one.address for one in arrays)), arrays)
+        return Resident(TreeAddresses(*(one.address for one in arrays)), arrays)
 
     @cached_property
     def _on_host(self) -> BvhStructure:
@@ -131,7 +130,7 @@ def build_bvh(gpu: Gpu, triangles: Triangles, options: Bvh) -> BvhStructure:
     -------
     BvhStructure
         Deterministic. Neighbours in Morton order whose common box is small are merged; the binary
-        tree is collapsed to wide nodes as on the CPU.
+        tree is collapsed to wide nodes as on the CPU. The CPU builds it if that tree is too deep.
 
     Raises
     ------
@@ -145,26 +144,10 @@ def build_bvh(gpu: Gpu, triangles: Triangles, options: Bvh) -> BvhStructure:
         return BvhStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
+    nodes = Nodes.allocate(gpu, len(triangles.prim_ids), options.max_leaf_size)
+    make_leaves(gpu, triangles, corners, nodes)
     try:
-        wide = _build(gpu, triangles, corners, options.max_leaf_size)
+        wide = make_wide(gpu, nodes, merge_clusters(gpu, nodes), corners)
     except TooDeepError:
-        wide = _build_by_keys(gpu, triangles, corners, options.max_leaf_size)
+        return BvhStructure(triangles, options)
     return DeviceBvh(triangles, gpu, wide, options, started)
-
-
-def _build(gpu: Gpu, triangles: Triangles, corners: DeviceArray, max_leaf_size: int) -> WideTree:
-    nodes = Nodes.allocate(gpu, len(triangles.prim_ids), max_leaf_size)
-    make_leaves(gpu, triangles, corners, nodes, FINE_BITS)
-    return make_wide(gpu, nodes, merge_clusters(gpu, nodes), corners)
-
-
-def _build_by_keys(
-    gpu: Gpu, triangles: Triangles, corners: DeviceArray, max_leaf_size: int
-) -> WideTree:
-    """Split by the bits of Morton keys: a worse tree, whose depth is limited.
-
-    Leaves differ within 30 bits of key and 31 of row index.
-    """
-    nodes = Nodes.allocate(gpu, len(triangles.prim_ids), max_leaf_size)
-    keys = make_leaves(gpu, triangles, corners, nodes, COARSE_BITS)
-    return make_wide(gpu, nodes, link_by_keys(gpu, keys, nodes), corners)

@@ -52,16 +52,18 @@ class ClusterList(NamedTuple):
     cluster_count: np.uint64
 
 
+@RangeKernel
 @kernel
-def _begin_cluster(i, nodes, boxes):
+def begin_cluster(i, nodes, boxes):
     """Make a cluster of leaf i."""
     at = boxes + i * np.uint64(REF_BYTES)
     store(at, load(f32x8, nodes.boxes + i * np.uint64(REF_BYTES)))
     store(at + np.uint64(FIRST_AT), np.int32(i))
 
 
+@RangeKernel
 @kernel
-def _find_match(i, clusters, radius, by_place, matches):
+def find_match(i, clusters, radius, by_place, matches):
     """Find the cluster near cluster i whose common box with it is smallest.
 
     Ties go to the cluster whose index differs in lower bits: so all clusters rank pairs alike,
@@ -87,8 +89,9 @@ def _find_match(i, clusters, radius, by_place, matches):
     store(matches + (i << SHIFT_32), np.uint32(match))
 
 
+@RangeKernel
 @kernel
-def _count_places(i, clusters, matches, places):
+def count_places(i, clusters, matches, places):
     """Count 1 if cluster i remains, and 2**32 if it makes a node, as the first of a pair."""
     place = ZERO_U64
     if i < load(np.uint64, clusters.cluster_count):
@@ -101,8 +104,9 @@ def _count_places(i, clusters, matches, places):
     store(places + (i << SHIFT_64), place)
 
 
+@RangeKernel
 @kernel
-def _merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
+def merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
     """Write cluster i, or the node that merges it with its match, at its offset in the scan."""
     count = load(np.uint64, clusters.cluster_count)
     own = load(np.uint64, places + (i << SHIFT_64))
@@ -125,21 +129,6 @@ def _merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
     join(nodes, made, row, np.uint64(load(np.int32, other_at)))
     store(new, load(f32x8, nodes.boxes + made * np.uint64(REF_BYTES)))
     store(new + np.uint64(FIRST_AT), np.int32(made))
-
-
-class _Kernels(NamedTuple):
-    begin_cluster: RangeKernel
-    find_match: RangeKernel
-    count_places: RangeKernel
-    merge: RangeKernel
-
-
-KERNELS = _Kernels(
-    RangeKernel(_begin_cluster),
-    RangeKernel(_find_match),
-    RangeKernel(_count_places),
-    RangeKernel(_merge),
-)
 
 
 def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
@@ -171,7 +160,7 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
     matches = gpu.empty("matches", bound, np.uint32)
     places = gpu.empty("places", bound + 1, np.uint64)
     leaf_count, scan = np.uint64(bound), Scan(gpu, bound)
-    KERNELS.begin_cluster.launch(gpu, bound, (nodes.at, boxes[0].address))
+    begin_cluster.launch(gpu, bound, (nodes.at, boxes[0].address))
     by_place = False
     while bound > 1:
         for _ in range(_ROUNDS):
@@ -180,11 +169,11 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
                 for box, count in zip(boxes, counts, strict=True)
             )
             given = clusters, np.uint64(radius), by_place, matches.address
-            KERNELS.find_match.launch(gpu, bound, given)
-            KERNELS.count_places.launch(gpu, bound, (clusters, matches.address, places.address))
+            find_match.launch(gpu, bound, given)
+            count_places.launch(gpu, bound, (clusters, matches.address, places.address))
             scan.run(places.address, bound, places.address, np.uint64)
             found = np.uint64(bound), matches.address, places.address
-            KERNELS.merge.launch(gpu, bound, (clusters, *found, nodes.at, leaf_count, to))
+            merge.launch(gpu, bound, (clusters, *found, nodes.at, leaf_count, to))
             boxes.reverse()
             counts.reverse()
             by_place = False

@@ -11,6 +11,7 @@ from raystream.core.triangles import Triangles
 from raystream.jit.cuda import Gpu
 from raystream.jit.threads import Progress
 from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.registry import form_of
 
 
 class DeviceResident:
@@ -44,19 +45,15 @@ class DeviceResident:
 
 
 class RebuiltOnDevice(DeviceResident):
-    """A structure that is rebuilt for moved triangles, by ``_rebuilt``."""
-
-    if TYPE_CHECKING:
-
-        def _rebuilt(self, triangles: Triangles) -> Structure:
-            """A new structure on the same device, with the same options."""
+    """A structure that is rebuilt for moved triangles."""
 
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
     ) -> tuple[Structure, UpdateReport]:
         """Rebuild it on the device; see `Structure.updated`. Costs are NaN."""
         del max_cost_growth, progress
-        rebuilt = self._rebuilt(triangles)
+        own: Any = self
+        rebuilt: Structure = form_of(own.name, "cuda build")(own.gpu, triangles, own.options)
         return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
 
 

@@ -13,7 +13,6 @@ from raystream.cuda.builders.lists import DeviceLists, build_lists
 from raystream.cuda.structures import Resident
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.structures.base import Structure
 from raystream.structures.grid.build import choose_and_build
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import FineArrays, GridAddresses, GridArrays
@@ -70,9 +69,6 @@ class DeviceGrid(RebuiltOnDevice, GridStructure):
         lists = GridArrays(splits.host(), references.host())
         made._set(self.triangles, self.lattice, lists, self.fine, self.options, 0.0)
         return made
-
-    def _rebuilt(self, triangles: Triangles) -> Structure:
-        return build_grid(self.gpu, triangles, self.options)
 
 
 def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:

@@ -21,7 +21,7 @@ from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.intrinsics import corners_at
 from raystream.jit.simd import load, store
 from raystream.structures.grid.build import TooManyError
@@ -71,22 +71,25 @@ def _prim_id(prim_ids, i):
     return np.uint64(load(np.int32, prim_ids + (i << SHIFT_32)))
 
 
+@RangeKernel
 @kernel
-def _count_cells(i, lattice, corners, prim_ids, counts):
+def count_cells(i, lattice, corners, prim_ids, counts):
     """Count the cells of the triangle in row i of `prim_ids`."""
     total = _visit(lattice, corners, _prim_id(prim_ids, i), _pass, ZERO_U64)
     store(counts + (i << SHIFT_64), np.uint64(total))
 
 
+@RangeKernel
 @kernel
-def _fill_pairs(i, lattice, corners, prim_ids, begins, cells, ids):
+def fill_pairs(i, lattice, corners, prim_ids, begins, cells, ids):
     """Write the cells of the triangle in row i of `prim_ids`, starting at begins[i]."""
     begin = load(np.uint64, begins + (i << SHIFT_64))
     _visit(lattice, corners, _prim_id(prim_ids, i), _note, (begin, cells, ids))
 
 
+@RangeKernel
 @kernel
-def _find_split(i, cells, count, splits):
+def find_split(i, cells, count, splits):
     """Find the first of the sorted `cells` that is not below i."""
     low, high = ZERO_U64, count
     while low < high:
@@ -96,15 +99,6 @@ def _find_split(i, cells, count, splits):
         else:
             high = middle
     store(splits + (i << SHIFT_32), np.uint32(low))
-
-
-class _Kernels(NamedTuple):
-    count_cells: RangeKernel
-    fill_pairs: RangeKernel
-    find_split: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(_count_cells), RangeKernel(_fill_pairs), RangeKernel(_find_split))
 
 
 def build_lists(
@@ -144,19 +138,18 @@ def build_lists(
     typed = as_numbers(lattice)
     begins = gpu.empty("places of references", count + 1, np.uint64)
     shared = typed, corners.address, prim_ids.address
-    KERNELS.count_cells.launch(gpu, count, (*shared, begins.address))
-    Scan(gpu, count).run(begins.address, count, begins.address, np.uint64)
-    total = int(begins.part(count, 1).host()[0])
+    count_cells.launch(gpu, count, (*shared, begins.address))
+    total = scan_in_place(gpu, begins)
     if total > most:
         raise TooManyError
     cells = gpu.empty("cells of references", total, np.uint32)
     ids = gpu.empty("references", total, np.int32)
-    KERNELS.fill_pairs.launch(gpu, count, (*shared, begins.address, cells.address, ids.address))
+    fill_pairs.launch(gpu, count, (*shared, begins.address, cells.address, ids.address))
     bits = (lattice.cell_count - 1).bit_length()
     cells, ids = sort_pairs(gpu, cells, ids, bits)
     splits = gpu.empty("splits", lattice.cell_count + 1, np.uint32)
     wanted = cells.address, np.uint64(total), splits.address
-    KERNELS.find_split.launch(gpu, lattice.cell_count + 1, wanted)
+    find_split.launch(gpu, lattice.cell_count + 1, wanted)
     return DeviceLists(splits, ids)
 
 

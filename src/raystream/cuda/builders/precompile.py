@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.builders import binary_tree, clusters, linear, lists, refit, wide
+from raystream.cuda.builders import binary_tree, clusters, lists, refit, wide
 from raystream.cuda.builders.graph.precompile import graph_kernels
 from raystream.cuda.bvh import pairs
 from raystream.jit.constants import NULL
@@ -23,7 +23,7 @@ def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     lattice = lists.as_numbers(Lattice(one, one, one, (1, 1, 1), 1.0))
     nodes = binary_tree.NodesAt(NULL, NULL, NULL, np.int64(1))
     number = np.float64(0.0)
-    frame = binary_tree.KeyFrame((number, number, number), number, NULL)
+    frame = binary_tree.KeyFrame((number, number, number), number)
     wide_at = pairs.WideAt(NULL, NULL, NULL)
     listed = clusters.ClusterList(NULL, NULL)
 
@@ -31,26 +31,23 @@ def build_kernels() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         return (NULL,) * count
 
     chosen = [
-        (lists.KERNELS.count_cells, (lattice, *at(3))),
-        (lists.KERNELS.fill_pairs, (lattice, *at(5))),
-        (lists.KERNELS.find_split, at(3)),
-        (binary_tree.KERNELS.make_key, (*at(2), frame, *at(2))),
-        (binary_tree.KERNELS.make_leaf, (*at(2), nodes)),
-        (linear.KERNELS.link, at(4)),
-        (linear.KERNELS.clear, at(1)),
-        (linear.KERNELS.climb, (NULL, nodes, *at(2))),
-        (clusters.KERNELS.begin_cluster, (nodes, NULL)),
-        (clusters.KERNELS.find_match, (listed, NULL, False, NULL)),
-        (clusters.KERNELS.count_places, (listed, *at(2))),
-        (clusters.KERNELS.merge, (listed, *at(3), nodes, NULL, listed)),
-        (wide.KERNELS.count_lanes, (NULL, nodes, *at(2))),
-        (wide.KERNELS.give_rows, (*at(3), nodes, *at(4))),
-        (wide.KERNELS.write_node, (nodes, *at(6))),
-        (pairs.KERNELS.count_row, (wide_at,)),
-        (pairs.KERNELS.write_row, (wide_at, False, *at(2))),
-        (refit.KERNELS.move_leaves, at(4)),
-        (refit.KERNELS.move_nodes, at(2)),
-        (refit.KERNELS.add_costs, at(4)),
+        (lists.count_cells, (lattice, *at(3))),
+        (lists.fill_pairs, (lattice, *at(5))),
+        (lists.find_split, at(3)),
+        (binary_tree.make_key, (*at(2), frame, *at(2))),
+        (binary_tree.make_leaf, (*at(2), nodes)),
+        (clusters.begin_cluster, (nodes, NULL)),
+        (clusters.find_match, (listed, NULL, False, NULL)),
+        (clusters.count_places, (listed, *at(2))),
+        (clusters.merge, (listed, *at(3), nodes, NULL, listed)),
+        (wide.count_lanes, (NULL, nodes, *at(2))),
+        (wide.give_rows, (*at(3), nodes, *at(4))),
+        (wide.write_node, (nodes, *at(6))),
+        (pairs.COUNT, (wide_at, None)),
+        (pairs.WRITE, (wide_at, (False, *at(2)))),
+        (refit.move_leaves, at(4)),
+        (refit.move_nodes, at(2)),
+        (refit.add_costs, at(4)),
         *graph_kernels(),
     ]
     return {kernel.name.strip("_"): (kernel, arguments) for kernel, arguments in chosen}

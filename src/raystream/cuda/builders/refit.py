@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from raystream.cuda.builders.wide import WideTree
@@ -22,15 +20,17 @@ _AXIS_BYTES = np.uint64(64)
 _HIGH = np.uint64(32)
 
 
+@RangeKernel
 @kernel
-def _move_leaves(row, nodes, leaves, block_count, corners):
+def move_leaves(row, nodes, leaves, block_count, corners):
     """Update the leaves of a node and their boxes."""
     last_block = leaves + block_count * BLOCK
     refit_leaves(nodes + row * np.uint64(NODE_BYTES), corners, leaves, last_block)
 
 
+@RangeKernel
 @kernel
-def _move_nodes(i, first, nodes):
+def move_nodes(i, first, nodes):
     """Update the boxes of the inner children of node first + i."""
     refit_node(nodes + (first + i) * np.uint64(NODE_BYTES), nodes)
 
@@ -41,8 +41,9 @@ def _extent(node, lane, axis):
     return np.float64(load(np.float32, at + _HIGH)) - np.float64(load(np.float32, at))
 
 
+@RangeKernel
 @kernel
-def _add_costs(i, thread_count, node_count, nodes, costs):
+def add_costs(i, thread_count, node_count, nodes, costs):
     """Sum the areas of the children of every `thread_count`-th node; a leaf counts per block."""
     total = 0.0
     row = i
@@ -58,15 +59,6 @@ def _add_costs(i, thread_count, node_count, nodes, costs):
                 total += area * ((~link & np.int32(7)) + np.int32(1))
         row += thread_count
     store(costs + (i << SHIFT_64), total)
-
-
-class _Kernels(NamedTuple):
-    move_leaves: RangeKernel
-    move_nodes: RangeKernel
-    add_costs: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(_move_leaves), RangeKernel(_move_nodes), RangeKernel(_add_costs))
 
 
 def refit(gpu: Gpu, tree: WideTree, corners: DeviceArray) -> None:
@@ -88,9 +80,9 @@ def refit(gpu: Gpu, tree: WideTree, corners: DeviceArray) -> None:
     nodes, leaves, levels = tree
     block_count = np.uint64(leaves.shape[0])
     moved = nodes.address, leaves.address, block_count, corners.address
-    KERNELS.move_leaves.launch(gpu, nodes.shape[0], moved)
+    move_leaves.launch(gpu, nodes.shape[0], moved)
     for first, end in zip(levels[-2::-1], levels[:0:-1], strict=True):
-        KERNELS.move_nodes.launch(gpu, end - first, (np.uint64(first), nodes.address))
+        move_nodes.launch(gpu, end - first, (np.uint64(first), nodes.address))
 
 
 def cost_of(gpu: Gpu, tree: WideTree) -> float:
@@ -102,7 +94,7 @@ def cost_of(gpu: Gpu, tree: WideTree) -> float:
     thread_count = min(_ADDING_THREADS, nodes.shape[0])
     costs = gpu.empty("costs", thread_count, np.float64)
     counted = np.uint64(thread_count), np.uint64(nodes.shape[0])
-    KERNELS.add_costs.launch(gpu, thread_count, (*counted, nodes.address, costs.address))
+    add_costs.launch(gpu, thread_count, (*counted, nodes.address, costs.address))
     root = nodes.part(0, nodes.shape[1]).host().reshape(-1, WIDTH)
     low, high = root[0:6:2].min(axis=1), root[1:6:2].max(axis=1)
     x, y, z = (high.astype(np.float64) - low).tolist()

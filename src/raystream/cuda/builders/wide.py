@@ -77,8 +77,9 @@ def _lane(lanes, k):
     return load(np.int32, lanes + (k << SHIFT_32))
 
 
+@RangeKernel
 @kernel
-def _count_lanes(i, first, nodes, roots, counts):
+def count_lanes(i, first, nodes, roots, counts):
     """Count the inner children of wide node first + i (1 each) and its leaf blocks (2**32 each)."""
     row = first + i
     lanes = scratch(_LANES_BYTES)
@@ -93,8 +94,9 @@ def _count_lanes(i, first, nodes, roots, counts):
     store(counts + (i << SHIFT_64), found)
 
 
+@RangeKernel
 @kernel
-def _give_rows(i, first, level_end, first_block, nodes, counts, roots, first_children, blocks):
+def give_rows(i, first, level_end, first_block, nodes, counts, roots, first_children, blocks):
     """Assign rows to the children of wide node first + i, and write their binary nodes."""
     row = first + i
     lanes = scratch(_LANES_BYTES)
@@ -140,8 +142,9 @@ def _write_leaf(nodes, root, corners, leaf):
             top += np.uint64(8)
 
 
+@RangeKernel
 @kernel
-def _write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves):
+def write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves):
     """Write a wide node and its leaves."""
     to = wide + row * np.uint64(NODE_BYTES)
     lanes = scratch(_LANES_BYTES)
@@ -162,15 +165,6 @@ def _write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves
         else:
             set_lane(to, k, box, np.int32(child_row))
             child_row = np.uint32(child_row + np.uint32(1))
-
-
-class _Kernels(NamedTuple):
-    count_lanes: RangeKernel
-    give_rows: RangeKernel
-    write_node: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(_count_lanes), RangeKernel(_give_rows), RangeKernel(_write_node))
 
 
 def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTree:
@@ -212,11 +206,11 @@ def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTr
             raise TooDeepError
         first, end = levels[-2:]
         shared = nodes.at, roots.address
-        KERNELS.count_lanes.launch(gpu, end - first, (np.uint64(first), *shared, counts.address))
+        count_lanes.launch(gpu, end - first, (np.uint64(first), *shared, counts.address))
         scan.run(counts.address, end - first, counts.address, np.uint64)
         begins = np.uint64(first), np.uint64(end), np.uint64(block_total)
         to = roots.address, first_children.address, blocks.address
-        KERNELS.give_rows.launch(gpu, end - first, (*begins, nodes.at, counts.address, *to))
+        give_rows.launch(gpu, end - first, (*begins, nodes.at, counts.address, *to))
         found = int(counts.part(end - first, 1).host()[0])
         levels.append(end + (found & 0xFFFFFFFF))
         block_total += found >> 32
@@ -227,5 +221,5 @@ def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTr
     leaves = gpu.empty("leaves", (block_total, BLOCK_FLOATS), np.float32)
     placed = roots.address, first_children.address, blocks.address
     written = corners.address, wide.address, leaves.address
-    KERNELS.write_node.launch(gpu, levels[-1], (nodes.at, *placed, *written))
+    write_node.launch(gpu, levels[-1], (nodes.at, *placed, *written))
     return WideTree(wide, leaves, tuple(levels))

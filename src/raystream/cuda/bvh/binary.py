@@ -16,19 +16,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.bvh.pairs import KERNELS, WideAt, count_rows, write_rows
+from raystream.cuda.bvh.pairs import CHILD, COUNT, WRITE, WideAt, count_rows, write_rows
 from raystream.cuda.bvh.triangles import TRIANGLE_FLOATS
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.threads import parallel_for
 from raystream.kernels.aligned import aligned_array
+from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH, BvhArrays
 from raystream.structures.bvh.statistics import statistics
 
-#: Floats of a node: low x, high x, low y, high y of the left child, then of the right one; low z,
-#: high z of both; then, as bits of int32, the two children, and padding. A child is a node's row,
-#: or for a leaf ``~first_triangle``. An absent child is 0, with an empty box.
-NODE_FLOATS = 16
+#: Floats of a node: those of two `pairs.CHILD`. A link is a node's row, and for a leaf
+#: ``~first_triangle``, or the wide tree's link. An absent child is 0, with an empty box.
+NODE_FLOATS = 2 * CHILD.itemsize // 4
 
 #: Levels of a balanced binary tree of eight leaves.
 _LEVELS = 3
@@ -42,42 +43,48 @@ ANY_SHAPE_DEPTH = STACK_BYTES // (4 * (WIDTH - 1))
 #: Wide nodes per call of a kernel on the host.
 CHUNK = 4096
 
+_NO_LEAVES = np.zeros((0, BLOCK_FLOATS), np.float32)
 
-class BinaryAddresses(NamedTuple):
-    """Addresses that the traversal reads; the caller keeps the arrays alive.
+
+class Binary(NamedTuple):
+    """A binary tree in host memory.
 
     Attributes
     ----------
-    nodes : uint64
-        Address of the nodes, the root first; 0 for an empty tree.
-    triangles : uint64
-        Address of the triangles, see `triangles`.
+    nodes : ndarray of shape (R, 16), float32
+        The root first.
+    leaves : ndarray of shape (T, 12), float32
+        Triangles.
+    firsts : ndarray of shape (M + 1,), int64
+        The row in which each wide node's binary nodes begin, and the end.
     """
 
-    nodes: np.uint64
-    triangles: np.uint64
+    nodes: NDArray[np.float32]
+    leaves: NDArray[np.float32]
+    firsts: NDArray[np.int64]
 
 
-def unfold(tree: BvhArrays) -> dict[str, NDArray[np.float32]]:
-    """Expand a wide tree in host memory to the binary layout.
+def unfold(nodes: NDArray[np.float32], leaves: NDArray[np.float32] | None = None) -> Binary:
+    """Expand a wide tree in host memory to the binary layout, or a row of such trees.
 
-    Returns
-    -------
-    dict
-        ``nodes`` of shape (R, 16), float32, and ``triangles`` of shape (T, 12), float32.
+    Parameters
+    ----------
+    nodes, leaves : ndarray
+        See `BvhArrays`. Without `leaves`, links to leaves stay as they are.
     """
-    count = len(tree.nodes)
+    count = len(nodes)
     firsts = np.zeros(count + 1, np.uint64)
-    given = WideAt(*(np.uint64(one.ctypes.data) for one in (*tree, firsts)))
-    parallel_for(lambda begin, end: count_rows(begin, end, given), count, CHUNK)
+    leaves_at = NULL if leaves is None else np.uint64(leaves.ctypes.data)
+    given = WideAt(np.uint64(nodes.ctypes.data), leaves_at, np.uint64(firsts.ctypes.data))
+    parallel_for(lambda begin, end: count_rows(begin, end, given, None), count, CHUNK)
     firsts[:] = np.cumsum(firsts) - firsts
     triangle_count, node_count = divmod(int(firsts[count]), 1 << 32)  # see `WideAt`
-    nodes = aligned_array(node_count, NODE_FLOATS)
+    pairs = aligned_array(node_count, NODE_FLOATS)
     triangles = aligned_array(triangle_count, TRIANGLE_FLOATS)
-    is_balanced = statistics(tree)["depth"] > ANY_SHAPE_DEPTH
-    to = np.uint64(nodes.ctypes.data), np.uint64(triangles.ctypes.data)
-    parallel_for(lambda begin, end: write_rows(begin, end, given, is_balanced, *to), count, CHUNK)
-    return {"nodes": nodes, "triangles": triangles}
+    depth = statistics(BvhArrays(nodes, _NO_LEAVES))["depth"]
+    to = depth > ANY_SHAPE_DEPTH, np.uint64(pairs.ctypes.data), np.uint64(triangles.ctypes.data)
+    parallel_for(lambda begin, end: write_rows(begin, end, given, to), count, CHUNK)
+    return Binary(pairs, triangles, (firsts & 0xFFFFFFFF).astype(np.int64))
 
 
 def unfold_on_device(
@@ -93,12 +100,11 @@ def unfold_on_device(
     count = wide_nodes.shape[0]
     firsts = gpu.empty("binary nodes before each wide one", count + 1, np.uint64)
     given = WideAt(wide_nodes.address, leaves.address, firsts.address)
-    KERNELS.count_row.launch(gpu, count, (given,))
-    Scan(gpu, count).run(firsts.address, count, firsts.address, np.uint64)
-    triangle_count, node_count = divmod(int(firsts.part(count, 1).host()[0]), 1 << 32)
+    COUNT.launch(gpu, count, (given, None))
+    triangle_count, node_count = divmod(scan_in_place(gpu, firsts), 1 << 32)
     nodes = gpu.empty("binary nodes", (node_count, NODE_FLOATS), np.float32)
     triangles = gpu.empty("triangles", (triangle_count, TRIANGLE_FLOATS), np.float32)
-    is_balanced = depth > ANY_SHAPE_DEPTH
-    KERNELS.write_row.launch(gpu, count, (given, is_balanced, nodes.address, triangles.address))
+    to = depth > ANY_SHAPE_DEPTH, nodes.address, triangles.address
+    WRITE.launch(gpu, count, (given, to))
     gpu.wait()  # `firsts` is freed
     return nodes, triangles

@@ -1,6 +1,6 @@
-"""Single-ray traversal of the binary layout: a while-while loop over nodes and leaves.
+"""The walk of binary nodes: a while-while loop over nodes and leaves, for all that has boxes.
 
-The threads of a warp converge where all of them visit nodes, or all test triangles. So a thread
+The threads of a warp converge where all of them visit nodes, or all are at leaves. So a thread
 visits nodes until it reaches a leaf, then leaves until it reaches a node.
 
 References
@@ -11,115 +11,135 @@ Aila, Laine, "Understanding the Efficiency of Ray Traversal on GPUs", High Perfo
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
-from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
-from raystream.jit.constants import NULL, ONE_U64
+from raystream.jit.constants import NULL
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
-from raystream.kernels.search import is_full
 from raystream.kernels.slab import box_interval
-from raystream.kernels.tally import LEAVES, STEPS, add_to
 
-_ENTRY = np.uint64(4)
+#: The root's row, and links that are no row: the latest one on the stack, and none.
+ROOT = np.int32(0)
+NEXT, DONE = np.int32(2**31 - 2), np.int32(2**31 - 1)
+
+#: Bytes of a stack's entry: a link; with distances, that of its box behind it.
+ENTRY = np.uint64(4)
+
 _NODE = np.uint64(64)
-_ROOT = np.int32(0)
-_DONE = np.int32(2**31 - 1)
+_SECOND_ROW, _SECOND_CHILD = np.uint64(16), np.uint64(32)
 
 
-@device
-def traverse(tree, ray, search, stack):
-    """Traverse the boxes that a ray enters; see `kernels.queries.ray_queries` for the arguments."""
-    if tree.nodes == NULL or not (search.t_min <= search.t_far):
+def binary_walk(
+    interval: Callable[..., Any],
+    enter: Callable[..., Any],
+    at_leaf: Callable[..., Any],
+    *,
+    has_distances: bool = False,
+) -> Callable[..., Any]:
+    """Make the walk of binary nodes.
+
+    Parameters
+    ----------
+    interval : device function
+        ``interval(line, search) -> (near, far, last)``: the closed interval of distances in which
+        boxes are wanted; see `structures.bvh.walk.tree_walk`.
+    enter : device function
+        ``enter(box, line, search, near, far) -> (distance, is_entered)`` for a child's box, a tuple
+        (low x, high x, low y, high y, low z, high z) of float32. The child at the lesser distance
+        is visited first.
+    at_leaf : device function
+        ``at_leaf(tree, line, search, link, stack, top) -> (tree, line, search, link, top)`` at a
+        negative link: the next link is `NEXT`, `DONE` or, in another tree, `ROOT`, which may need
+        another line of the same type; see `one_tree`.
+    has_distances : bool
+        Whether distances are float32, and kept with links on the stack, which then is twice as
+        large: so boxes that have left the interval are not visited.
+
+    Returns
+    -------
+    device function
+        ``walk(tree, line, search, stack) -> search``. `tree` has the address of the root,
+        ``nodes``, 0 for an empty tree; `line` is the ray or point as the functions take it.
+    """
+    entry = ENTRY + ENTRY if has_distances else ENTRY
+
+    @device
+    def pop(stack, top, far):
+        while top != stack:
+            top -= entry
+            if not has_distances or load(np.float32, top + ENTRY) <= far:
+                return load(np.int32, top), top
+        return DONE, top
+
+    @device
+    def walk(tree, line, search, stack):
+        near, far, _ = interval(line, search)
+        # Written so that a NaN ends it.
+        link = ROOT if tree.nodes != NULL and near <= far else DONE
+        top = stack
+        while link != DONE:
+            while link >= ROOT and link != DONE:
+                at = tree.nodes + np.uint64(link) * _NODE
+                left_box, left = _child(at)
+                right_box, right = _child(at + _SECOND_CHILD)
+                left_distance, enters_left = enter(left_box, line, search, near, far)
+                right_distance, enters_right = enter(right_box, line, search, near, far)
+                if enters_left and enters_right:
+                    is_right_nearer = right_distance < left_distance
+                    store(top, left if is_right_nearer else right)
+                    if has_distances:
+                        store(top + ENTRY, max(left_distance, right_distance))
+                    top += entry
+                    link = right if is_right_nearer else left
+                elif enters_left or enters_right:
+                    link = left if enters_left else right
+                else:
+                    link, top = pop(stack, top, far)
+            while link < ROOT:
+                tree, line, search, link, top = at_leaf(tree, line, search, link, stack, top)
+                near, far, _ = interval(line, search)
+                if link == NEXT:
+                    link, top = pop(stack, top, far)
         return search
-    link, top = _ROOT, stack
-    while link != _DONE:
-        while link >= _ROOT and link != _DONE:
-            add_to(search.counters, STEPS, ONE_U64)
-            at = tree.nodes + np.uint64(link) * _NODE
-            link, top = _visit(at, ray, search.t_min, search.t_far, stack, top)
-        while link < _ROOT:
-            add_to(search.counters, LEAVES, ONE_U64)
-            triangle = tree.triangles + np.uint64(~link) * TRIANGLE
-            while True:
-                search, is_last = test_triangle(triangle, ray, search)
-                if is_full(search):
-                    return search
-                if is_last:
-                    break
-                triangle += TRIANGLE
-            link, top = _pop(stack, top)
-    return search
+
+    return walk
 
 
 @device
-def _visit(at, ray, t_min, t_far, stack, top):
-    """Descend to the nearer child that the ray enters, and push the other one.
+def _child(at):
+    """The box of a child of a node, and its link."""
+    sides = load_constant(f32x4, at)
+    rest = load_constant(f32x4, at + _SECOND_ROW)
+    box = lane(sides, 0), lane(sides, 1), lane(sides, 2), lane(sides, 3), lane(rest, 0)
+    return (*box, lane(rest, 1)), lane(float_as_bits(rest), 2)
 
-    Parameters
-    ----------
-    at : uint64
-        Address of the node.
-    ray : Ray
-    t_min, t_far : float32
-    stack, top : uint64
 
-    Returns
-    -------
-    link : int32
-        A node or leaf, or `_DONE`.
-    top : uint64
-    """
-    left, right, near, far = _child_intervals(at, ray)
-    enters_left = max(left[0], t_min) <= min(left[1], t_far)
-    enters_right = max(right[0], t_min) <= min(right[1], t_far)
-    if not (enters_left or enters_right):
-        return _pop(stack, top)
-    if enters_right and (not enters_left or right[0] < left[0]):
-        near, far = far, near
-    if enters_left and enters_right:
-        store(top, far)
-        top += _ENTRY
-    return near, top
+def one_tree(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the `at_leaf` of a walk in one tree with `structures.bvh.walk.tree_walk`'s function."""
+
+    @device
+    def at_leaf(tree, line, search, link, stack, top):
+        search, is_over = visit_leaf(tree, link, line, search, stack)
+        return tree, line, search, DONE if is_over else NEXT, top
+
+    return at_leaf
 
 
 @device
-def _child_intervals(at, ray):
-    """Intervals in which a ray is inside the boxes of a node's children.
-
-    Parameters
-    ----------
-    at : uint64
-        Address of the node.
-    ray : Ray
-
-    Returns
-    -------
-    left, right : tuple of two float32
-    left_child, right_child : int32
-        Nodes or leaves.
-    """
-    left = load_constant(f32x4, at)
-    right = load_constant(f32x4, at + np.uint64(16))
-    both = load_constant(f32x4, at + np.uint64(32))
-    links = float_as_bits(load_constant(f32x4, at + np.uint64(48)))
-    return (
-        _interval(ray, left, lane(both, 0), lane(both, 1)),
-        _interval(ray, right, lane(both, 2), lane(both, 3)),
-        lane(links, 0),
-        lane(links, 1),
-    )
+def _interval(_ray, search):
+    return search.t_min, search.t_far, search.t_far
 
 
 @device
-def _interval(ray, box, low_z, high_z):
-    return box_interval(ray, lane(box, 0), lane(box, 2), low_z, lane(box, 1), lane(box, 3), high_z)
+def _enter(box, ray, _search, near, far):
+    low_x, high_x, low_y, high_y, low_z, high_z = box
+    t_in, t_out = box_interval(ray, low_x, low_y, low_z, high_x, high_y, high_z)
+    return t_in, max(t_in, near) <= min(t_out, far)
 
 
-@device
-def _pop(stack, top):
-    """Pop the latest child, or `_DONE` from an empty stack."""
-    if top == stack:
-        return _DONE, top
-    top -= _ENTRY
-    return load(np.int32, top), top
+def ray_traversal(at_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the traversal of a `Ray`; see `kernels.queries.ray_queries` for its arguments."""
+    return binary_walk(_interval, _enter, at_leaf)

@@ -1,51 +1,37 @@
-"""Triangles in the GPU's layouts: 48 bytes each, read in three loads.
+"""Triangles in the GPU's layout, 48 bytes each, read in three loads; and leaves of them.
 
-Corner 0 and prim_id; corner 1 and whether the triangle is the last of its leaf; corner 2 and
-padding. A warp's threads test triangles of different leaves: with blocks of four, as on the CPU,
-they would test the padding of blocks, too.
+The nine numbers of its corners; prim_id; whether it is the last triangle of its leaf; and padding.
+A warp's threads test triangles of different leaves: with blocks of four, as on the CPU, they would
+test the padding of blocks, too.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32
+from raystream.cuda.bvh.binary_traversal import one_tree, ray_traversal
+from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
-from raystream.kernels.leaf_block import BLOCK, BLOCK_SIZE, PRIM_IDS
-from raystream.kernels.search import offer
-from raystream.kernels.tally import TESTS, add_to
+from raystream.kernels.leaf_block import AXIS, BLOCK, BLOCK_SIZE, PRIM_IDS
+from raystream.kernels.search import is_full, offer
 from raystream.kernels.triangle import intersect_corners
 from raystream.structures.bvh.node_layout import leaf_address, leaf_end
 
-#: Size of a triangle in bytes and in floats, and of a load.
+#: Size of a triangle in bytes and in floats.
 TRIANGLE = np.uint64(48)
 TRIANGLE_FLOATS = int(TRIANGLE) // 4
-_ROW = np.uint64(16)  # a corner and one more number
-_TWO_ROWS = np.uint64(32)
 
-_LAST = np.uint64(28)
+#: Offsets of its second and third load, its prim_id, and the mark of the last one.
+_SECOND, _THIRD = np.uint64(16), np.uint64(32)
+TRIANGLE_ID, _LAST, _PADDING = np.uint64(36), np.uint64(40), np.uint64(44)
 
-
-@device
-def hittable_count(leaves, child):
-    """Number of a leaf's triangles that can be hit: the others have NaN corners."""
-    count = np.uint64(0)
-    block = leaf_address(leaves, child)
-    end = leaf_end(block, child)
-    while block != end:
-        for k in range(np.uint64(BLOCK_SIZE)):
-            at = block + (k << SHIFT_32)
-            x = load(np.float32, at)
-            if load(np.int32, at + PRIM_IDS) >= np.int32(0) and x == x:
-                count += ONE_U64
-        block += BLOCK
-    return count
+_NUMBERS = np.uint64(9)
 
 
 @device
 def copy_leaf(leaves, child, to):
-    """Copy the triangles of a leaf that can be hit.
+    """Copy the triangles of a leaf that can be hit: the others have NaN corners.
 
     Parameters
     ----------
@@ -54,14 +40,14 @@ def copy_leaf(leaves, child, to):
     child : int32
         A leaf, as in `BvhArrays`.
     to : uint64
-        Address to write to.
+        Address to write to; 0 to count only.
 
     Returns
     -------
     uint64
-        Address after the last one.
+        Their number.
     """
-    first = to
+    count = ZERO_U64
     block = leaf_address(leaves, child)
     end = leaf_end(block, child)
     while block != end:
@@ -69,50 +55,49 @@ def copy_leaf(leaves, child, to):
             at = block + (k << SHIFT_32)
             prim_id = load(np.int32, at + PRIM_IDS)
             x = load(np.float32, at)
-            if prim_id >= np.int32(0) and x == x:
-                for corner in range(np.uint64(3)):
-                    for axis in range(np.uint64(3)):
-                        number = load(np.float32, at + (corner * np.uint64(3) + axis) * _ROW)
-                        store(to + corner * _ROW + (axis << SHIFT_32), number)
-                store(to + np.uint64(12), prim_id)
-                store(to + _LAST, np.int32(0))
-                store(to + np.uint64(44), np.int32(0))
-                to += TRIANGLE
+            if prim_id < np.int32(0) or x != x:
+                continue
+            if to != NULL:
+                own = to + count * TRIANGLE
+                for number in range(_NUMBERS):
+                    store(own + (number << SHIFT_32), load(np.float32, at + number * AXIS))
+                store(own + TRIANGLE_ID, prim_id)
+                store(own + _LAST, np.int32(0))
+                store(own + _PADDING, np.int32(0))
+            count += ONE_U64
         block += BLOCK
-    if to != first:
-        store(to - TRIANGLE + _LAST, np.int32(1))
-    return to
+    if to != NULL and count != ZERO_U64:
+        store(to + (count - ONE_U64) * TRIANGLE + _LAST, np.int32(1))
+    return count
 
 
 @device
-def test_triangle(at, ray, search):
-    """Test a triangle, and offer its hit to a search.
-
-    Parameters
-    ----------
-    at : uint64
-        Address.
-    ray : Ray
-    search : Search
-
-    Returns
-    -------
-    search : Search
-    is_last : bool
-        Whether the triangle is the last one of its leaf.
-    """
-    add_to(search.counters, TESTS, ONE_U64)
-    a = load_constant(f32x4, at)
-    b = load_constant(f32x4, at + _ROW)
-    c = load_constant(f32x4, at + _TWO_ROWS)
-    is_last = lane(float_as_bits(b), 3) != np.int32(0)
-    hit, t, u, v = intersect_corners(ray, _corner(a), _corner(b), _corner(c), search.surfaces)
-    # Written so that a NaN would fail.
-    if hit and t >= search.t_min and t <= search.t_far:
-        search = offer(search, t, u, v, lane(float_as_bits(a), 3))
-    return search, is_last
+def is_last(triangle):
+    """Whether the triangle at an address is the last one of its leaf."""
+    return load(np.int32, triangle + _LAST) != np.int32(0)
 
 
 @device
-def _corner(numbers):
-    return lane(numbers, 0), lane(numbers, 1), lane(numbers, 2)
+def search_triangles(tree, link, ray, search, _stack):
+    """Offer the hits in a leaf to a search; returns it, and whether it is full."""
+    at = tree.leaves + np.uint64(~link) * TRIANGLE
+    while True:
+        first = load_constant(f32x4, at)
+        second = load_constant(f32x4, at + _SECOND)
+        third = load_constant(f32x4, at + _THIRD)
+        a = lane(first, 0), lane(first, 1), lane(first, 2)
+        b = lane(first, 3), lane(second, 0), lane(second, 1)
+        c = lane(second, 2), lane(second, 3), lane(third, 0)
+        hit, t, u, v = intersect_corners(ray, a, b, c, search.surfaces)
+        # Written so that a NaN would fail.
+        if hit and t >= search.t_min and t <= search.t_far:
+            search = offer(search, t, u, v, lane(float_as_bits(third), 1))
+            if is_full(search):
+                return search, True
+        if lane(float_as_bits(third), 2) != np.int32(0):
+            return search, False
+        at += TRIANGLE
+
+
+#: Traverse a tree of triangles with a ray.
+traverse = ray_traversal(one_tree(search_triangles))

@@ -207,3 +207,21 @@ class Scan:
             add_tiles.launch(self.gpu, tiles, values, count, sums, stream=stream)
             self._run(sums, tiles, sums, 8, level + 1, stream)
         scan_tiles.launch(self.gpu, tiles, values, count, sums, out, stream=stream)
+
+
+def scan_in_place(
+    gpu: Gpu, counts: DeviceArray, empty: Callable[..., DeviceArray] | None = None
+) -> int:
+    """Scan an array of counts, whose last number becomes their sum, and wait for that; returns it.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory; see `Scan`.
+    """
+    count = len(counts) - 1
+    if count == 0:
+        gpu.clear(counts, counts.stream)
+        return 0
+    Scan(gpu, count, empty=empty).run(counts.address, count, counts.address, counts.dtype)
+    return int(counts.part(count, 1).host()[0])

@@ -8,6 +8,8 @@ that defines the distance, so the answers have the bits of brute force.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
@@ -15,15 +17,11 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
     f32x4,
-    f32x8,
-    f64x8,
     float_as_bits,
     fma,
     i32x8,
     lane_numbers,
-    lanes_from_bits,
     load,
-    mask8,
     mask_bits,
     maximum,
     minimum,
@@ -34,15 +32,14 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
-from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
+from raystream.kernels.nearest import is_wanted, offer_nearest
 from raystream.kernels.point_queries import PointSearch, point_queries
 from raystream.kernels.point_triangle import squared_distance
-from raystream.structures.bvh.node_layout import BOX_FLIP, CHILDREN, LANE, NODE, NODE_AXIS, Node
-from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
-from raystream.structures.bvh.traversal import HALF, STACK_BYTES, prefetch_next
+from raystream.structures.bvh.node_layout import Node
+from raystream.structures.bvh.steps import leaf_blocks
+from raystream.structures.bvh.walk import STACK_BYTES, tree_walk
 
 _STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
-_CHILD_COUNT, _BLOCK_COUNT = np.uint64(8), np.uint64(4)
 _KEY_BITS = np.int32(~7)
 _ZERO = np.float32(0.0)
 _ZERO64 = np.float64(0.0)
@@ -72,65 +69,58 @@ _LOW_X, _HIGH_X, _LOW_Y, _HIGH_Y, _LOW_Z, _HIGH_Z = map(np.uint64, range(6))
 
 
 @device
-def _gap(low, high, below, above):
-    """How far a point between `below` and `above` is at least from intervals, in float32."""
-    return maximum(maximum(low - above, below - high), f32x8(_ZERO))
+def _gap(low, high, below, above, zero):
+    """How far a point between `below` and `above` is at least from an interval."""
+    return maximum(maximum(low - above, below - high), zero)
 
 
 @device
-def _far_gap(low, high, x):
-    return maximum(maximum(widen(low) - x, x - widen(high)), f64x8(_ZERO64))
+def near_distance(box, line):
+    """A bound of the squared distances of boxes.
+
+    Parameters
+    ----------
+    box : tuple of six float32 vectors or numbers
+        Low x, high x, low y, high y, low z, high z.
+    line : PointLine
+        Not far.
+
+    Returns
+    -------
+    float32 vector or number
+    """
+    low_x, high_x, low_y, high_y, low_z, high_z = box
+    below, above = line.below, line.above
+    x = _gap(low_x, high_x, below[0], above[0], _ZERO)
+    y = _gap(low_y, high_y, below[1], above[1], _ZERO)
+    z = _gap(low_z, high_z, below[2], above[2], _ZERO)
+    return maximum(fma(x * x + y * y + z * z, _SHRINK, _LOSS), _ZERO)
 
 
 @device
-def _keys(distances):
-    """Sort keys of children, see `steps.enter`."""
-    return (float_as_bits(distances) & _KEY_BITS) | lane_numbers(i32x8)
+def far_distance(box, line):
+    """The same in float64, for points from afar."""
+    low_x, high_x, low_y, high_y, low_z, high_z = box
+    x, y, z = line.point
+    x = _gap(widen(low_x), widen(high_x), x, x, _ZERO64)
+    y = _gap(widen(low_y), widen(high_y), y, y, _ZERO64)
+    z = _gap(widen(low_z), widen(high_z), z, z, _ZERO64)
+    return (x * x + y * y + z * z) * _SHRINK64
 
 
 @device
-def _enter_far(node, point, search, lanes):
-    """Find the boxes within the limit of a point from afar; see `steps.enter` for the results."""
-    planes = Node(node).planes
-    x = _far_gap(planes[_LOW_X], planes[_HIGH_X], point[0])
-    y = _far_gap(planes[_LOW_Y], planes[_HIGH_Y], point[1])
-    z = _far_gap(planes[_LOW_Z], planes[_HIGH_Z], point[2])
-    squared = (x * x + y * y + z * z) * _SHRINK64
-    return _keys(minimum(narrow(squared), f32x8(_MOST))), squared <= search.limit
-
-
-@device
-def _lane_gap(node, axis, lane, x):
-    at = node + axis * NODE_AXIS + (lane << SHIFT_32)
-    low, high = np.float64(load(np.float32, at)), np.float64(load(np.float32, at + BOX_FLIP))
-    return maximum(maximum(low - x, x - high), _ZERO64)
-
-
-@device
-def _enter_far_by_lane(node, point, search, lanes):
-    """The same one child at a time, for threads with few registers."""
-    bits = ZERO_U64
-    for lane in range(_CHILD_COUNT):
-        x = _lane_gap(node, ZERO_U64, lane, point[0])
-        y = _lane_gap(node, ONE_U64, lane, point[1])
-        z = _lane_gap(node, ONE_U64 + ONE_U64, lane, point[2])
-        squared = (x * x + y * y + z * z) * _SHRINK64
-        bits |= np.uint64(squared <= search.limit) << lane
-        key = float_as_bits(minimum(np.float32(squared), _MOST)) & _KEY_BITS
-        store(lanes + (lane << SHIFT_32), np.int32(key | np.int32(lane)))
-    return load(i32x8, lanes), lanes_from_bits(mask8, bits)
-
-
-@device
-def _enter_near(node, near, limit):
+def _enter(node, line, search, _, far):
     """Find the boxes within the limit; see `steps.enter` for the results."""
     planes = Node(node).planes
-    below, above, _ = near
-    x = _gap(planes[_LOW_X], planes[_HIGH_X], below[0], above[0])
-    y = _gap(planes[_LOW_Y], planes[_HIGH_Y], below[1], above[1])
-    z = _gap(planes[_LOW_Z], planes[_HIGH_Z], below[2], above[2])
-    distances = maximum(fma(x * x + y * y + z * z, _SHRINK, _LOSS), f32x8(_ZERO))
-    return _keys(distances), distances <= limit
+    box = planes[_LOW_X], planes[_HIGH_X], planes[_LOW_Y], planes[_HIGH_Y]
+    box = *box, planes[_LOW_Z], planes[_HIGH_Z]
+    if line.is_far:
+        squared = far_distance(box, line)
+        distances, entered = minimum(narrow(squared), _MOST), squared <= search.limit
+    else:
+        distances = near_distance(box, line)
+        entered = distances <= far
+    return (float_as_bits(distances) & _KEY_BITS) | lane_numbers(i32x8), entered
 
 
 @device
@@ -145,22 +135,41 @@ def _above(x):
     return next_float_up(np.float32(x))
 
 
+class PointLine(NamedTuple):
+    """A point as the tests of boxes take it.
+
+    Attributes
+    ----------
+    point : triple of float64
+    below, above : triple of float32
+        Numbers around its coordinates, by more than the rounding of triangles' distances.
+    is_far : bool
+        Whether float32 does not do; see `far_distance`.
+    """
+
+    point: tuple[float, float, float]
+    below: tuple[np.float32, np.float32, np.float32]
+    above: tuple[np.float32, np.float32, np.float32]
+    is_far: bool
+
+
 @device
-def _near(point, frame):
-    """A point as the test of boxes takes it: numbers below and above, and whether it is far."""
+def line_of(point, frame):
+    """A point of a scene as the tests of boxes take it."""
     x, y, z = point
     reach = np.float64(frame.max_coordinate)
     is_far = max(max(abs(x), abs(y)), abs(z)) > _FAR * reach
     grow = _GROW * reach
     below = _below(x - grow), _below(y - grow), _below(z - grow)
     above = _above(x + grow), _above(y + grow), _above(z + grow)
-    return below, above, is_far
+    return PointLine(point, below, above, is_far)
 
 
 @device
-def _limit(search):
-    """The search's limit in float32, not below it."""
-    return min(_above(search.limit), _MOST)
+def interval(_line, search):
+    """Distances of boxes up to the search's limit in float32, which is not below it."""
+    far = min(_above(search.limit), _MOST)
+    return _ZERO, far, far
 
 
 @device
@@ -170,8 +179,9 @@ def _corner(at):
 
 
 @device
-def _offer_block(block, point, search, lanes):
+def _offer_block(block, point, search):
     """Offer the triangles of a leaf block."""
+    lanes = scratch(64)
     a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
     squared = squared_distance(point, a, b, c)
     bits = mask_bits(squared <= search.limit)
@@ -189,63 +199,21 @@ def _offer_block(block, point, search, lanes):
 
 
 @device
-def _offer_block_by_lane(block, point, search, lanes):
-    """The same one triangle at a time, for threads with few registers."""
-    for lane in range(_BLOCK_COUNT):
-        place = block + (lane << SHIFT_32)
-        a, b, c = corners_at(place, _STRIDE)
-        squared = squared_distance(point, a, b, c)
-        prim_id = load(np.int32, place + PRIM_IDS)
-        if is_wanted(search, squared, prim_id):
-            search = offer_nearest(search, squared, prim_id, place, _STRIDE)
-    return search
+def _visit_leaf(tree, child, line, search, _stack):
+    block, end = leaf_blocks(tree, child)
+    while block != end:
+        search = _offer_block(block, line.point, search)
+        block += BLOCK
+    return search, False
 
 
-def _tree_search(enter_far, offer_block):
-    """Make the search of the tree; see `kernels.point_queries.PointSearch`."""
-
-    def find(tree, frame, point, search, stack):
-        lanes = scratch(64)
-        near = _near(point, frame)
-        limit = _limit(search)
-        top = begin(tree, _ZERO, limit, stack, HALF)
-        found, child, top = next_entry(stack, HALF, top, limit)
-        while found:
-            if is_leaf(child):
-                block, end = leaf_blocks(tree, child)
-                prefetch_next(tree, stack, top)
-                while block != end:
-                    search = offer_block(block, point, search, lanes)
-                    block += BLOCK
-                limit = _limit(search)
-            else:
-                node = tree.nodes + np.uint64(child) * NODE
-                if near[2]:
-                    keys, entered = enter_far(node, point, search, lanes)
-                else:
-                    keys, entered = _enter_near(node, near, limit)
-                bits = mask_bits(entered)
-                if bits != ZERO_U64:
-                    if bits & (bits - ONE_U64) == ZERO_U64:
-                        at = node + CHILDREN + (count_trailing_zeros(bits) << SHIFT_32)
-                        child = load(np.int32, at)
-                        continue
-                    top = push(node, keys, entered, False, stack, HALF, top)
-                    top -= LANE  # the last one is within the limit
-                    child = load(np.int32, stack + HALF + top)
-                    continue
-            found, child, top = next_entry(stack, HALF, top, limit)
-        return search
-
-    return find
+_walk = tree_walk(interval, _enter, _visit_leaf)
 
 
-#: The search of a point by a thread of a GPU.
-POINT_SEARCH = PointSearch(
-    device(_tree_search(_enter_far_by_lane, _offer_block_by_lane)), STACK_BYTES
-)
+@device
+def _find(tree, frame, point, search, stack):
+    return _walk(tree, line_of(point, frame), search, stack, False)
+
 
 #: The loop over points.
-find_nearest = point_queries(
-    PointSearch(device(_tree_search(_enter_far, _offer_block)), STACK_BYTES)
-)
+find_nearest = point_queries(PointSearch(_find, STACK_BYTES))

@@ -40,9 +40,9 @@ class Bvh(StructureOptions):
     structure = "raystream.structures.bvh.structure:BvhStructure"
     forms: ClassVar = {
         "nearest": "raystream.structures.bvh.nearest:find_nearest",
-        "nearest search": "raystream.structures.bvh.nearest:POINT_SEARCH",
+        "nearest search": "raystream.cuda.bvh.points:POINT_SEARCH",
         "multipass": "raystream.machines.steps.bvh:steps",
-        "cuda kernels": "raystream.cuda.bvh.kernels",
+        "cuda kernels": "raystream.cuda.bvh.plain",
         "cuda build": "raystream.cuda.builders.bvh:build_bvh",
         "graphics": "raystream.graphics.structures.bvh:shader_structure",
     }

@@ -94,22 +94,25 @@ def _is_marked(is_covered, node, face):
     return load(np.uint8, is_covered + node * _SIX + face) == _YES
 
 
+@RangeKernel
 @kernel
-def _find_node_axes(i, first, nodes, axes):
+def find_node_axes(i, first, nodes, axes):
     """Find the axes of the splits below node first + i, whose children are done."""
     find_axes(nodes, first + i, axes)
 
 
+@RangeKernel
 @kernel
-def _count_raw(sector, leaves, tree, is_covered, counts):
+def count_raw(sector, leaves, tree, is_covered, counts):
     """Count the raw nodes of a sector, and mark subtrees that a face covers."""
     pending = scratch(PENDING_BYTES)
     count = count_raw_nodes(_leaf_of(leaves, sector), tree, is_covered, pending)
     store(counts + sector * BYTES_64, np.uint64(count))
 
 
+@RangeKernel
 @kernel
-def _spread_covered(i, first, nodes, is_covered):
+def spread_covered(i, first, nodes, is_covered):
     """Mark the subtrees that the link nodes of node first + i need, if it is covered."""
     propagate_marks(nodes, first + i, is_covered)
 
@@ -121,8 +124,9 @@ def _makes_node(nodes, node, face, is_covered):
     return axis != _LEAF and axis != face >> ONE_U64 and _is_marked(is_covered, node, face)
 
 
+@RangeKernel
 @kernel
-def _mark_covered(i, nodes, by_row, row_count, is_covered, marks):
+def mark_covered(i, nodes, by_row, row_count, is_covered, marks):
     """Mark link nodes in the CPU's order: last rows first, six faces per row."""
     row = row_count - ONE_U64 - i // _SIX
     node = np.uint64(load(np.uint32, by_row + row * WORD))
@@ -137,8 +141,9 @@ def _candidate(node, face, order):
     return np.uint64(load(np.uint32, order.before + at * WORD))
 
 
+@RangeKernel
 @kernel
-def _put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
+def put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
     """Write the links to node first + i, or the contents of link nodes that it needs."""
     node = first + i
     axis, child, _ = split_of(nodes, node)
@@ -160,8 +165,9 @@ def _put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
             put_candidate(table, candidate, plane_bits, axis, less, more)
 
 
+@RangeKernel
 @kernel
-def _share_covered(i, first, nodes, is_covered, order, covered, table):
+def share_covered(i, first, nodes, is_covered, order, covered, table):
     """Find the slots of the link nodes of node first + i."""
     node = first + i
     for face in range(_SIX):
@@ -177,8 +183,9 @@ def _height(raw, link):
     return np.uint64(load(np.uint8, raw.heights + (link ^ _RAW_BIT)))
 
 
+@RangeKernel
 @kernel
-def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
+def fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
     """Write the raw nodes of a sector, their heights, and its raw links."""
     pending = scratch(PENDING_BYTES)
     at = firsts + sector * BYTES_64
@@ -213,8 +220,9 @@ def _resolved(raw, link):
     return link
 
 
+@RangeKernel
 @kernel
-def _put_raw(i, height, nodes, raw, table):
+def put_raw(i, height, nodes, raw, table):
     """Write the content of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) != height:
         return
@@ -227,16 +235,18 @@ def _put_raw(i, height, nodes, raw, table):
     put_candidate(table, _raw_candidate(raw, i), plane_bits, axis, below, above)
 
 
+@RangeKernel
 @kernel
-def _share_raw(i, height, raw, table):
+def share_raw(i, height, raw, table):
     """Find the slot of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) == height:
         slot = share_slot(table, _raw_candidate(raw, i))
         store(raw.nodes + i * _RAW_BYTES, LINK | slot)
 
 
+@RangeKernel
 @kernel
-def _place_links(sector, links, raw, table, rows):
+def place_links(sector, links, raw, table, rows):
     """Write a sector's links; planes with no sector behind them move to infinity."""
     row = rows + sector * SECTOR_BYTES
     for face in range(_SIX):
@@ -248,30 +258,3 @@ def _place_links(sector, links, raw, table, rows):
                 store(plane, -INF_F32)
             else:
                 store(plane + _ROW, INF_F32)
-
-
-class _Kernels(NamedTuple):
-    find_node_axes: RangeKernel
-    count_raw: RangeKernel
-    spread_covered: RangeKernel
-    mark_covered: RangeKernel
-    put_covered: RangeKernel
-    share_covered: RangeKernel
-    fill_raw: RangeKernel
-    put_raw: RangeKernel
-    share_raw: RangeKernel
-    place_links: RangeKernel
-
-
-KERNELS = _Kernels(
-    RangeKernel(_find_node_axes),
-    RangeKernel(_count_raw),
-    RangeKernel(_spread_covered),
-    RangeKernel(_mark_covered),
-    RangeKernel(_put_covered),
-    RangeKernel(_share_covered),
-    RangeKernel(_fill_raw),
-    RangeKernel(_put_raw),
-    RangeKernel(_share_raw),
-    RangeKernel(_place_links),
-)

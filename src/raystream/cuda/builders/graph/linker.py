@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.builders.graph.link_kernels import KERNELS, CandidateOrder, Raw
+from raystream.cuda.builders.graph import link_kernels
+from raystream.cuda.builders.graph.link_kernels import CandidateOrder, Raw
 from raystream.cuda.builders.graph.sectors import Ordered
 from raystream.cuda.builders.graph.sharing import LinkTable
 from raystream.cuda.builders.kdtree.grow import GrownTree
@@ -47,7 +48,7 @@ class Linked(NamedTuple):
     def write(self, gpu: Gpu, rows: DeviceArray) -> None:
         """Launch the kernels that write them to a graph's rows, which have their sectors."""
         given = self.links.address, self.raw, self.table.at, rows.address
-        KERNELS.place_links.launch(gpu, len(self.links), given)
+        link_kernels.place_links.launch(gpu, len(self.links), given)
         self.table.write(rows)
 
 
@@ -100,8 +101,8 @@ class _Linker:
         raw, links, kept = self._fill(raw_count, ends[1:], covered_count)
         for height in range(1, int(kept[2].host()[0]) + 1):
             of = np.uint64(height)
-            KERNELS.put_raw.launch(self.gpu, raw_count, (of, self.tree.nodes, raw, table.at))
-            KERNELS.share_raw.launch(self.gpu, raw_count, (of, raw, table.at))
+            link_kernels.put_raw.launch(self.gpu, raw_count, (of, self.tree.nodes, raw, table.at))
+            link_kernels.share_raw.launch(self.gpu, raw_count, (of, raw, table.at))
         return Linked(table, table.rank(), raw, links, kept)
 
     def _count(self) -> NDArray[np.int64]:
@@ -109,14 +110,14 @@ class _Linker:
         gpu, count = self.gpu, self.sector_count
         for first, end in reversed(self.levels):
             given = np.uint64(first), self.tree.nodes, self.axes.address
-            KERNELS.find_node_axes.launch(gpu, end - first, given)
+            link_kernels.find_node_axes.launch(gpu, end - first, given)
         self.firsts = gpu.empty("first raw nodes", count + 1, np.uint64)
         leaves, marks = self.ordered.leaves.address, self.is_covered.address
-        KERNELS.count_raw.launch(gpu, count, (leaves, self.tree, marks, self.firsts.address))
+        link_kernels.count_raw.launch(gpu, count, (leaves, self.tree, marks, self.firsts.address))
         Scan(gpu, count).run(self.firsts.address, count, self.firsts.address, np.uint64)
         for first, end in self.levels:
             given = np.uint64(first), self.tree.nodes, marks
-            KERNELS.spread_covered.launch(gpu, end - first, given)
+            link_kernels.spread_covered.launch(gpu, end - first, given)
         return self.firsts.host().view(np.int64)
 
     def _order_covered(self) -> tuple[DeviceArray, int]:
@@ -124,7 +125,7 @@ class _Linker:
         row_count = len(self.ordered.by_row)
         before = self.gpu.empty("covered link nodes", 6 * row_count + 1, np.uint32)
         given = self.ordered.by_row.address, np.uint64(row_count), self.is_covered.address
-        KERNELS.mark_covered.launch(
+        link_kernels.mark_covered.launch(
             self.gpu, 6 * row_count, (self.tree.nodes, *given, before.address)
         )
         scan = Scan(self.gpu, 6 * row_count)
@@ -137,8 +138,8 @@ class _Linker:
         marks, to = self.is_covered.address, (order, self.covered.address, table.at)
         for first, end in reversed(self.levels):
             begin, count = np.uint64(first), end - first
-            KERNELS.put_covered.launch(self.gpu, count, (begin, nodes, sectors, marks, *to))
-            KERNELS.share_covered.launch(self.gpu, count, (begin, nodes, marks, *to))
+            link_kernels.put_covered.launch(self.gpu, count, (begin, nodes, sectors, marks, *to))
+            link_kernels.share_covered.launch(self.gpu, count, (begin, nodes, marks, *to))
 
     def _fill(
         self, raw_count: int, ends: NDArray[np.uint64], first: int
@@ -156,5 +157,5 @@ class _Linker:
         links = gpu.empty("raw links", (self.sector_count, 6), np.uint64)
         given = self.ordered.leaves.address, self.tree, ordered.sectors.address
         to = self.covered.address, self.firsts.address, raw, links.address
-        KERNELS.fill_raw.launch(gpu, self.sector_count, (*given, *to))
+        link_kernels.fill_raw.launch(gpu, self.sector_count, (*given, *to))
         return raw, links, kept

@@ -37,39 +37,39 @@ def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     numbers = numbering.Numbering(*_at(5))
     grown = partition.GrownTriangles(NULL, np.float64(0.0), np.int64(0))
     return [
-        (planes.KERNELS.try_planes, (refs, level, _COSTS, NULL, tried)),
-        (planes.KERNELS.choose_plane, (level, _COSTS, NULL, tried, choices)),
-        (partition.KERNELS.make_reference, (*_at(2), np.float32(0.0), refs)),
-        (partition.KERNELS.count_cut, (refs, choices)),
-        (partition.KERNELS.confirm, (level, choices, counts)),
-        (partition.KERNELS.count_parts, (refs, choices, grown, counts)),
-        (partition.KERNELS.make_cells, (level, choices, counts, made, *_at(2), level)),
+        (planes.try_planes, (refs, level, _COSTS, NULL, tried)),
+        (planes.choose_plane, (level, _COSTS, NULL, tried, choices)),
+        (partition.make_reference, (*_at(2), np.float32(0.0), refs)),
+        (partition.count_cut, (refs, choices)),
+        (partition.confirm, (level, choices, counts)),
+        (partition.count_parts, (refs, choices, grown, counts)),
+        (partition.make_cells, (level, choices, counts, made, *_at(2), level)),
         (
-            partition.KERNELS.place_parts,
+            partition.place_parts,
             (refs, level, choices, grown, counts, made, NULL, refs),
         ),
-        (numbering.KERNELS.count_below, (*_at(2), numbers)),
-        (numbering.KERNELS.mark_large, (*_at(3), numbers, *_at(2))),
-        (numbering.KERNELS.begin_rows, (*_at(6), numbers)),
-        (numbering.KERNELS.number_children, (*_at(4), numbers)),
-        (write_tree.KERNELS.write_tree_node, (*_at(2), numbers, *_at(2))),
-        (write_tree.KERNELS.extend_children, (*_at(2), numbers, NULL)),
+        (numbering.count_below, (*_at(2), numbers)),
+        (numbering.mark_large, (*_at(3), numbers, *_at(2))),
+        (numbering.begin_rows, (*_at(6), numbers)),
+        (numbering.number_children, (*_at(4), numbers)),
+        (write_tree.write_tree_node, (*_at(2), numbers, *_at(2))),
+        (write_tree.extend_children, (*_at(2), numbers, NULL)),
     ]
 
 
 def _of_sectors() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     chosen = Chosen(*_at(4))
     return [
-        (pruning.KERNELS.place_list, (*_at(5), _COSTS, chosen)),
-        (pruning.KERNELS.weigh, (*_at(3), _COSTS, chosen, pruning.ListBudget(*_at(4)))),
-        (pruning.KERNELS.cut, (NULL, chosen)),
-        (sectors.KERNELS.place_cells, _at(7)),
-        (sectors.KERNELS.place_nodes, _at(6)),
-        (sectors.KERNELS.mark_leaf, _at(3)),
-        (sectors.KERNELS.list_leaf, _at(6)),
-        (sectors.KERNELS.number_sector, _at(4)),
-        (sectors.KERNELS.write_sector, _at(7)),
-        (sectors.KERNELS.fill_bin, _at(8)),
+        (pruning.place_list, (*_at(5), _COSTS, chosen)),
+        (pruning.weigh, (*_at(3), _COSTS, chosen, pruning.ListBudget(*_at(4)))),
+        (pruning.cut, (NULL, chosen)),
+        (sectors.place_cells, _at(7)),
+        (sectors.place_nodes, _at(6)),
+        (sectors.mark_leaf, _at(3)),
+        (sectors.list_leaf, _at(6)),
+        (sectors.number_sector, _at(4)),
+        (sectors.write_sector, _at(7)),
+        (sectors.fill_bin, _at(8)),
         (FILL_BLOCK, _at(3)),
     ]
 
@@ -78,16 +78,16 @@ def _of_links() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     tree, raw, table = RopeTree(*_at(4)), link_kernels.Raw(*_at(5)), sharing.Table(*_at(6))
     order = link_kernels.CandidateOrder(*_at(3))
     return [
-        (link_kernels.KERNELS.find_node_axes, _at(3)),
-        (link_kernels.KERNELS.count_raw, (NULL, tree, *_at(2))),
-        (link_kernels.KERNELS.spread_covered, _at(3)),
-        (link_kernels.KERNELS.mark_covered, _at(5)),
-        (link_kernels.KERNELS.put_covered, (*_at(4), order, NULL, table)),
-        (link_kernels.KERNELS.share_covered, (*_at(3), order, NULL, table)),
-        (link_kernels.KERNELS.fill_raw, (NULL, tree, *_at(3), raw, NULL)),
-        (link_kernels.KERNELS.put_raw, (*_at(2), raw, table)),
-        (link_kernels.KERNELS.share_raw, (NULL, raw, table)),
-        (link_kernels.KERNELS.place_links, (NULL, raw, table, NULL)),
-        (sharing.KERNELS.mark_first, (table,)),
-        (sharing.KERNELS.write_link_node, (table, NULL)),
+        (link_kernels.find_node_axes, _at(3)),
+        (link_kernels.count_raw, (NULL, tree, *_at(2))),
+        (link_kernels.spread_covered, _at(3)),
+        (link_kernels.mark_covered, _at(5)),
+        (link_kernels.put_covered, (*_at(4), order, NULL, table)),
+        (link_kernels.share_covered, (*_at(3), order, NULL, table)),
+        (link_kernels.fill_raw, (NULL, tree, *_at(3), raw, NULL)),
+        (link_kernels.put_raw, (*_at(2), raw, table)),
+        (link_kernels.share_raw, (NULL, raw, table)),
+        (link_kernels.place_links, (NULL, raw, table, NULL)),
+        (sharing.mark_first, (table,)),
+        (sharing.write_link_node, (table, NULL)),
     ]

@@ -16,7 +16,7 @@ from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import WORD
 from raystream.structures.graph.cells import NODE_BYTES
@@ -72,8 +72,9 @@ class ListBudget(NamedTuple):
     room: np.uint64
 
 
+@RangeKernel
 @kernel
-def _place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
+def place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     """Copy a leaf's list to its range of `ids`."""
     axis, count = split_at(nodes, node)
     if axis != _LEAF:
@@ -85,8 +86,9 @@ def _place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     put_leaf(node, boxes, costs, chosen, to, count)
 
 
+@RangeKernel
 @kernel
-def _weigh(i, first, nodes, boxes, costs, chosen, budget):
+def weigh(i, first, nodes, boxes, costs, chosen, budget):
     """Turn node first + i into a leaf if that pays off; its children have been weighed.
 
     Once the sizes of new lists are scanned, a list is made only if it and those of later rows fit.
@@ -105,26 +107,14 @@ def _weigh(i, first, nodes, boxes, costs, chosen, budget):
         store(at, size)
 
 
+@RangeKernel
 @kernel
-def _cut(node, nodes, chosen):
+def cut(node, nodes, chosen):
     """Turn a split into a leaf if that was chosen."""
     axis, _ = split_at(nodes, node)
     if axis != _LEAF and load(np.uint32, chosen.leaf_counts + node * WORD) == np.uint32(1):
         size = np.uint64(load(np.uint32, chosen.sizes + node * WORD))
         store(nodes + node * NODE_BYTES + WORD, np.uint32(size << TWO_U64 | _LEAF))
-
-
-class _Kernels(NamedTuple):
-    place_list: RangeKernel
-    weigh: RangeKernel
-    cut: RangeKernel
-
-
-KERNELS = _Kernels(
-    RangeKernel(_place_list),
-    RangeKernel(_weigh),
-    RangeKernel(_cut),
-)
 
 
 def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
@@ -164,17 +154,16 @@ def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
 
     def weigh_all(total: int) -> None:
         places = tree.ids.address, numbers.places.address, ids.address
-        KERNELS.place_list.launch(gpu, count, (nodes, boxes, *places, typed, chosen))
+        place_list.launch(gpu, count, (nodes, boxes, *places, typed, chosen))
         rows, sizes = numbers.rows.address, used.address
         budget = ListBudget(rows, sizes, np.uint64(total), np.uint64(room))
         for first, end in reversed(levels):
             given = np.uint64(first), nodes, boxes, typed, chosen, budget
-            KERNELS.weigh.launch(gpu, end - first, given)
+            weigh.launch(gpu, end - first, given)
 
     weigh_all(0)
-    Scan(gpu, count).run(used.address, count, used.address, np.uint64)
-    total = int(used.part(count, 1).host()[0])
+    total = scan_in_place(gpu, used)
     if total > room:
         weigh_all(total)
-    KERNELS.cut.launch(gpu, count, (nodes, chosen))
+    cut.launch(gpu, count, (nodes, chosen))
     return Lists(ids, lists, sizes)

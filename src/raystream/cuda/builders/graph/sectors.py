@@ -13,7 +13,7 @@ from raystream.jit.constants import BYTES_64, ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import Scan, scan_in_place
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, WORD
 from raystream.structures.graph.bins import leaf_at
@@ -56,8 +56,9 @@ class Ordered(NamedTuple):
     by_row: DeviceArray
 
 
+@RangeKernel
 @kernel
-def _place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
+def place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     """Write the cells of the children of node first + i, if it is a remaining split."""
     node = first + i
     if load(np.uint8, is_in + node) == np.uint8(0) or is_leaf(nodes, node):
@@ -69,8 +70,9 @@ def _place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     store(marks + np.uint64(load(np.uint32, old_rows + node * WORD)) * WORD, np.uint32(1))
 
 
+@RangeKernel
 @kernel
-def _place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
+def place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
     """Write the rows of a split's children, which are in the order of their parents."""
     if node == ZERO_U64:
         store(rows, np.uint32(0))
@@ -86,15 +88,17 @@ def _place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
         store(by_row + row * WORD, np.uint32(child + side))
 
 
+@RangeKernel
 @kernel
-def _mark_leaf(row, nodes, by_row, marks):
+def mark_leaf(row, nodes, by_row, marks):
     """Mark a row whose node is a leaf."""
     found = is_leaf(nodes, np.uint64(load(np.uint32, by_row + row * WORD)))
     store(marks + row * WORD, np.uint32(ONE_U64 if found else ZERO_U64))
 
 
+@RangeKernel
 @kernel
-def _list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
+def list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
     """List the leaf in a row with its Morton code."""
     node = np.uint64(load(np.uint32, by_row + row * WORD))
     if is_leaf(nodes, node):
@@ -103,8 +107,9 @@ def _list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
         store(leaves + to * WORD, np.uint32(node))
 
 
+@RangeKernel
 @kernel
-def _number_sector(sector, leaves, sizes, sectors, block_counts):
+def number_sector(sector, leaves, sizes, sectors, block_counts):
     """Write a leaf's sector, and count its blocks."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
     store(sectors + leaf * WORD, np.uint32(sector))
@@ -112,8 +117,9 @@ def _number_sector(sector, leaves, sizes, sectors, block_counts):
     store(block_counts + sector * WORD, np.uint32((count + THREE_U64) // _LANES))
 
 
+@RangeKernel
 @kernel
-def _write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
+def write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
     """Write a sector's row, except for its links, and its triangle list."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
     count = np.uint64(load(np.uint32, sizes + leaf * WORD))
@@ -126,8 +132,9 @@ def _write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
         store(to + k * WORD, prim_id)
 
 
+@RangeKernel
 @kernel
-def _fill_bin(row, nodes, sectors, x, y, z, y_count, z_count, bins):
+def fill_bin(row, nodes, sectors, x, y, z, y_count, z_count, bins):
     """Find the sector at a bin's low corner; z varies fastest."""
     yz = row // z_count
     px = load(np.float32, x + yz // y_count * WORD)
@@ -135,27 +142,6 @@ def _fill_bin(row, nodes, sectors, x, y, z, y_count, z_count, bins):
     leaf = leaf_at(nodes, px, py, load(np.float32, z + row % z_count * WORD))
     sector = np.uint64(load(np.uint32, sectors + leaf * WORD))
     store(bins + row * WORD, np.uint32(sector * _ROWS))
-
-
-class _Kernels(NamedTuple):
-    place_cells: RangeKernel
-    place_nodes: RangeKernel
-    mark_leaf: RangeKernel
-    list_leaf: RangeKernel
-    number_sector: RangeKernel
-    write_sector: RangeKernel
-    fill_bin: RangeKernel
-
-
-KERNELS = _Kernels(
-    RangeKernel(_place_cells),
-    RangeKernel(_place_nodes),
-    RangeKernel(_mark_leaf),
-    RangeKernel(_list_leaf),
-    RangeKernel(_number_sector),
-    RangeKernel(_write_sector),
-    RangeKernel(_fill_bin),
-)
 
 
 def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
@@ -189,22 +175,20 @@ def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
     ropes.part(0, 6).fill(np.full(6, -1, np.int32))
     for first, end in zip(tree.levels, tree.levels[1:], strict=False):
         given = nodes, is_in.address, numbers.rows.address, boxes, ropes.address, marks.address
-        KERNELS.place_cells.launch(gpu, end - first, (np.uint64(first), *given))
-    scan = Scan(gpu, count)
-    scan.run(marks.address, count, marks.address, np.uint32)
-    sector_count = int(marks.part(count, 1).host()[0]) + 1
+        place_cells.launch(gpu, end - first, (np.uint64(first), *given))
+    sector_count = scan_in_place(gpu, marks) + 1
     node_count = 2 * sector_count - 1
     rows = gpu.empty("rows of nodes", count, np.uint32)
     by_row = gpu.empty("nodes by row", node_count, np.uint32)
     old = nodes, is_in.address, numbers.rows.address, marks.address
-    KERNELS.place_nodes.launch(gpu, count, (*old, rows.address, by_row.address))
+    place_nodes.launch(gpu, count, (*old, rows.address, by_row.address))
     before = gpu.empty("leaves before rows", node_count + 1, np.uint32)
-    KERNELS.mark_leaf.launch(gpu, node_count, (nodes, by_row.address, before.address))
-    scan.run(before.address, node_count, before.address, np.uint32)
+    mark_leaf.launch(gpu, node_count, (nodes, by_row.address, before.address))
+    Scan(gpu, node_count).run(before.address, node_count, before.address, np.uint32)
     codes = gpu.empty("codes", sector_count, np.uint64)
     leaves = gpu.empty("leaves", sector_count, np.uint32)
     listed = by_row.address, before.address, codes.address, leaves.address
-    KERNELS.list_leaf.launch(gpu, node_count, (nodes, boxes, *listed))
+    list_leaf.launch(gpu, node_count, (nodes, boxes, *listed))
     _, leaves = sort_pairs(gpu, codes, leaves, CODE_BITS)
     return Ordered(leaves, gpu.empty("sectors", count, np.uint32), ropes, rows, by_row)
 
@@ -227,6 +211,5 @@ def number_sectors(gpu: Gpu, ordered: Ordered, lists: Lists) -> tuple[DeviceArra
     count = len(ordered.leaves)
     firsts = gpu.empty("first blocks", count + 1, np.uint32)
     given = ordered.leaves.address, lists.sizes.address, ordered.sectors.address
-    KERNELS.number_sector.launch(gpu, count, (*given, firsts.address))
-    Scan(gpu, count).run(firsts.address, count, firsts.address, np.uint32)
-    return firsts, int(firsts.part(count, 1).host()[0])
+    number_sector.launch(gpu, count, (*given, firsts.address))
+    return firsts, scan_in_place(gpu, firsts)

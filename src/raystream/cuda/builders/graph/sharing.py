@@ -95,8 +95,9 @@ def _least(table, slot):
     return np.uint64(load(np.uint32, table.leasts + slot * WORD)) ^ LOW_32
 
 
+@RangeKernel
 @kernel
-def _mark_first(slot, table):
+def mark_first(slot, table):
     """Mark the first candidate of a slot."""
     if load(np.uint32, table.owners + slot * WORD) != _FREE:
         store(table.ranks + _least(table, slot) * WORD, np.uint32(1))
@@ -112,8 +113,9 @@ def final_link(table, link):
     return LINK | (table.first_row + rank)
 
 
+@RangeKernel
 @kernel
-def _write_link_node(slot, table, rows):
+def write_link_node(slot, table, rows):
     """Write the link node of a slot."""
     owner = np.uint64(load(np.uint32, table.owners + slot * WORD))
     if owner == ZERO_U64:
@@ -123,14 +125,6 @@ def _write_link_node(slot, table, rows):
     to = rows + (final_link(table, LINK | slot) ^ LINK) * _ROW
     store(to, one)
     store(to + BYTES_64, below | above << BITS_32)
-
-
-class _Kernels(NamedTuple):
-    mark_first: RangeKernel
-    write_link_node: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(_mark_first), RangeKernel(_write_link_node))
 
 
 class LinkTable:
@@ -176,10 +170,10 @@ class LinkTable:
         count, ranks = self.candidate_count, self._ranks
         if count == 0:
             return 0
-        KERNELS.mark_first.launch(self.gpu, self.slot_count, (self.at,))
+        mark_first.launch(self.gpu, self.slot_count, (self.at,))
         Scan(self.gpu, count).run(ranks.address, count, ranks.address, np.uint32)
         return int(ranks.part(count, 1).host()[0])
 
     def write(self, rows: DeviceArray) -> None:
         """Launch the kernel that writes the link nodes to the rows of a graph."""
-        KERNELS.write_link_node.launch(self.gpu, self.slot_count, (self.at, rows.address))
+        write_link_node.launch(self.gpu, self.slot_count, (self.at, rows.address))

@@ -21,7 +21,6 @@ from raystream.cuda.builders.kdtree.numbering import number_nodes
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.kernels.leaf_block import BLOCK_FLOATS
-from raystream.structures.base import Structure
 from raystream.structures.graph.bins import bin_corners, choose_bin_counts
 from raystream.structures.graph.build import graph_box, tree_settings_of
 from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays
@@ -81,9 +80,6 @@ class DeviceGraph(RebuiltOnDevice, GraphStructure):
         made._set(self.triangles, graph, self.options, 0.0)
         return made
 
-    def _rebuilt(self, triangles: Triangles) -> Structure:
-        return build_graph(self.gpu, triangles, self.options)
-
 
 def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:
     """Move planes with no sector behind them back to the sides of the graph's box."""
@@ -135,7 +131,7 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
     prim_ids = gpu.empty("triangles of blocks", (block_count, 4), np.int32)
     given = ordered.leaves, tree.boxes, lists.lists, lists.sizes, firsts, rows, prim_ids
     addresses = tuple(one.address for one in given)
-    sectors.KERNELS.write_sector.launch(gpu, sector_count, addresses)
+    sectors.write_sector.launch(gpu, sector_count, addresses)
     linked.write(gpu, rows)
     bins = _fill_bins(gpu, triangles, tree, ordered)
     blocks = gpu.empty("blocks", (block_count, BLOCK_FLOATS), np.float32)
@@ -154,5 +150,5 @@ def _fill_bins(gpu: Gpu, triangles: Triangles, tree: GrownTree, ordered: Ordered
     of_tree = tree.nodes.address, ordered.sectors.address
     _, y_count, z_count = map(np.uint64, counts)
     given = *of_tree, *of_places, y_count, z_count, bins.address
-    sectors.KERNELS.fill_bin.launch(gpu, bins.size, given)
+    sectors.fill_bin.launch(gpu, bins.size, given)
     return bins

@@ -11,7 +11,7 @@ from raystream.cuda.builders.kdtree import partition, planes
 from raystream.cuda.builders.kdtree.partition import Counts, GrownTriangles, Made
 from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, References, Tried
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, root_box
 from raystream.structures.kdtree.layout import MAX_NODES
@@ -172,7 +172,7 @@ class _Grower:
         cells.bads.fill(np.zeros(1, np.uint32))
         cells.rooms.fill(np.array([self.room], np.uint64))
         given = self.corners.address, prim_ids.address, np.float32(self.bound)
-        partition.KERNELS.make_reference.launch(self.gpu, count, (*given, lists.at))
+        partition.make_reference.launch(self.gpu, count, (*given, lists.at))
         return cells, lists
 
     def _choose(self, cells: _Cells, lists: _Lists, may_split: bool) -> Choices:
@@ -198,9 +198,9 @@ class _Grower:
             self._kept(bins),
         )
         shared = self.costs, np.uint64(most), tried
-        planes.KERNELS.try_planes.launch(gpu, all_count, (lists.at, cells.at, *shared))
-        planes.KERNELS.choose_plane.launch(gpu, count, (cells.at, *shared, choices))
-        partition.KERNELS.count_cut.launch(gpu, all_count, (lists.at, choices))
+        planes.try_planes.launch(gpu, all_count, (lists.at, cells.at, *shared))
+        planes.choose_plane.launch(gpu, count, (cells.at, *shared, choices))
+        partition.count_cut.launch(gpu, all_count, (lists.at, choices))
         return choices
 
     def _kept(self, array: DeviceArray) -> np.uint64:
@@ -212,18 +212,18 @@ class _Grower:
         self, cells: _Cells, lists: _Lists, first_row: int, id_count: int, may_split: bool
     ) -> tuple[DeviceArray, DeviceArray, _Cells, _Lists, int]:
         """Split a level; returns nodes, sizes, the next level, and references of leaves."""
-        gpu, kernels = self.gpu, partition.KERNELS
+        gpu = self.gpu
         cell_count, count = len(cells.boxes), len(lists.boxes)
         self._scratch: list[DeviceArray] = []
         choices = self._choose(cells, lists, may_split)
         parts = gpu.pooled("parts of references", count + 1, np.uint64)
         splits = gpu.pooled("splits", cell_count + 1, np.uint64)
         counts = Counts(parts.address, splits.address)
-        kernels.confirm.launch(gpu, cell_count, (cells.at, choices, counts))
+        partition.confirm.launch(gpu, cell_count, (cells.at, choices, counts))
         triangles = GrownTriangles(self.corners.address, np.float64(self.bound), self.overlap)
         given = choices, triangles, counts
-        kernels.count_parts.launch(gpu, count, (lists.at, *given))
-        found, split = _scanned(gpu, parts), _scanned(gpu, splits)
+        partition.count_parts.launch(gpu, count, (lists.at, *given))
+        found, split = (scan_in_place(gpu, one, gpu.pooled) for one in (parts, splits))
         after = _Cells.allocate(gpu, 2 * (split >> 32))
         lists_after = _Lists.allocate(gpu, (found >> 32) + (found & _LOWER))
         nodes = gpu.pooled("nodes", (cell_count, 2), np.int32)
@@ -231,11 +231,11 @@ class _Grower:
         made = Made(nodes.address, sizes.address, self.ids.address)
         first_id = np.uint64(id_count)
         rows = np.uint64(first_row), first_id
-        kernels.make_cells.launch(
+        partition.make_cells.launch(
             gpu, cell_count, (cells.at, choices, counts, made, *rows, after.at)
         )
         to = made, first_id, lists_after.at
-        kernels.place_parts.launch(gpu, count, (lists.at, cells.at, *given, *to))
+        partition.place_parts.launch(gpu, count, (lists.at, cells.at, *given, *to))
         return nodes, sizes, after, lists_after, split & _LOWER
 
     def _joined(self, arrays: list[DeviceArray]) -> DeviceArray:
@@ -248,13 +248,3 @@ class _Grower:
             self.gpu.copy(to, one.address, one.nbytes, one.stream)
             to += np.uint64(one.nbytes)
         return made
-
-
-def _scanned(gpu: Gpu, counts: DeviceArray) -> int:
-    """Scan counts in place; the last row becomes their sum, which is returned."""
-    count = len(counts) - 1
-    if count == 0:  # a level whose cells have no references
-        gpu.clear(counts, counts.stream)
-        return 0
-    Scan(gpu, count, empty=gpu.pooled).run(counts.address, count, counts.address, np.uint64)
-    return int(counts.part(count, 1).host()[0])

@@ -81,8 +81,9 @@ def _put(numbers, i, number):
     store(numbers + i * WORD, np.uint32(number))
 
 
+@RangeKernel
 @kernel
-def _count_below(i, first, nodes, numbering):
+def count_below(i, first, nodes, numbering):
     """Count the splits and references below node first + i; its children are done."""
     node = first + i
     axis, child = split_at(nodes, node)
@@ -107,8 +108,9 @@ def _note_subtree(node, numbering, marks, rooms):
     store(rooms + node * BYTES_64, _get(numbering.rooms, node))
 
 
+@RangeKernel
 @kernel
-def _mark_large(node, nodes, sizes, most, numbering, marks, rooms):
+def mark_large(node, nodes, sizes, most, numbering, marks, rooms):
     """Mark a large cell (2**32), and store rows and room of subtrees directly below it."""
     if not _is_large(nodes, node, sizes, most):
         if node == ZERO_U64:
@@ -131,8 +133,9 @@ def _begin_subtree(node, marks, rooms, count, numbering):
     _put(numbering.places, node, load(np.uint64, rooms + node * BYTES_64))
 
 
+@RangeKernel
 @kernel
-def _begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
+def begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
     """Write the first rows of large cells, and where the subtrees below them begin."""
     if node == ZERO_U64:
         _put(numbering.rows, node, ZERO_U64)
@@ -149,8 +152,9 @@ def _begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
             _begin_subtree(part, marks, rooms, count, numbering)
 
 
+@RangeKernel
 @kernel
-def _number_children(i, first, nodes, sizes, most, numbering):
+def number_children(i, first, nodes, sizes, most, numbering):
     """Write the rows and places of the children of node first + i, and their first rows."""
     node = first + i
     axis, child = split_at(nodes, node)
@@ -166,21 +170,6 @@ def _number_children(i, first, nodes, sizes, most, numbering):
         _put(numbering.firsts, child, row + TWO_U64)
         after = _get(numbering.splits, child) << ONE_U64
         _put(numbering.firsts, child + ONE_U64, row + TWO_U64 + after)
-
-
-class _Kernels(NamedTuple):
-    count_below: RangeKernel
-    mark_large: RangeKernel
-    begin_rows: RangeKernel
-    number_children: RangeKernel
-
-
-KERNELS = _Kernels(
-    RangeKernel(_count_below),
-    RangeKernel(_mark_large),
-    RangeKernel(_begin_rows),
-    RangeKernel(_number_children),
-)
 
 
 def number_nodes(gpu: Gpu, tree: GrownTree, triangle_count: int) -> Numbers:
@@ -204,18 +193,18 @@ def number_nodes(gpu: Gpu, tree: GrownTree, triangle_count: int) -> Numbers:
     most = np.uint64(subtree_size(triangle_count))
     levels = list(zip(tree.levels, tree.levels[1:], strict=False))
     for first, end in reversed(levels):
-        KERNELS.count_below.launch(gpu, end - first, (np.uint64(first), nodes, numbers.at))
+        count_below.launch(gpu, end - first, (np.uint64(first), nodes, numbers.at))
     marks = gpu.empty("large cells", count + 1, np.uint64)
     rooms = gpu.empty("rooms of subtrees", count + 1, np.uint64)
     shared, begins = (nodes, sizes, most), (marks.address, rooms.address)
     for one in (marks, rooms):
         gpu.clear(one, one.stream)
-    KERNELS.mark_large.launch(gpu, count, (*shared, numbers.at, *begins))
+    mark_large.launch(gpu, count, (*shared, numbers.at, *begins))
     scan = Scan(gpu, count)
     for at in begins:
         scan.run(at, count, at, np.uint64)
     begun = *begins, np.uint64(count), numbers.at
-    KERNELS.begin_rows.launch(gpu, count, (*shared, *begun))
+    begin_rows.launch(gpu, count, (*shared, *begun))
     for first, end in levels:
-        KERNELS.number_children.launch(gpu, end - first, (np.uint64(first), *shared, numbers.at))
+        number_children.launch(gpu, end - first, (np.uint64(first), *shared, numbers.at))
     return numbers

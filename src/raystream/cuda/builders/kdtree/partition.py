@@ -85,8 +85,9 @@ def _choice(choices, cell):
     return axis, load(np.float32, choices.positions + at)
 
 
+@RangeKernel
 @kernel
-def _count_cut(i, refs, choices):
+def count_cut(i, refs, choices):
     """Count reference i if its cell's plane cuts its box."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     axis, position = _choice(choices, cell)
@@ -97,8 +98,9 @@ def _count_cut(i, refs, choices):
         atomic_add_aggregated(choices.cut_counts + cell * WORD, np.uint32(1))
 
 
+@RangeKernel
 @kernel
-def _confirm(cell, level, choices, counts):
+def confirm(cell, level, choices, counts):
     """Split a cell only if there is room for its parts, and count it."""
     begin, end = cell_range(level, cell)
     axis, _ = _choice(choices, cell)
@@ -121,8 +123,9 @@ def _part(i, refs, choices, triangles, below, above):
     return split_reference(box, triangle, triangles, axis * WORD, position, below, above)
 
 
+@RangeKernel
 @kernel
-def _count_parts(i, refs, choices, triangles, counts):
+def count_parts(i, refs, choices, triangles, counts):
     """Count the parts of reference i."""
     below, above = scratch(24), scratch(24)
     is_below, is_above = _part(i, refs, choices, triangles, below, above)
@@ -147,8 +150,9 @@ def _places(level, counts, cell):
     return below + above, below_end + above, below_end + above_end
 
 
+@RangeKernel
 @kernel
-def _make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
+def make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
     """Write a cell's node and, if it is split, its two child cells."""
     begin, end = cell_range(level, cell)
     axis, position = _choice(choices, cell)
@@ -185,8 +189,9 @@ def _put_reference(parts, to, cell, box, prim_id):
     store(parts.cells + to * WORD, np.uint32(cell))
 
 
+@RangeKernel
 @kernel
-def _place_parts(i, refs, level, choices, triangles, counts, made, first_id, parts):
+def place_parts(i, refs, level, choices, triangles, counts, made, first_id, parts):
     """Write the parts of reference i to their cells' ranges, or reference i to its leaf's list."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     prim_id = load(np.int32, refs.ids + i * WORD)
@@ -210,8 +215,9 @@ def _place_parts(i, refs, level, choices, triangles, counts, made, first_id, par
         _put_reference(parts, all_below + own_above, child + ONE_U64, above, prim_id)
 
 
+@RangeKernel
 @kernel
-def _make_reference(i, corners, prim_ids, bound, refs):
+def make_reference(i, corners, prim_ids, bound, refs):
     """Write the reference of the triangle in row i of `prim_ids`: its grown box."""
     prim_id = load(np.int32, prim_ids + i * WORD)
     triangle, box = corners + np.uint64(prim_id) * _TRIANGLE, refs.boxes + i * BOX_BYTES
@@ -223,22 +229,3 @@ def _make_reference(i, corners, prim_ids, bound, refs):
         store(box + HIGH + axis * WORD, max(a, b, c) + bound)
     store(refs.ids + i * WORD, prim_id)
     store(refs.cells + i * WORD, np.uint32(0))
-
-
-class _Kernels(NamedTuple):
-    make_reference: RangeKernel
-    count_cut: RangeKernel
-    confirm: RangeKernel
-    count_parts: RangeKernel
-    make_cells: RangeKernel
-    place_parts: RangeKernel
-
-
-KERNELS = _Kernels(
-    RangeKernel(_make_reference),
-    RangeKernel(_count_cut),
-    RangeKernel(_confirm),
-    RangeKernel(_count_parts),
-    RangeKernel(_make_cells),
-    RangeKernel(_place_parts),
-)

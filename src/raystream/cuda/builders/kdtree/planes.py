@@ -219,8 +219,9 @@ def _is_better(cost, axis, position, best_cost, best_axis, best_position):
     return position < best_position
 
 
+@RangeKernel
 @kernel
-def _try_planes(i, refs, level, costs, max_leaf_size, tried):
+def try_planes(i, refs, level, costs, max_leaf_size, tried):
     """Try the planes of reference i, or bin it."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     begin, end = cell_range(level, cell)
@@ -267,8 +268,9 @@ def _best_of_bins(begin, end, cell, costs, tried):
     return best_axis, best_position, best_cost
 
 
+@RangeKernel
 @kernel
-def _choose_plane(cell, level, costs, max_leaf_size, tried, choices):
+def choose_plane(cell, level, costs, max_leaf_size, tried, choices):
     """Choose the plane of a cell, or make it a leaf."""
     begin, end = cell_range(level, cell)
     bad = np.uint64(load(np.uint32, level.bads + cell * WORD))
@@ -285,11 +287,3 @@ def _choose_plane(cell, level, costs, max_leaf_size, tried, choices):
     store(choices.axes + cell * WORD, np.uint32(axis))
     store(choices.positions + cell * WORD, position)
     store(choices.bads + cell * WORD, np.uint32(bad))
-
-
-class _Kernels(NamedTuple):
-    try_planes: RangeKernel
-    choose_plane: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(_try_planes), RangeKernel(_choose_plane))

@@ -15,7 +15,6 @@ from raystream.cuda.builders.kdtree.write_tree import WrittenTree, write_tree
 from raystream.cuda.structures import Resident
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu
-from raystream.structures.base import Structure
 from raystream.structures.kdtree.layout import KdArrays
 from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
@@ -73,9 +72,6 @@ class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
         tree = KdArrays(self._written.nodes.host(), prim_ids)
         made._set(self.triangles, tree, self.options, 0.0)
         return made
-
-    def _rebuilt(self, triangles: Triangles) -> Structure:
-        return build_kdtree(self.gpu, triangles, self.options)
 
 
 def build_kdtree(gpu: Gpu, triangles: Triangles, options: KdTree) -> KdTreeStructure:

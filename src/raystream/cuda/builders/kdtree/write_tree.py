@@ -41,8 +41,9 @@ class WrittenTree(NamedTuple):
     extended: DeviceArray | None
 
 
+@RangeKernel
 @kernel
-def _write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
+def write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
     """Write a node to its row, and a leaf's triangles to its blocks."""
     axis, number = split_at(nodes, node)
     first = load(np.uint32, nodes + node * _NODE)
@@ -60,8 +61,9 @@ def _write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
         store(ids + k * WORD, load(np.int32, source + k * WORD) if k < number else _ABSENT)
 
 
+@RangeKernel
 @kernel
-def _extend_children(i, first, nodes, numbering, extended):
+def extend_children(i, first, nodes, numbering, extended):
     """Write the bounds of the children of node first + i that are splits, given its own."""
     node = first + i
     axis, child = split_at(nodes, node)
@@ -84,14 +86,6 @@ def _extend_children(i, first, nodes, numbering, extended):
             store(at, max(load(np.float32, at), plane))
         store(to + _OWN_AT, np.uint32(row + side))
         store(to + _OWN_AT + WORD, np.uint32(0))
-
-
-class _Kernels(NamedTuple):
-    write_tree_node: RangeKernel
-    extend_children: RangeKernel
-
-
-KERNELS = _Kernels(RangeKernel(_write_tree_node), RangeKernel(_extend_children))
 
 
 def write_tree(
@@ -121,7 +115,7 @@ def write_tree(
     prim_ids = gpu.empty("triangles of blocks", (block_count, 4), np.int32)
     blocks = gpu.empty("blocks", (block_count, BLOCK_FLOATS), np.float32)
     source = tree.nodes.address, tree.ids.address, numbers.at
-    KERNELS.write_tree_node.launch(gpu, count, (*source, nodes.address, prim_ids.address))
+    write_tree_node.launch(gpu, count, (*source, nodes.address, prim_ids.address))
     of_blocks = prim_ids.address, corners.address, blocks.address
     FILL_BLOCK.launch(gpu, block_count, of_blocks)
     extended = _extended(gpu, tree, numbers) if is_extended else None
@@ -137,5 +131,5 @@ def _extended(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> DeviceArray:
         extended.part(0, 8).fill(root)
     for first, end in zip(tree.levels, tree.levels[1:], strict=False):
         given = np.uint64(first), tree.nodes.address, numbers.at, extended.address
-        KERNELS.extend_children.launch(gpu, end - first, given)
+        extend_children.launch(gpu, end - first, given)
     return extended
