@@ -10,14 +10,14 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress, parallel_for, rising, thread_count
+from raystream.jit.threads import Progress, rising, thread_count
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import HitAccumulator, HitArrays, HitBatch, Sink, allocate_hits
 from raystream.kernels.queries import Wanted, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
-from raystream.machines.batch import batch_bytes, call_size, trace_batch
+from raystream.machines.batch import batch_bytes, run_calls, trace_batch
 from raystream.programs.run import run_on_hits
 from raystream.structures import Structure
 
@@ -154,13 +154,8 @@ class Branching(Backend):
         output = output_of(query, sink)
         arrays = structure.arrays_for(query, rays, sink)
         shared = source, structure.frame if frame is None else frame, arrays, sink.tallies
-
-        def body(begin: int, end: int) -> None:
-            kernel(begin, end, *shared, *output)
-
-        parallel_for(
-            body, len(rays), call_size(len(rays), _LEAST, structure.rays_per_call()), progress
-        )
+        calls = kernel, (*shared, *output)
+        run_calls(calls, (0, len(rays)), _LEAST, structure.rays_per_call(), progress)
         del kept  # the kernel reads it by address
 
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
@@ -182,7 +177,5 @@ class Branching(Backend):
             return int(reached)
 
         body = GrowingBuffers(HitRows.of, fill, FIRST_CAPACITY)
-        parallel_for(
-            body, len(rays), call_size(len(rays), _LEAST, structure.rays_per_call()), progress
-        )
+        run_calls((body, ()), (0, len(rays)), _LEAST, structure.rays_per_call(), progress)
         del kept

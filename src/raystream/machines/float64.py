@@ -11,11 +11,11 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch, as_real_array
 from raystream.float64.queries import Float64Source
 from raystream.float64.structure import Float64Structure
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
-from raystream.machines.batch import batch_bytes, call_size, trace_batch
+from raystream.machines.batch import batch_bytes, run_calls, trace_batch
 
 #: Least rays of a call.
 _LEAST = 64
@@ -115,11 +115,6 @@ class Float64Backend(Backend):
             self.structure.arrays,
             status,
         )
-
-        def body(begin: int, end: int) -> None:
-            kernel(begin, end, *shared, *output)
-
-        parallel_for(
-            body, len(rays), call_size(len(rays), _LEAST, self.structure.rays_per_call()), progress
-        )
+        calls = kernel, (*shared, *output)
+        run_calls(calls, (0, len(rays)), _LEAST, self.structure.rays_per_call(), progress)
         del kept  # the kernel reads it by address
