@@ -29,7 +29,8 @@ from raystream.structures.bvh.steps import (
     stack_half,
     visit,
 )
-from raystream.structures.bvh.traversal import STACK_BYTES, traverse
+from raystream.structures.bvh.traversal import traverse
+from raystream.structures.bvh.walk import STACK_BYTES
 
 _ONE = np.uint64(1)
 _NONE = np.uint64(0)

@@ -12,10 +12,8 @@ import numpy as np
 
 from raystream.float64.block import BLOCK, leaf_end
 from raystream.float64.ray import widened_far, widened_near
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
-    count_trailing_zeros,
     f32x8,
     f64x8,
     float_as_bits,
@@ -23,32 +21,19 @@ from raystream.jit.simd import (
     i32x8,
     lane_numbers,
     load,
-    mask_bits,
     maximum,
     minimum,
     narrow,
     widen,
 )
-from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.node_layout import (
-    BOX_FLIP,
-    CHILDREN,
-    LANE,
-    NODE,
-    leaf_address,
-    prefetch_child,
-)
-from raystream.structures.bvh.steps import begin, is_leaf, next_entry, push
+from raystream.structures.bvh.node_layout import BOX_FLIP, leaf_address
+from raystream.structures.bvh.walk import STACK_BYTES, tree_walk
+
+__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
 
 _ZERO = np.float64(0.0)
 _ZERO32 = np.float32(0.0)
 _KEY_BITS = np.int32(~7)
-
-#: Bytes of half the stack, for the deepest tree.
-_HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
-
-#: Bytes of the stack.
-STACK_BYTES = 2 * int(_HALF)
 
 
 class Float64Tree(NamedTuple):
@@ -70,8 +55,9 @@ class Float64Tree(NamedTuple):
 
 
 @device
-def _enter(node, ray, t_min, t_far):
+def _enter(node, line, search, t_min, t_far):
     """Test the boxes of a node's children; see `structures.bvh.steps.enter`."""
+    ray, _ = line
     at_x = node + ray.planes[0]
     at_y = node + ray.planes[1]
     at_z = node + ray.planes[2]
@@ -96,12 +82,6 @@ def _enter(node, ray, t_min, t_far):
     return (keys & _KEY_BITS) | lane_numbers(i32x8), entered
 
 
-@device
-def _limit(t_far):
-    """The limit of keys. Adding zero turns -0 into 0, whose bits are in the numbers' order."""
-    return np.float32(t_far) + _ZERO32
-
-
 def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
     """Make the traversal of a wide tree.
 
@@ -120,41 +100,29 @@ def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callab
     """
 
     @device
+    def interval(line, search):
+        ray, _ = line
+        far = widened_far(far_of(ray, search))
+        # Adding zero turns -0 into 0.
+        return widened_near(ray.line.t_min), far, np.float32(far) + _ZERO32
+
+    @device
+    def visit_leaf(tree, child, line, search, stack):
+        ray, lanes = line
+        block = leaf_address(tree.leaves, child)
+        end = leaf_end(block, child)
+        while block != end:
+            search, is_over = visit(block, ray, search, lanes)
+            if is_over:
+                return search, True
+            block += BLOCK
+        return search, False
+
+    walk_tree = tree_walk(interval, _enter, visit_leaf)
+
+    @device
     def walk(tree, ray, search, stack, lanes, wants_any):
-        t_min = widened_near(ray.line.t_min)
-        t_far = widened_far(far_of(ray, search))
-        if not t_min <= t_far:
-            return search
-        top = begin(tree, _ZERO32, _ZERO32, stack, _HALF)
-        found, child, top = next_entry(stack, _HALF, top, _limit(t_far))
-        while found:
-            if is_leaf(child):
-                block = leaf_address(tree.leaves, child)
-                end = leaf_end(block, child)
-                while block != end:
-                    search, is_over = visit(block, ray, search, lanes)
-                    if is_over:
-                        return search
-                    block += BLOCK
-                t_far = widened_far(far_of(ray, search))
-            else:
-                node = tree.nodes + np.uint64(child) * NODE
-                keys, entered = _enter(node, ray, t_min, t_far)
-                bits = mask_bits(entered)
-                if bits != ZERO_U64:
-                    if bits & (bits - ONE_U64) == ZERO_U64:
-                        at = node + CHILDREN + (count_trailing_zeros(bits) << SHIFT_32)
-                        child = load(np.int32, at)
-                        continue
-                    top = push(node, keys, entered, wants_any, stack, _HALF, top)
-                    top -= LANE  # the last one is within the interval
-                    child = load(np.int32, stack + _HALF + top)
-                    if top != ZERO_U64:
-                        below = load(np.int32, stack + _HALF + top - LANE)
-                        prefetch_child(below, tree.nodes, tree.leaves)
-                    continue
-            found, child, top = next_entry(stack, _HALF, top, _limit(t_far))
-        return search
+        return walk_tree(tree, (ray, lanes), search, stack, wants_any)
 
     return walk
 

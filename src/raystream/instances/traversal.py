@@ -27,8 +27,9 @@ from raystream.kernels.search import (
     leave_instance,
 )
 from raystream.structures.brute.traversal import traverse as traverse_brute
-from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
+from raystream.structures.bvh.traversal import tree_traversal
+from raystream.structures.bvh.walk import STACK_BYTES
 
 __all__ = [
     "MOST_FAR",

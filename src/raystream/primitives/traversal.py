@@ -17,9 +17,9 @@ from raystream.primitives.field import FIELD_BYTES, traverse_all_cells, traverse
 from raystream.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
 from raystream.primitives.sphere import ExactRay, exact_ray, intersect_spheres
 from raystream.structures.brute.traversal import traverse as traverse_brute
-from raystream.structures.bvh.traversal import STACK_BYTES as TREE_BYTES
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 from raystream.structures.bvh.traversal import tree_traversal
+from raystream.structures.bvh.walk import STACK_BYTES as TREE_BYTES
 
 _LEAF_SHIFT = np.int32(3)
 _TREE = np.uint64(TREE_BYTES)

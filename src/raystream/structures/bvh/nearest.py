@@ -37,9 +37,9 @@ from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
 from raystream.kernels.point_queries import PointSearch, point_queries
 from raystream.kernels.point_triangle import squared_distance
-from raystream.structures.bvh.node_layout import BOX_FLIP, CHILDREN, LANE, NODE, NODE_AXIS, Node
-from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, push
-from raystream.structures.bvh.traversal import HALF, STACK_BYTES, prefetch_next
+from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS, Node
+from raystream.structures.bvh.steps import leaf_blocks
+from raystream.structures.bvh.walk import STACK_BYTES, tree_walk
 
 _STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
 _CHILD_COUNT, _BLOCK_COUNT = np.uint64(8), np.uint64(4)
@@ -89,7 +89,7 @@ def _keys(distances):
 
 
 @device
-def _enter_far(node, point, search, lanes):
+def _enter_far(node, point, search):
     """Find the boxes within the limit of a point from afar; see `steps.enter` for the results."""
     planes = Node(node).planes
     x = _far_gap(planes[_LOW_X], planes[_HIGH_X], point[0])
@@ -107,8 +107,9 @@ def _lane_gap(node, axis, lane, x):
 
 
 @device
-def _enter_far_by_lane(node, point, search, lanes):
+def _enter_far_by_lane(node, point, search):
     """The same one child at a time, for threads with few registers."""
+    lanes = scratch(64)
     bits = ZERO_U64
     for lane in range(_CHILD_COUNT):
         x = _lane_gap(node, ZERO_U64, lane, point[0])
@@ -158,9 +159,10 @@ def _near(point, frame):
 
 
 @device
-def _limit(search):
-    """The search's limit in float32, not below it."""
-    return min(_above(search.limit), _MOST)
+def _interval(line, search):
+    """Distances of boxes up to the search's limit in float32, which is not below it."""
+    far = min(_above(search.limit), _MOST)
+    return _ZERO, far, far
 
 
 @device
@@ -170,8 +172,9 @@ def _corner(at):
 
 
 @device
-def _offer_block(block, point, search, lanes):
+def _offer_block(block, point, search):
     """Offer the triangles of a leaf block."""
+    lanes = scratch(64)
     a, b, c = _corner(block), _corner(block + SECOND), _corner(block + THIRD)
     squared = squared_distance(point, a, b, c)
     bits = mask_bits(squared <= search.limit)
@@ -189,7 +192,7 @@ def _offer_block(block, point, search, lanes):
 
 
 @device
-def _offer_block_by_lane(block, point, search, lanes):
+def _offer_block_by_lane(block, point, search):
     """The same one triangle at a time, for threads with few registers."""
     for lane in range(_BLOCK_COUNT):
         place = block + (lane << SHIFT_32)
@@ -204,48 +207,33 @@ def _offer_block_by_lane(block, point, search, lanes):
 def _tree_search(enter_far, offer_block):
     """Make the search of the tree; see `kernels.point_queries.PointSearch`."""
 
-    def find(tree, frame, point, search, stack):
-        lanes = scratch(64)
-        near = _near(point, frame)
-        limit = _limit(search)
-        top = begin(tree, _ZERO, limit, stack, HALF)
-        found, child, top = next_entry(stack, HALF, top, limit)
-        while found:
-            if is_leaf(child):
-                block, end = leaf_blocks(tree, child)
-                prefetch_next(tree, stack, top)
-                while block != end:
-                    search = offer_block(block, point, search, lanes)
-                    block += BLOCK
-                limit = _limit(search)
-            else:
-                node = tree.nodes + np.uint64(child) * NODE
-                if near[2]:
-                    keys, entered = enter_far(node, point, search, lanes)
-                else:
-                    keys, entered = _enter_near(node, near, limit)
-                bits = mask_bits(entered)
-                if bits != ZERO_U64:
-                    if bits & (bits - ONE_U64) == ZERO_U64:
-                        at = node + CHILDREN + (count_trailing_zeros(bits) << SHIFT_32)
-                        child = load(np.int32, at)
-                        continue
-                    top = push(node, keys, entered, False, stack, HALF, top)
-                    top -= LANE  # the last one is within the limit
-                    child = load(np.int32, stack + HALF + top)
-                    continue
-            found, child, top = next_entry(stack, HALF, top, limit)
-        return search
+    @device
+    def enter(node, line, search, _, far):
+        point, near = line
+        if near[2]:
+            return enter_far(node, point, search)
+        return _enter_near(node, near, far)
 
-    return find
+    @device
+    def visit_leaf(tree, child, line, search, stack):
+        point, _ = line
+        block, end = leaf_blocks(tree, child)
+        while block != end:
+            search = offer_block(block, point, search)
+            block += BLOCK
+        return search, False
+
+    walk = tree_walk(_interval, enter, visit_leaf)
+
+    @device
+    def find(tree, frame, point, search, stack):
+        return walk(tree, (point, _near(point, frame)), search, stack, False)
+
+    return PointSearch(find, STACK_BYTES)
 
 
 #: The search of a point by a thread of a GPU.
-POINT_SEARCH = PointSearch(
-    device(_tree_search(_enter_far_by_lane, _offer_block_by_lane)), STACK_BYTES
-)
+POINT_SEARCH = _tree_search(_enter_far_by_lane, _offer_block_by_lane)
 
 #: The loop over points.
-find_nearest = point_queries(
-    PointSearch(device(_tree_search(_enter_far, _offer_block)), STACK_BYTES)
-)
+find_nearest = point_queries(_tree_search(_enter_far, _offer_block))

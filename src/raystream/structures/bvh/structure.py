@@ -20,7 +20,8 @@ from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import stack_half
-from raystream.structures.bvh.traversal import STACK_BYTES, traverse
+from raystream.structures.bvh.traversal import traverse
+from raystream.structures.bvh.walk import STACK_BYTES
 
 
 class BvhStructure(Structure):
