@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import operator
-from abc import abstractmethod
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.closest_points import ClosestPoints
-from raystream.core.hits import MultiHits
 from raystream.core.memory import check_memory
-from raystream.core.rays import as_real_array
+from raystream.core.rays import as_real_array, as_vectors, flat_values
 from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.point_queries import NearestArrays, PointSource, work_bytes
@@ -172,7 +170,7 @@ class PointQueries(RayCaster):
         test = InsideTest(self, method)  # first: it may refuse
         total = 5  # of the progress: the distance counts as one part, the inside as four
         nearest = self._nearest(points, None, max_distance, share_of(progress, 0, 1, total))
-        inside = test.inside(_points_of(points), share_of(progress, 1, 4, total))
+        inside = test.inside(as_vectors("points", points), share_of(progress, 1, 4, total))
         distance = nearest.distance.reshape(-1)
         distance[inside] *= -1.0
         distance[nearest.status.reshape(-1) != 0] = np.nan
@@ -235,7 +233,7 @@ class PointQueries(RayCaster):
         (1,)
         """
         test = InsideTest(self, method)
-        given = _points_of(points)
+        given = as_vectors("points", points)
         return test.inside(given, progress).reshape(given.shape[:-1])
 
     def winding_number(
@@ -291,30 +289,18 @@ class PointQueries(RayCaster):
         0.125
         """
         check_plain("winding numbers", self.structure.triangles)
-        given, most = _points_of(points), float(accuracy)
+        given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
         numbers = winding_of(self.structure.triangles, given.reshape(-1, 3), progress, most)
         return numbers.reshape(given.shape[:-1])
-
-    @abstractmethod
-    def count_hits(
-        self, origins: Any, directions: Any, *, crossings: Any = ..., progress: Any = None
-    ) -> NDArray[np.int64]:
-        """See `Tracer.count_hits`."""
-
-    @abstractmethod
-    def multi_hit(
-        self, origins: Any, directions: Any, *, crossings: Any = ..., progress: Any = None
-    ) -> MultiHits:
-        """See `Tracer.multi_hit`."""
 
     def _nearest(
         self, points: Any, k: int | None, max_distance: Any, progress: Progress | None
     ) -> ClosestPoints:
         """The nearest triangle of each point, or the nearest `k` in a further dimension."""
         kernel = self._point_loop()
-        given = _points_of(points)
+        given = as_vectors("points", points)
         shape = given.shape[:-1]
         limits = _limits_of(max_distance, shape)
         local = np.ascontiguousarray(given.reshape(-1, 3), np.float64)
@@ -370,16 +356,6 @@ class PointQueries(RayCaster):
         return min(most, max(256, -(-count // (4 * thread_count()))))
 
 
-def _points_of(points: Any) -> NDArray[Any]:
-    """Points of shape (..., 3)."""
-    array = as_real_array("points", points)
-    if array.ndim == 1 and array.size == 0:
-        array = array.reshape(0, 3)
-    if array.ndim == 0 or array.shape[-1] != 3:
-        raise ValueError(f"points: expected shape (..., 3), got {array.shape}")
-    return array
-
-
 def _limits_of(max_distance: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Greatest distances, of shape (N,), or (1,) for one that all points have."""
     array = as_real_array("max_distance", max_distance).astype(np.float64)
@@ -387,9 +363,4 @@ def _limits_of(max_distance: Any, shape: tuple[int, ...]) -> NDArray[np.float64]
         raise ValueError("max_distance: expected numbers >= 0, got a negative one or NaN")
     if array.ndim == 0:
         return array.reshape(1)
-    try:
-        return np.ascontiguousarray(np.broadcast_to(array, shape).reshape(-1))
-    except ValueError:
-        raise ValueError(
-            f"max_distance: shape {array.shape} does not broadcast to the points' shape {shape}"
-        ) from None
+    return np.ascontiguousarray(flat_values("max_distance", array, shape, "points"))
