@@ -27,12 +27,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, all_lanes, f64x8, load, scratch, square_root, store
+from raystream.jit.simd import address, all_lanes, f64x8, square_root
 from raystream.jit.threads import parallel_for
-from raystream.kernels.point_order import ORDER_WORDS, WORDS_PER_POINT, order_points
-from raystream.kernels.winding import LANES, half_angle, to_corner, turned
+from raystream.kernels.answers import loop_of
+from raystream.kernels.point_order import PointOrder, begin_order
+from raystream.kernels.winding import (
+    add_triangle,
+    dot,
+    is_first_of_eight,
+    load_eight,
+    numbers_of,
+    store_eight,
+)
 
 #: Triangles of a leaf: at least half of it.
 _LEAF = 8
@@ -53,8 +60,6 @@ _KEY_BITS = 21
 _ROUNDING = 2.0**-44
 _ROUNDING_EACH = 2.0**-50
 
-_U8 = np.uint64(LANES)
-_X, _Y, _Z, _E = np.uint64(0), np.uint64(64), np.uint64(128), np.uint64(192)
 _0, _1 = np.float64(0.0), np.float64(1.0)
 
 
@@ -147,11 +152,6 @@ def _scaled(p, by):
 
 
 @device
-def _dot(p, q):
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@device
 def _area_vector(a, b, c):
     p, q = _minus(b, a), _minus(c, a)
     return (
@@ -168,7 +168,7 @@ def _center_of(corners, first, last):
     for k in range(first, last):
         a, b, c = _corner(corners, k, 0), _corner(corners, k, 1), _corner(corners, k, 2)
         vector = _area_vector(a, b, c)
-        area = math.sqrt(_dot(vector, vector))
+        area = math.sqrt(dot(vector, vector))
         total += area
         center = _plus(center, _scaled(_plus(_plus(a, b), c), area))
     if total > 0.0:
@@ -239,10 +239,10 @@ def _make_nodes(begin, end, level, depth, tree):
             b = _minus(_corner(tree.corners, k, 1), center)
             c = _minus(_corner(tree.corners, k, 2), center)
             vector = _area_vector(a, b, c)
-            of_a, of_b, of_c = math.sqrt(_dot(a, a)), math.sqrt(_dot(b, b)), math.sqrt(_dot(c, c))
+            of_a, of_b, of_c = math.sqrt(dot(a, a)), math.sqrt(dot(b, b)), math.sqrt(dot(c, c))
             radius = max(radius, max(of_a, max(of_b, of_c)))
             cubes = of_a * of_a * of_a + of_b * of_b * of_b + of_c * of_c * of_c
-            third += math.sqrt(_dot(vector, vector)) * cubes / 3.0
+            third += math.sqrt(dot(vector, vector)) * cubes / 3.0
             _add_moments(node, a, b, c, vector)
         node[0], node[1], node[2] = center
         node[3], node[4], node[5] = radius * (1.0 + _ROUNDING), third * (1.0 + _ROUNDING), area
@@ -255,7 +255,7 @@ def _far(node, point, opening):
     Both are to be divided by 4 pi.
     """
     d = node[0] - point[0], node[1] - point[1], node[2] - point[2]
-    squared = _dot(d, d)
+    squared = dot(d, d)
     r = square_root(squared)
     if not all_lanes(r * opening > node[3]):
         return False, squared, squared
@@ -281,57 +281,44 @@ def _far(node, point, opening):
     return True, total * inv3, error
 
 
-@device
-def _exact(corners, first, last, point, angle):
-    for k in range(first, last):
-        a = to_corner(corners, k, 0, point)
-        b = to_corner(corners, k, 1, point)
-        c = to_corner(corners, k, 2, point)
-        angle = turned(angle, half_angle(a, b, c))
-    return angle
+class TreeScene(NamedTuple):
+    """What winding numbers are computed from by a tree.
 
-
-def order_bytes(count: int) -> int:
-    """Bytes of memory that a call of `tree_winding_numbers` needs for `count` points."""
-    return 4 * (WORDS_PER_POINT * count + ORDER_WORDS)
-
-
-@kernel
-def tree_winding_numbers(begin, end, points, tree, opening, work, numbers, errors):
-    """Compute the winding numbers of points begin to end, and bounds of their errors.
-
-    Parameters
+    Attributes
     ----------
-    begin, end : int
     points : ndarray of shape (N, 3), float64
         Local frame, finite.
+    order : PointOrder
+        Of the points of a call.
     tree : WindingTree
     opening : float64
         Below 1: a group whose radius is at most this much of its distance is expanded.
-    work : ndarray of uint8
-        `order_bytes` bytes.
-    numbers, errors : ndarray of shape (N,), float64
-        Written.
     """
-    lanes = scratch(256)
-    first, last = np.uint64(begin), np.uint64(end)
-    order = order_points(address(points), first, last, address(work))
-    node_count = len(tree.nodes)
-    rounding = _ROUNDING_EACH * np.float64(len(tree.corners))
-    at = first
-    while at < last:
-        for k in range(_U8):
-            number = min(at + k, last - ONE_U64) - first
-            i = first + np.uint64(load(np.uint32, order + (number << SHIFT_32)))
-            to = lanes + (k << SHIFT_64)
-            store(to + _X, points[i, 0])
-            store(to + _Y, points[i, 1])
-            store(to + _Z, points[i, 2])
-        point = load(f64x8, lanes + _X), load(f64x8, lanes + _Y), load(f64x8, lanes + _Z)
+
+    points: NDArray[np.float64]
+    order: PointOrder
+    tree: WindingTree
+    opening: float
+
+
+class TreeNumbers(NamedTuple):
+    """Winding numbers, and bounds of their errors: ndarray of shape (N,), float64."""
+
+    numbers: NDArray[np.float64]
+    errors: NDArray[np.float64]
+
+
+@device
+def _answer(i, scene, out, memory):
+    """Write the winding numbers of eight points; see `kernels.answers`."""
+    points, order, tree, opening = scene
+    begin_order(order, address(points), i)
+    if is_first_of_eight(i):
+        point = load_eight(points, order, order.end, i, memory)
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
         total, error = f64x8(_0), f64x8(_0)
         place = 0
-        while place < node_count:
+        while place < len(tree.nodes):
             is_far, of_group, bound = _far(tree.nodes[place], point, opening)
             beyond = tree.links[place, 2]
             if is_far:
@@ -340,18 +327,15 @@ def tree_winding_numbers(begin, end, points, tree, opening, work, numbers, error
                 continue
             place += 1
             if place == beyond:
-                own = place - 1
-                angle = _exact(tree.corners, tree.links[own, 0], tree.links[own, 1], point, angle)
-        store(lanes + _X, angle[0])
-        store(lanes + _Y, angle[1])
-        store(lanes + _Z, angle[2] + total / np.float64(4.0 * math.pi))
-        store(lanes + _E, error / np.float64(4.0 * math.pi))
-        for k in range(min(_U8, last - at)):
-            i = first + np.uint64(load(np.uint32, order + ((at + k - first) << SHIFT_32)))
-            to = lanes + (k << SHIFT_64)
-            # Adding zero turns -0 into 0: the argument of a negative number is pi.
-            imaginary = load(np.float64, to + _Y) + _0
-            part = math.atan2(imaginary, load(np.float64, to + _X)) / (2.0 * math.pi)
-            numbers[i] = part + load(np.float64, to + _Z)
-            errors[i] = load(np.float64, to + _E) + rounding
-        at += _U8
+                for k in range(tree.links[place - 1, 0], tree.links[place - 1, 1]):
+                    angle = add_triangle(angle, tree.corners, k, point)
+        turns = angle[2] + total / np.float64(4.0 * math.pi)
+        found = numbers_of((angle[0], angle[1], turns), memory)
+        store_eight(out.numbers, order, order.end, i, found, memory)
+        rounding = _ROUNDING_EACH * np.float64(len(tree.corners))
+        bound = error / np.float64(4.0 * math.pi) + rounding
+        store_eight(out.errors, order, order.end, i, bound, memory)
+
+
+#: The loop over points with a tree: calls begin at multiples of `LANES`.
+tree_winding_numbers = loop_of(_answer, 192)

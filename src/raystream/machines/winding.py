@@ -6,9 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for, part_of
-from raystream.kernels.winding import LANES, winding_numbers
-from raystream.kernels.winding_tree import order_bytes, tree_winding_numbers, winding_tree_of
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.point_order import PointOrder, order_bytes
+from raystream.kernels.winding import LANES, WindingScene, winding_numbers
+from raystream.kernels.winding_tree import (
+    TreeNumbers,
+    TreeScene,
+    tree_winding_numbers,
+    winding_tree_of,
+)
+from raystream.machines.batch import run_calls
 
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
 _ANGLES_PER_CALL = 1 << 23
@@ -105,30 +112,25 @@ def _by_tree(
     progress: Progress | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Winding numbers, and bounds of their errors."""
-    tree = winding_tree_of(triangles)
-    numbers, errors = np.empty(len(local)), np.empty(len(local))
+    tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
+    found = TreeNumbers(np.empty(count), np.empty(count))
 
-    def body(begin: int, end: int) -> None:
-        work = np.empty(order_bytes(end - begin), np.uint8)
-        tree_winding_numbers(begin, end, local, tree, opening, work, numbers, errors)
+    def body(begin: int, end: int, memory: int) -> None:
+        order = PointOrder._make(map(np.uint64, (begin, end, memory)))
+        tree_winding_numbers(begin, end, TreeScene(local, order, tree, opening), found)
 
-    parallel_for(body, len(local), _POINTS_PER_CALL, progress)
-    return numbers, errors
+    memory_bytes = order_bytes(min(count, most))
+    run_calls((body, ()), (0, count), most, most, progress, memory_bytes=memory_bytes)
+    return found
 
 
 def _exact(
     triangles: Triangles, local: NDArray[np.float64], progress: Progress | None
 ) -> NDArray[np.float64]:
     """Winding numbers by the sum over all triangles."""
-    found = np.zeros(len(local))
-    corners, prim_ids = triangles.corners, np.ascontiguousarray(triangles.prim_ids)
-
-    def body(begin: int, end: int) -> None:
-        winding_numbers(begin, end, local, corners, prim_ids, found)
-
-    if len(prim_ids):
-        most = max(_ANGLES_PER_CALL // len(prim_ids) // LANES, 1) * LANES
-        parallel_for(body, len(local), most, progress)
-    elif progress:
-        progress(len(local), len(local))
+    found = np.empty(len(local))
+    prim_ids = np.ascontiguousarray(triangles.prim_ids)
+    calls = winding_numbers, (WindingScene(local, triangles.corners, prim_ids), found)
+    most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
+    run_calls(calls, (0, len(local)), most, most, progress)
     return found

@@ -33,9 +33,10 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.kernels.answers import loop_of
 from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
-from raystream.kernels.point_queries import PointSearch, point_queries
+from raystream.kernels.point_queries import PointSearch, nearest_answer
 from raystream.kernels.point_triangle import squared_distance
 from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS, Node
 from raystream.structures.bvh.steps import leaf_blocks
@@ -236,4 +237,4 @@ def _tree_search(enter_far, offer_block):
 POINT_SEARCH = _tree_search(_enter_far_by_lane, _offer_block_by_lane)
 
 #: The loop over points.
-find_nearest = point_queries(_tree_search(_enter_far, _offer_block))
+find_nearest = loop_of(*nearest_answer(_tree_search(_enter_far, _offer_block)))
