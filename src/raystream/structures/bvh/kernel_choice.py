@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind
-from raystream.kernels.queries import output_of
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.group_rays import MEMORY_BYTES
@@ -35,10 +34,9 @@ _CACHED_BYTES = 1 << 21
 
 
 def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
-    filter_, out = output_of(batch.query, batch.sink)
     rays = bvh.arrays, bvh.frame, batch.source
     prefetching = bvh.report.byte_count > _CACHED_BYTES
-    return trace_wavefront, (*rays, batch.wants_any, prefetching, filter_, out)
+    return trace_wavefront, (*rays, batch.wants_any, prefetching, batch.query.on_hit, batch.results)
 
 
 def _packets(bvh: BvhStructure, batch: Batch) -> Calls:
@@ -51,8 +49,8 @@ def _groups(bvh: BvhStructure, batch: Batch) -> Calls:
 
 def _of_packets(bvh: BvhStructure, batch: Batch) -> tuple[Any, ...]:
     """The arguments of kernels that find the nearest or any hits of packets."""
-    filter_, out = output_of(batch.query, batch.sink)
-    return bvh.arrays, batch.packets(bvh.frame), batch.wants_any, filter_, out
+    rays = bvh.arrays, batch.packets(bvh.frame)
+    return (*rays, batch.wants_any, batch.query.on_hit, batch.results)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
