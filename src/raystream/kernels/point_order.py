@@ -97,7 +97,8 @@ def _widened(x, low, high):
 
 
 @device
-def _point(points, i):
+def load_point(points, i):
+    """Three float64 of point i."""
     at = points + i * _VECTOR
     return (
         load(np.float64, at),
@@ -111,7 +112,7 @@ def _bounds(points, begin, end):
     low_x, low_y, low_z = _FARTHEST, _FARTHEST, _FARTHEST
     high_x, high_y, high_z = -_FARTHEST, -_FARTHEST, -_FARTHEST
     for i in range(begin, end):
-        x, y, z = _point(points, i)
+        x, y, z = load_point(points, i)
         low_x, high_x = _widened(x, low_x, high_x)
         low_y, high_y = _widened(y, low_y, high_y)
         low_z, high_z = _widened(z, low_z, high_z)
@@ -141,7 +142,7 @@ def _order_points(points, begin, end, words):
         store(places + (k << SHIFT_32), np.uint32(0))
     low, scale = _bounds(points, begin, end)
     for k in range(count):
-        x, y, z = _point(points, begin + k)
+        x, y, z = load_point(points, begin + k)
         key = (
             _spread(_cell(x, low[0], scale))
             | (_spread(_cell(y, low[1], scale)) << ONE_U64)

@@ -17,6 +17,7 @@ from raystream.core.rays import RayStatus
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, prefetch, store
+from raystream.kernels.aligned import array_places
 from raystream.kernels.nearest import (
     ROW,
     NearestRow,
@@ -24,7 +25,7 @@ from raystream.kernels.nearest import (
     corners_at,
     offer_again,
 )
-from raystream.kernels.point_order import PointOrder, begin_order, order_bytes, point_at
+from raystream.kernels.point_order import PointOrder, begin_order, load_point, order_bytes, point_at
 from raystream.kernels.point_triangle import foot_on_triangle
 from raystream.kernels.ray import SceneFrame
 
@@ -81,7 +82,7 @@ class PointSource(NamedTuple):
     @classmethod
     def of(cls, points: NDArray[np.float64], limits: NDArray[np.float64]) -> PointSource:
         """The source of C-contiguous arrays of shape (N, 3), and (N,) or (1,); keep them."""
-        return cls(_at(points), _at(limits), step_of(limits))
+        return cls(*array_places(points, limits), step_of(limits))
 
 
 class NearestAddresses(NamedTuple):
@@ -97,7 +98,7 @@ class NearestAddresses(NamedTuple):
     @classmethod
     def of(cls, arrays: NearestArrays) -> NearestAddresses:
         """Addresses of arrays in host memory; keep the arrays."""
-        return cls(*map(_at, arrays))
+        return cls(*array_places(*arrays))
 
 
 class NearestArrays(NamedTuple):
@@ -216,10 +217,6 @@ def step_of(limits: NDArray[np.float64]) -> np.uint64:
     return np.uint64(8 if len(limits) > 1 else 0)
 
 
-def _at(array: NDArray[Any]) -> np.uint64:
-    return np.uint64(array.ctypes.data)
-
-
 def work_bytes(count: int, capacity: int) -> int:
     """Bytes of memory that a call of a loop needs for `count` points."""
     return 2 * capacity * ROW.itemsize + order_bytes(count)
@@ -228,10 +225,7 @@ def work_bytes(count: int, capacity: int) -> int:
 @device
 def _local(source, i, frame):
     """Point i in the local frame, and its status."""
-    at = source.points + i * _VECTOR
-    x = load(np.float64, at)
-    y = load(np.float64, at + _DOUBLE)
-    z = load(np.float64, at + (_DOUBLE + _DOUBLE))
+    x, y, z = load_point(source.points, i)
     world = max(max(abs(x), abs(y)), abs(z))
     is_number = abs(x) <= _FARTHEST and abs(y) <= _FARTHEST and abs(z) <= _FARTHEST
     x = (x - frame.center[0]) * frame.scale

@@ -19,13 +19,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
+from raystream.jit.intrinsics import corners_at
 from raystream.jit.simd import absolute, f64x8, load, select, square_root, store
 from raystream.kernels.answers import loop_of
-from raystream.kernels.point_order import point_at
+from raystream.kernels.point_order import load_point, point_at
 
 #: Points side by side.
 LANES = 8
@@ -115,27 +115,29 @@ def load_eight(points, order, end, i, memory):
 
     Parameters
     ----------
-    points : ndarray of shape (N, 3), float64
+    points : uint64
+        Address of three float64 a point.
     order : PointOrder or None
     end, i : uint64
     memory : uint64
         Address of 192 bytes.
     """
     for k in range(_U8):
-        number = point_at(order, min(i + k, end - ONE_U64))
+        x, y, z = load_point(points, point_at(order, min(i + k, end - ONE_U64)))
         at = memory + (k << SHIFT_64)
-        store(at + _X, points[number, 0])
-        store(at + _Y, points[number, 1])
-        store(at + _Z, points[number, 2])
+        store(at + _X, x)
+        store(at + _Y, y)
+        store(at + _Z, z)
     return load(f64x8, memory + _X), load(f64x8, memory + _Y), load(f64x8, memory + _Z)
 
 
 @device
 def store_eight(to, order, end, i, values, memory):
-    """Write a value for each of these points to an array; see `load_eight`."""
+    """Write the values of these points; `to` is the address of the first point's."""
     store(memory, values)
     for k in range(min(_U8, end - i)):
-        to[point_at(order, i + k)] = load(np.float64, memory + (k << SHIFT_64))
+        value = load(np.float64, memory + (k << SHIFT_64))
+        store(to + (point_at(order, i + k) << SHIFT_64), value)
 
 
 @device
@@ -149,27 +151,33 @@ class WindingScene(NamedTuple):
 
     Attributes
     ----------
-    points : ndarray of shape (N, 3), float64
-        Local frame, finite.
-    corners : ndarray of shape (F, 3, 3), float32
-    prim_ids : ndarray of shape (A,), int32
-        The triangles that count.
+    points : uint64
+        Address of three float64 a point, finite: the local frame.
+    point_count : uint64
+    corners : uint64
+        Address of the triangles' corners, float32.
+    prim_ids : uint64
+        Address of the triangles that count, int32.
+    triangle_count : uint64
     """
 
-    points: NDArray[np.float64]
-    corners: NDArray[np.float32]
-    prim_ids: NDArray[np.int32]
+    points: np.uint64
+    point_count: np.uint64
+    corners: np.uint64
+    prim_ids: np.uint64
+    triangle_count: np.uint64
 
 
 @device
 def _answer(i, scene, numbers, memory):
-    """Write the winding numbers of eight points to an array; see `kernels.answers`."""
+    """Write the winding numbers of eight points; see `kernels.answers`."""
     if is_first_of_eight(i):
-        end = np.uint64(len(scene.points))
-        point = load_eight(scene.points, None, end, i, memory)
+        points, end, corners, prim_ids, triangle_count = scene
+        point = load_eight(points, None, end, i, memory)
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
-        for k in range(np.uint64(len(scene.prim_ids))):
-            angle = add_triangle(angle, scene.corners, scene.prim_ids[k], point)
+        for k in range(triangle_count):
+            prim_id = load(np.int32, prim_ids + (k << SHIFT_32))
+            angle = add_triangle(angle, corners_at(corners), prim_id, point)
         store_eight(numbers, None, end, i, numbers_of(angle, memory), memory)
 
 

@@ -25,8 +25,9 @@ from raystream.structures.bvh.coherence import probe
 from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packet_rays import PacketOrder
 
-#: Most spare memories: of up to 40 MB each, of which calls have written a small part.
-_MOST_SPARE = 4
+#: Most spare memories, and bytes of each: up to 40 MB, of which calls have written a small part.
+#: Those for very many nearest triangles of a point are not kept.
+_MOST_SPARE, _MOST_SPARE_BYTES = 4, 1 << 26
 
 #: Memory of calls that have ended, for later ones: new pages took a tenth of the time. Several
 #: threads append and pop.
@@ -173,7 +174,7 @@ def run_calls(
             return
         memory = _memory_of(memory_bytes)
         trace(first + low, first + high, *arguments, memory.ctypes.data)
-        if len(_spare) < _MOST_SPARE:
+        if len(_spare) < _MOST_SPARE and memory.nbytes <= _MOST_SPARE_BYTES:
             _spare.append(memory)
 
     parallel_for(body, count, size, progress, joins_chunks=joins_chunks)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, part_of
+from raystream.kernels.aligned import array_places
 from raystream.kernels.point_order import PointOrder, order_bytes
 from raystream.kernels.winding import LANES, WindingScene, winding_numbers
 from raystream.kernels.winding_tree import (
@@ -113,15 +114,19 @@ def _by_tree(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Winding numbers, and bounds of their errors."""
     tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
-    found = TreeNumbers(np.empty(count), np.empty(count))
+    numbers, errors = np.empty(count), np.empty(count)
+    points, nodes, links, corners = array_places(local, tree.nodes, tree.links, tree.corners)
+    sizes = np.uint64(len(tree.nodes)), np.uint64(len(tree.corners))
+    to = TreeNumbers(*array_places(numbers, errors))
 
     def body(begin: int, end: int, memory: int) -> None:
         order = PointOrder._make(map(np.uint64, (begin, end, memory)))
-        tree_winding_numbers(begin, end, TreeScene(local, order, tree, opening), found)
+        scene = TreeScene(points, order, nodes, links, corners, *sizes, opening)
+        tree_winding_numbers(begin, end, scene, to)
 
     memory_bytes = order_bytes(min(count, most))
     run_calls((body, ()), (0, count), most, most, progress, memory_bytes=memory_bytes)
-    return found
+    return numbers, errors
 
 
 def _exact(
@@ -130,7 +135,9 @@ def _exact(
     """Winding numbers by the sum over all triangles."""
     found = np.empty(len(local))
     prim_ids = np.ascontiguousarray(triangles.prim_ids)
-    calls = winding_numbers, (WindingScene(local, triangles.corners, prim_ids), found)
+    points, corners, ids, to = array_places(local, triangles.corners, prim_ids, found)
+    sizes = np.uint64(len(local)), np.uint64(len(prim_ids))
+    scene = WindingScene(points, sizes[0], corners, ids, sizes[1])
     most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
-    run_calls(calls, (0, len(local)), most, most, progress)
+    run_calls((winding_numbers, (scene, to)), (0, len(local)), most, most, progress)
     return found

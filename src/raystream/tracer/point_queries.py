@@ -17,6 +17,7 @@ from raystream.kernels.point_queries import POINTS_PER_CALL, NearestArrays, work
 from raystream.machines.winding import winding_of
 from raystream.structures.registry import names_with
 from raystream.tracer.inside import InsideTest, share_of
+from raystream.tracer.memory_needed import CHECKED_RAYS
 from raystream.tracer.ray_cast import RayCaster
 
 #: A row of the result.
@@ -302,12 +303,13 @@ class PointQueries(RayCaster):
         local = np.ascontiguousarray(given.reshape(-1, 3), np.float64)
         count, capacity = len(local), 1 if k is None else k
         rows = count * capacity
-        working = thread_count() * work_bytes(min(count, POINTS_PER_CALL), capacity)
-        check_memory(
-            rows * _ROW_BYTES + working,
-            f"{rows:,} nearest triangles would",
-            "give fewer points or a smaller k",
-        )
+        if rows >= CHECKED_RAYS:
+            working = thread_count() * work_bytes(min(count, POINTS_PER_CALL), capacity)
+            check_memory(
+                rows * _ROW_BYTES + working,
+                f"{rows:,} nearest triangles would",
+                "give fewer points or a smaller k",
+            )
         out = NearestArrays.empty(count, capacity)
         self._backend.find_nearest(local, limits, capacity, out, progress)
         wide = shape if k is None else (*shape, k)
