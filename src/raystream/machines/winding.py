@@ -6,9 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for, part_of
-from raystream.kernels.winding import LANES, winding_numbers
-from raystream.kernels.winding_tree import order_bytes, tree_winding_numbers, winding_tree_of
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.aligned import array_places
+from raystream.kernels.point_order import PointOrder, order_bytes
+from raystream.kernels.winding import LANES, WindingScene, winding_numbers
+from raystream.kernels.winding_tree import (
+    TreeNumbers,
+    TreeScene,
+    tree_winding_numbers,
+    winding_tree_of,
+)
+from raystream.machines.batch import run_calls
 
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
 _ANGLES_PER_CALL = 1 << 23
@@ -105,14 +113,19 @@ def _by_tree(
     progress: Progress | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Winding numbers, and bounds of their errors."""
-    tree = winding_tree_of(triangles)
-    numbers, errors = np.empty(len(local)), np.empty(len(local))
+    tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
+    numbers, errors = np.empty(count), np.empty(count)
+    points, nodes, links, corners = array_places(local, tree.nodes, tree.links, tree.corners)
+    sizes = np.uint64(len(tree.nodes)), np.uint64(len(tree.corners))
+    to = TreeNumbers(*array_places(numbers, errors))
 
-    def body(begin: int, end: int) -> None:
-        work = np.empty(order_bytes(end - begin), np.uint8)
-        tree_winding_numbers(begin, end, local, tree, opening, work, numbers, errors)
+    def body(begin: int, end: int, memory: int) -> None:
+        order = PointOrder._make(map(np.uint64, (begin, end, memory)))
+        scene = TreeScene(points, order, nodes, links, corners, *sizes, opening)
+        tree_winding_numbers(begin, end, scene, to)
 
-    parallel_for(body, len(local), _POINTS_PER_CALL, progress)
+    memory_bytes = order_bytes(min(count, most))
+    run_calls((body, ()), (0, count), most, most, progress, memory_bytes=memory_bytes)
     return numbers, errors
 
 
@@ -120,15 +133,11 @@ def _exact(
     triangles: Triangles, local: NDArray[np.float64], progress: Progress | None
 ) -> NDArray[np.float64]:
     """Winding numbers by the sum over all triangles."""
-    found = np.zeros(len(local))
-    corners, prim_ids = triangles.corners, np.ascontiguousarray(triangles.prim_ids)
-
-    def body(begin: int, end: int) -> None:
-        winding_numbers(begin, end, local, corners, prim_ids, found)
-
-    if len(prim_ids):
-        most = max(_ANGLES_PER_CALL // len(prim_ids) // LANES, 1) * LANES
-        parallel_for(body, len(local), most, progress)
-    elif progress:
-        progress(len(local), len(local))
+    found = np.empty(len(local))
+    prim_ids = np.ascontiguousarray(triangles.prim_ids)
+    points, corners, ids, to = array_places(local, triangles.corners, prim_ids, found)
+    sizes = np.uint64(len(local)), np.uint64(len(prim_ids))
+    scene = WindingScene(points, sizes[0], corners, ids, sizes[1])
+    most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
+    run_calls((winding_numbers, (scene, to)), (0, len(local)), most, most, progress)
     return found

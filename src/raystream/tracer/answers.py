@@ -1,13 +1,15 @@
-"""The results of a query as `Hits`: in the rays' shape, with their triangles and instances."""
+"""The results of a query in the rays' shape, hits with their triangles and instances."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import Primitives
+from raystream.core.query import Kind
 from raystream.instances import hit_ids
 from raystream.kernels.hits import Sink
 
@@ -44,3 +46,12 @@ def all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
     status = sink.status.reshape(shape)
     kind = multi_hits_type(triangles)
     return kind(sink.splits, t, u, v, prim_id, status, triangles, instance_id)
+
+
+#: The results by the kind of query: ``result(sink, shape, triangles)``.
+RESULTS: dict[Kind, Callable[..., Any]] = {
+    Kind.FIRST_HIT: nearest_hits,
+    Kind.ANY_HIT: lambda sink, shape, _: sink.seen.reshape(shape),
+    Kind.COUNT_HITS: lambda sink, shape, _: sink.counts.reshape(shape),
+    Kind.MULTI_HIT: all_hits,
+}
