@@ -34,7 +34,7 @@ from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import InstanceHits, Within, leaf_within, scene_group
 from raystream.structures.bvh.node_layout import prefetch_child
 from raystream.structures.bvh.packet import TRACE_BYTES, packet_walk
-from raystream.structures.bvh.packet_leaf import TriangleLeaf, entering_rays
+from raystream.structures.bvh.packet_leaf import Kind, entering_rays
 from raystream.structures.bvh.packet_load import load_packet, prepare_group, set_slow
 from raystream.structures.bvh.packet_queries import PacketScene
 from raystream.structures.bvh.packet_rays import (
@@ -61,8 +61,8 @@ class _InstanceLeaf(NamedTuple):
     Attributes
     ----------
     visit, prefetch : device function
-    leaf : TriangleLeaf
-        The leaves of objects, as in a scene without instances.
+    kind : Kind
+        Of the leaves of objects.
     objects : uint64
         See `TopAddresses`.
     worlds : uint64
@@ -73,7 +73,7 @@ class _InstanceLeaf(NamedTuple):
 
     visit: Any
     prefetch: Any
-    leaf: TriangleLeaf
+    kind: Kind
     objects: np.uint64
     worlds: np.uint64
     packet: np.uint64
@@ -120,7 +120,7 @@ def _search_instance(inside, packet, index, leaves, box, rays, groups):
         return False
     tree = TreeAddresses(object_.nodes, object_.leaves)
     within = Within(packet, inside.groups, instance.first_id)
-    leaf = leaf_within(inside.leaf, within)
+    leaf = leaf_within(inside.kind, within)
     _trace_object(inside.packet, count, tree, object_.max_coordinate, inside.memory, leaf)
     has_hit = False
     for k in range(count):
@@ -129,7 +129,7 @@ def _search_instance(inside, packet, index, leaves, box, rays, groups):
         found = hits.prim_id != World(inside.worlds, g).best
         if any_lane(found):
             has_hit = True
-            shorten_lanes(within.first_id, hits, found, hits.t, leaf.wants_any)
+            shorten_lanes(within.first_id, hits, found, hits.t, inside.kind.wants_any)
     return has_hit
 
 
@@ -180,7 +180,7 @@ def _trace(packet, top, max_coordinate, worlds, leaf):
     own = _InstanceLeaf(
         _visit_instance,
         prefetch_child,
-        leaf,
+        leaf.kind,
         top.objects,
         worlds,
         inside,

@@ -52,31 +52,16 @@ _BLOCK_LANES = np.uint64(4)
 _ZERO = np.float32(0.0)
 
 #: Children of a node and their lists; hits of a block; normals of its triangles.
-_SMALL = np.dtype(
-    [
-        ("list", "u8", 8),
-        ("count", "u8", 8),
-        ("ray_count", "u8", 8),
-        ("normal", "f8", (3, 4)),
-        ("t_in", "f4", 8),
-        ("keys", "i4", 8),
-        ("hits", HITS),
-        ("unused", "V48"),
-    ]
-)
+_ROWS: list[tuple[str, str, tuple[int, ...]]] = [
+    *((name, "u8", (8,)) for name in ("list", "count", "ray_count")),
+    ("normal", "f8", (3, 4)),
+    ("t_in", "f4", (8,)),
+    ("keys", "i4", (8,)),
+]
+_OTHERS = [("hits", HITS), ("unused", "V48")]
+_SMALL = np.dtype([*_ROWS, *_OTHERS])
 Small = view(_SMALL)
-SmallLanes = view(
-    [
-        ("list", "u8", (8, 1)),
-        ("count", "u8", (8, 1)),
-        ("ray_count", "u8", (8, 1)),
-        ("normal", "f8", (3, 4, 1)),
-        ("t_in", "f4", (8, 1)),
-        ("keys", "i4", (8, 1)),
-        ("hits", HITS),
-        ("unused", "V48"),
-    ]
-)
+SmallLanes = view([*((name, kind, (*shape, 1)) for name, kind, shape in _ROWS), *_OTHERS])
 SMALL_BYTES = _SMALL.itemsize
 
 
