@@ -30,7 +30,7 @@ from raystream.kernels.leaf_block import (
     test_block,
 )
 from raystream.kernels.triangle_lanes import (
-    barycentrics,
+    intersect_lanes,
     plane_distance,
     shear_vertices,
     signs_agree,
@@ -235,20 +235,11 @@ def _test_triangle(leaf, packet, g, at, lane, rays, own):
         far[_Y, lane],
         far[_Z, lane],
     )
-    t_in, t_out = _group_interval(group, box)
-    nearest, t_min = group.t_active, group.t_min
-    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-    if not any_lane(candidates):
-        return False
-    # The distance first: rays that leave a surface meet its triangle behind their origin, and
-    # need no barycentrics.
-    t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
-    t = minimum(maximum(t, t_in), t_out) + _ZERO
-    candidates = candidates & (t >= t_min) & (t <= nearest)
-    if not any_lane(candidates):
-        return False
-    hit, u, v = barycentrics(sheared, leaf.kind.surfaces)
-    return leaf.kind.keep_lanes(leaf, packet, g, candidates & hit, t, u, v, block.prim_ids[lane])
+    interval, limits = _group_interval(group, box), (group.t_min, group.t_active)
+    along = direction[kx], direction[ky], direction[kz]
+    plane, surfaces = (plane_distance, (a, b, c, origin, along)), leaf.kind.surfaces
+    hit, t, u, v = intersect_lanes(sheared, candidates, interval, limits, plane, surfaces)
+    return leaf.kind.keep_lanes(leaf, packet, g, hit, t, u, v, block.prim_ids[lane])
 
 
 @device
