@@ -11,14 +11,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ZERO_U64
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import i32x16, load, select
+from raystream.jit.simd import count_trailing_zeros, i32x16, load, select
 from raystream.jit.views import address_of, view
-from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes, reported_lanes
+from raystream.kernels.best import (
+    Best,
+    best_views,
+    offer_hits,
+    offer_lanes,
+    reported_hit,
+    reported_lanes,
+)
+from raystream.kernels.ray import world_t
 from raystream.structures.bvh.node_layout import prefetch_child
 from raystream.structures.bvh.packet_filter import all_slow, lanes_filter, ray_filter
-from raystream.structures.bvh.packet_hits import collect
+from raystream.structures.bvh.packet_hits import collect, collect_one
 from raystream.structures.bvh.packet_leaf import Kind, TriangleLeaf, visit_leaf
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, world_lanes
 
@@ -131,8 +139,36 @@ def _collected(within, collector, t, group):
 
 
 @device
-def _keep_none(leaf, packet, g, k, bits, found, prim_ids):
-    return False  # never called: all hits are of 16 rays
+def _collected_one(within, collector, t, t_scale):
+    if within is not None or collector.in_world == ZERO_U64:
+        return t
+    return world_t(t, np.float64(t_scale), np.float64(0.0))
+
+
+@device
+def _count_hits(leaf, packet, g, k, bits, found, prim_ids):
+    best = leaf.ray_best(leaf, packet, g, k)
+    counts = CountsLanes(address_of(best.hit)).count
+    while bits != ZERO_U64:
+        lane = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        taken, _, _ = reported_hit(best, k, found.t[lane], prim_ids[lane])
+        counts[k] = np.int32(counts[k] + np.int32(taken))
+    return False
+
+
+@device
+def _collect_hits(leaf, packet, g, k, bits, found, prim_ids):
+    best, collector = leaf.ray_best(leaf, packet, g, k), leaf.kind.collector
+    to, lanes = scene_group(leaf.within, g), GroupLanes(packet, g)
+    while bits != ZERO_U64:
+        lane = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        taken, t, number = reported_hit(best, k, found.t[lane], prim_ids[lane])
+        if taken:
+            t = _collected_one(leaf.within, collector, t, lanes.t_scale[k])
+            collect_one(collector, t, found.u[lane], found.v[lane], number, to, k)
+    return False
 
 
 @device
@@ -149,13 +185,13 @@ def nearest_leaf(wants_any, filter_):
 @device
 def counting_leaf(surfaces):
     """Leaves whose hits are counted, see `Counts`."""
-    return _plain_leaf(Kind(_count_lanes, _keep_none, ZERO_U64, surfaces, False, None, None))
+    return _plain_leaf(Kind(_count_lanes, _count_hits, FEW, surfaces, False, None, None))
 
 
 @device
 def collecting_leaf(surfaces, collector):
     """Leaves whose hits are all collected."""
-    return _plain_leaf(Kind(_collect_lanes, _keep_none, ZERO_U64, surfaces, False, None, collector))
+    return _plain_leaf(Kind(_collect_lanes, _collect_hits, FEW, surfaces, False, None, collector))
 
 
 @device
