@@ -30,11 +30,6 @@ from raystream.structures.bvh.packet_hits import collect, collect_one
 from raystream.structures.bvh.packet_leaf import Kind, TriangleLeaf, visit_leaf
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, world_lanes
 
-#: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
-#: against one triangle. (Camera and shadow rays on the bunny and in sibenik, one thread of a Zen 4:
-#: 1.02 to 1.12 times as fast as never; up to 2, 6 or 9 rays gain less.)
-FEW = np.uint64(4)
-
 
 class Within(NamedTuple):
     """What the groups in an instance are of the scene's packet, which has their rays' hits.
@@ -179,19 +174,19 @@ def no_prefetch(child, nodes, leaves):
 @device
 def nearest_leaf(wants_any, filter_):
     """Leaves whose nearest, or any, hits are kept."""
-    return _plain_leaf(Kind(_keep_lanes, _keep_hits, FEW, False, wants_any, filter_, None))
+    return _plain_leaf(Kind(_keep_lanes, _keep_hits, False, wants_any, filter_, None))
 
 
 @device
 def counting_leaf(surfaces):
     """Leaves whose hits are counted, see `Counts`."""
-    return _plain_leaf(Kind(_count_lanes, _count_hits, FEW, surfaces, False, None, None))
+    return _plain_leaf(Kind(_count_lanes, _count_hits, surfaces, False, None, None))
 
 
 @device
 def collecting_leaf(surfaces, collector):
     """Leaves whose hits are all collected."""
-    return _plain_leaf(Kind(_collect_lanes, _collect_hits, FEW, surfaces, False, None, collector))
+    return _plain_leaf(Kind(_collect_lanes, _collect_hits, surfaces, False, None, collector))
 
 
 @device
