@@ -7,8 +7,6 @@ those of the scene's packet.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from raystream.jit.constants import ONE_U64, ZERO_U64
@@ -29,23 +27,6 @@ from raystream.structures.bvh.packet_filter import all_slow, lanes_filter, ray_f
 from raystream.structures.bvh.packet_hits import collect, collect_one
 from raystream.structures.bvh.packet_leaf import Kind, TriangleLeaf, visit_leaf
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, world_lanes
-
-
-class Within(NamedTuple):
-    """What the groups in an instance are of the scene's packet, which has their rays' hits.
-
-    Attributes
-    ----------
-    scene, groups : uint64
-        Addresses of the packet, and of the numbers of these groups there, a byte each.
-    first_id : int32
-        See `kernels.best.Best`.
-    """
-
-    scene: np.uint64
-    groups: np.uint64
-    first_id: np.int32
-
 
 #: A group's limits and hits, see `kernels.best`. Without instances, the nearest hit so far is the
 #: limit of its ray; with them, it is the reported one, in the scene's packet.

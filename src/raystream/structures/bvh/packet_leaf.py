@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,11 +37,8 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
+from raystream.structures.bvh.packet_filter import PacketFilter
 from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
-
-if TYPE_CHECKING:
-    from raystream.structures.bvh.leaf_kinds import Within
-    from raystream.structures.bvh.packet_filter import PacketFilter
 
 #: Scratch of a leaf: planes of the boxes of a block's four triangles, by axis, and hits of one ray;
 #: and the same with a lane index.
@@ -63,6 +60,22 @@ class GroupRange(NamedTuple):
 
     first: np.uint64
     last: np.uint64
+
+
+class Within(NamedTuple):
+    """What the groups in an instance are of the scene's packet, which has their rays' hits.
+
+    Attributes
+    ----------
+    scene, groups : uint64
+        Addresses of the packet, and of the numbers of these groups there, a byte each.
+    first_id : int32
+        See `kernels.best.Best`.
+    """
+
+    scene: np.uint64
+    groups: np.uint64
+    first_id: np.int32
 
 
 class Kind(NamedTuple):
