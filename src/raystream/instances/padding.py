@@ -1,15 +1,20 @@
-"""Padding of the boxes of instances for packets of rays that begin far away."""
+"""Packets of rays from far away, for which boxes are padded, and with directions of any length."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from raystream.instances.traversal import MOST_FAR
-from raystream.jit.constants import ZERO_U64
-from raystream.jit.cpu import device
+from raystream.core.rays import RayStatus
+from raystream.instances.traversal import MOST_FAR, is_scalable
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import store
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.ray_source import load_origin
-from raystream.structures.bvh.packet_rays import GROUPS, PacketSource, group_rows
+from raystream.kernels.ray_source import load_direction, load_origin
+from raystream.structures.bvh.packet_rays import GROUPS, NO_CLASS, PacketSource, group_rows
+
+_INF = np.float32(np.inf)
+_INVALID = np.uint8(RayStatus.INVALID)
 
 
 @device
@@ -25,29 +30,26 @@ def padded_source(source, top, first, last):
 
     Returns
     -------
-    group_count : uint64
-        Of these packets.
-    source : PacketSource
+    PacketSource
     """
-    count, reach = _look(source, first, last)
+    reach = _reach(source, first, last)
     far = np.float32(min(top.far_unit * (reach * source.frame.scale), MOST_FAR))
-    return count, _padded(source, far)
+    return _padded(source, far)
 
 
 @device
-def _look(source, first, last):
-    """Groups of some packets, and the largest coordinate of their origins."""
-    count, reach = ZERO_U64, np.float64(0.0)
+def _reach(source, first, last):
+    """The largest coordinate of the origins of some packets."""
+    reach = np.float64(0.0)
     for packet in range(first, last):
         for row in range(GROUPS):
             ray, length = group_rows(source.order, packet, row)
-            count += np.uint64(length != ZERO_U64)
             for i in range(ray, ray + length):
                 x, y, z = load_origin(source.rays, i)
                 farthest = max(abs(x), abs(y), abs(z))
                 if farthest > reach and farthest < np.inf:
                     reach = farthest
-    return count, reach
+    return reach
 
 
 @device
@@ -63,3 +65,23 @@ def _padded(source, far):
         np.float32(frame.max_coordinate + far),
     )
     return PacketSource(source.rays, source.order, grown, source.status)
+
+
+@device_call
+def drop_invalid(lanes, first, count, source):
+    """Make the rays of a group invalid whose directions are too long or too short.
+
+    Parameters
+    ----------
+    lanes : GroupLanes
+        With a ray that took the slow path: only these may be.
+    first, count : uint64
+        Its rays.
+    source : PacketSource
+    """
+    no_inline()
+    for k in range(count):
+        x, y, z = load_direction(source.rays, first + k)
+        if not is_scalable(x, y, z):
+            store(source.status + first + k, _INVALID)
+            lanes.t[k], lanes.t_min[k], lanes.direction_class[k] = -_INF, _INF, NO_CLASS

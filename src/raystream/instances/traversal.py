@@ -38,9 +38,9 @@ __all__ = [
     "TopAddresses",
     "WorldRay",
     "instance_searches",
-    "is_usual",
+    "is_scalable",
+    "load_world_ray",
     "object_ray",
-    "ray_numbers",
     "scene_ray",
     "traverse_all",
     "traverse_top",
@@ -105,8 +105,8 @@ class WorldRay(NamedTuple):
     is_valid: bool
 
 
-class _RayScene(NamedTuple):
-    """The instances that one ray may hit, with the numbers of the ray.
+class _InstanceContext(NamedTuple):
+    """The instances that one ray may hit, with that ray in world space.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class _RayTree(NamedTuple):
 
 
 @device
-def is_usual(dx, dy, dz):
+def is_scalable(dx, dy, dz):
     """Whether a direction's length is within bounds."""
     return 1.0 / MAX_LENGTH <= max(abs(dx), abs(dy), abs(dz)) <= MAX_LENGTH
 
@@ -222,8 +222,8 @@ def traverse_all(scene, ray, search, stack):  # noqa: ARG001
 
 
 @device
-def ray_numbers(source, i):
-    """The numbers of ray i, for `scene_ray`."""
+def load_world_ray(source, i):
+    """Ray i in world space, for `scene_ray`."""
     ox, oy, oz = load_origin(source, i)
     dx, dy, dz = load_direction(source, i)
     t_min, t_max = load_limits(source, i)
@@ -231,12 +231,12 @@ def ray_numbers(source, i):
 
 
 @device
-def scene_ray(numbers, top, frame):
+def scene_ray(world_ray, top, frame):
     """A ray among the boxes of a scene's instances.
 
     Parameters
     ----------
-    numbers : tuple
+    world_ray : tuple
         Origin and direction, six float64 numbers in world space, and the limits, float32.
     top : TopAddresses
     frame : SceneFrame
@@ -250,9 +250,9 @@ def scene_ray(numbers, top, frame):
         For `prepare_ray`: the largest coordinate, and the boxes' additional padding.
     whole : WorldRay
     """
-    ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
+    ox, oy, oz, dx, dy, dz, t_min, t_max = world_ray
     ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
-    is_valid = ray.status == _VALID and is_usual(dx, dy, dz)
+    is_valid = ray.status == _VALID and is_scalable(dx, dy, dz)
     reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
     far = np.float32(min(top.far_unit * reach, MOST_FAR))
     whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
@@ -291,7 +291,7 @@ def instance_searches(traverse) -> RaySearches:
         instance = InstanceRay(ray.t_scale, ray.t_offset, _NO_ID)
         tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
         search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, instance)
-        found = traverse(_RayScene(top, world, whole), local, search, memory)
+        found = traverse(_InstanceContext(top, world, whole), local, search, memory)
         return found, _world_ray(ray)
 
     return searches_of(search_ray)

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma, maximum, minimum, narrow, select, widen
+from raystream.jit.simd import any_lane, fma, maximum, minimum, narrow, select, widen
 
 _ZERO = np.float32(0.0)
 _ZERO64 = np.float64(0.0)
@@ -199,3 +200,46 @@ def barycentrics(sheared, surfaces):
         hit = hit & ((least > _ZERO64) | (most < _ZERO64))
     scale = np.float64(1.0) / (U + V + W)
     return hit, narrow(V * scale) + _ZERO, narrow(W * scale) + _ZERO
+
+
+@device
+def intersect_lanes(sheared, signs, box, limits, plane, surfaces, then):
+    """Intersect triangles with rays whose edge functions agree in sign.
+
+    Parameters
+    ----------
+    sheared : ShearedVertices
+    signs : mask
+        See `signs_agree`.
+    box : tuple of two float32 vectors
+        Where the rays enter and leave the triangles' padded boxes.
+    limits : tuple of two float32 vectors or numbers
+        Closed intervals in which hits are wanted.
+    plane : tuple
+        The tuple of a device function's arguments, and the function: the distance to the
+        triangles' planes. (Numba warns of a tuple that begins with a function.)
+    surfaces : bool
+    then : tuple
+        Likewise: ``function(hit, t, u, v, *arguments)`` takes the hits of the lanes of a mask, if
+        there may be any; returns a uint64.
+
+    Returns
+    -------
+    uint64
+        What `then` returns; 0 without a hit.
+    """
+    (t_in, t_out), (t_min, t_far) = box, limits
+    (of_plane, distance), (others, take) = plane, then
+    hit = signs & (t_in <= t_out) & (t_in <= t_far) & (t_out >= t_min)
+    if not any_lane(hit):
+        return ZERO_U64
+    # The distance before the barycentrics, which a ray that leaves a surface does not need: it
+    # meets the surface's triangle behind its origin. (Single bounce, ambient occlusion and shadow
+    # rays on the bunny and conference, one thread of a Zen 5: 1.03 to 1.05 times as fast; primary
+    # rays: the same.)
+    t = minimum(maximum(distance(*of_plane), t_in), t_out) + _ZERO
+    hit = hit & (t >= t_min) & (t <= t_far)
+    if not any_lane(hit):
+        return ZERO_U64
+    inside, u, v = barycentrics(sheared, surfaces)
+    return take(hit & inside, t, u, v, *others)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,16 +15,14 @@ from raystream.jit.simd import (
     f64x16,
     load,
     mask_bits,
-    maximum,
-    minimum,
     store,
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes
-from raystream.kernels.leaf_block import HITS, Block, HitLanes
+from raystream.kernels.leaf_block import BLOCK, HITS, Block, BlockLanes, HitLanes
 from raystream.kernels.triangle_lanes import (
-    barycentrics,
     distance_along,
+    intersect_lanes,
     plane_normal,
     shear_vertices,
     signs_agree,
@@ -33,6 +30,7 @@ from raystream.kernels.triangle_lanes import (
 from raystream.structures.bvh.group_rays import (
     COLD_AT,
     GROUP_SHIFT,
+    HITS_AT,
     HOT_AT,
     LANE_SHIFT,
     LAST_LANE,
@@ -42,8 +40,9 @@ from raystream.structures.bvh.group_rays import (
     in_frame,
     interval,
 )
-from raystream.structures.bvh.node_layout import LANE
+from raystream.structures.bvh.node_layout import LANE, leaf_address, leaf_end
 from raystream.structures.bvh.packet_filter import lanes_filter, ray_filter
+from raystream.structures.bvh.packet_leaf import extent
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, three
 
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -52,31 +51,16 @@ _BLOCK_LANES = np.uint64(4)
 _ZERO = np.float32(0.0)
 
 #: Children of a node and their lists; hits of a block; normals of its triangles.
-_SMALL = np.dtype(
-    [
-        ("list", "u8", 8),
-        ("count", "u8", 8),
-        ("ray_count", "u8", 8),
-        ("normal", "f8", (3, 4)),
-        ("t_in", "f4", 8),
-        ("keys", "i4", 8),
-        ("hits", HITS),
-        ("unused", "V48"),
-    ]
-)
+_ROWS: list[tuple[str, str, tuple[int, ...]]] = [
+    *((name, "u8", (8,)) for name in ("list", "count", "ray_count")),
+    ("normal", "f8", (3, 4)),
+    ("t_in", "f4", (8,)),
+    ("keys", "i4", (8,)),
+]
+_OTHERS = [("hits", HITS), ("unused", "V48")]
+_SMALL = np.dtype([*_ROWS, *_OTHERS])
 Small = view(_SMALL)
-SmallLanes = view(
-    [
-        ("list", "u8", (8, 1)),
-        ("count", "u8", (8, 1)),
-        ("ray_count", "u8", (8, 1)),
-        ("normal", "f8", (3, 4, 1)),
-        ("t_in", "f4", (8, 1)),
-        ("keys", "i4", (8, 1)),
-        ("hits", HITS),
-        ("unused", "V48"),
-    ]
-)
+SmallLanes = view([*((name, kind, (*shape, 1)) for name, kind, shape in _ROWS), *_OTHERS])
 SMALL_BYTES = _SMALL.itemsize
 
 
@@ -98,29 +82,20 @@ def _extent_of(corners, axis, lane):
 
 
 @device
-def _extent(block, axis):
-    """Low and high coordinates of four triangles along an axis."""
-    corners = block.corners
-    a, b, c = corners[_FIRST, axis], corners[_SECOND, axis], corners[_THIRD, axis]
-    return minimum(minimum(a, b), c), maximum(maximum(a, b), c)
-
-
-@device
 def _write_normals(block, small):
-    corners, normal = block.corners, small.normal
-    normal[_X], normal[_Y], normal[_Z] = plane_normal(
-        (corners[_FIRST, _X], corners[_FIRST, _Y], corners[_FIRST, _Z]),
-        (corners[_SECOND, _X], corners[_SECOND, _Y], corners[_SECOND, _Z]),
-        (corners[_THIRD, _X], corners[_THIRD, _Y], corners[_THIRD, _Z]),
-    )
+    normal = small.normal
+    normal[_X], normal[_Y], normal[_Z] = plane_normal(*_vertices(block.corners, _X, _Y, _Z))
 
 
 @device
-def _vertices(hot, block):
-    """The vertices of a block's four triangles, in the order of a ray's axes."""
+def _axes(hot):
     kx, ky, kz = hot.axes
-    x, y, z = np.uint64(kx), np.uint64(ky), np.uint64(kz)
-    corners = block.corners
+    return np.uint64(kx), np.uint64(ky), np.uint64(kz)
+
+
+@device
+def _vertices(corners, x, y, z):
+    """The vertices of a block's four triangles, with the axes in this order."""
     a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
     b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
     c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
@@ -130,173 +105,175 @@ def _vertices(hot, block):
 @device
 def _sheared(hot, cold, block):
     """The vertices of a block's four triangles in a ray's frame."""
-    return shear_vertices(*_vertices(hot, block), hot.origin, (hot.sx, cold.sy))
+    vertices = _vertices(block.corners, *_axes(hot))
+    return shear_vertices(*vertices, hot.origin, (hot.sx, cold.sy))
 
 
 @device
 def _distances(hot, cold, block, small):
     """Distances of a ray to the planes of four triangles."""
-    kx, ky, kz = hot.axes
-    x, y, z = np.uint64(kx), np.uint64(ky), np.uint64(kz)
+    x, y, z = _axes(hot)
     corners, normal = block.corners, small.normal
     a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
     n = normal[x], normal[y], normal[z]
     return distance_along(a, n, hot.origin, cold.direction)
 
 
-class LeafTests(NamedTuple):
-    """The tests of a block's triangles.
+class GroupLeaf(NamedTuple):
+    """Leaves of triangles whose nearest, or any, hits are kept; see `group_stream.trace_block`.
 
     Attributes
     ----------
-    with_groups, with_rays : device function
-        Against the groups, or the rays, of a list; they return the number of hits.
+    visit : device function
+    lanes_best, ray_best : device function
+        ``lanes_best(leaf, memory, g)`` is the `Best` of a group, and ``ray_best(leaf, memory, g,
+        k)`` that of its ray k. A ray's limit is its `t`.
+    wants_any : bool
+    given : NamedTuple or None
+        What the functions need besides.
     """
 
-    with_groups: Callable[..., Any]
-    with_rays: Callable[..., Any]
+    visit: Any
+    lanes_best: Any
+    ray_best: Any
+    wants_any: bool
+    given: Any
 
 
-def leaf_tests(group_best: Callable[..., Any], ray_best: Callable[..., Any]) -> LeafTests:
-    """Make the tests of leaves, which differ in where the rays' hits are.
+@device
+def _keep_lanes(taken, t, u, v, leaf, memory, g, prim_id):
+    """Keep hits of a group with a triangle; returns 1 if there was a nearer one, else 0."""
+    bits = offer_lanes(leaf.lanes_best(leaf, memory, g), taken, t, u, v, prim_id)
+    hit_count, limits = np.uint64(bits != ZERO_U64), GroupLanes(memory, g).t
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
+    return hit_count
+
+
+@device
+def _keep_hits(taken, t, u, v, leaf, memory, number, block, found):
+    """Keep the nearest of a ray's hit and those of some triangles; returns 1 if any is hit."""
+    bits = mask_bits(taken)
+    if bits == ZERO_U64:
+        return ZERO_U64
+    found.t, found.u, found.v = t, u, v
+    g, k, lanes = number >> LANE_SHIFT, number & LAST_LANE, HitLanes(address_of(found))
+    if offer_hits(leaf.ray_best(leaf, memory, g, k), k, bits, lanes, block.prim_ids):
+        Hot(memory + HOT_AT, number).t = GroupLanes(memory, g).t[k]
+    return ONE_U64
+
+
+@device
+def _group_distance(is_y, is_z, a, normal, lane, group):
+    """Distances of a group's rays to the plane of a triangle."""
+    n = in_frame(
+        is_y,
+        is_z,
+        f64x16(normal[_X, lane]),
+        f64x16(normal[_Y, lane]),
+        f64x16(normal[_Z, lane]),
+    )
+    return distance_along(a, n, three(group.origin), three(group.direction))
+
+
+@device
+def _test_with_group(leaf, g, memory, block, lane, normal):
+    """Test a triangle against a group; returns 1 if a ray has a nearer hit, else 0."""
+    group = Group(memory, g)
+    is_y, is_z = axis_kinds(group)
+    corners = block.corners
+    a = _corner_in_frame(is_y, is_z, corners, _FIRST, lane)
+    b = _corner_in_frame(is_y, is_z, corners, _SECOND, lane)
+    c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
+    origin, shear = three(group.origin), group.shear
+    sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
+    candidates = signs_agree(sheared)
+    if not any_lane(candidates):
+        return False
+    low_x, high_x = _extent_of(corners, _X, lane)
+    low_y, high_y = _extent_of(corners, _Y, lane)
+    low_z, high_z = _extent_of(corners, _Z, lane)
+    inv, low, high = three(group.inv), three(group.near), three(group.far)
+    box = interval(low_x, low_y, low_z, high_x, high_y, high_z, inv, low, high)
+    limits, plane = (group.t_min, group.t), ((is_y, is_z, a, normal, lane, group), _group_distance)
+    then = (leaf, memory, g, block.prim_ids[lane]), _keep_lanes
+    return intersect_lanes(sheared, candidates, box, limits, plane, False, then)
+
+
+@device
+def _with_groups(leaf, at, groups, count, memory, small):
+    """Test a block against the groups of a list; returns the number of hits."""
+    block, normal, hit_count = BlockLanes(at), SmallLanes(address_of(small)).normal, ZERO_U64
+    _write_normals(Block(at), small)
+    for lane in range(_BLOCK_LANES):
+        if block.prim_ids[lane] < np.int32(0):
+            break
+        for j in range(count):
+            g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
+            hit_count += _test_with_group(leaf, g, memory, block, lane, normal)
+    return hit_count
+
+
+@device
+def _with_rays(leaf, block, rays, count, memory, small):
+    """Test a block against the rays of a list; returns the number of hits."""
+    # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one
+    # per ray, mispredictions would take half the time of a leaf.)
+    hots, colds, hits = memory + HOT_AT, memory + COLD_AT, memory + HITS_AT
+    candidate_count = ZERO_U64
+    for j in range(count):
+        number = load(np.uint32, rays + j * LANE)
+        hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
+        store(hits + candidate_count * LANE, number)
+        candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
+    if candidate_count == ZERO_U64:
+        return ZERO_U64
+
+    # Step 2: test these exactly.
+    hit_count = ZERO_U64
+    low_x, high_x = extent(block, _X)
+    low_y, high_y = extent(block, _Y)
+    low_z, high_z = extent(block, _Z)
+    _write_normals(block, small)
+    for j in range(candidate_count):
+        number = np.uint64(load(np.uint32, hits + j * LANE))
+        hot, cold = Hot(hots, number), Cold(colds, number)
+        box = interval(low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high)
+        sheared = _sheared(hot, cold, block)
+        signs, limits = signs_agree(sheared), (hot.t_min, hot.t)
+        plane = (hot, cold, block, small), _distances
+        then = (leaf, memory, number, block, small.hits), _keep_hits
+        hit_count += intersect_lanes(sheared, signs, box, limits, plane, False, then)
+    return hit_count
+
+
+@device
+def visit_leaf(leaf, tree, child, rays, memory, small):
+    """Test a leaf's triangles against the rays that reach it; returns the number of hits.
 
     Parameters
     ----------
-    group_best, ray_best : device function
-        ``group_best(memory, g, wants_any, filter_)`` is the `Best` of a group, and
-        ``ray_best(memory, g, k, wants_any, filter_)`` that of its ray k. A ray's limit is its `t`.
+    leaf : GroupLeaf
+    tree : NamedTuple
+        With the address of its ``leaves``.
+    child : int32
+        The leaf's link.
+    rays : group_stream.RayList
+    memory, small
+        See `group_stream.trace_block`.
     """
-
-    @device
-    def keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):
-        """Keep hits of a group with a triangle; returns whether there was a nearer one."""
-        best = group_best(memory, g, wants_any, filter_)
-        bits = offer_lanes(best, taken, t, u, v, prim_id)
-        has_hit, limits = bits != ZERO_U64, GroupLanes(memory, g).t
-        while bits != ZERO_U64:
-            k = count_trailing_zeros(bits)
-            bits &= bits - ONE_U64
-            Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
-        return has_hit
-
-    @device
-    def keep_of_ray(memory, number, block, bits, found, wants_any, filter_):
-        """Keep the nearest of a ray's hit and those of some triangles of a block."""
-        g, k = number >> LANE_SHIFT, number & LAST_LANE
-        best = ray_best(memory, g, k, wants_any, filter_)
-        if offer_hits(best, k, bits, found, block.prim_ids):
-            Hot(memory + HOT_AT, number).t = GroupLanes(memory, g).t[k]
-
-    @device
-    def test_with_group(g, memory, block, lane, lanes, wants_any, filter_):
-        """Test a triangle against a group; returns whether a ray has a nearer hit."""
-        group = Group(memory, g)
-        is_y, is_z = axis_kinds(group)
-        corners = block.corners
-        a = _corner_in_frame(is_y, is_z, corners, _FIRST, lane)
-        b = _corner_in_frame(is_y, is_z, corners, _SECOND, lane)
-        c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
-        origin, shear = three(group.origin), group.shear
-        sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
-        candidates = signs_agree(sheared)
-        if not any_lane(candidates):
-            return False
-        low_x, high_x = _extent_of(corners, _X, lane)
-        low_y, high_y = _extent_of(corners, _Y, lane)
-        low_z, high_z = _extent_of(corners, _Z, lane)
-        t_in, t_out = interval(
-            low_x,
-            low_y,
-            low_z,
-            high_x,
-            high_y,
-            high_z,
-            three(group.inv),
-            three(group.near),
-            three(group.far),
-        )
-        nearest, t_min = group.t, group.t_min
-        candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-        if not any_lane(candidates):
-            return False
-        normal = lanes.normal
-        n = in_frame(
-            is_y,
-            is_z,
-            f64x16(normal[_X, lane]),
-            f64x16(normal[_Y, lane]),
-            f64x16(normal[_Z, lane]),
-        )
-        # The distance first: rays that leave a surface meet its triangle behind their origin.
-        t = distance_along(a, n, origin, three(group.direction))
-        t = minimum(maximum(t, t_in), t_out) + _ZERO
-        candidates = candidates & (t >= t_min) & (t <= nearest)
-        if not any_lane(candidates):
-            return False
-        hit, u, v = barycentrics(sheared, False)
-        prim_id = block.prim_ids[lane]
-        return keep_in_group(memory, g, candidates & hit, t, u, v, prim_id, wants_any, filter_)
-
-    @device
-    def with_groups(block, groups, count, memory, small, lanes, wants_any, filter_):
-        _write_normals(Block(address_of(block)), small)
-        hit_count = ZERO_U64
-        for lane in range(_BLOCK_LANES):
-            if block.prim_ids[lane] < np.int32(0):
-                break
-            for j in range(count):
-                g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-                hit_count += np.uint64(
-                    test_with_group(g, memory, block, lane, lanes, wants_any, filter_)
-                )
-        return hit_count
-
-    @device
-    def with_rays(block, rays, count, memory, small, hits, wants_any, filter_):
-        # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one
-        # per ray, mispredictions would take half the time of a leaf.)
-        hots, colds = memory + HOT_AT, memory + COLD_AT
-        candidate_count = ZERO_U64
-        for j in range(count):
-            number = load(np.uint32, rays + j * LANE)
-            hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
-            store(hits + candidate_count * LANE, number)
-            candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
-        if candidate_count == ZERO_U64:
-            return ZERO_U64
-
-        # Step 2: test these exactly.
-        hit_count = ZERO_U64
-        low_x, high_x = _extent(block, _X)
-        low_y, high_y = _extent(block, _Y)
-        low_z, high_z = _extent(block, _Z)
-        _write_normals(block, small)
-        found = small.hits
-        for j in range(candidate_count):
-            number = np.uint64(load(np.uint32, hits + j * LANE))
-            hot, cold = Hot(hots, number), Cold(colds, number)
-            t_in, t_out = interval(
-                low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high
-            )
-            nearest, t_min = hot.t, hot.t_min
-            sheared = _sheared(hot, cold, block)
-            candidates = signs_agree(sheared)
-            candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-            # The distance first: rays that leave a surface meet its triangle behind their origin.
-            t = minimum(maximum(_distances(hot, cold, block, small), t_in), t_out) + _ZERO
-            candidates = candidates & (t >= t_min) & (t <= nearest)
-            if not any_lane(candidates):
-                continue
-            hit, u, v = barycentrics(sheared, False)
-            bits = mask_bits(candidates & hit)
-            if bits != ZERO_U64:
-                hit_count += ONE_U64
-                found.t, found.u, found.v = t, u, v
-                lanes = HitLanes(address_of(found))
-                keep_of_ray(memory, number, block, bits, lanes, wants_any, filter_)
-        return hit_count
-
-    return LeafTests(with_groups, with_rays)
+    hit_count = ZERO_U64
+    block = leaf_address(tree.leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
+        if rays.is_grouped:
+            hit_count += _with_groups(leaf, block, rays.at, rays.length, memory, small)
+        else:
+            hit_count += _with_rays(leaf, Block(block), rays.at, rays.length, memory, small)
+        block += BLOCK
+    return hit_count
 
 
 #: A group's limits and hits. The nearest hit so far is the limit of its ray.
@@ -304,16 +281,18 @@ _Hits, _HitsLanes = best_views(GROUP, limit="t", t="t")
 
 
 @device
-def _group_best(memory, g, wants_any, filter_):
+def _lanes_best(leaf, memory, g):
     at = _Hits(memory, g)
-    return Best(at, at, None, lanes_filter(filter_, Group(memory, g), g), wants_any)
+    return Best(at, at, None, lanes_filter(leaf.given, Group(memory, g), g), leaf.wants_any)
 
 
 @device
-def _ray_best(memory, g, k, wants_any, filter_):
-    at, own = _HitsLanes(memory, g), ray_filter(filter_, GroupLanes(memory, g), g, k)
-    return Best(at, at, None, own, wants_any)
+def _ray_best(leaf, memory, g, k):
+    at, own = _HitsLanes(memory, g), ray_filter(leaf.given, GroupLanes(memory, g), g, k)
+    return Best(at, at, None, own, leaf.wants_any)
 
 
-#: The tests of a scene's leaves.
-TESTS = leaf_tests(_group_best, _ray_best)
+@device
+def nearest_leaf(wants_any, filter_):
+    """The leaves of a scene without instances; `filter_` is a `PacketFilter` or None."""
+    return GroupLeaf(visit_leaf, _lanes_best, _ray_best, wants_any, filter_)
