@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from raystream.core.query import Kind
+from raystream.float64.group_rays import Float64Packets
 from raystream.float64.packets import trace_float64_packets
-from raystream.float64.queries import Float64Source
 from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_float64_groups
-from raystream.kernels.hits import HitArrays
+from raystream.jit.constants import ZERO_U64
+from raystream.kernels.hits import HitAddresses
+from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
 from raystream.structures.bvh.packet_rays import PACKET_RAYS
@@ -23,26 +25,23 @@ _FEW = 256
 
 
 def _groups(bvh: Float64Structure, batch: Batch) -> Calls:
-    rays = bvh.arrays, _source(batch), batch.packets(bvh.frame)
-    return trace_float64_groups, (*rays, *_results(batch))
+    return trace_float64_groups, _arguments(bvh, batch)
 
 
 def _packets(bvh: Float64Structure, batch: Batch) -> Calls:
-    rays = bvh.arrays, bvh.frame, _source(batch), batch.order
-    return trace_float64_packets, (*rays, *_results(batch))
+    return trace_float64_packets, _arguments(bvh, batch)
 
 
-def _source(batch: Batch) -> Float64Source:
+def _arguments(bvh: Float64Structure, batch: Batch) -> tuple[Any, ...]:
     rays: Any = batch.rays
-    return Float64Source(batch.source, *rays.float64_limits)
-
-
-def _results(batch: Batch) -> tuple[Any, ...]:
+    source = Float64Packets.of(batch.packets(bvh.frame), *rays.float64_limits)
     sink = batch.sink
-    if not batch.wants_any:
-        return False, sink.status, sink.hits
-    rows = HitArrays.empty(0, np.float64)._replace(prim_id=sink.seen.view(np.int8))
-    return True, sink.status, rows
+    if batch.wants_any:
+        out = ResultAddresses.of_any(sink.seen, sink.status)
+    else:
+        at = HitAddresses.of(sink.hits)
+        out = ResultAddresses(*at, ZERO_U64, np.uint64(sink.status.ctypes.data))
+    return bvh.arrays, source, batch.wants_any, out
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -50,10 +49,15 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return ("packet",) if is_packet else ("groups",)
 
 
+#: Least packets of a call. To pass the arguments of a call takes as long as to trace half a packet
+#: through a small mesh, and to wake another thread as long as several: 1,000 rays on one thread
+#: take three quarters of the time that they take on two.
+_LEAST = 4
+
 _KERNELS = {
-    "packet": BatchKernel(_packets, 1, 64, share=4, is_tiled=True),
+    "packet": BatchKernel(_packets, _LEAST, 64, share=4, is_tiled=True),
     "groups": BatchKernel(
-        _groups, 1, BLOCK_RAYS // PACKET_RAYS, share=4, memory_bytes=WORKING_BYTES
+        _groups, _LEAST, BLOCK_RAYS // PACKET_RAYS, share=4, memory_bytes=WORKING_BYTES
     ),
 }
 

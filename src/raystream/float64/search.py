@@ -108,3 +108,9 @@ def is_counted(line, place, surfaces):
     no_inline()
     is_hit, t, _, _ = resolve(line, place, surfaces)
     return is_hit and t >= line.t_min and t <= line.t_max
+
+
+@device
+def exists(line, low, high, is_sure, place, surfaces):
+    """The same for a hit of which `offer` takes the first arguments: exactly if it is in doubt."""
+    return (is_sure and within(line, low, high)) or is_counted(line, place, surfaces)

@@ -6,29 +6,29 @@ triangles in float64.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from raystream.float64.best import SPAN_BYTES, Float64Best, offer_hits, offer_lanes
 from raystream.float64.block import (
     BLOCK,
-    HIGH,
     PRIM_IDS,
     SECOND,
     THIRD,
     leaf_end,
     load_corner,
     test_block,
+    test_lanes,
     triangle_edges,
 )
 from raystream.float64.group_rays import (
-    FLOAT64_GROUP,
+    GROUP_BYTES,
     Float64Group,
     Float64Lanes,
+    exact_ray,
     finish_rays,
-    intersect_rays,
-    keep,
-    line_of,
     load_rays,
-    short_far,
 )
 from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
@@ -36,12 +36,8 @@ from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
-    lanes_from_bits,
     load,
-    mask16,
-    mask_bits,
     scratch,
-    select,
 )
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.group_rays import (
@@ -49,6 +45,7 @@ from raystream.structures.bvh.group_rays import (
     GROUP_SHIFT,
     HOT_AT,
     LANE_SHIFT,
+    LAST_LANE,
     LISTS_AT,
     MEMORY_BYTES,
     Hot,
@@ -57,11 +54,12 @@ from raystream.structures.bvh.group_rays import (
 from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, block_trace
 from raystream.structures.bvh.node_layout import LANE, leaf_address
 from raystream.structures.bvh.packet_rays import (
+    GROUP,
     GROUPS,
     PACKET_RAYS,
-    Group,
     GroupLanes,
     group_rows,
+    three,
 )
 
 #: Rays that descend the tree together.
@@ -69,66 +67,57 @@ BLOCK_RAYS = 4096
 _PACKETS = np.uint64(BLOCK_RAYS // PACKET_RAYS)
 
 _GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
-_GROUP_BYTES = np.uint64(FLOAT64_GROUP.itemsize)
+
+#: A group's limits: the ends of its rays' intervals.
+_LOCAL_BYTES, _LIMITS_AT = np.uint64(GROUP.itemsize), np.uint64(GROUP.fields["t"][1])
 
 #: Bytes of memory of a call, of which most are never touched.
-WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * FLOAT64_GROUP.itemsize + 64
+WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * int(GROUP_BYTES) + 64
 
-_BLOCK_LANES, _LAST_LANE = np.uint64(4), np.uint64(15)
-_LANES = np.uint64(16)
-_ALL = np.uint64(0xFFFF)
-_MOST_AT = np.uint64(128)
-_SPAN_BYTES = 256
-_INF = np.float64(np.inf)
-_INF32 = np.float32(np.inf)
+_BLOCK_LANES, _ALL = np.uint64(4), np.uint64(0xFFFF)
 
 
 @device
 def _group_at(memory, g):
-    return memory + _GROUPS_AT + g * _GROUP_BYTES
+    return memory + _GROUPS_AT + g * GROUP_BYTES
 
 
 @device
-def _load(memory, first, last, source, order, frame):
+def _load(memory, first, last, source):
     """Load the rays of packets in float64, after `load_block`."""
     g = ZERO_U64
     for packet in range(first, last):
         for row in range(GROUPS):
-            ray, length = group_rows(order, packet, row)
+            ray, length = group_rows(source.packets.order, packet, row)
             if length == ZERO_U64:
                 continue
             local = GroupLanes(memory, g)
             is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
-            load_rays(_group_at(memory, g), source, ray, length, frame, is_slow, local)
-            if is_slow:
-                lanes = Float64Lanes(_group_at(memory, g))
-                for k in range(_LANES):
-                    if lanes.far[k] == -_INF:
-                        local.t[k] = -_INF32
-                        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = -_INF32
+            load_rays(_group_at(memory, g), source, ray, length, is_slow, local)
+            if is_slow:  # some may have become inactive
+                _copy_limits(memory, g, _ALL)
             g += ONE_U64
 
 
 @device
-def _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any):
-    """Offer a triangle that may be hit to a ray; returns whether its interval became shorter."""
-    lanes = Float64Lanes(_group_at(memory, g))
-    if not keep(lanes, k, low, high, is_sure, place, prim_id, wants_any):
-        return False
-    far = short_far(lanes, k)
-    GroupLanes(memory, g).t[k] = far
-    Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = far
-    return True
+def _copy_limits(memory, g, bits):
+    """Copy the limits of some rays of a group to their records."""
+    limits = GroupLanes(memory, g).t
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
 
 
 @device
-def _all_rays():
-    return lanes_from_bits(mask16, _ALL)
+def _best_of(leaf, memory, g):
+    limits = memory + g * _LOCAL_BYTES + _LIMITS_AT
+    return Float64Best(_group_at(memory, g), limits, leaf.spans, leaf.wants_any)
 
 
 @device
-def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
-    """Test a block's triangles against the groups of a list; returns the number of hits."""
+def _test_groups(leaf, block, groups, count, memory):
+    """Test a block's triangles against the groups of a list; returns the number of nearer hits."""
     hit_count = ZERO_U64
     for lane in range(_BLOCK_LANES):
         prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
@@ -140,76 +129,62 @@ def _leaf_with_groups(block, groups, count, memory, wants_any, spans):
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
             group = Float64Group(_group_at(memory, g))
-            taken, far, doubtful = intersect_rays(
-                group, _all_rays(), a, edges, place, prim_id, wants_any, spans
-            )
-            bits = mask_bits(taken)
-            if bits != ZERO_U64:
-                hit_count += ONE_U64
-                local = Group(memory, g)
-                local.t = select(taken, far, local.t)
-                lanes = GroupLanes(memory, g)
-                while bits != ZERO_U64:
-                    k = count_trailing_zeros(bits)
-                    bits &= bits - ONE_U64
-                    Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = lanes.t[k]
-            while doubtful != ZERO_U64:
-                k = count_trailing_zeros(doubtful)
-                doubtful &= doubtful - ONE_U64
-                low = load(np.float64, spans + (k << SHIFT_64))
-                high = load(np.float64, spans + _MOST_AT + (k << SHIFT_64))
-                is_sure = high < _INF
-                hit_count += np.uint64(
-                    _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any)
-                )
+            origin, direction = three(group.origin), three(group.direction)
+            hits = test_lanes(a, edges, origin, direction, group.t_min, group.far, None)
+            bits = offer_lanes(_best_of(leaf, memory, g), hits, place, prim_id)
+            hit_count += np.uint64(bits != ZERO_U64)
+            _copy_limits(memory, g, bits)
     return hit_count
 
 
 @device
-def _leaf_with_rays(block, rays, count, memory, wants_any, spans):
-    """Test a block's triangles against the rays of a list; returns the number of hits."""
+def _test_rays(leaf, block, rays, count, memory):
+    """Test a block's triangles against the rays of a list; returns the number of nearer hits."""
     hit_count = ZERO_U64
     for j in range(count):
         number = np.uint64(load(np.uint32, rays + j * LANE))
-        g, k = number >> LANE_SHIFT, number & _LAST_LANE
+        g, k = number >> LANE_SHIFT, number & LAST_LANE
         lanes = Float64Lanes(_group_at(memory, g))
-        line = line_of(lanes, k)
-        found, sure = test_block(block, line, line.t_min, lanes.far[k], spans)
-        while found != ZERO_U64:
-            lane = count_trailing_zeros(found)
-            found &= found - ONE_U64
-            low = load(np.float64, spans + (lane << SHIFT_64))
-            high = load(np.float64, spans + HIGH + (lane << SHIFT_64))
-            is_sure = (sure >> lane) & ONE_U64 != ZERO_U64
-            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-            place = block + (lane << SHIFT_64)
-            is_kept = _keep(memory, g, k, low, high, is_sure, place, prim_id, wants_any)
-            hit_count += np.uint64(is_kept)
-            if wants_any and is_kept:
-                break
+        line = exact_ray(lanes, k)
+        found, sure = test_block(block, line, line.t_min, lanes.far[k], leaf.spans)
+        if found != ZERO_U64 and offer_hits(_best_of(leaf, memory, g), k, found, sure, block):
+            hit_count += ONE_U64
+            _copy_limits(memory, g, ONE_U64 << k)
     return hit_count
 
 
 @device
-def _visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
+def _visit_leaf(leaf, tree, child, rays, memory, small):
     """Test a leaf in float64; see `group_stream.block_trace`."""
-    spans, hit_count = scratch(_SPAN_BYTES), ZERO_U64
+    hit_count = ZERO_U64
     block = leaf_address(tree.leaves, child)
     end = leaf_end(block, child)
     while block != end:
         if rays.is_grouped:
-            hit_count += _leaf_with_groups(block, rays.at, rays.length, memory, wants_any, spans)
+            hit_count += _test_groups(leaf, block, rays.at, rays.length, memory)
         else:
-            hit_count += _leaf_with_rays(block, rays.at, rays.length, memory, wants_any, spans)
+            hit_count += _test_rays(leaf, block, rays.at, rays.length, memory)
         block += BLOCK
     return hit_count
 
 
-_trace_block = device(block_trace(_visit_leaf))
+class Float64Leaf(NamedTuple):
+    """Leaves in float64; see `group_stream.block_trace`."""
+
+    spans: np.uint64
+    wants_any: bool
+
+
+@device
+def _search_leaf(tree, child, rays, memory, small, wants_any, leaf):
+    return _visit_leaf(leaf, tree, child, rays, memory, small)
+
+
+_trace_block = device(block_trace(_search_leaf))
 
 
 @kernel
-def trace_float64_groups(begin, end, tree, source, packets, wants_any, status, rows, memory):
+def trace_float64_groups(begin, end, tree, source, wants_any, out, memory):
     """Trace packets begin to end.
 
     Parameters
@@ -217,30 +192,28 @@ def trace_float64_groups(begin, end, tree, source, packets, wants_any, status, r
     begin, end : int
     tree : Float64Tree
         With nodes.
-    source : Float64Source
-    packets : PacketSource
-        Of the same rays.
+    source : Float64Packets
     wants_any : bool
         Find whether there is a hit, else the nearest one.
-    status : ndarray of shape (N,), uint8
-    rows : HitArrays
-        See `group_rays.finish_rays`.
+    out : ResultAddresses
+        Its hits are of float64.
     memory : int
         Address of `WORKING_BYTES` bytes; a multiple of 64.
     """
-    memory, order, frame = np.uint64(memory), packets.order, packets.frame
+    memory, packets = np.uint64(memory), source.packets
     stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
     small, groups = Small(scratch(SMALL_BYTES)), memory + LISTS_AT
+    leaf = Float64Leaf(scratch(SPAN_BYTES), wants_any)
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
         last = min(first + _PACKETS, np.uint64(end))
         count, ray_count = load_block(memory, packets, first, last, groups, False)
-        _load(memory, first, last, source, order, frame)
-        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, None)
+        _load(memory, first, last, source)
+        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, leaf)
         g = ZERO_U64
         for packet in range(first, last):
             for row in range(GROUPS):
-                ray, length = group_rows(order, packet, row)
+                ray, length = group_rows(packets.order, packet, row)
                 if length != ZERO_U64:
                     at = _group_at(memory, g)
-                    finish_rays(at, ray, length, tree, frame, wants_any, status, rows, own)
+                    finish_rays(at, ray, length, tree, packets.frame, wants_any, out, own)
                     g += ONE_U64
