@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.float64.ray import largest
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
@@ -88,9 +89,8 @@ def triangle_edges(a, b, c):
     px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     n = fma(py, qz, -(pz * qy)), fma(pz, qx, -(px * qz)), fma(px, qy, -(py * qx))
-    h_p = maximum(maximum(absolute(px), absolute(py)), absolute(pz))
-    h_q = maximum(maximum(absolute(qx), absolute(qy)), absolute(qz))
-    return (px, py, pz), (qx, qy, qz), n, maximum(h_p, h_q)
+    p, q = (px, py, pz), (qx, qy, qz)
+    return p, q, n, maximum(largest(p), largest(q))
 
 
 @device
@@ -154,7 +154,7 @@ def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
     v, w, base = _dot(q, moment), -_dot(p, moment), _dot(n, direction)
     u = (base - v) - w
     low, high = minimum(minimum(u, v), w), maximum(maximum(u, v), w)
-    reach = maximum(maximum(absolute(ax), absolute(ay)), absolute(az))
+    reach = largest(corner)
     error = h * (reach + h) * _SIGN_ERROR
     # Most pairs end here: two weights have different signs for sure.
     found = _both(allowed, (low >= -error) | (high <= error))

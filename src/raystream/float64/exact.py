@@ -22,6 +22,7 @@ from raystream.float64.double_numbers import (
     negate_double,
 )
 from raystream.float64.expansions import determinant_value, rounded_ratio
+from raystream.float64.ray import largest
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import absolute, maximum, minimum
@@ -50,7 +51,7 @@ def _differences(x, y):
 
 @device
 def _largest(x):
-    return maximum(maximum(absolute(x[0][0]), absolute(x[1][0])), absolute(x[2][0]))
+    return largest((x[0][0], x[1][0], x[2][0]))
 
 
 class Estimate(NamedTuple):

@@ -18,14 +18,15 @@ from raystream.float64.block import SECOND, THIRD
 from raystream.float64.exact import barycentrics, estimate
 from raystream.float64.queries import tree_searches, write_nearest
 from raystream.float64.ray import (
-    LEAST,
     LEAST_EXPONENT,
     MOST_COORDINATE,
     MOST_EXPONENT,
     Line,
+    largest,
     local_origin,
     make_line,
     ray_of_line,
+    without_least,
 )
 from raystream.float64.search import NO_PRIM, Nearest
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
@@ -175,8 +176,7 @@ def _load_one(lanes, k, source, i):
     direction[_X, k], direction[_Y, k], direction[_Z, k] = line.direction
     lanes.t_min[k], lanes.t_max[k], lanes.far[k] = line.t_min, line.t_max, line.t_max
     lanes.half[k], lanes.rest[k], lanes.state[k] = half, rest, np.int32(status)
-    x, y, z = local_origin(line, frame)
-    if not max(abs(x), abs(y), abs(z)) <= _FAR * np.float64(frame.max_coordinate):
+    if not largest(local_origin(line.origin, frame)) <= _FAR * np.float64(frame.max_coordinate):
         lanes.state[k] |= _ALONE
         lanes.far[k] = -_INF
 
@@ -189,47 +189,42 @@ def _limits(at, step, first):
 
 
 @device
-def _kept(x):
-    return select(absolute(x) >= LEAST, x, f64x16(_ZERO))
+def _sum(x):
+    return absolute(x[0]) + absolute(x[1]) + absolute(x[2])
 
 
 @device
-def _reach(x, y, z):
-    return maximum(maximum(absolute(x), absolute(y)), absolute(z))
+def _put_triple(rows, x):
+    rows[_X], rows[_Y], rows[_Z] = x
 
 
 @device
 def _load_all(group, source, first):
     """Load 16 rays; returns False if one of them is unusual."""
     rays, frame = source.packets.rays, source.packets.frame
-    ox, oy, oz = load_origins(rays, first)
-    dx, dy, dz = load_directions(rays, first)
+    given, direction = load_origins(rays, first), load_directions(rays, first)
     t_min = _limits(source.t_min, source.t_min_step, first)
     t_max = _limits(source.t_max, source.t_max_step, first)
-    # Step 1: as `ray.make_line`, if one product scales each direction.
-    exponent = float_as_bits(_reach(dx, dy, dz)) >> MANTISSA_BITS
-    ox, oy, oz = _kept(ox), _kept(oy), _kept(oz)
-    x = (ox - frame.center[0]) * frame.scale
-    y = (oy - frame.center[1]) * frame.scale
-    z = (oz - frame.center[2]) * frame.scale
+    # Step 1: whether one product scales each direction, and all numbers are valid: a NaN fails.
+    exponent = float_as_bits(largest(direction)) >> MANTISSA_BITS
+    origin = without_least(given)
     is_usual = (
         (exponent >= LEAST_EXPONENT)
         & (exponent <= MOST_EXPONENT)
-        & (absolute(dx) + absolute(dy) + absolute(dz) < _INF)
-        & (absolute(ox) + absolute(oy) + absolute(oz) <= MOST_COORDINATE)
-        & (_reach(x, y, z) <= _FAR * np.float64(frame.max_coordinate))
+        & (_sum(direction) < _INF)
+        & (_sum(given) <= MOST_COORDINATE)
+        & (largest(local_origin(origin, frame)) <= _FAR * np.float64(frame.max_coordinate))
         & (t_min == t_min)
         & (t_max == t_max)
     )
     if not all_lanes(is_usual):
         return False
-    # Step 2: powers of two, so that nothing is rounded.
+    # Step 2: as `ray.make_line`.
     half = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
     inverse = bits_as_float(exponent << MANTISSA_BITS)
-    origin, direction = group.origin, group.direction
-    origin[_X], origin[_Y], origin[_Z] = ox, oy, oz
-    direction[_X], direction[_Y] = _kept(dx * half), _kept(dy * half)
-    direction[_Z] = _kept(dz * half)
+    dx, dy, dz = direction
+    _put_triple(group.origin, origin)
+    _put_triple(group.direction, without_least((dx * half, dy * half, dz * half)))
     t_max = t_max * inverse
     group.t_min, group.t_max, group.far = t_min * inverse, t_max, t_max
     group.half, group.rest, group.state = half, f64x16(_UNIT), i32x16(np.int32(0))
