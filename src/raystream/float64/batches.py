@@ -8,13 +8,15 @@ import numpy as np
 
 from raystream.core.query import Kind
 from raystream.float64.group_rays import Float64Packets
-from raystream.float64.packets import trace_float64_packets
-from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_float64_groups
+from raystream.float64.packets import FLOAT64_ALL, FLOAT64_COUNTS, trace_packets
+from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_groups
 from raystream.jit.constants import ZERO_U64
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
+from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_queries import TREES, NearestWanted
 from raystream.structures.bvh.packet_rays import PACKET_RAYS
 
 if TYPE_CHECKING:
@@ -24,24 +26,27 @@ if TYPE_CHECKING:
 _FEW = 256
 
 
-def _groups(bvh: Float64Structure, batch: Batch) -> Calls:
-    return trace_float64_groups, _arguments(bvh, batch)
-
-
-def _packets(bvh: Float64Structure, batch: Batch) -> Calls:
-    return trace_float64_packets, _arguments(bvh, batch)
+def _source(bvh: Float64Structure, batch: Batch) -> Float64Packets:
+    rays: Any = batch.rays
+    return Float64Packets.of(batch.packets(bvh.frame), *rays.float64_limits)
 
 
 def _arguments(bvh: Float64Structure, batch: Batch) -> tuple[Any, ...]:
-    rays: Any = batch.rays
-    source = Float64Packets.of(batch.packets(bvh.frame), *rays.float64_limits)
     sink = batch.sink
     if batch.wants_any:
         out = ResultAddresses.of_any(sink.seen, sink.status)
     else:
         at = HitAddresses.of(sink.hits)
         out = ResultAddresses(*at, ZERO_U64, np.uint64(sink.status.ctypes.data))
-    return bvh.arrays, source, batch.wants_any, out
+    return bvh.arrays, _source(bvh, batch), NearestWanted(batch.wants_any, None, out)
+
+
+def _packets(bvh: Float64Structure, batch: Batch) -> Calls:
+    return trace_packets, _arguments(bvh, batch)
+
+
+def _groups(bvh: Float64Structure, batch: Batch) -> Calls:
+    return trace_groups, _arguments(bvh, batch)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -61,5 +66,14 @@ _KERNELS = {
     ),
 }
 
+_NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
+_VISITED = visiting_kernel(TREES, FLOAT64_ALL, _source)
+_COUNTED = counting_kernel(TREES, FLOAT64_COUNTS, _source)
+
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = dict.fromkeys((Kind.FIRST_HIT, Kind.ANY_HIT), BatchKernels(_KERNELS, _suited, _FEW))
+BATCH_KERNELS = {
+    Kind.FIRST_HIT: _NEAREST,
+    Kind.ANY_HIT: _NEAREST,
+    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, _FEW),
+    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited, _FEW),
+}

@@ -95,6 +95,13 @@ def _offer_one(best, k, low, high, is_sure, place, prim_id):
 
 
 @device
+def certain_hits(group, hits):
+    """The mask of the `PossibleHits` of a group that are in their rays' intervals for sure."""
+    is_within = (hits.low >= group.t_min) & (hits.high <= group.t_max)
+    return hits.found & hits.sure & is_within
+
+
+@device
 def offer_lanes(best, hits, place, prim_id):
     """Offer 16 rays a triangle.
 
@@ -112,10 +119,8 @@ def offer_lanes(best, hits, place, prim_id):
         Bits of the rays whose intervals became shorter.
     """
     group, nearest = Float64Group(best.rays), Float64Group(best.rays).low
-    # Step 1: hits for sure, in the ray's interval, before the hit kept so far. Their digits do not
-    # matter.
-    is_within = (hits.low >= group.t_min) & (hits.high <= group.t_max)
-    taken = hits.found & hits.sure & is_within & (hits.high < nearest)
+    # Step 1: hits before the one kept so far, for sure. Their digits do not matter.
+    taken = certain_hits(group, hits) & (hits.high < nearest)
     bits = mask_bits(taken)
     if bits != ZERO_U64:
         group.prim_id = select(taken, i32x16(prim_id), group.prim_id)
@@ -139,8 +144,7 @@ def offer_lanes(best, hits, place, prim_id):
     while doubtful != ZERO_U64:
         k = count_trailing_zeros(doubtful)
         doubtful &= doubtful - ONE_U64
-        low, high = span_of(best.spans, _LANES_HIGH, k)
-        is_sure = (sure >> k) & ONE_U64 != ZERO_U64
+        low, high, is_sure = span_of(best.spans, _LANES_HIGH, k, sure)
         if _offer_one(best, k, low, high, is_sure, place, prim_id):
             bits |= ONE_U64 << k
     return bits
@@ -164,8 +168,7 @@ def offer_hits(best, k, found, sure, block):
     while found != ZERO_U64:
         lane = count_trailing_zeros(found)
         found &= found - ONE_U64
-        low, high = span_of(best.spans, HIGH, lane)
-        is_sure = (sure >> lane) & ONE_U64 != ZERO_U64
+        low, high, is_sure = span_of(best.spans, HIGH, lane, sure)
         prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
         if _offer_one(best, k, low, high, is_sure, block + (lane << SHIFT_64), prim_id):
             is_kept = True
@@ -175,7 +178,11 @@ def offer_hits(best, k, found, sure, block):
 
 
 @device
-def span_of(spans, high_at, lane):
-    """The interval of a lane in memory."""
+def span_of(spans, high_at, lane, sure):
+    """The interval of a lane in memory, and whether the triangle is hit for sure."""
     at = spans + (lane << SHIFT_64)
-    return load(np.float64, at), load(np.float64, at + high_at)
+    return (
+        load(np.float64, at),
+        load(np.float64, at + high_at),
+        (sure >> lane) & ONE_U64 != ZERO_U64,
+    )

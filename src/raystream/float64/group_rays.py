@@ -26,6 +26,7 @@ from raystream.float64.ray import (
     local_origin,
     make_line,
     ray_of_line,
+    reported,
     without_least,
 )
 from raystream.float64.search import NO_PRIM, Nearest
@@ -45,19 +46,14 @@ from raystream.jit.simd import (
     i64x16,
     load,
     mask_bits,
-    maximum,
-    minimum,
     select,
     store,
 )
 from raystream.jit.views import view
-from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
-from raystream.kernels.ray_source import (
-    load_direction,
-    load_origin,
-)
+from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT, SceneFrame
+from raystream.kernels.ray_source import RaySource, load_direction, load_origin
 from raystream.structures.bvh.packet_load import load_directions, load_origins
-from raystream.structures.bvh.packet_rays import PacketSource, three
+from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource, three
 
 _NUMBERS = (
     ("t_min", "f8"),
@@ -93,8 +89,8 @@ Float64Lanes = view(
     ]
 )
 #: `state`: of an invalid ray, and of one that is traced by itself.
-_INVALID = np.int32(RayStatus.INVALID)
-_ALONE = np.int32(2)
+INVALID = np.int32(RayStatus.INVALID)
+ALONE = np.int32(2)
 
 #: Origins that are further from the scene's middle than this many times its largest coordinate are
 #: traced by themselves: moved to the scene, as float32 needs it, they would lose too many digits.
@@ -107,7 +103,6 @@ _ALL = np.uint64(0xFFFF)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _INF, _ZERO, _UNIT = np.float64(np.inf), np.float64(0.0), np.float64(1.0)
 _INF32 = np.float32(np.inf)
-_LARGEST = np.float64(np.finfo(np.float64).max)
 _NO_PLACE, _SHIFT64 = np.int64(0), np.int64(3)
 _MISS = np.int32(-1)
 
@@ -134,19 +129,22 @@ def nearest_of(lanes, k):
 
 
 class Float64Packets(NamedTuple):
-    """Rays in float64, to be loaded as packets: addresses, as each call takes its arguments anew.
+    """A `PacketSource` with limits in float64, too.
 
     Attributes
     ----------
-    packets : PacketSource
-        Its limits are rounded to float32, outward.
+    rays, order, frame, status
+        See `PacketSource`; the limits are rounded to float32, outward.
     t_min, t_max : uint64
-        One float64 per ray.
+        Addresses of a float64 per ray.
     t_min_step, t_max_step : uint64
         Strides in bytes: 0 where all rays share one value.
     """
 
-    packets: PacketSource
+    rays: RaySource
+    order: PacketOrder
+    frame: SceneFrame
+    status: np.uint64
     t_min: np.uint64
     t_min_step: np.uint64
     t_max: np.uint64
@@ -158,14 +156,14 @@ class Float64Packets(NamedTuple):
     ) -> Float64Packets:
         """The packets of rays with limits of shape (N,) or (1,); the caller keeps these alive."""
         numbers = [(one.ctypes.data, 8 if len(one) > 1 else 0) for one in (t_min, t_max)]
-        return cls(packets, *np.array(numbers, np.uint64).reshape(-1))
+        return cls(*packets, *np.array(numbers, np.uint64).reshape(-1))
 
 
 @device_call
 def _load_one(lanes, k, source, i):
     """Load ray i as lane k."""
     no_inline()
-    rays, frame = source.packets.rays, source.packets.frame
+    rays, frame = source.rays, source.frame
     t_min = load(np.float64, source.t_min + i * source.t_min_step)
     t_max = load(np.float64, source.t_max + i * source.t_max_step)
     line, half, rest, status = make_line(
@@ -177,7 +175,7 @@ def _load_one(lanes, k, source, i):
     lanes.t_min[k], lanes.t_max[k], lanes.far[k] = line.t_min, line.t_max, line.t_max
     lanes.half[k], lanes.rest[k], lanes.state[k] = half, rest, np.int32(status)
     if not largest(local_origin(line.origin, frame)) <= _FAR * np.float64(frame.max_coordinate):
-        lanes.state[k] |= _ALONE
+        lanes.state[k] |= ALONE
         lanes.far[k] = -_INF
 
 
@@ -201,7 +199,7 @@ def _put_triple(rows, x):
 @device
 def _load_all(group, source, first):
     """Load 16 rays; returns False if one of them is unusual."""
-    rays, frame = source.packets.rays, source.packets.frame
+    rays, frame = source.rays, source.frame
     given, direction = load_origins(rays, first), load_directions(rays, first)
     t_min = _limits(source.t_min, source.t_min_step, first)
     t_max = _limits(source.t_max, source.t_max_step, first)
@@ -255,7 +253,7 @@ def load_rays(at, source, first, count, is_slow, local):
                 lanes.far[k] = -_INF
     group.low, group.high = f64x16(_INF), f64x16(_INF)
     group.place, group.prim_id = i64x16(_NO_PLACE), i32x16(NO_PRIM)
-    group.scale = f64x16(np.float64(source.packets.frame.scale))
+    group.scale = f64x16(np.float64(source.frame.scale))
     group.offset = f64x16(_ZERO)
     if is_slow:
         for k in range(_LANES):
@@ -301,9 +299,7 @@ def _finish_all(group, first, tree, out):
     )
     _, weight_v, weight_w, inverse = hit.weights
     u, v = barycentrics(weight_v, weight_w, inverse)
-    t = hit.t * group.half * group.rest
-    t = minimum(maximum(t, f64x16(-_LARGEST)), f64x16(_LARGEST))
-    store(t_at, select(is_hit, t, f64x16(_INF)))
+    store(t_at, select(is_hit, reported(hit.t, group), f64x16(_INF)))
     store(u_at, select(is_hit, u, zero))
     store(v_at, select(is_hit, v, zero))
     return mask_bits(is_hit) & ~mask_bits(hit.is_sure & hit.is_rounded)
@@ -314,8 +310,8 @@ def _finish_one(lanes, k, i, tree, frame, wants_any, out, memory):
     """Write the result of ray i; one that is traced by itself is traced now."""
     no_inline()
     state = lanes.state[k]
-    is_alone = state & _ALONE != np.int32(0)
-    if state & _INVALID:
+    is_alone = state & ALONE != np.int32(0)
+    if state & INVALID:
         store(out.status + i, np.uint8(RayStatus.INVALID))
     ray = ray_of_line(exact_ray(lanes, k), lanes.half[k], lanes.rest[k], np.uint8(0), frame)
     best = nearest_of(lanes, k)

@@ -1,4 +1,4 @@
-"""Packets of 256 rays in float64: the kernel for coherent rays.
+"""Queries of packets of 256 rays in float64: the kernels for coherent rays.
 
 Packets descend the tree as in `structures.bvh.packet`; leaves test triangles in float64.
 """
@@ -9,194 +9,168 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.float64.best import SPAN_BYTES, Float64Best, offer_hits, offer_lanes
-from raystream.float64.block import (
-    AXIS,
-    BLOCK,
-    PRIM_IDS,
-    SECOND,
-    THIRD,
-    leaf_end,
-    load_corner,
-    load_corners,
-    test_block,
-    test_lanes,
-    triangle_edges,
-)
+from raystream.core.query import UNLIMITED
+from raystream.core.rays import RayStatus
 from raystream.float64.group_rays import (
+    ALONE,
     GROUP_BYTES,
+    INVALID,
     Float64Group,
     Float64Lanes,
     exact_ray,
     finish_rays,
     load_rays,
 )
-from raystream.float64.queries import LANES_BYTES
+from raystream.float64.packet_leaf import collecting_leaf, counting_leaf, nearest_leaf
+from raystream.float64.queries import LANES_BYTES, tree_searches
+from raystream.float64.ray import ray_of_line
+from raystream.float64.rows import FLOAT64_ROWS
 from raystream.float64.traversal import STACK_BYTES
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import (
-    count_trailing_zeros,
-    lanes_from_bits,
-    load,
-    mask16,
-    popcount,
-    scratch,
-    store,
-)
-from raystream.structures.bvh.node_layout import leaf_address
-from raystream.structures.bvh.packet import TRACE_BYTES, packet_trace
-from raystream.structures.bvh.packet_leaf import ANY, FIRST, entering_rays
-from raystream.structures.bvh.packet_load import load_packet
-from raystream.structures.bvh.packet_rays import (
-    GROUP,
-    GROUPS,
-    PACKET_BYTES,
-    PACKET_RAYS,
-    GroupLanes,
-    group_rows,
-    three,
-)
+from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
+from raystream.jit.copies import Copies
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import any_lane, scratch, store
+from raystream.kernels.hits import HitAddresses
+from raystream.structures.bvh.leaf_kinds import CountsLanes
+from raystream.structures.bvh.packet_hits import Buffers, Collector, has_room
+from raystream.structures.bvh.packet_multi_hit import ROWS, row_transform, start_rows
+from raystream.structures.bvh.packet_queries import COUNTS, TREES, PacketAnswer, packet_kernel
+from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, GroupLanes, group_rows
 
-#: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
-#: against one triangle.
-_FEW = np.uint64(4)
+#: Where a packet's groups in float64 are in the state of an answer: behind that of `ROWS`.
+_RAYS_AT = np.uint64(-(-ROWS.byte_count // 64) * 64)
+_STATE_BYTES = int(_RAYS_AT) + int(GROUP_BYTES) * PACKET_RAYS // 16
 
-_GROUPS_BYTES = int(GROUP_BYTES) * PACKET_RAYS // 16
-
-#: Vertex 0, two edges, their cross product and the largest component, for four triangles.
-_EDGES_BYTES = 13 * 32
-_P, _Q, _N, _H = (np.uint64(32 * k) for k in (3, 6, 9, 12))
-
-#: A group's limits: the ends of its active rays' intervals.
-_LOCAL_BYTES, _LIMITS_AT = np.uint64(GROUP.itemsize), np.uint64(GROUP.fields["t_active"][1])
-
-_BLOCK_LANES = np.uint64(4)
+_NONE = np.int32(0)
+_UNIT = np.float64(1.0)
+_UNLIMITED = np.uint64(UNLIMITED)
 
 
 @device
-def _store_triple(at, x):
-    store(at, x[0])
-    store(at + AXIS, x[1])
-    store(at + (AXIS + AXIS), x[2])
-
-
-@device
-def _write_edges(block, to):
-    """Write what the tests take of a block's triangles."""
-    a = load_corners(block)
-    p, q, n, h = triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
-    _store_triple(to, a)
-    _store_triple(to + _P, p)
-    _store_triple(to + _Q, q)
-    _store_triple(to + _N, n)
-    store(to + _H, h)
-
-
-@device
-def _best_of(leaf, packet, g):
-    limits = packet + g * _LOCAL_BYTES + _LIMITS_AT
-    return Float64Best(leaf.rays + g * GROUP_BYTES, limits, leaf.spans, leaf.wants_any)
-
-
-@device
-def _test_rays(leaf, packet, g, bits, block):
-    """Test a block against some rays of a group; returns whether one of them has a nearer hit."""
-    best, has_hit = _best_of(leaf, packet, g), False
-    lanes = Float64Lanes(best.rays)
-    while bits != ZERO_U64:
-        k = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        line = exact_ray(lanes, k)
-        found, sure = test_block(block, line, line.t_min, lanes.far[k], leaf.spans)
-        has_hit |= offer_hits(best, k, found, sure, block)
-    return has_hit
-
-
-@device
-def _test_triangle(leaf, packet, g, bits, place, edges, prim_id):
-    """Test a triangle against rays of a group; returns whether one of them has a nearer hit."""
-    best = _best_of(leaf, packet, g)
-    group = Float64Group(best.rays)
-    p, q, n = load_corner(edges + _P), load_corner(edges + _Q), load_corner(edges + _N)
-    hits = test_lanes(
-        load_corner(edges),
-        (p, q, n, load(np.float64, edges + _H)),
-        three(group.origin),
-        three(group.direction),
-        group.t_min,
-        group.far,
-        lanes_from_bits(mask16, bits),
-    )
-    return offer_lanes(best, hits, place, prim_id) != ZERO_U64
-
-
-@device
-def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
-    """Test a leaf in float64; see `packet_leaf.visit_leaf`."""
-    edges, has_hit = scratch(_EDGES_BYTES), False
-    block = leaf_address(leaves, child)
-    end = leaf_end(block, child)
-    while block != end:
-        _write_edges(block, edges)
-        for g in range(groups.first, groups.last + ONE_U64):
-            bits = entering_rays(packet, g, box, rays)
-            if bits == ZERO_U64:
-                continue
-            if popcount(bits) <= _FEW:
-                has_hit |= _test_rays(leaf, packet, g, bits, block)
-                continue
-            for lane in range(_BLOCK_LANES):
-                prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-                if prim_id < np.int32(0):
-                    break
-                at = lane << SHIFT_64
-                has_hit |= _test_triangle(leaf, packet, g, bits, block + at, edges + at, prim_id)
-        block += BLOCK
-    return has_hit
-
-
-class Float64Leaf(NamedTuple):
-    """Leaves in float64; see `packet.trace_packet`."""
-
-    rays: np.uint64
-    spans: np.uint64
-    wants_any: bool
-
-
-@device
-def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, leaf, filter_):
-    return _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own)
-
-
-_trace_packet = packet_trace(_search_leaf)
-
-
-@device
-def _load(packet, float64_groups, number, source, slow_groups):
-    """Load the rays of a packet in float64, after `load_packet`."""
+def _load_rays(packet, number, slow_groups, source, state):
+    """Load the rays of a packet in float64, after `load_packet`; returns their address."""
     for g in range(GROUPS):
-        first, count = group_rows(source.packets.order, number, g)
+        first, count = group_rows(source.order, number, g)
         if count != ZERO_U64:
             is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
-            at = float64_groups + g * GROUP_BYTES
+            at = state + _RAYS_AT + g * GROUP_BYTES
             load_rays(at, source, first, count, is_slow, GroupLanes(packet, g))
+    return state + _RAYS_AT
 
 
-@kernel
-def trace_float64_packets(begin, end, tree, source, wants_any, out):
-    """Trace packets begin to end; see `stream.trace_float64_groups` for the arguments."""
-    packet, float64_groups = scratch(PACKET_BYTES), scratch(_GROUPS_BYTES)
-    memory, own = scratch(TRACE_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
-    order, frame = source.packets.order, source.packets.frame
-    leaf = Float64Leaf(float64_groups, scratch(SPAN_BYTES), wants_any)
-    goal = ANY if wants_any else FIRST
-    for number in range(np.uint64(begin), np.uint64(end)):
-        slow_groups = load_packet(packet, number, source.packets)
-        _load(packet, float64_groups, number, source, slow_groups)
-        _trace_packet(packet, GROUPS, tree, frame.max_coordinate, memory, goal, leaf, None)
-        for g in range(GROUPS):
-            first, count = group_rows(order, number, g)
-            if count != ZERO_U64:
-                at = float64_groups + g * GROUP_BYTES
-                finish_rays(at, first, count, tree, frame, wants_any, out, own)
+# The nearest or any hits
+
+
+@device
+def _begin_nearest(packet, number, slow_groups, source, wanted, state):
+    return nearest_leaf(wanted.wants_any, _load_rays(packet, number, slow_groups, source, state))
+
+
+@device
+def _store_nearest(packet, number, slow_groups, source, scene, wanted, state):
+    own = scratch(STACK_BYTES), scratch(LANES_BYTES)
+    for g in range(GROUPS):
+        first, count = group_rows(source.order, number, g)
+        if count != ZERO_U64:
+            at = state + _RAYS_AT + g * GROUP_BYTES
+            finish_rays(at, first, count, scene, source.frame, wanted.wants_any, wanted.out, own)
+    return True
+
+
+# All hits, counted or collected
+
+
+@device
+def _finish_alone(finish, packet, number, source, scene, wanted, state):
+    """Finish the rays that are traced by themselves; report those that are invalid."""
+    for g in range(GROUPS):
+        first, count = group_rows(source.order, number, g)
+        at = state + _RAYS_AT + g * GROUP_BYTES
+        if count == ZERO_U64 or not any_lane(Float64Group(at).state != _NONE):
+            continue
+        lanes = Float64Lanes(at)
+        for k in range(count):
+            if lanes.state[k] & INVALID:
+                store(source.status + first + k, np.uint8(RayStatus.INVALID))
+            if lanes.state[k] & ALONE:
+                finish(packet, g, k, source.frame, scene, wanted, state)
+
+
+@device_call
+def _count_alone(packet, g, k, frame, scene, wanted, state):
+    no_inline()
+    lanes = Float64Lanes(state + _RAYS_AT, g)
+    ray = ray_of_line(exact_ray(lanes, k), _UNIT, _UNIT, np.uint8(0), frame)
+    memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
+    total = _count(scene, ray, _UNLIMITED, wanted.surfaces, memory)
+    CountsLanes(packet, g).count[k] = np.int32(total)
+
+
+@device_call
+def _collect_alone(packet, g, k, frame, scene, wanted, state):
+    no_inline()
+    hits, lanes = Collector(state), Float64Lanes(state + _RAYS_AT, g)
+    if not has_room(hits):
+        return
+    half, rest = _UNIT, _UNIT
+    if hits.in_world != ZERO_U64:
+        half, rest = lanes.half[k], lanes.rest[k]
+    ray = ray_of_line(exact_ray(lanes, k), half, rest, np.uint8(0), frame)
+    memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
+    first, found = hits.count, Buffers(hits.buffers).found
+    rows = HitAddresses(found.t, found.u, found.v, found.prim_id)
+    # If all rows become full, there is no room for the packet.
+    room = hits.capacity - first
+    hits.count += _keep(scene, ray, room, rows, first, wanted.surfaces, memory)
+    for row in range(first, hits.count):
+        store(found.ray + (row << SHIFT_32), hits.first_rays[g] + np.int32(k))
+
+
+@device
+def _begin_counts(packet, number, slow_groups, source, wanted, state):
+    return counting_leaf(wanted.surfaces, _load_rays(packet, number, slow_groups, source, state))
+
+
+@device
+def _store_counts(packet, number, slow_groups, source, scene, wanted, state):
+    _finish_alone(_count_alone, packet, number, source, scene, wanted, state)
+    return _store_found_counts(packet, number, slow_groups, source, scene, wanted, state)
+
+
+@device
+def _begin_rows(packet, number, slow_groups, source, wanted, state):
+    rays = _load_rays(packet, number, slow_groups, source, state)
+    hits = start_rows(number, slow_groups, source, wanted, state)
+    return collecting_leaf(wanted.surfaces, rays, hits)
+
+
+@device
+def _store_rows(packet, number, slow_groups, source, scene, wanted, state):
+    _finish_alone(_collect_alone, packet, number, source, scene, wanted, state)
+    return _store_found_rows(packet, number, slow_groups, source, scene, wanted, state)
+
+
+class _Lengths(NamedTuple):
+    """See `Float64Ray`."""
+
+    half: np.float64
+    rest: np.float64
+
+
+@device
+def _lengths_of(packet, g, lane, slow_groups, state):
+    lanes = Float64Lanes(state + _RAYS_AT, g)
+    return _Lengths(lanes.half[lane], lanes.rest[lane])
+
+
+_count, _keep = tree_searches.count, tree_searches.keep
+_store_found_counts = COUNTS.finish
+_store_found_rows = Copies("of_float64", {**FLOAT64_ROWS, row_transform: _lengths_of}).of(
+    ROWS.finish
+)
+
+#: Kernels for a `Float64Packets`, as those of `packet_queries`.
+trace_packets = packet_kernel(TREES, PacketAnswer(_begin_nearest, _store_nearest, _STATE_BYTES))
+FLOAT64_COUNTS = PacketAnswer(_begin_counts, _store_counts, _STATE_BYTES)
+FLOAT64_ALL = PacketAnswer(_begin_rows, _store_rows, _STATE_BYTES)

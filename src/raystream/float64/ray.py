@@ -15,7 +15,15 @@ from raystream.core.rays import RayStatus
 from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import absolute, bits_as_float, copy_sign, float_as_bits, maximum, select
+from raystream.jit.simd import (
+    absolute,
+    bits_as_float,
+    copy_sign,
+    float_as_bits,
+    maximum,
+    minimum,
+    select,
+)
 from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS
 
@@ -100,9 +108,9 @@ class Float64Ray(NamedTuple):
 
 @device
 def reported(t, ray):
-    """A distance in the lengths of the given direction."""
+    """Distances in the lengths of the given directions, of a ray or a group of rays."""
     # A distance beyond float64 is still a hit: only a miss is infinite.
-    return min(max(t * ray.half * ray.rest, -_LARGEST), _LARGEST)
+    return minimum(maximum(t * ray.half * ray.rest, -_LARGEST), _LARGEST)
 
 
 @device

@@ -6,7 +6,7 @@ triangles in float64.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,13 +33,14 @@ from raystream.float64.group_rays import (
 from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
     load,
     scratch,
 )
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
+from raystream.structures.bvh.group_queries import group_kernel
 from raystream.structures.bvh.group_rays import (
     FLAGS_AT,
     GROUP_SHIFT,
@@ -51,7 +52,7 @@ from raystream.structures.bvh.group_rays import (
     Hot,
     load_block,
 )
-from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, block_trace
+from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, trace_block
 from raystream.structures.bvh.node_layout import LANE, leaf_address
 from raystream.structures.bvh.packet_rays import (
     GROUP,
@@ -64,7 +65,6 @@ from raystream.structures.bvh.packet_rays import (
 
 #: Rays that descend the tree together.
 BLOCK_RAYS = 4096
-_PACKETS = np.uint64(BLOCK_RAYS // PACKET_RAYS)
 
 _GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
 
@@ -83,12 +83,12 @@ def _group_at(memory, g):
 
 
 @device
-def _load(memory, first, last, source):
+def _load_rays(memory, source, first, last):
     """Load the rays of packets in float64, after `load_block`."""
     g = ZERO_U64
     for packet in range(first, last):
         for row in range(GROUPS):
-            ray, length = group_rows(source.packets.order, packet, row)
+            ray, length = group_rows(source.order, packet, row)
             if length == ZERO_U64:
                 continue
             local = GroupLanes(memory, g)
@@ -155,7 +155,7 @@ def _test_rays(leaf, block, rays, count, memory):
 
 @device
 def _visit_leaf(leaf, tree, child, rays, memory, small):
-    """Test a leaf in float64; see `group_stream.block_trace`."""
+    """Test a leaf in float64; see `group_leaf.visit_leaf`."""
     hit_count = ZERO_U64
     block = leaf_address(tree.leaves, child)
     end = leaf_end(block, child)
@@ -168,52 +168,50 @@ def _visit_leaf(leaf, tree, child, rays, memory, small):
     return hit_count
 
 
-class Float64Leaf(NamedTuple):
-    """Leaves in float64; see `group_stream.block_trace`."""
+class Float64GroupLeaf(NamedTuple):
+    """Leaves of triangles in float64; see `group_stream.trace_block`.
 
+    Attributes
+    ----------
+    visit : device function
+    spans, wants_any
+        See `best.Float64Best`.
+    """
+
+    visit: Any
     spans: np.uint64
     wants_any: bool
 
 
+# The kernel
+
+
 @device
-def _search_leaf(tree, child, rays, memory, small, wants_any, leaf):
-    return _visit_leaf(leaf, tree, child, rays, memory, small)
+def _load(memory, source, first, last, scene, wanted):
+    count, ray_count, group_count = load_block(memory, source, first, last, False)
+    _load_rays(memory, source, first, last)
+    return count, ray_count, group_count
 
 
-_trace_block = device(block_trace(_search_leaf))
+@device
+def _trace(memory, count, ray_count, scene, source, wanted):
+    stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
+    leaf = Float64GroupLeaf(_visit_leaf, scratch(SPAN_BYTES), wanted.wants_any)
+    trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
 
 
-@kernel
-def trace_float64_groups(begin, end, tree, source, wants_any, out, memory):
-    """Trace packets begin to end.
+@device
+def _finish(memory, source, first, last, scene, group_count, wanted):
+    own, g = (scratch(STACK_BYTES), scratch(LANES_BYTES)), ZERO_U64
+    for packet in range(first, last):
+        for row in range(GROUPS):
+            ray, length = group_rows(source.order, packet, row)
+            if length != ZERO_U64:
+                at, any_ = _group_at(memory, g), wanted.wants_any
+                finish_rays(at, ray, length, scene, source.frame, any_, wanted.out, own)
+                g += ONE_U64
 
-    Parameters
-    ----------
-    begin, end : int
-    tree : Float64Tree
-        With nodes.
-    source : Float64Packets
-    wants_any : bool
-        Find whether there is a hit, else the nearest one.
-    out : ResultAddresses
-        Its hits are of float64.
-    memory : int
-        Address of `WORKING_BYTES` bytes; a multiple of 64.
-    """
-    memory, packets = np.uint64(memory), source.packets
-    stack, own = scratch(STREAM_STACK_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
-    small, groups = Small(scratch(SMALL_BYTES)), memory + LISTS_AT
-    leaf = Float64Leaf(scratch(SPAN_BYTES), wants_any)
-    for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
-        last = min(first + _PACKETS, np.uint64(end))
-        count, ray_count = load_block(memory, packets, first, last, groups, False)
-        _load(memory, first, last, source)
-        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, leaf)
-        g = ZERO_U64
-        for packet in range(first, last):
-            for row in range(GROUPS):
-                ray, length = group_rows(packets.order, packet, row)
-                if length != ZERO_U64:
-                    at = _group_at(memory, g)
-                    finish_rays(at, ray, length, tree, packets.frame, wants_any, out, own)
-                    g += ONE_U64
+
+#: The nearest or any hits of a `Float64Packets`, for a `packet_queries.NearestWanted`; in
+#: `WORKING_BYTES` bytes.
+trace_groups = group_kernel(_load, _trace, _finish, BLOCK_RAYS // PACKET_RAYS)

@@ -298,7 +298,8 @@ class HitAccumulator:
         """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
         splits = np.zeros(len(self._counts) + 1, np.int64)
         np.cumsum(self._counts, out=splits[1:])
-        hits = allocate_hits(int(splits[-1]))
+        kind = self._parts[0].hits.t.dtype.type if self._parts else np.float32
+        hits = allocate_hits(int(splits[-1]), kind)
         nexts = splits[:-1].copy()
 
         def body(begin: int, end: int) -> None:

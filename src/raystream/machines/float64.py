@@ -12,7 +12,7 @@ from raystream.core.rays import RayBatch, as_real_array
 from raystream.float64.queries import Float64Source
 from raystream.float64.structure import Float64Structure
 from raystream.jit.threads import Progress, parallel_for
-from raystream.kernels.hits import Sink
+from raystream.kernels.hits import HitAccumulator, Sink
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
 from raystream.machines.batch import batch_bytes, call_size, trace_batch
@@ -83,7 +83,13 @@ class Float64Backend(Backend):
     ) -> None:
         """Run a query; see `Backend.run`."""
         loops = self.structure.loops
-        if trace_batch(self.structure, query, rays, sink, progress):
+        if query.kind is Kind.MULTI_HIT and sink.visitor is None and query.limit > len(rays):
+            hits = HitAccumulator(len(rays))
+            part = Sink(sink.status, visitor=hits.take)
+            if trace_batch(self.structure, query, rays, part, progress):
+                sink.put(*hits.whole())
+                return
+        elif trace_batch(self.structure, query, rays, sink, progress):
             return
         if query.kind is Kind.FIRST_HIT:
             self._loop(loops.first_hit, rays, sink.status, (sink.hits,), progress)
