@@ -157,11 +157,11 @@ def offer_hits(best, k, found, sure, block):
     Parameters
     ----------
     best : Float64Best
-        Its `spans` are as `block.test_block` wrote them.
+        Its `spans` are as `block.test_ray` wrote them.
     k : uint64
         The ray's lane.
     found, sure : uint64
-        See `block.test_block`.
+        See `block.test_ray`.
     block : uint64
     """
     is_kept = False

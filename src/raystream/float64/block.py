@@ -184,13 +184,27 @@ def load_corners(at):
 
 
 @device
+def edges_of(block):
+    """Vertices 0 of a block's triangles, and their edges: see `triangle_edges`."""
+    a = load_corners(block)
+    return a, triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
+
+
+@device
 def test_block(block, line, t_min, t_far, lanes):
+    """`test_ray` with the triangles of the block at an address."""
+    a, edges = edges_of(block)
+    return test_ray(a, edges, line, t_min, t_far, lanes)
+
+
+@device
+def test_ray(a, edges, line, t_min, t_far, lanes):
     """Test the triangles of a block against a ray.
 
     Parameters
     ----------
-    block : uint64
-        Address.
+    a, edges : tuple
+        See `edges_of`.
     line : Line
     t_min, t_far : float64
         Hits are wanted in this interval.
@@ -202,8 +216,6 @@ def test_block(block, line, t_min, t_far, lanes):
     found, sure : uint64
         Bits of the lanes that may be hit; and of those that are hit for sure.
     """
-    a = load_corners(block)
-    edges = triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
     hits = test_lanes(a, edges, line.origin, line.direction, t_min, t_far, None)
     found = mask_bits(hits.found)
     if found != ZERO_U64:

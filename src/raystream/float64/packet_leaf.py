@@ -24,12 +24,11 @@ from raystream.float64.block import (
     PRIM_IDS,
     SECOND,
     THIRD,
+    edges_of,
     leaf_end,
     load_corner,
-    load_corners,
-    test_block,
     test_lanes,
-    triangle_edges,
+    test_ray,
 )
 from raystream.float64.exact import barycentrics, estimate, resolve
 from raystream.float64.group_rays import GROUP_BYTES, Float64Group, Float64Lanes, exact_ray
@@ -59,7 +58,7 @@ from raystream.structures.bvh.packet_rays import GROUP, three
 
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
 #: against one triangle.
-_FEW = np.uint64(4)
+_FEW = np.uint64(6)
 
 #: What the tests take of a block's triangles, see `block.triangle_edges`; and with a lane index.
 _EDGES = np.dtype([*((name, "f8", (3, 4)) for name in ("a", "p", "q", "n")), ("h", "f8", (1, 4))])
@@ -85,7 +84,7 @@ class Float64Leaf(NamedTuple):
         with the triangle at an address; returns whether a ray's search is shorter now.
     keep_hits : device function
         ``keep_hits(leaf, packet, g, k, found, sure, block)`` takes those of a ray with some
-        triangles of a block, of which `block.test_block` returned the bits; likewise.
+        triangles of a block, of which `block.test_ray` returned the bits; likewise.
     surfaces : bool
         See `exact.resolve`.
     wants_any : bool
@@ -121,8 +120,7 @@ def _triple(rows, lane):
 
 @device
 def _write_edges(block, edges):
-    a = load_corners(block)
-    p, q, n, h = triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
+    a, (p, q, n, h) = edges_of(block)
     _put(edges.a, a)
     _put(edges.p, p)
     _put(edges.q, q)
@@ -137,14 +135,15 @@ def _best_of(leaf, packet, g):
 
 
 @device
-def _test_rays(leaf, packet, g, bits, block):
+def _test_rays(leaf, packet, g, bits, block, edges):
     """Test a block against some rays of a group; returns whether a ray's search is shorter now."""
-    lanes, has_hit = Float64Lanes(leaf.rays, g), False
+    lanes, has_hit, a = Float64Lanes(leaf.rays, g), False, three(edges.a)
+    edges = three(edges.p), three(edges.q), three(edges.n), edges.h[_X]
     while bits != ZERO_U64:
         k = count_trailing_zeros(bits)
         bits &= bits - ONE_U64
         line = exact_ray(lanes, k)
-        found, sure = test_block(block, line, line.t_min, lanes.far[k], leaf.spans)
+        found, sure = test_ray(a, edges, line, line.t_min, lanes.far[k], leaf.spans)
         if found != ZERO_U64:
             has_hit |= leaf.keep_hits(leaf, packet, g, k, found, sure, block)
     return has_hit
@@ -180,7 +179,7 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
             if bits == ZERO_U64:
                 continue
             if popcount(bits) <= _FEW:
-                has_hit |= _test_rays(leaf, packet, g, bits, block)
+                has_hit |= _test_rays(leaf, packet, g, bits, block, _Edges(at))
                 continue
             for lane in range(_BLOCK_LANES):
                 prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))

@@ -16,10 +16,11 @@ from raystream.float64.block import (
     PRIM_IDS,
     SECOND,
     THIRD,
+    edges_of,
     leaf_end,
     load_corner,
-    test_block,
     test_lanes,
+    test_ray,
     triangle_edges,
 )
 from raystream.float64.group_rays import (
@@ -140,13 +141,13 @@ def _test_groups(leaf, block, groups, count, memory):
 @device
 def _test_rays(leaf, block, rays, count, memory):
     """Test a block's triangles against the rays of a list; returns the number of nearer hits."""
-    hit_count = ZERO_U64
+    hit_count, (a, edges) = ZERO_U64, edges_of(block)
     for j in range(count):
         number = np.uint64(load(np.uint32, rays + j * LANE))
         g, k = number >> LANE_SHIFT, number & LAST_LANE
         lanes = Float64Lanes(_group_at(memory, g))
         line = exact_ray(lanes, k)
-        found, sure = test_block(block, line, line.t_min, lanes.far[k], leaf.spans)
+        found, sure = test_ray(a, edges, line, line.t_min, lanes.far[k], leaf.spans)
         if found != ZERO_U64 and offer_hits(_best_of(leaf, memory, g), k, found, sure, block):
             hit_count += ONE_U64
             _copy_limits(memory, g, ONE_U64 << k)

@@ -260,9 +260,12 @@ class HitAccumulator:
     ----------
     ray_count : int
         Rays of the batch.
+    kind : type
+        Of t, u and v.
     """
 
-    def __init__(self, ray_count: int) -> None:
+    def __init__(self, ray_count: int, kind: type[np.floating[Any]] = np.float32) -> None:
+        self._kind = kind
         self._counts = np.zeros(ray_count, np.int64)
         self._parts: list[HitBatch] = []
         self._in_order = False
@@ -298,8 +301,7 @@ class HitAccumulator:
         """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
         splits = np.zeros(len(self._counts) + 1, np.int64)
         np.cumsum(self._counts, out=splits[1:])
-        kind = self._parts[0].hits.t.dtype.type if self._parts else np.float32
-        hits = allocate_hits(int(splits[-1]), kind)
+        hits = allocate_hits(int(splits[-1]), self._kind)
         nexts = splits[:-1].copy()
 
         def body(begin: int, end: int) -> None:

@@ -84,7 +84,7 @@ class Float64Backend(Backend):
         """Run a query; see `Backend.run`."""
         loops = self.structure.loops
         if query.kind is Kind.MULTI_HIT and sink.visitor is None and query.limit > len(rays):
-            hits = HitAccumulator(len(rays))
+            hits = HitAccumulator(len(rays), np.float64)
             part = Sink(sink.status, visitor=hits.take)
             if trace_batch(self.structure, query, rays, part, progress):
                 sink.put(*hits.whole())
