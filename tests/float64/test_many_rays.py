@@ -28,7 +28,9 @@ def assert_same_bits(scene, kernels, origins, directions, **limits):
     wanted = answers_of(single, origins, directions, **limits)
     for kernel in kernels:
         tracer = rs.Tracer(scene, rs.Bvh(kernel=kernel), precision="float64")
-        for one, other in zip(answers_of(tracer, origins, directions, **limits), wanted):
+        for one, other in zip(
+            answers_of(tracer, origins, directions, **limits), wanted, strict=True
+        ):
             assert one.dtype == other.dtype
             assert one.tobytes() == other.tobytes()
     return wanted

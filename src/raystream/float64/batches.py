@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,15 +11,14 @@ import numpy as np
 from raystream.core.query import Kind
 from raystream.float64.group_rays import Float64Packets
 from raystream.float64.packets import FLOAT64_ALL, FLOAT64_COUNTS, trace_packets
-from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_groups
+from raystream.float64.stream import BLOCK_PACKETS, WORKING_BYTES, count_in_groups, trace_groups
 from raystream.jit.constants import ZERO_U64
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_multi_hit import count_all, counting_kernel, visiting_kernel
 from raystream.structures.bvh.packet_queries import TREES, NearestWanted
-from raystream.structures.bvh.packet_rays import PACKET_RAYS
 
 if TYPE_CHECKING:
     from raystream.float64.structure import Float64Structure
@@ -59,21 +60,27 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
 #: take three quarters of the time that they take on two.
 _LEAST = 4
 
+
+def _of_groups(bind: Callable[..., Calls]) -> BatchKernel:
+    return BatchKernel(bind, _LEAST, BLOCK_PACKETS, share=4, memory_bytes=WORKING_BYTES)
+
+
 _KERNELS = {
     "packet": BatchKernel(_packets, _LEAST, 64, share=4, is_tiled=True),
-    "groups": BatchKernel(
-        _groups, _LEAST, BLOCK_RAYS // PACKET_RAYS, share=4, memory_bytes=WORKING_BYTES
-    ),
+    "groups": _of_groups(_groups),
 }
 
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
 _VISITED = visiting_kernel(TREES, FLOAT64_ALL, _source)
-_COUNTED = counting_kernel(TREES, FLOAT64_COUNTS, _source)
+_COUNTED = {
+    "packet": counting_kernel(TREES, FLOAT64_COUNTS, _source),
+    "groups": _of_groups(partial(count_all, count_in_groups, _source)),
+}
 
 #: The kernels by the kind of query, for trees that are not empty.
 BATCH_KERNELS = {
     Kind.FIRST_HIT: _NEAREST,
     Kind.ANY_HIT: _NEAREST,
     Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, _FEW),
-    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited, _FEW),
+    Kind.COUNT_HITS: BatchKernels(_COUNTED, _suited, _FEW),
 }

@@ -9,62 +9,160 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.core.query import UNLIMITED
-from raystream.core.rays import RayStatus
+from raystream.float64.best import SPAN_BYTES
+from raystream.float64.block import BLOCK, PRIM_IDS, edges_of, leaf_end
+from raystream.float64.counts import finish_counts, rays_alone
 from raystream.float64.group_rays import (
-    ALONE,
     GROUP_BYTES,
-    INVALID,
-    Float64Group,
     Float64Lanes,
     exact_ray,
     finish_rays,
     load_rays,
 )
-from raystream.float64.packet_leaf import collecting_leaf, counting_leaf, nearest_leaf
+from raystream.float64.leaf import (
+    Float64Leaf,
+    collecting_kind,
+    counting_kind,
+    nearest_kind,
+    test_group,
+    test_one,
+)
 from raystream.float64.queries import LANES_BYTES, tree_searches
 from raystream.float64.ray import ray_of_line
 from raystream.float64.rows import FLOAT64_ROWS
 from raystream.float64.traversal import STACK_BYTES
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.copies import Copies
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import any_lane, scratch, store
+from raystream.jit.simd import (
+    count_trailing_zeros,
+    lanes_from_bits,
+    load,
+    mask16,
+    popcount,
+    scratch,
+    store,
+)
+from raystream.jit.views import view
 from raystream.kernels.hits import HitAddresses
-from raystream.structures.bvh.leaf_kinds import CountsLanes
+from raystream.structures.bvh.leaf_kinds import no_prefetch
+from raystream.structures.bvh.node_layout import leaf_address
 from raystream.structures.bvh.packet_hits import Buffers, Collector, has_room
+from raystream.structures.bvh.packet_leaf import entering_rays
 from raystream.structures.bvh.packet_multi_hit import ROWS, row_transform, start_rows
-from raystream.structures.bvh.packet_queries import COUNTS, TREES, PacketAnswer, packet_kernel
-from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, GroupLanes, group_rows
+from raystream.structures.bvh.packet_queries import TREES, PacketAnswer, packet_kernel
+from raystream.structures.bvh.packet_rays import (
+    GROUP,
+    GROUPS,
+    PACKET_RAYS,
+    GroupLanes,
+    group_rows,
+    three,
+)
+
+#: What the tests take of a block's triangles, see `block.edges_of`; and with a lane index.
+_EDGES = np.dtype([*((name, "f8", (3, 4)) for name in "apqn"), ("h", "f8", 4)])
+_EDGES_BYTES = _EDGES.itemsize
+_Edges = view(_EDGES)
+_EdgesLanes = view([*((name, "f8", (3, 4, 1)) for name in "apqn"), ("h", "f8", (4, 1))])
 
 #: Where a packet's groups in float64 are in the state of an answer: behind that of `ROWS`.
 _RAYS_AT = np.uint64(-(-ROWS.byte_count // 64) * 64)
 _STATE_BYTES = int(_RAYS_AT) + int(GROUP_BYTES) * PACKET_RAYS // 16
 
-_NONE = np.int32(0)
+_LIMITS_AT = np.uint64(GROUP.fields["t_active"][1])
+_BLOCK_LANES = np.uint64(4)
+_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _UNIT = np.float64(1.0)
-_UNLIMITED = np.uint64(UNLIMITED)
+
+
+# Leaves
 
 
 @device
-def _load_rays(packet, number, slow_groups, source, state):
-    """Load the rays of a packet in float64, after `load_packet`; returns their address."""
+def _put(rows, x):
+    rows[_X], rows[_Y], rows[_Z] = x
+
+
+@device
+def _of_lane(rows, lane):
+    return rows[_X, lane], rows[_Y, lane], rows[_Z, lane]
+
+
+@device
+def _test_triangles(leaf, packet, g, bits, block, edges):
+    """Test a block against rays of a group, 16 at once; returns whether a search is shorter now."""
+    has_hit = False
+    for lane in range(_BLOCK_LANES):
+        prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+        if prim_id < np.int32(0):
+            break
+        p, q, n = _of_lane(edges.p, lane), _of_lane(edges.q, lane), _of_lane(edges.n, lane)
+        triangle = _of_lane(edges.a, lane), (p, q, n, edges.h[lane])
+        place, allowed = block + (lane << SHIFT_64), lanes_from_bits(mask16, bits)
+        kept = test_group(leaf, packet, g, allowed, place, triangle, prim_id)
+        has_hit |= kept != ZERO_U64
+    return has_hit
+
+
+@device
+def _test_rays(leaf, packet, g, bits, block, edges):
+    """Test a block against rays of a group one by one; returns whether a search is shorter now."""
+    has_hit = False
+    triangles = three(edges.a), (three(edges.p), three(edges.q), three(edges.n), edges.h)
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        has_hit |= test_one(leaf, packet, g, k, block, triangles)
+    return has_hit
+
+
+@device
+def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
+    """Test a leaf in float64; see `packet_leaf.visit_leaf`."""
+    at, has_hit = scratch(_EDGES_BYTES), False
+    edges, lanes = _Edges(at), _EdgesLanes(at)
+    block = leaf_address(leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
+        a, (p, q, n, edges.h) = edges_of(block)
+        _put(edges.a, a)
+        _put(edges.p, p)
+        _put(edges.q, q)
+        _put(edges.n, n)
+        for g in range(groups.first, groups.last + ONE_U64):
+            bits = entering_rays(packet, g, box, rays)
+            if bits == ZERO_U64:
+                continue
+            if popcount(bits) <= leaf.kind.few:
+                has_hit |= _test_rays(leaf, packet, g, bits, block, edges)
+            else:
+                has_hit |= _test_triangles(leaf, packet, g, bits, block, lanes)
+        block += BLOCK
+    return has_hit
+
+
+# Packets
+
+
+@device
+def _load_rays(packet, number, slow_groups, source, state, kind):
+    """Load the rays of a packet in float64, after `load_packet`; returns its leaves."""
+    rays = state + _RAYS_AT
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
         if count != ZERO_U64:
             is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
-            at = state + _RAYS_AT + g * GROUP_BYTES
+            at = rays + g * GROUP_BYTES
             load_rays(at, source, first, count, is_slow, GroupLanes(packet, g))
-    return state + _RAYS_AT
-
-
-# The nearest or any hits
+    return Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, scratch(SPAN_BYTES))
 
 
 @device
 def _begin_nearest(packet, number, slow_groups, source, wanted, state):
-    return nearest_leaf(wanted.wants_any, _load_rays(packet, number, slow_groups, source, state))
+    kind = nearest_kind(wanted.wants_any)
+    return _load_rays(packet, number, slow_groups, source, state, kind)
 
 
 @device
@@ -78,42 +176,50 @@ def _store_nearest(packet, number, slow_groups, source, scene, wanted, state):
     return True
 
 
-# All hits, counted or collected
+@device
+def _begin_counts(packet, number, slow_groups, source, wanted, state):
+    kind = counting_kind(wanted.surfaces)
+    return _load_rays(packet, number, slow_groups, source, state, kind)
 
 
 @device
-def _finish_alone(finish, packet, number, source, scene, wanted, state):
-    """Finish the rays that are traced by themselves; report those that are invalid."""
+def _store_counts(packet, number, slow_groups, source, scene, wanted, state):
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
-        at = state + _RAYS_AT + g * GROUP_BYTES
-        if count == ZERO_U64 or not any_lane(Float64Group(at).state != _NONE):
+        if count != ZERO_U64:
+            finish_counts(packet, g, state + _RAYS_AT, first, count, source, scene, wanted)
+    return True
+
+
+@device
+def _begin_rows(packet, number, slow_groups, source, wanted, state):
+    hits = start_rows(number, slow_groups, source, wanted, state)
+    kind = collecting_kind(wanted.surfaces, hits)
+    return _load_rays(packet, number, slow_groups, source, state, kind)
+
+
+@device
+def _store_rows(packet, number, slow_groups, source, scene, wanted, state):
+    for g in range(GROUPS):
+        first, count = group_rows(source.order, number, g)
+        if count == ZERO_U64:
             continue
-        lanes = Float64Lanes(at)
-        for k in range(count):
-            if lanes.state[k] & INVALID:
-                store(source.status + first + k, np.uint8(RayStatus.INVALID))
-            if lanes.state[k] & ALONE:
-                finish(packet, g, k, source.frame, scene, wanted, state)
+        alone = rays_alone(state + _RAYS_AT, g, first, count, source.status)
+        while alone != ZERO_U64:
+            k = count_trailing_zeros(alone)
+            alone &= alone - ONE_U64
+            _collect_alone(g, k, source.frame, scene, wanted.surfaces, state)
+    return _store_found(packet, number, slow_groups, source, scene, wanted, state)
 
 
 @device_call
-def _count_alone(packet, g, k, frame, scene, wanted, state):
-    no_inline()
-    lanes = Float64Lanes(state + _RAYS_AT, g)
-    ray = ray_of_line(exact_ray(lanes, k), _UNIT, _UNIT, np.uint8(0), frame)
-    memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-    total = _count(scene, ray, _UNLIMITED, wanted.surfaces, memory)
-    CountsLanes(packet, g).count[k] = np.int32(total)
-
-
-@device_call
-def _collect_alone(packet, g, k, frame, scene, wanted, state):
+def _collect_alone(g, k, frame, scene, surfaces, state):
+    """Collect the hits of a ray that is traced by itself."""
     no_inline()
     hits, lanes = Collector(state), Float64Lanes(state + _RAYS_AT, g)
     if not has_room(hits):
         return
-    half, rest = _UNIT, _UNIT
+    half, rest = _UNIT, _UNIT  # as they are sorted
     if hits.in_world != ZERO_U64:
         half, rest = lanes.half[k], lanes.rest[k]
     ray = ray_of_line(exact_ray(lanes, k), half, rest, np.uint8(0), frame)
@@ -122,33 +228,9 @@ def _collect_alone(packet, g, k, frame, scene, wanted, state):
     rows = HitAddresses(found.t, found.u, found.v, found.prim_id)
     # If all rows become full, there is no room for the packet.
     room = hits.capacity - first
-    hits.count += _keep(scene, ray, room, rows, first, wanted.surfaces, memory)
+    hits.count += _keep(scene, ray, room, rows, first, surfaces, memory)
     for row in range(first, hits.count):
         store(found.ray + (row << SHIFT_32), hits.first_rays[g] + np.int32(k))
-
-
-@device
-def _begin_counts(packet, number, slow_groups, source, wanted, state):
-    return counting_leaf(wanted.surfaces, _load_rays(packet, number, slow_groups, source, state))
-
-
-@device
-def _store_counts(packet, number, slow_groups, source, scene, wanted, state):
-    _finish_alone(_count_alone, packet, number, source, scene, wanted, state)
-    return _store_found_counts(packet, number, slow_groups, source, scene, wanted, state)
-
-
-@device
-def _begin_rows(packet, number, slow_groups, source, wanted, state):
-    rays = _load_rays(packet, number, slow_groups, source, state)
-    hits = start_rows(number, slow_groups, source, wanted, state)
-    return collecting_leaf(wanted.surfaces, rays, hits)
-
-
-@device
-def _store_rows(packet, number, slow_groups, source, scene, wanted, state):
-    _finish_alone(_collect_alone, packet, number, source, scene, wanted, state)
-    return _store_found_rows(packet, number, slow_groups, source, scene, wanted, state)
 
 
 class _Lengths(NamedTuple):
@@ -164,11 +246,8 @@ def _lengths_of(packet, g, lane, slow_groups, state):
     return _Lengths(lanes.half[lane], lanes.rest[lane])
 
 
-_count, _keep = tree_searches.count, tree_searches.keep
-_store_found_counts = COUNTS.finish
-_store_found_rows = Copies("of_float64", {**FLOAT64_ROWS, row_transform: _lengths_of}).of(
-    ROWS.finish
-)
+_keep = tree_searches.keep
+_store_found = Copies("of_float64", {**FLOAT64_ROWS, row_transform: _lengths_of}).of(ROWS.finish)
 
 #: Kernels for a `Float64Packets`, as those of `packet_queries`.
 trace_packets = packet_kernel(TREES, PacketAnswer(_begin_nearest, _store_nearest, _STATE_BYTES))

@@ -6,11 +6,9 @@ triangles in float64.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
-from raystream.float64.best import SPAN_BYTES, Float64Best, offer_hits, offer_lanes
+from raystream.float64.best import SPAN_BYTES
 from raystream.float64.block import (
     BLOCK,
     PRIM_IDS,
@@ -19,18 +17,11 @@ from raystream.float64.block import (
     edges_of,
     leaf_end,
     load_corner,
-    test_lanes,
-    test_ray,
     triangle_edges,
 )
-from raystream.float64.group_rays import (
-    GROUP_BYTES,
-    Float64Group,
-    Float64Lanes,
-    exact_ray,
-    finish_rays,
-    load_rays,
-)
+from raystream.float64.counts import finish_counts
+from raystream.float64.group_rays import GROUP_BYTES, finish_rays, load_rays
+from raystream.float64.leaf import Float64Leaf, counting_kind, nearest_kind, test_group, test_one
 from raystream.float64.queries import LANES_BYTES
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
@@ -54,6 +45,7 @@ from raystream.structures.bvh.group_rays import (
     load_block,
 )
 from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, trace_block
+from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import LANE, leaf_address
 from raystream.structures.bvh.packet_rays import (
     GROUP,
@@ -61,16 +53,16 @@ from raystream.structures.bvh.packet_rays import (
     PACKET_RAYS,
     GroupLanes,
     group_rows,
-    three,
 )
 
 #: Rays that descend the tree together.
 BLOCK_RAYS = 4096
+BLOCK_PACKETS = BLOCK_RAYS // PACKET_RAYS
 
 _GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
 
 #: A group's limits: the ends of its rays' intervals.
-_LOCAL_BYTES, _LIMITS_AT = np.uint64(GROUP.itemsize), np.uint64(GROUP.fields["t"][1])
+_LIMITS_AT = np.uint64(GROUP.fields["t"][1])
 
 #: Bytes of memory of a call, of which most are never touched.
 WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * int(GROUP_BYTES) + 64
@@ -111,14 +103,8 @@ def _copy_limits(memory, g, bits):
 
 
 @device
-def _best_of(leaf, memory, g):
-    limits = memory + g * _LOCAL_BYTES + _LIMITS_AT
-    return Float64Best(_group_at(memory, g), limits, leaf.spans, leaf.wants_any)
-
-
-@device
 def _test_groups(leaf, block, groups, count, memory):
-    """Test a block's triangles against the groups of a list; returns the number of nearer hits."""
+    """Test a block against the groups of a list; returns how many have a shorter search now."""
     hit_count = ZERO_U64
     for lane in range(_BLOCK_LANES):
         prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
@@ -126,13 +112,10 @@ def _test_groups(leaf, block, groups, count, memory):
             break
         place = block + (lane << SHIFT_64)
         a = load_corner(place)
-        edges = triangle_edges(a, load_corner(place + SECOND), load_corner(place + THIRD))
+        triangle = a, triangle_edges(a, load_corner(place + SECOND), load_corner(place + THIRD))
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            group = Float64Group(_group_at(memory, g))
-            origin, direction = three(group.origin), three(group.direction)
-            hits = test_lanes(a, edges, origin, direction, group.t_min, group.far, None)
-            bits = offer_lanes(_best_of(leaf, memory, g), hits, place, prim_id)
+            bits = test_group(leaf, memory, g, None, place, triangle, prim_id)
             hit_count += np.uint64(bits != ZERO_U64)
             _copy_limits(memory, g, bits)
     return hit_count
@@ -140,15 +123,12 @@ def _test_groups(leaf, block, groups, count, memory):
 
 @device
 def _test_rays(leaf, block, rays, count, memory):
-    """Test a block's triangles against the rays of a list; returns the number of nearer hits."""
-    hit_count, (a, edges) = ZERO_U64, edges_of(block)
+    """Test a block against the rays of a list; likewise."""
+    hit_count, triangles = ZERO_U64, edges_of(block)
     for j in range(count):
         number = np.uint64(load(np.uint32, rays + j * LANE))
         g, k = number >> LANE_SHIFT, number & LAST_LANE
-        lanes = Float64Lanes(_group_at(memory, g))
-        line = exact_ray(lanes, k)
-        found, sure = test_ray(a, edges, line, line.t_min, lanes.far[k], leaf.spans)
-        if found != ZERO_U64 and offer_hits(_best_of(leaf, memory, g), k, found, sure, block):
+        if test_one(leaf, memory, g, k, block, triangles):
             hit_count += ONE_U64
             _copy_limits(memory, g, ONE_U64 << k)
     return hit_count
@@ -169,21 +149,6 @@ def _visit_leaf(leaf, tree, child, rays, memory, small):
     return hit_count
 
 
-class Float64GroupLeaf(NamedTuple):
-    """Leaves of triangles in float64; see `group_stream.trace_block`.
-
-    Attributes
-    ----------
-    visit : device function
-    spans, wants_any
-        See `best.Float64Best`.
-    """
-
-    visit: Any
-    spans: np.uint64
-    wants_any: bool
-
-
 # The kernel
 
 
@@ -195,14 +160,20 @@ def _load(memory, source, first, last, scene, wanted):
 
 
 @device
-def _trace(memory, count, ray_count, scene, source, wanted):
+def _trace(memory, count, ray_count, scene, kind):
     stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
-    leaf = Float64GroupLeaf(_visit_leaf, scratch(SPAN_BYTES), wanted.wants_any)
+    rays, spans = memory + _GROUPS_AT, scratch(SPAN_BYTES)
+    leaf = Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, spans)
     trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
 
 
 @device
-def _finish(memory, source, first, last, scene, group_count, wanted):
+def _trace_nearest(memory, count, ray_count, scene, source, wanted):
+    _trace(memory, count, ray_count, scene, nearest_kind(wanted.wants_any))
+
+
+@device
+def _store_nearest(memory, source, first, last, scene, group_count, wanted):
     own, g = (scratch(STACK_BYTES), scratch(LANES_BYTES)), ZERO_U64
     for packet in range(first, last):
         for row in range(GROUPS):
@@ -213,6 +184,23 @@ def _finish(memory, source, first, last, scene, group_count, wanted):
                 g += ONE_U64
 
 
+@device
+def _trace_counts(memory, count, ray_count, scene, source, wanted):
+    _trace(memory, count, ray_count, scene, counting_kind(wanted.surfaces))
+
+
+@device
+def _store_counts(memory, source, first, last, scene, group_count, wanted):
+    rays, g = memory + _GROUPS_AT, ZERO_U64
+    for packet in range(first, last):
+        for row in range(GROUPS):
+            ray, length = group_rows(source.order, packet, row)
+            if length != ZERO_U64:
+                finish_counts(memory, g, rays, ray, length, source, scene, wanted)
+                g += ONE_U64
+
+
 #: The nearest or any hits of a `Float64Packets`, for a `packet_queries.NearestWanted`; in
-#: `WORKING_BYTES` bytes.
-trace_groups = group_kernel(_load, _trace, _finish, BLOCK_RAYS // PACKET_RAYS)
+#: `WORKING_BYTES` bytes. The numbers of its hits, for a `CountsWanted`.
+trace_groups = group_kernel(_load, _trace_nearest, _store_nearest, BLOCK_PACKETS)
+count_in_groups = group_kernel(_load, _trace_counts, _store_counts, BLOCK_PACKETS)

@@ -260,9 +260,10 @@ def _visit_all(
     return GrowingBuffers(buffers_of, fill, FIRST_CAPACITY), ()
 
 
-def _count_all(
-    trace: Callable[..., int], source_of: SourceOf, structure: Structure, batch: Batch
+def count_all(
+    trace: Callable[..., object], source_of: SourceOf, structure: Structure, batch: Batch
 ) -> Calls:
+    """Count the hits of packets; see `BatchKernel.bind`."""
     wanted = CountsWanted(batch.query.surfaces, np.uint64(batch.sink.counts.ctypes.data))
     return trace, (structure.arrays, source_of(structure, batch), wanted)
 
@@ -279,5 +280,5 @@ def counting_kernel(
     scenes: PacketScene, answer: PacketAnswer = COUNTS, source_of: SourceOf = plain_source
 ) -> BatchKernel:
     """The kernel that counts the hits of packets."""
-    bind = partial(_count_all, packet_kernel(scenes, answer), source_of)
+    bind = partial(count_all, packet_kernel(scenes, answer), source_of)
     return BatchKernel(bind, 8, COUNTED_PER_CALL, is_tiled=True)
