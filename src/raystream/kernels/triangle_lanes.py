@@ -215,7 +215,8 @@ def intersect_lanes(sheared, signs, box, limits, plane, surfaces):
     limits : tuple of two float32 vectors or numbers
         Closed intervals in which hits are wanted.
     plane : tuple
-        A device function, and the tuple of its arguments: the distance to the triangles' planes.
+        The tuple of a device function's arguments, and the function: the distance to the
+        triangles' planes. (Numba warns of a tuple that begins with a function.)
     surfaces : bool
 
     Returns
@@ -224,7 +225,7 @@ def intersect_lanes(sheared, signs, box, limits, plane, surfaces):
     t, u, v : float32 vector
         Of these lanes.
     """
-    (t_in, t_out), (t_min, t_far), (distance, arguments) = box, limits, plane
+    (t_in, t_out), (t_min, t_far), (arguments, distance) = box, limits, plane
     hit = signs & (t_in <= t_out) & (t_in <= t_far) & (t_out >= t_min)
     t = u = v = sheared.az
     if any_lane(hit):

@@ -202,7 +202,7 @@ def _test_with_group(leaf, g, memory, block, lane, normal):
     low_z, high_z = _extent_of(corners, _Z, lane)
     inv, low, high = three(group.inv), three(group.near), three(group.far)
     box = interval(low_x, low_y, low_z, high_x, high_y, high_z, inv, low, high)
-    limits, plane = (group.t_min, group.t), (_group_distance, (is_y, is_z, a, normal, lane, group))
+    limits, plane = (group.t_min, group.t), ((is_y, is_z, a, normal, lane, group), _group_distance)
     hit, t, u, v = intersect_lanes(sheared, candidates, box, limits, plane, False)
     return _keep_lanes(leaf, memory, g, hit, t, u, v, block.prim_ids[lane])
 
@@ -249,7 +249,7 @@ def _with_rays(leaf, block, rays, count, memory, small):
         box = interval(low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high)
         sheared = _sheared(hot, cold, block)
         signs, limits = signs_agree(sheared), (hot.t_min, hot.t)
-        plane = _distances, (hot, cold, block, small)
+        plane = (hot, cold, block, small), _distances
         hit, t, u, v = intersect_lanes(sheared, signs, box, limits, plane, False)
         bits = mask_bits(hit)
         if bits != ZERO_U64:

@@ -237,7 +237,7 @@ def _test_triangle(leaf, packet, g, at, lane, rays, own):
     )
     interval, limits = _group_interval(group, box), (group.t_min, group.t_active)
     along = direction[kx], direction[ky], direction[kz]
-    plane, surfaces = (plane_distance, (a, b, c, origin, along)), leaf.kind.surfaces
+    plane, surfaces = ((a, b, c, origin, along), plane_distance), leaf.kind.surfaces
     hit, t, u, v = intersect_lanes(sheared, candidates, interval, limits, plane, surfaces)
     return leaf.kind.keep_lanes(leaf, packet, g, hit, t, u, v, block.prim_ids[lane])
 
