@@ -195,7 +195,8 @@ def test_rays_are_read_where_they_are(gpu, tracer, oracle, rays, launches):
         assert isinstance(hits, DeviceHits)
         expected = oracle.first_hit(arrays[0], arrays[1], t_max=arrays[2])
         assert_same(hits.host(), expected, *COLUMNS, "material_id", "shading_normals")
-        ((query, (source, *_)),) = launches
+        ((query, (scene, _)),) = launches
+        source = scene.source
         assert query == "first_hit", name  # and no kernel that packs
         if np.size(arrays[0]):
             assert source.origins == there[0].address, name

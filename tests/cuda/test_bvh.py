@@ -21,10 +21,10 @@ from raystream.core.rays import RayBatch
 from raystream.cuda.bvh import binary
 from raystream.cuda.bvh.binary import unfold
 from raystream.cuda.bvh.kernels import lay_out
-from raystream.cuda.query_kernels import RowAddresses
 from raystream.cuda.structures import kernels_of
 from raystream.kernels.hits import HitAddresses, HitArrays
-from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.kernels.queries import RayScene, RowAddresses
+from raystream.kernels.ray_source import RaySource
 from raystream.structures import build_structure
 from strategies import meshes, scenes_and_rays
 from test_agreement import case_of, expected_of
@@ -153,13 +153,12 @@ def traced(structure, case, splits):
     status = np.zeros(len(batch), np.uint8)
     first, many = HitArrays.empty(len(batch)), HitArrays.empty(int(splits[-1]))
     found = np.empty(len(batch), np.int64)
-    to = ResultAddresses(*map(address, first), NOWHERE, address(status))
-    rows = HitAddresses(*map(address, many))
-    to_rows = RowAddresses(address(splits), rows, address(found))
-    shared = source, structure.frame, tree, None
+    to, rows = (HitAddresses(*map(address, hits)) for hits in (first, many))
+    to_rows = RowAddresses(False, address(splits), rows, address(found))
+    shared = RayScene(source, structure.frame, tree, address(status), None, None)
     for i in map(np.uint64, range(len(batch))):
-        kernels.first_hit.function(i, *shared, to)
-        kernels.multi_hit.function(i, *shared, False, to_rows)
+        kernels.first_hit.function(i, shared, to)
+        kernels.multi_hit.function(i, shared, to_rows)
     np.testing.assert_array_equal(found, np.diff(splits))
     return first, many
 

@@ -11,7 +11,6 @@ from raystream.jit.intrinsics import (
     bits_above,
     corners_at,
     high_product,
-    row_address,
     sum_above,
 )
 from raystream.jit.simd import address
@@ -40,25 +39,6 @@ def test_corners_cannot_be_written_or_read_from_elsewhere():
         write(np.zeros((1, 3, 3), np.float32))
     with pytest.raises(TypingError):
         read(np.zeros((1, 3, 3), np.float32))
-
-
-def test_a_row_has_an_address_and_none_has_none():
-    @kernel
-    def distance(array, i):
-        row = row_address(array, np.uint64(i))
-        return row - address(array)
-
-    @kernel
-    def is_none(array, i):
-        return row_address(array, np.uint64(i)) is None
-
-    for array in (np.zeros((5, 8), np.uint32), np.zeros((5, 16))[1:, ::2]):
-        assert [distance(array, i) for i in range(4)] == [i * array.strides[0] for i in range(4)]
-        assert not is_none(array, 1)
-    assert is_none(None, 1)
-    for wrong in (np.zeros(5), 3):
-        with pytest.raises(TypingError):
-            is_none(wrong, 1)
 
 
 def test_high_product_is_the_upper_half(rng):

@@ -100,6 +100,7 @@ def case(request, rng):
         arrays_for=lambda *_: arrays,
         frame=SceneFrame.of(triangles),
         rays_per_call=lambda: 100,
+        least_rays=256,
         parts=parts,  # whose arrays are read by address
     )
     return Branching(brute), Branching(together), batch

@@ -6,7 +6,7 @@ import contextlib
 import enum
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,9 @@ class RayBatch:
         If an array does not hold real numbers.
     """
 
+    #: Bytes per ray of copies that are made of the caller's arrays.
+    copied_bytes: ClassVar[int] = 0
+
     shape: tuple[int, ...]
     origins: NDArray[Any]
     directions: NDArray[Any]
@@ -108,6 +111,11 @@ class RayBatch:
         self.origins = _rows(origins, shape)
         self.directions = _rows(directions, shape)
         self.limits = _limit("t_min", t_min, self.shape), _limit("t_max", t_max, self.shape)
+
+    @property
+    def exact_limits(self) -> Sequence[NDArray[Any]]:
+        """The limits as single rays are traced with them: `limits`, or the same in float64."""
+        return self.limits
 
     @property
     def t_min(self) -> NDArray[np.float32]:

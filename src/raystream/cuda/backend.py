@@ -83,8 +83,10 @@ class CudaBackend(Backend):
             HitIds(gpu, structure.triangles),
         )
         self._own_scene = None if has_binary_layout(traced_as(structure)) else self._scene
-        #: Whether the scene has triangles alone, where they are: for shading and programs.
-        self._is_plain = isinstance(structure.triangles, Triangles)
+        #: Whether the scene has triangles alone, where they are, in float32: for shading and
+        #: programs.
+        is_plain = isinstance(structure.triangles, Triangles)
+        self._is_plain = is_plain and structure.precision == "float32"
         self._staging_streams = StagingStreams(gpu)
         self._points: DevicePoints | None = None
         usual_limits(gpu)  # now, so that no query waits for them

@@ -14,6 +14,7 @@ from raystream.cuda.rays import DeviceRays, moved
 from raystream.cuda.structures import Resident
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
+from raystream.kernels.queries import RayScene
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.tally import ROW
 
@@ -88,10 +89,17 @@ class RayLauncher:
     def __len__(self) -> int:
         return len(self.rays)
 
-    def launch(self, kernel: RangeKernel, *arguments: Any, rows: slice | None = None) -> None:
+    def launch(
+        self,
+        kernel: RangeKernel,
+        out: Any,
+        *,
+        status: np.uint64 | None = None,
+        rows: slice | None = None,
+    ) -> None:
         """Launch a kernel of `QueryKernels` for each ray, or for some rows of them.
 
-        Does not wait. The addresses in `arguments` are those of the first of these rays.
+        Does not wait. `status` and the addresses in `out` are those of the first of these rays.
         """
         scene, tallies = self.scene, None
         start, end, _ = (rows or slice(None)).indices(len(self))
@@ -100,6 +108,6 @@ class RayLauncher:
         source, tree = self.rays.source_from(start), scene.resident.tree
         if self.rays.worlds is not None:
             tree = tree._replace(worlds=moved(self.rays.worlds, start, 4))
-        shared: tuple[Any, ...] = source, scene.frame, tree, tallies
+        shared = RayScene(source, scene.frame, tree, status, tallies, None)
         self.scope.follow()
-        self.scope.launch(kernel, end - start, (*shared, *arguments))
+        self.scope.launch(kernel, end - start, (shared, out))

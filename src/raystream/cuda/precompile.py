@@ -14,13 +14,13 @@ from raystream.cuda.hit_ids import HALVE, SPLIT, InstanceIds
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.point_kernels import nearest_kernel
 from raystream.cuda.programs.precompile import program_kernels
-from raystream.cuda.query_kernels import CountAddresses, RowAddresses
 from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.point_queries import NearestAddresses, PointSource
-from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.kernels.queries import CountAddresses, RayScene, RowAddresses
+from raystream.kernels.ray_source import RaySource
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with, options_of
 from raystream.tracer.devices import build_on_cpu
@@ -75,15 +75,15 @@ def structure_kernels(
     structure = build_on_cpu(options_of(name, options), triangles)
     kernels = kernels_of(traced_as(structure), is_own=is_own)
     tree = lay_out(structure, is_own=is_own).tree
-    shared = _SOURCE, structure.frame, tree, _AT if counters else None
-    hits = HitAddresses(_AT, _AT, _AT, _AT)
-    more: dict[str, tuple[Any, ...]] = {
-        "first_hit": (ResultAddresses(*[_AT] * 6),),
-        "any_hit": (ResultAddresses(*[_AT] * 6),),
-        "count_hits": (True, _AT, CountAddresses(_AT, _AT)),
-        "multi_hit": (True, RowAddresses(_AT, hits, _AT)),
+    tallies, hits = _AT if counters else None, HitAddresses(_AT, _AT, _AT, _AT)
+    shared = RayScene(_SOURCE, structure.frame, tree, _AT, tallies, None)
+    arguments: dict[str, tuple[Any, ...]] = {
+        "first_hit": (shared, hits),
+        "any_hit": (shared, _AT),
+        "count_hits": (shared, CountAddresses(True, _AT, _AT)),
+        "multi_hit": (shared._replace(status=None), RowAddresses(True, _AT, hits, _AT)),
     }
-    return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
+    return {query: (getattr(kernels, query), own) for query, own in arguments.items()}
 
 
 def scenes_of_kinds(scene: Scene) -> dict[str, Scene]:

@@ -23,14 +23,12 @@ from raystream.cuda.launch import DeviceScene, RayLauncher, Steps, resume
 from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.rounds import ProgramRounds
 from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
-from raystream.cuda.query_kernels import CountAddresses, RowAddresses
 from raystream.cuda.rays import place_device_rays
 from raystream.cuda.scan import prefix_sum
-from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitAddresses, HitArrays, HitBatch, Sink
-from raystream.kernels.ray_source import ResultAddresses
+from raystream.kernels.queries import CountAddresses, RowAddresses
 from raystream.programs.loop_source import Goal
 
 __all__ = ["QUERIES", "DeviceQuery", "trace_on_device"]
@@ -167,9 +165,8 @@ class DeviceQuery(ABC):
     def _count(self, limit: int) -> DeviceArray:
         """Count the hits of each ray, at most `limit`, and write the status."""
         counts = self.scope.empty("counts", len(self.rays), np.int64)
-        wanted = bool(self.query.surfaces), np.uint64(limit)
-        to = CountAddresses(self.status.address, counts.address)
-        self.rays.launch(self.scene.kernels.count_hits, *wanted, to)
+        to = CountAddresses.of(self.query._replace(limit=limit), counts.address)
+        self.rays.launch(self.scene.kernels.count_hits, to, status=self.status.address)
         return counts
 
 
@@ -182,8 +179,8 @@ class FirstHit(DeviceQuery):
         program = self._program()
         self.hits = HitBlock.empty(self.rays, len(self.rays))
         self.status = self._cleared("status", np.uint8)
-        to = ResultAddresses(*self.hits.addresses, NULL, self.status.address)
-        self.rays.launch(self.scene.kernels.first_hit, to)
+        kernel, to = self.scene.kernels.first_hit, self.hits.addresses
+        self.rays.launch(kernel, to, status=self.status.address)
         if program is not None:
             yield from program.replace_rejected(self.hits.addresses)
 
@@ -211,9 +208,8 @@ class AnyHit(DeviceQuery):
         if self.query.on_hit is None:
             self.seen = self.scope.empty("answers", len(self.rays), np.bool_)
             self.status = self._cleared("status", np.uint8)
-            nowhere = NULL, NULL, NULL, NULL
-            to = ResultAddresses(*nowhere, self.seen.address, self.status.address)
-            self.rays.launch(self.scene.kernels.any_hit, to)
+            kernel, to = self.scene.kernels.any_hit, self.seen.address
+            self.rays.launch(kernel, to, status=self.status.address)
             return
         nearest = FirstHit(self.query, self.rays)
         yield from nearest.launch()
@@ -299,8 +295,9 @@ class MultiHit(DeviceQuery):
     def _write(self) -> None:
         """Write the hits of each ray to its rows."""
         self.found = self.scope.empty("counts", len(self.rays), np.int64)
-        to = RowAddresses(self.splits.address, self.hits.addresses, self.found.address)
-        self.rays.launch(self.scene.kernels.multi_hit, bool(self.query.surfaces), to)
+        splits, found = self.splits.address, self.found.address
+        to = RowAddresses(self.query.surfaces, splits, self.hits.addresses, found)
+        self.rays.launch(self.scene.kernels.multi_hit, to)
 
     @property
     def outputs(self) -> tuple[DeviceArray, ...]:

@@ -96,7 +96,7 @@ def place_rays(
         If there is no memory for them.
     """
     vectors = [_given(array, rows) for array in (batch.origins, batch.directions)]
-    limits = [limit if len(limit) == 1 else limit[rows] for limit in batch.limits]
+    limits = [limit if len(limit) == 1 else limit[rows] for limit in batch.exact_limits]
     named = zip(("origins", "directions", "t_min", "t_max"), (*vectors, *limits), strict=True)
     placed = [upload(name, array) for name, array in named]
     steps = [np.uint64(one.shape[0] > 1) * _row_bytes(one) for one in placed]

@@ -45,10 +45,6 @@ class _CudaMachines:
         """Make a backend for a structure."""
         rest = dict(options)
         gpu = open_device(rest.pop("gpu", 0))
-        if structure.precision == "float64":
-            from raystream.cuda.float64.backend import Float64CudaBackend
-
-            return Float64CudaBackend(structure, gpu, **rest)
         from raystream.cuda.backend import CudaBackend
 
         return CudaBackend(structure, gpu, **rest)

@@ -36,11 +36,6 @@ def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
 @cache
 def _made(made: Traced, is_binary: bool) -> QueryKernels:
     held: Any = structure_class(made) if isinstance(made, str) else made
-    if held.precision == "float64":
-        # Here, not above: few tracers are in float64.
-        from raystream.cuda.float64.kernels import make_float64_kernels
-
-        return make_float64_kernels(held.searches)
     traverse, stack_bytes = held.traverse, held.stack_bytes
     if is_binary and isinstance(made, str):
         traverse, stack_bytes = form_of(made, LAYOUTS).binary_search()

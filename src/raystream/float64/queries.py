@@ -1,33 +1,34 @@
-"""The queries of single rays in float64, as loops over rays, with any traversal."""
+"""The searches of single rays in float64, with any traversal."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import RayStatus
 from raystream.float64.block import HIGH, PRIM_IDS, test_block
 from raystream.float64.exact import resolve
 from raystream.float64.ray import prepare_float64, reported
 from raystream.float64.rows import keep_row, put_row, row_t, sort_rows
 from raystream.float64.search import is_counted, no_hit, offer, within
-from raystream.float64.traversal import STACK_BYTES, all_blocks, tree_blocks
+from raystream.float64.traversal import STACK_BYTES, tree_blocks
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import count_trailing_zeros, load, scratch, store
-from raystream.kernels.hits import HitAddresses, hit_addresses
+from raystream.jit.cpu import device
+from raystream.jit.simd import count_trailing_zeros, load, store
+from raystream.kernels.hits import HitAddresses
+from raystream.kernels.queries import RaySearches, note_status
 from raystream.kernels.ray_source import RaySource, load_direction, load_origin
 
 _MISS = np.int32(-1)
-_INVALID = np.uint8(RayStatus.INVALID)
 _INF = np.float64(np.inf)
 _ZERO = np.float64(0.0)
 
-#: Bytes that `test_block` writes.
+#: Bytes that `test_block` writes, and those of a search.
 LANES_BYTES = 64
+MEMORY_BYTES = STACK_BYTES + LANES_BYTES
 
 
 class Float64Source(NamedTuple):
@@ -45,39 +46,15 @@ class Float64Source(NamedTuple):
     t_max: NDArray[np.float64]
 
 
-class Float64Queries(NamedTuple):
-    """Compiled loops over the rays begin to end.
-
-    Each takes ``(begin, end, source, frame, tree, status, ...)``: a `Float64Source`, the
-    `SceneFrame`, a `Float64Tree`, and an array of statuses, of which invalid ones are written.
-
-    Attributes
-    ----------
-    first_hit : (..., rows)
-        Writes a row of `HitArrays` for each ray.
-    any_hit : (..., seen)
-        Writes an array of bool.
-    count_hits : (..., surfaces, limit, counts)
-        Writes an array of int64: the number of hits, up to the limit.
-    multi_hit : (..., surfaces, splits, rows)
-        Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row splits[i] on.
-    """
-
-    first_hit: Callable[..., None]
-    any_hit: Callable[..., None]
-    count_hits: Callable[..., None]
-    multi_hit: Callable[..., None]
-
-
 @device
-def load_float64(source, i, frame, status):
-    """Ray i, prepared; its status is written if it is invalid."""
-    t_min = source.t_min[i if len(source.t_min) > 1 else ZERO_U64]
-    t_max = source.t_max[i if len(source.t_max) > 1 else ZERO_U64]
-    origin, direction = load_origin(source.rays, i), load_direction(source.rays, i)
-    ray = prepare_float64(origin, direction, t_min, t_max, frame)
-    if ray.status == _INVALID:
-        status[i] = _INVALID
+def _load_ray(i, scene):
+    """Ray i of a `RayScene`, whose limits are float64, prepared; its status is written."""
+    source = scene.source
+    t_min = load(np.float64, source.t_min + i * source.t_min_step)
+    t_max = load(np.float64, source.t_max + i * source.t_max_step)
+    origin, direction = load_origin(source, i), load_direction(source, i)
+    ray = prepare_float64(origin, direction, t_min, t_max, scene.frame)
+    note_status(scene.status, i, ray.status)
     return ray
 
 
@@ -118,17 +95,6 @@ def _is_hit(ray, lane, sure, block, lanes, surfaces):
     if (sure >> lane) & ONE_U64 != ZERO_U64 and within(ray.line, low, high):
         return True
     return is_counted(ray.line, block + (lane << SHIFT_64), surfaces)
-
-
-@device
-def _visit_any(block, ray, count, lanes):
-    found, sure = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
-    while found != ZERO_U64:
-        lane = count_trailing_zeros(found)
-        found &= found - ONE_U64
-        if _is_hit(ray, lane, sure, block, lanes, False):
-            return ONE_U64, True
-    return count, False
 
 
 @device
@@ -184,7 +150,7 @@ def _far_of_kept(ray, search):
     return search.far
 
 
-class Searches(NamedTuple):
+class LineSearches(NamedTuple):
     """The searches of a single ray with a traversal.
 
     Each takes ``(tree, ray, ..., memory)``: a `Float64Tree`, a `Float64Ray`, and two addresses, of
@@ -209,10 +175,10 @@ class Searches(NamedTuple):
     keep: Callable[..., Any]
 
 
-def _searches(blocks: Callable[..., Any]) -> Searches:
+@cache
+def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
     """Make the searches of a traversal; see `float64.traversal`."""
     walk_nearest = blocks(_visit_nearest, _far_of_nearest)
-    walk_any = blocks(_visit_any, _far_of_all)
     walk_count = blocks(_visit_count, _far_of_all)
     walk_keep = blocks(_visit_keep, _far_of_kept)
 
@@ -221,13 +187,13 @@ def _searches(blocks: Callable[..., Any]) -> Searches:
         return walk_nearest(tree, ray, no_hit(), memory[0], memory[1], False)
 
     @device
-    def anything(tree, ray, memory):
-        return walk_any(tree, ray, ZERO_U64, memory[0], memory[1], True) != ZERO_U64
+    def count(tree, ray, limit, surfaces, memory):
+        search, wants_any = _Counting(ZERO_U64, limit, surfaces), limit == ONE_U64
+        return walk_count(tree, ray, search, memory[0], memory[1], wants_any).total
 
     @device
-    def count(tree, ray, limit, surfaces, memory):
-        search = _Counting(ZERO_U64, limit, surfaces)
-        return walk_count(tree, ray, search, memory[0], memory[1], False).total
+    def anything(tree, ray, memory):
+        return count(tree, ray, ONE_U64, False, memory) != ZERO_U64
 
     @device
     def keep(tree, ray, capacity, rows, first, surfaces, memory):
@@ -239,50 +205,38 @@ def _searches(blocks: Callable[..., Any]) -> Searches:
             store(rows.t + (row << SHIFT_64), reported(row_t(rows, row), ray))
         return kept
 
-    return Searches(nearest, anything, count, keep)
+    return LineSearches(nearest, anything, count, keep)
 
 
-#: The searches of a wide tree, and of all triangles.
-tree_searches = _searches(tree_blocks)
-brute_searches = _searches(all_blocks)
+#: The searches of a wide tree.
+tree_searches = _line_searches(tree_blocks)
 
 
-def _queries(searches: Searches) -> Float64Queries:
-    """The loops of searches."""
-    nearest, anything, count, keep = searches
-
-    @kernel
-    def first_hit(begin, end, source, frame, tree, status, rows):
-        memory, to = (scratch(STACK_BYTES), scratch(LANES_BYTES)), hit_addresses(rows)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_float64(source, i, frame, status)
-            write_nearest(to, i, nearest(tree, ray, memory), ray)
-
-    @kernel
-    def any_hit(begin, end, source, frame, tree, status, seen):
-        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            seen[i] = anything(tree, load_float64(source, i, frame, status), memory)
-
-    @kernel
-    def count_hits(begin, end, source, frame, tree, status, surfaces, limit, counts):
-        memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            ray = load_float64(source, i, frame, status)
-            counts[i] = np.int64(count(tree, ray, limit, surfaces, memory))
-
-    @kernel
-    def multi_hit(begin, end, source, frame, tree, status, surfaces, splits, rows):
-        memory, to = (scratch(STACK_BYTES), scratch(LANES_BYTES)), hit_addresses(rows)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            first = np.uint64(splits[i])
-            capacity = np.uint64(splits[i + ONE_U64]) - first
-            if capacity != ZERO_U64:
-                ray = load_float64(source, i, frame, status)
-                keep(tree, ray, capacity, to, first, surfaces, memory)
-
-    return Float64Queries(first_hit, any_hit, count_hits, multi_hit)
+@device
+def _parts(memory):
+    """The stack and the lanes in the working memory of a ray."""
+    return memory, memory + np.uint64(STACK_BYTES)
 
 
-tree_queries = _queries(tree_searches)
-brute_queries = _queries(brute_searches)
+def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
+    """Make the `RaySearches` of a traversal; see `float64.traversal`."""
+    nearest_of, _, count_of, keep_of = _line_searches(blocks)
+
+    @device
+    def nearest(i, scene, hits, memory):
+        ray = _load_ray(i, scene)
+        best = nearest_of(scene.arrays, ray, _parts(memory))
+        write_nearest(hits, i, best, ray)
+        return np.uint64(best.place != ZERO_U64)
+
+    @device
+    def count(i, scene, goal, memory):
+        own = scene.arrays, _load_ray(i, scene)
+        return count_of(*own, goal.capacity, goal.surfaces, _parts(memory))
+
+    @device
+    def keep(i, scene, goal, sorts, memory):
+        own, rows = (scene.arrays, _load_ray(i, scene)), (goal.hits, goal.first_row)
+        return keep_of(*own, goal.capacity, *rows, goal.surfaces, _parts(memory))
+
+    return RaySearches(nearest, count, keep, np.float64)

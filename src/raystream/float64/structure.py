@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,10 @@ from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
 from raystream.core.triangles import Triangles
 from raystream.float64.batches import BATCH_KERNELS
 from raystream.float64.block import BLOCK_NUMBERS
-from raystream.float64.queries import (
-    Float64Queries,
-    Searches,
-    brute_queries,
-    brute_searches,
-    tree_queries,
-    tree_searches,
-)
+from raystream.float64.queries import MEMORY_BYTES, float64_searches
 from raystream.float64.ray import LEAST
-from raystream.float64.traversal import Float64Tree
+from raystream.float64.ray_batch import Float64Rays
+from raystream.float64.traversal import Float64Tree, all_blocks, tree_blocks
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.base import BuildReport, Structure
@@ -45,17 +39,14 @@ _PRIM_IDS_AT = 36
 class Float64Structure(Structure):
     """Triangles in blocks of float64 numbers; see `float64.block`.
 
-    Attributes
-    ----------
-    searches : Searches
-        Of a single ray.
-    loops : Float64Queries
-        The queries of single rays.
+    `traverse` makes traversals; see `float64.traversal`.
     """
 
     precision = "float64"
-    searches: ClassVar[Searches]
-    loops: ClassVar[Float64Queries]
+    ray_batch = Float64Rays
+    least_rays = 64
+    stack_bytes = MEMORY_BYTES
+    make_searches = staticmethod(float64_searches)
     triangles: Float64Triangles
 
     def _set(self, nodes: NDArray[np.float32], prim_ids: NDArray[np.int32], started: float) -> None:
@@ -110,7 +101,8 @@ class Float64Bvh(Float64Structure):
         Called with (triangles placed, triangles).
     """
 
-    searches, loops, batch_kernels = tree_searches, tree_queries, BATCH_KERNELS
+    traverse = staticmethod(tree_blocks)
+    batch_kernels = BATCH_KERNELS
 
     def __init__(
         self, triangles: Float64Triangles, options: Bvh, *, progress: Progress | None = None
@@ -150,7 +142,7 @@ class Float64Brute(Float64Structure):
         Called once: there is nothing to build.
     """
 
-    searches, loops = brute_searches, brute_queries
+    traverse = staticmethod(all_blocks)
 
     def __init__(
         self, triangles: Float64Triangles, options: Brute, *, progress: Progress | None = None

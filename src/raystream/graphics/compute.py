@@ -11,8 +11,7 @@ from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.backend import RAYS_AT_ONCE, Chunk, GraphicsBackend
 from raystream.graphics.dispatches import Dispatcher, ShaderVariant
-from raystream.graphics.packing import ROW, packed_rays
-from raystream.kernels.local_frame import LocalRays
+from raystream.graphics.packing import LOCAL_RAYS, ROW
 from raystream.machines.backend import Capabilities
 from raystream.structures import Structure
 
@@ -46,6 +45,7 @@ class ComputeBackend(GraphicsBackend):
         self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
     ) -> None:
         super().__init__(structure, opened, rays_at_once)
+        self.ray_block = self._shaders.rays.block
         self._dispatcher = Dispatcher(self._shaders, opened, structure.triangles.max_coordinate)
         self._found: NDArray[Any] = np.empty(0, ROW)
         self._dispatcher.pipeline(
@@ -53,7 +53,12 @@ class ComputeBackend(GraphicsBackend):
         )  # raises for a shader that does not compile
 
     def bands_on_device(self, context: RenderContext) -> ComputeBands | None:
-        """Render samples of an image by compute shaders; see `Tracer.bands_on_device`."""
+        """Render samples of an image by compute shaders; see `Tracer.bands_on_device`.
+
+        With instances the CPU shades what queries find.
+        """
+        if self._shaders.rays is not LOCAL_RAYS:
+            return None
         from raystream.graphics.rendering import ComputeBands
 
         arrays = self._dispatcher.arrays
@@ -64,7 +69,7 @@ class ComputeBackend(GraphicsBackend):
         variant = ShaderVariant(chunk.kind, chunk.surfaces, tallies is not None)
         is_multi = chunk.kind is Kind.MULTI_HIT
         capacity = 0 if is_multi else int(wanted[0, 1])
-        rays = self._packed(chunk.rays, chunk.rows)
+        rays = self._shaders.rays.packed(chunk.rays, chunk.rows)
         found = self._dispatcher.run(
             variant, rays, capacity, wanted if is_multi else None, chunk.row_count
         )
@@ -73,9 +78,10 @@ class ComputeBackend(GraphicsBackend):
             tallies[chunk.rows] += found.tallies
         return found.counts
 
-    def _packed(self, rays: LocalRays, rows: slice) -> NDArray[np.float32]:
-        """Some rays as the shader reads them, shape (N, rows, 4)."""
-        return packed_rays(rays, rows)
+    def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
+        """See `Backend.working_bytes`."""
+        packed = self._shaders.rays.own_bytes * min(ray_count, self.rays_at_once)
+        return packed + super().working_bytes(kind, ray_count, hit_count)
 
     def _rows(self, count: int) -> NDArray[Any]:
         return self._found[:count]

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.query import Kind
 from raystream.core.rays import RayBatch, RayStatus
-from raystream.graphics.compute import ComputeBackend
-from raystream.graphics.packing import FAR, packed_rays
-from raystream.graphics.structures.instances import power_of
+from raystream.graphics.packing import FAR, RayKind, packed_rays
 from raystream.instances.traversal import MAX_LENGTH, MOST_FAR
 from raystream.jit.threads import Progress
 from raystream.kernels.local_frame import LocalRays, TTransform
 from raystream.kernels.ray import SceneFrame
-from raystream.machines.ray_block import RAYS_PER_BLOCK, RayBlock
-
-if TYPE_CHECKING:
-    from raystream.rendering.integrator import RenderContext
+from raystream.machines.ray_block import RayBlock
 
 #: Rows of four words for each ray, see ``instances/ray_buffer.wgsl``.
 _ROWS = 7
@@ -78,45 +72,37 @@ class _PlacedBlock(RayBlock):
     """A block whose rays have their numbers in world space, where their hits' distances are."""
 
     def __init__(
-        self, batch: RayBatch, rows: slice, structure: Any, status: NDArray[np.uint8], progress: Any
+        self,
+        far_unit: float,
+        batch: RayBatch,
+        rows: slice,
+        frame: SceneFrame,
+        status: NDArray[np.uint8],
+        progress: Progress | None,
     ) -> None:
-        super().__init__(batch, rows, structure.frame, status, progress)
+        super().__init__(batch, rows, frame, status, progress)
         # To stay within float64 in all spaces.
         length = np.abs(batch.directions[rows]).max(axis=1).astype(np.float64)
         is_valid = (length >= 1.0 / MAX_LENGTH) & (length <= MAX_LENGTH)
         if not is_valid.all():
             status[rows][~is_valid] = RayStatus.INVALID
             self.rays.t_max[~is_valid] = -np.inf
-        top = structure.frame, float(structure.arrays.far_unit)
-        placed: Any = PlacedRays(*self.rays, batch, rows.start, self.t_transform, top)
+        own = batch, rows.start, self.t_transform, (frame, far_unit)
+        placed: Any = PlacedRays(*self.rays, *own)
         self.rays = placed
 
     def to_world(self, t: NDArray[np.float32], splits: NDArray[np.int64]) -> None:
         """Nothing: shaders report distances in world space."""
 
 
-class InstancedBackend(ComputeBackend):
-    """Traces rays through instances by compute shaders; see `ComputeBackend`.
+def placed_rays(far_unit: float) -> RayKind:
+    """The kind of rays through instances; see `TopAddresses.far_unit`.
 
     World rays are moved to objects' spaces in float64, by integers: `shaders/float64.wgsl`.
     """
+    return RayKind(partial(_PlacedBlock, far_unit), PlacedRays.packed, _PACKED_BYTES)
 
-    def bands_on_device(self, context: RenderContext) -> None:  # noqa: ARG002
-        """None: images of such scenes are shaded on the CPU."""
-        return
 
-    def _blocks(
-        self, rays: RayBatch, status: NDArray[np.uint8], progress: Progress | None
-    ) -> Iterator[RayBlock]:
-        for first in range(0, len(rays), RAYS_PER_BLOCK):
-            rows = slice(first, min(first + RAYS_PER_BLOCK, len(rays)))
-            yield _PlacedBlock(rays, rows, self.structure, status, progress)
-
-    def _packed(self, rays: Any, rows: slice) -> NDArray[np.float32]:
-        packed: NDArray[np.float32] = rays.packed(rows)
-        return packed
-
-    def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
-        """See `Backend.working_bytes`."""
-        packed = _PACKED_BYTES * min(ray_count, self.rays_at_once)
-        return packed + super().working_bytes(kind, ray_count, hit_count)
+def power_of(scale: Any) -> NDArray[np.int32]:
+    """The exponents of powers of two."""
+    return np.asarray(np.frexp(scale)[1] - 1, np.int32)

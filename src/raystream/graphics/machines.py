@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import Any
 
 from raystream.core.choices import Graphics, Multipass
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.graphics.adapters import open_device
 from raystream.graphics.error_scope import guarded
 from raystream.machines.backend import Backend
@@ -32,13 +31,7 @@ OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 def _compute(structure: Structure, adapter: str | None, **options: Any) -> Backend:
     from raystream.graphics.compute import ComputeBackend
 
-    made: type[ComputeBackend] = ComputeBackend
-    triangles: Any = structure.triangles
-    if isinstance(triangles, InstancedTriangles):
-        from raystream.graphics.instanced_rays import InstancedBackend
-
-        made = InstancedBackend
-    return made(structure, open_device(adapter), **options)
+    return ComputeBackend(structure, open_device(adapter), **options)
 
 
 def _branching(structure: Structure, adapter: str | None, **options: Any) -> Backend:

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.kernels.hits import HitArrays
 from raystream.kernels.local_frame import LocalRays
+from raystream.machines.ray_block import RayBlock
 
 #: In place of infinity, which WGSL does not guarantee; see ray.wgsl.
 FAR = np.finfo(np.float32).max
 
 #: Most hits of a ray that can be counted, besides the codes of `termination`.
 MOST_HITS = 2**32 - 4
+
+
+class RayKind(NamedTuple):
+    """How a machine of the device stores rays.
+
+    Attributes
+    ----------
+    block : callable
+        Makes a block of rays, as `machines.ray_block.RayBlock`.
+    packed : callable
+        ``packed(rays, rows)``: some rays of a block as shaders read them, shape (N, k, 4), float32.
+    own_bytes : int
+        Bytes of a ray besides those of a `LocalRays`.
+    """
+
+    block: Callable[..., RayBlock]
+    packed: Callable[..., NDArray[np.float32]]
+    own_bytes: int
+
 
 #: A hit.
 ROW = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4")])
@@ -39,3 +60,7 @@ def unpack_rows(rows: NDArray[Any], out: HitArrays) -> None:
     """Copy hits to columns; a miss gets t = inf."""
     out.t[:], out.u[:], out.v[:], out.prim_id[:] = (rows[name] for name in ROW.names or ())
     out.t[rows["prim_id"] < 0] = np.inf
+
+
+#: Rays in the scene's local frame.
+LOCAL_RAYS = RayKind(RayBlock, packed_rays, 0)

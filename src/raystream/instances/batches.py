@@ -8,7 +8,6 @@ from raystream.core.query import Kind
 from raystream.instances.packets import INSTANCES
 from raystream.instances.streams import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.instances.wavefront import trace_instance_wavefront
-from raystream.kernels.queries import output_of
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence
 from raystream.structures.bvh.kernel_choice import nearest_of_packets
@@ -33,9 +32,9 @@ def _packets(scene: InstancedStructure, batch: Batch) -> Calls:
 
 
 def _wavefront(scene: InstancedStructure, batch: Batch) -> Calls:
-    filter_, out = output_of(batch.query, batch.sink)
     rays = scene.arrays, scene.frame, batch.source
-    return trace_instance_wavefront, (*rays, batch.wants_any, filter_, out)
+    shared = batch.wants_any, batch.query.on_hit, batch.results
+    return trace_instance_wavefront, (*rays, *shared)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from raystream.core.rays import RayStatus
 from raystream.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
-from raystream.kernels.queries import Searches, note_status, ray_filter
+from raystream.kernels.queries import RaySearches, note_status, ray_filter, searches_of
 from raystream.kernels.ray import LocalRay, prepare_ray
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
 from raystream.kernels.search import (
@@ -26,6 +26,7 @@ from raystream.kernels.search import (
     is_full,
     leave_instance,
 )
+from raystream.kernels.tally import tally_of
 from raystream.structures.brute.traversal import traverse as traverse_brute
 from raystream.structures.bvh.traversal import STACK_BYTES, tree_traversal
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
@@ -275,13 +276,16 @@ def _limited(ray, is_valid):
     )
 
 
-def instance_searches(traverse) -> Searches:
+def instance_searches(traverse) -> RaySearches:
     """Make the searches of a ray with a traversal of instances; see `kernels.queries.searches`."""
 
     @device
-    def of_world(i, numbers, world, scene, goal):
-        top = scene.arrays
-        ray, most, whole = scene_ray(numbers, top, scene.frame)
+    def search_ray(i, scene, goal, memory):
+        top, world = scene.arrays, _NO_ID
+        if top.worlds != _NONE:
+            world = load(np.int32, top.worlds + (i << _TWO))
+        ray, most, whole = scene_ray(load_world_ray(scene.source, i), top, scene.frame)
+        note_status(scene.status, i, ray.status)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, most)
         search = begin_search(
             ray.t_min,
@@ -290,27 +294,14 @@ def instance_searches(traverse) -> Searches:
             goal.hits,
             goal.first_row,
             goal.surfaces,
-            goal.counters,
+            tally_of(scene.tallies, i),
             ray_filter(scene.filter, i, ray),
             InstanceRay(ray.t_scale, ray.t_offset, _NO_ID),
         )
-        found = traverse(_InstanceContext(top, world, whole), local, search, scene.stack)
+        found = traverse(_InstanceContext(top, world, whole), local, search, memory)
         return found, _world_ray(ray)
 
-    @device
-    def of_batch(i, scene, goal):
-        world, worlds = _NO_ID, scene.arrays.worlds
-        if worlds != _NONE:
-            world = load(np.int32, worlds + (i << _TWO))
-        search, ray = of_world(i, load_world_ray(scene.source, i), world, scene, goal)
-        note_status(scene.status, i, ray.status)
-        return search, ray
-
-    @device
-    def of_numbers(numbers, scene, goal):
-        return of_world(_NONE, numbers, _NO_ID, scene, goal)
-
-    return Searches(of_batch, of_numbers)
+    return searches_of(search_ray)
 
 
 @device

@@ -74,26 +74,6 @@ def corners_at(typing_context: Any, at: Any) -> Any:
 
 
 @intrinsic
-def row_address(typing_context: Any, array: Any, row: Any) -> Any:
-    """Address of a row of a two-dimensional array; None if the array is None.
-
-    By the argument's type: a Python function that returns a number or None has an optional type,
-    which is tested whenever it runs.
-    """
-    if isinstance(array, types.NoneType):
-        return types.none(array, row), lambda context, *_: context.get_dummy_value()
-    if not isinstance(array, types.Array) or array.ndim != 2 or row != types.uint64:
-        return None
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        rows = context.make_array(array)(context, builder, arguments[0])
-        offset = builder.mul(arguments[1], builder.extract_value(rows.strides, 0))
-        return builder.add(builder.ptrtoint(rows.data, offset.type), offset)
-
-    return types.uint64(array, row), generate
-
-
-@intrinsic
 def high_product(typing_context: Any, a: Any, b: Any) -> Any:
     """The upper 64 bits of the product of two uint64 numbers."""
     if a != types.uint64 or b != types.uint64:

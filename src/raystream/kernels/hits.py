@@ -14,6 +14,7 @@ from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for, thread_count
+from raystream.kernels.aligned import array_address
 from raystream.kernels.tally import new_tallies
 
 #: From this many hits on the free memory is checked, which takes longer than a small query.
@@ -63,6 +64,11 @@ class HitArrays(NamedTuple):
         t, u, v = (np.empty(count, kind) for _ in range(3))
         return cls(t, u, v, np.empty(count, np.int32))
 
+    @staticmethod
+    def row_bytes(kind: type[np.floating[Any]]) -> int:
+        """Bytes of a hit."""
+        return 3 * np.dtype(kind).itemsize + 4
+
     @classmethod
     def rows_of(cls, memory: NDArray[np.float32]) -> HitArrays:
         """The rows of an array of shape (4, K) as t, u, v and prim_id."""
@@ -105,12 +111,20 @@ class HitAddresses(NamedTuple):
     @classmethod
     def of(cls, hits: HitArrays) -> HitAddresses:
         """Addresses of hits; the caller keeps the arrays alive."""
-        return cls(*np.array([one.ctypes.data for one in hits], np.uint64))
+        t, u, v, prim_id = hits
+        return cls(
+            np.uint64(array_address(t)),
+            np.uint64(array_address(u)),
+            np.uint64(array_address(v)),
+            np.uint64(array_address(prim_id)),
+        )
 
     @classmethod
-    def of_rows(cls, address: np.uint64, count: int, item_bytes: int = 4) -> HitAddresses:
+    def of_rows(cls, address: int, count: int, item_bytes: int = 4) -> HitAddresses:
         """Addresses of the rows of an array of shape (4, count)."""
-        return cls(*(address + np.uint64(item_bytes * count * k) for k in range(4)))
+        at, step = int(address), item_bytes * count
+        rows = np.uint64(at), np.uint64(at + step), np.uint64(at + 2 * step)
+        return cls(*rows, np.uint64(at + 3 * step))
 
 
 @device
@@ -249,8 +263,7 @@ def allocate_hits(count: int, kind: type[np.floating[Any]] = np.float32) -> HitA
 
 def _check_hits(count: int, kind: type[np.floating[Any]] = np.float32) -> None:
     remedy = "give max_hits, or fewer rays at a time"
-    hit_bytes = 3 * np.dtype(kind).itemsize + 4
-    check_memory(count * hit_bytes, f"multi_hit: {count:,} hits would", remedy)
+    check_memory(count * HitArrays.row_bytes(kind), f"multi_hit: {count:,} hits would", remedy)
 
 
 class HitAccumulator:
@@ -291,7 +304,7 @@ class HitAccumulator:
         self._found += end - begin
         if self._found >= self._unchecked:  # before the memory for `whole` runs out
             self._unchecked = self._found + CHECKED_HITS
-            _check_hits(self._found)
+            _check_hits(self._found, self._kind)
         ids = _NO_IDS if found.ids is None else found.ids.astype(np.int64)
         part = HitBatch(found.hits.copy_of(slice(begin, end)), splits - begin, ids, found.first)
         count_rows(part.splits, ids, part.first, self._counts)
@@ -299,6 +312,10 @@ class HitAccumulator:
 
     def whole(self) -> tuple[NDArray[np.int64], HitArrays]:
         """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
+        if len(self._parts) == 1:  # of a small batch
+            only, found, ids, _ = self._parts[0]
+            if ids is _NO_IDS and found is not None and len(found) == len(self._counts) + 1:
+                return found, only
         splits = np.zeros(len(self._counts) + 1, np.int64)
         np.cumsum(self._counts, out=splits[1:])
         hits = allocate_hits(int(splits[-1]), self._kind)

@@ -1,7 +1,7 @@
-"""The queries as loops over rays, around any structure's traversal.
+"""The queries of rays: each as a function of one ray, around any structure's traversal.
 
-The threads of CUDA (`cuda.query_kernels`) are made of the same functions for a ray: `Searches`, and
-those that write its results.
+The searches of a ray are made for a precision and a kind of scene; what a query does with them is
+written here once. `kernels.answers` makes loops and threads of these functions.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayStatus
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
+from raystream.jit.constants import BYTES_64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, scratch, store
+from raystream.kernels.aligned import array_address
+from raystream.kernels.answers import loop_of
 from raystream.kernels.hit_filter import HitFilter, RayFilter
 from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
-from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray, local_ray
-from raystream.kernels.search import begin_search, get_hit, sort_hits
+from raystream.kernels.ray_source import RaySource, load_ray
+from raystream.kernels.search import begin_search, sort_hits
 from raystream.kernels.tally import SHADINGS, add_to, tally_of
 
 _INF = np.float32(np.inf)
@@ -28,40 +30,67 @@ _ZERO = np.float32(0.0)
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
 
+#: Where a ray that is cast lies, and its hit, in bytes behind its origin.
+_DIRECTION, _LOW, _HIGH, _STATUS, _T, _U, _V, _PRIM_ID = (
+    np.uint64(k) for k in (24, 48, 56, 64, 72, 80, 88, 96)
+)
+
+
+class HitLimits(NamedTuple):
+    """What a query that collects hits wants of each ray.
+
+    Attributes
+    ----------
+    surfaces : bool
+        See `kernels.triangle.intersect`.
+    most : uint64
+        Most hits.
+    sorts : bool
+        They are sorted by t, then prim_id.
+    """
+
+    surfaces: bool
+    most: np.uint64
+    sorts: bool
+
+    @classmethod
+    def of(cls, query: Query) -> HitLimits:
+        """The limits of a query."""
+        return cls(query.surfaces, np.uint64(query.limit), query.is_ordered)
+
 
 class RayScene(NamedTuple):
     """The arguments that all rays of a query share.
 
     Attributes
     ----------
-    source : RaySource or None
+    source : RaySource
     frame : SceneFrame
     arrays : NamedTuple
         The structure's arrays.
-    stack : uint64
-        Address of the traversal's memory.
     status : uint64 or None
         Address of the first ray's status, a byte; written for invalid rays only.
+    tallies : uint64 or None
+        Address of the first ray's tally, see `kernels.tally`. None for no counting, at no cost.
     filter : HitFilter or None
         Decides which hits exist.
     """
 
-    source: RaySource | None
+    source: RaySource
     frame: SceneFrame
     arrays: Any
-    stack: np.uint64
     status: np.uint64 | None
+    tallies: np.uint64 | None
     filter: HitFilter | None
 
 
-class Goal(NamedTuple):
+class SearchGoal(NamedTuple):
     """The goal of one ray's search: see `kernels.search.Search`."""
 
     capacity: np.uint64
     hits: HitAddresses | None
     first_row: np.uint64
     surfaces: bool
-    counters: np.uint64 | None
 
 
 @device
@@ -79,29 +108,40 @@ def note_status(at, i, status):
         store(at + i, status)
 
 
-class Searches(NamedTuple):
-    """The searches of a single ray.
+class RaySearches(NamedTuple):
+    """The searches of ray i of a `RayScene`; each writes the ray's status and tally.
 
     Attributes
     ----------
-    of_batch : device function
-        ``of_batch(i, scene, goal) -> (search, ray)`` for ray i of a `RayScene` and a `Goal`: the
-        finished search, and a `LocalRay` whose scale and offset turn its hits' t into world t.
-    of_numbers : device function
-        ``of_numbers(numbers, scene, goal) -> (search, ray)``, for the origin and direction, six
-        float64 numbers in world space, and the limits, float32.
+    nearest : device function
+        ``nearest(i, scene, hits, memory)`` writes the nearest hit to row i of `HitAddresses`, or a
+        miss, and returns the number of hits.
+    count : device function
+        ``count(i, scene, goal, memory)`` returns the number of hits, up to the capacity of a
+        `SearchGoal` without hits.
+    keep : device function
+        ``keep(i, scene, goal, sorts, memory)`` writes the nearest hits to the rows of the
+        `SearchGoal`, sorted or not, and returns their number.
+    number : type
+        Of the rays' limits, and of t, u and v: float32 or float64.
+
+    Distances are in world direction lengths.
     """
 
-    of_batch: Callable[..., Any]
-    of_numbers: Callable[..., Any]
+    nearest: Callable[..., Any]
+    count: Callable[..., Any]
+    keep: Callable[..., Any]
+    number: type[np.floating[Any]]
 
 
-def searches(traverse: Callable[..., Any]) -> Searches:
+def searches(traverse: Callable[..., Any]) -> RaySearches:
     """Make the searches of a structure whose triangles are in the scene's local frame."""
 
     @device
-    def search_local(ray, scene, goal, filter_):
+    def search_ray(i, scene, goal, memory):
         frame = scene.frame
+        ray = load_ray(scene.source, i, frame)
+        note_status(scene.status, i, ray.status)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         search = begin_search(
             ray.t_min,
@@ -110,40 +150,49 @@ def searches(traverse: Callable[..., Any]) -> Searches:
             goal.hits,
             goal.first_row,
             goal.surfaces,
-            goal.counters,
-            filter_,
+            tally_of(scene.tallies, i),
+            ray_filter(scene.filter, i, ray),
             None,
         )
-        return traverse(scene.arrays, local, search, scene.stack)
+        return traverse(scene.arrays, local, search, memory), ray
 
-    @device
-    def of_batch(i, scene, goal):
-        ray = load_ray(scene.source, i, scene.frame)
-        note_status(scene.status, i, ray.status)
-        filter_ = ray_filter(scene.filter, i, ray)
-        return search_local(ray, scene, goal, filter_), ray
-
-    @device
-    def of_numbers(numbers, scene, goal):
-        ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
-        ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, scene.frame)
-        return search_local(ray, scene, goal, None), ray
-
-    return Searches(of_batch, of_numbers)
+    return searches_of(search_ray)
 
 
-@device
-def finish_first(out, i, count, ray):
-    """Convert the t of ray i's hit to world direction lengths, or write a miss.
+def searches_of(search_ray: Callable[..., Any]) -> RaySearches:
+    """Make the searches in float32.
 
     Parameters
     ----------
-    out : ResultAddresses or HitAddresses
-    i : uint64
-    count : uint64
-        Hits found.
-    ray : LocalRay
+    search_ray : device function
+        ``search_ray(i, scene, goal, memory) -> (search, ray)`` for ray i of a `RayScene` and a
+        `SearchGoal`: the finished search, and a `LocalRay` whose scale and offset turn its hits'
+        t into world t.
     """
+
+    @device
+    def nearest(i, scene, hits, memory):
+        search, ray = search_ray(i, scene, SearchGoal(ONE_U64, hits, i, False), memory)
+        _finish_first(hits, i, search.hit_count, ray)
+        return search.hit_count
+
+    @device
+    def count(i, scene, goal, memory):
+        search, _ = search_ray(i, scene, goal, memory)
+        return search.hit_count
+
+    @device
+    def keep(i, scene, goal, sorts, memory):
+        search, ray = search_ray(i, scene, goal, memory)
+        _finish_rows(goal.hits, goal.first_row, search.hit_count, ray, sorts)
+        return search.hit_count
+
+    return RaySearches(nearest, count, keep, np.float32)
+
+
+@device
+def _finish_first(out, i, count, ray):
+    """Convert the t of ray i's hit to world direction lengths, or write a miss."""
     at = i << SHIFT_32
     if count == ZERO_U64:
         store(out.t + at, _INF)
@@ -155,7 +204,7 @@ def finish_first(out, i, count, ray):
 
 
 @device
-def finish_rows(hits, first, count, ray, sorts):
+def _finish_rows(hits, first, count, ray, sorts):
     """Convert the t of a ray's hits to world direction lengths; if `sorts`, sort them."""
     if sorts:
         sort_hits(hits, first, count)
@@ -164,56 +213,126 @@ def finish_rows(hits, first, count, ray, sorts):
         store(at, world_t(load(np.float32, at), ray.t_scale, ray.t_offset))
 
 
-class Wanted(NamedTuple):
-    """The goal of a query that finds several hits per ray.
+class CountAddresses(NamedTuple):
+    """What is counted of each ray, and where the counts go.
 
     Attributes
     ----------
     surfaces : bool
         See `kernels.triangle.intersect`.
-    limit : uint64
-        Most hits per ray.
-    sorts : bool
-        Hits are sorted by t, then prim_id.
+    most : uint64
+        Most hits that are counted.
+    counts : uint64
+        Address of an int64 per ray.
     """
 
     surfaces: bool
-    limit: np.uint64
-    sorts: bool
+    most: np.uint64
+    counts: np.uint64
 
     @classmethod
-    def of(cls, query: Query) -> Wanted:
-        """What a query wants of each ray."""
-        return cls(query.surfaces, np.uint64(query.limit), query.is_ordered)
+    def of(cls, query: Query, counts: int) -> CountAddresses:
+        """For a query, with the address of the counts."""
+        return cls(query.surfaces, np.uint64(query.limit), np.uint64(counts))
 
 
-class RayQueries(NamedTuple):
-    """Compiled loops over the rays begin to end, with one traversal.
-
-    Each takes ``(begin, end, source, frame, arrays, tallies, ...)``: a `RaySource`, the
-    `SceneFrame` of its rays, the structure's arrays, and the rays' tallies (`kernels.tally`), or
-    None for no counting, at no cost.
+class RowAddresses(NamedTuple):
+    """Where the hits of each ray go.
 
     Attributes
     ----------
-    first_hit : (..., filter, out)
-        Writes a `ResultAddresses`. `filter` is a `HitFilter` or None.
-    any_hit : (..., filter, out)
-        Writes the bytes at `seen` of a `ResultAddresses`.
-    count_hits : (..., status, wanted, counts)
-        Writes `counts`, of shape (N,), int64: the number of hits, up to the limit.
-    multi_hit : (..., wanted, splits, hits)
-        Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row splits[i] of
-        `hits` (HitArrays) on.
-    collect_hits : (begin, end, source, frame, arrays, status, wanted, splits, hits)
-        Writes the nearest hits of each ray to rows 0 to splits[end - begin] of `hits`. Returns the
-        first ray that is not done: `end`, or one whose hits do not fit.
-    cast : (frame, arrays, ox, oy, oz, dx, dy, dz, t_min, t_max)
-        Takes one ray as float64 numbers, in world space; its limits are rounded to float32.
-        Returns its nearest hit ``(t, u, v, prim_id)``, and its status.
+    surfaces : bool
+        See `kernels.triangle.intersect`.
+    splits : uint64
+        Address of int64: ray i owns the rows splits[i] to splits[i + 1].
+    hits : HitAddresses
+    found : uint64 or None
+        Address of an int64 per ray: the hits that were found.
+    """
 
-    Distances are in world direction lengths. `status` is the address of a byte per ray,
-    written for invalid ones. `wanted` is a `Wanted`.
+    surfaces: bool
+    splits: np.uint64
+    hits: HitAddresses
+    found: np.uint64 | None
+
+
+@device
+def _note_found(at, i, found):
+    if at is not None:
+        store(at + (i << SHIFT_64), np.int64(found))
+
+
+class RayAnswers(NamedTuple):
+    """The queries as functions of one ray: answers of a `RayScene`, see `kernels.answers`.
+
+    Attributes
+    ----------
+    first_hit
+        Writes row i of `HitAddresses`.
+    any_hit
+        Writes the byte of ray i at an address.
+    count_hits
+        Writes the number of ray i's hits, up to the limit, to `CountAddresses`.
+    multi_hit
+        Writes the nearest splits[i + 1] - splits[i] hits of ray i to its rows of `RowAddresses`,
+        sorted.
+    """
+
+    first_hit: Callable[..., None]
+    any_hit: Callable[..., None]
+    count_hits: Callable[..., None]
+    multi_hit: Callable[..., None]
+
+
+def ray_answers(of_ray: RaySearches) -> RayAnswers:
+    """Make the answers of the searches of a ray."""
+    nearest, count, keep, _ = of_ray
+
+    @device
+    def first_hit(i, scene, hits, memory):
+        found = nearest(i, scene, hits, memory)
+        add_to(tally_of(scene.tallies, i), SHADINGS, found)
+
+    @device
+    def any_hit(i, scene, seen, memory):
+        found = count(i, scene, SearchGoal(ONE_U64, None, i, False), memory)
+        add_to(tally_of(scene.tallies, i), SHADINGS, found)
+        store(seen + i, np.uint8(found != ZERO_U64))
+
+    @device
+    def count_hits(i, scene, out, memory):
+        goal = SearchGoal(out.most, None, i, out.surfaces)
+        store(out.counts + (i << SHIFT_64), np.int64(count(i, scene, goal, memory)))
+
+    @device
+    def multi_hit(i, scene, rows, memory):
+        at = rows.splits + (i << SHIFT_64)
+        first = np.uint64(load(np.int64, at))
+        capacity, found = np.uint64(load(np.int64, at + BYTES_64)) - first, ZERO_U64
+        if capacity != ZERO_U64:
+            goal = SearchGoal(capacity, rows.hits, first, rows.surfaces)
+            found = keep(i, scene, goal, True, memory)
+            add_to(tally_of(scene.tallies, i), SHADINGS, found)
+        _note_found(rows.found, i, found)
+
+    return RayAnswers(first_hit, any_hit, count_hits, multi_hit)
+
+
+class RayQueries(NamedTuple):
+    """The compiled queries of a structure on the CPU, by `Kind`.
+
+    Attributes
+    ----------
+    first_hit, any_hit, count_hits, multi_hit : (begin, end, scene, out)
+        The loops of `RayAnswers`.
+    collect_hits : (begin, end, scene, limits, splits, hits)
+        Writes the nearest hits of each ray, within `HitLimits`, to rows 0 to splits[end - begin]
+        of `hits` (HitArrays). Returns the first ray that is not done: `end`, or one whose hits do
+        not fit.
+    cast : (frame, arrays, numbers)
+        Takes one ray as eight float64 numbers: origin and direction, in world space, and limits,
+        which are rounded to the precision. Returns its nearest hit ``(t, u, v, prim_id)``, and its
+        status.
     """
 
     first_hit: Callable[..., None]
@@ -224,25 +343,25 @@ class RayQueries(NamedTuple):
     cast: Callable[..., Any]
 
 
-def output_of(query: Query, sink: Sink) -> tuple[Any, ...]:
-    """The last arguments of a query's loop: what is wanted, and where it goes.
-
-    `Query.on_hit` is a `HitFilter` or None, for the nearest and any hit.
-    """
+def output_of(query: Query, sink: Sink) -> Any:
+    """Where a query's loop writes: the addresses of a sink's arrays, which must be kept."""
     if query.kind is Kind.FIRST_HIT:
-        return query.on_hit, ResultAddresses.of_first(sink.memory, sink.status)
+        memory = getattr(sink, "memory", None)
+        if memory is None:
+            return HitAddresses.of(sink.hits)
+        return HitAddresses.of_rows(array_address(memory), memory.strides[0] // memory.itemsize)
     if query.kind is Kind.ANY_HIT:
-        return query.on_hit, ResultAddresses.of_any(sink.seen, sink.status)
-    wanted = Wanted.of(query)
+        return np.uint64(array_address(sink.seen))
     if query.kind is Kind.COUNT_HITS:
-        return np.uint64(sink.status.ctypes.data), wanted, sink.counts
-    return wanted, sink.splits, sink.hits
+        return CountAddresses.of(query, array_address(sink.counts))
+    splits = np.uint64(array_address(sink.splits))
+    return RowAddresses(query.surfaces, splits, HitAddresses.of(sink.hits), None)
 
 
 def ray_queries(
     traverse: Callable[..., Any],
     stack_bytes: int,
-    make_searches: Callable[[Callable[..., Any]], Searches] = searches,
+    make_searches: Callable[[Callable[..., Any]], RaySearches] = searches,
 ) -> RayQueries:
     """Make the queries of a structure.
 
@@ -258,95 +377,53 @@ def ray_queries(
         Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8. It
         keeps its contents from ray to ray; before the first ray, the first 8 bytes are 0.
     make_searches : callable, optional
-        Makes the `Searches` of the traversal [default: `searches`].
+        Makes the `RaySearches` of the traversal [default: `searches`].
 
     Returns
     -------
     RayQueries
     """
-    search_ray, search_numbers = make_searches(traverse)
+    of_ray = make_searches(traverse)
+    nearest, keep, number = of_ray.nearest, of_ray.keep, of_ray.number
 
     @kernel
-    def first_hit(begin, end, source, frame, arrays, tallies, filter_, out):
-        stack = scratch(stack_bytes)
-        store(stack, ZERO_U64)
-        scene = RayScene(source, frame, arrays, stack, out.status, filter_)
-        hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            tally = tally_of(tallies, i)
-            search, ray = search_ray(i, scene, Goal(ONE_U64, hits, i, False, tally))
-            add_to(tally, SHADINGS, search.hit_count)
-            finish_first(out, i, search.hit_count, ray)
-
-    @kernel
-    def any_hit(begin, end, source, frame, arrays, tallies, filter_, out):
-        stack = scratch(stack_bytes)
-        store(stack, ZERO_U64)
-        scene = RayScene(source, frame, arrays, stack, out.status, filter_)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            tally = tally_of(tallies, i)
-            search, _ = search_ray(i, scene, Goal(ONE_U64, None, i, False, tally))
-            add_to(tally, SHADINGS, search.hit_count)
-            store(out.seen + i, np.uint8(search.hit_count != ZERO_U64))
-
-    @kernel
-    def count_hits(begin, end, source, frame, arrays, tallies, status, wanted, counts):
-        stack = scratch(stack_bytes)
-        store(stack, ZERO_U64)
-        scene = RayScene(source, frame, arrays, stack, status, None)
-        surfaces, most = wanted.surfaces, wanted.limit
-        for i in range(np.uint64(begin), np.uint64(end)):
-            goal = Goal(most, None, ZERO_U64, surfaces, tally_of(tallies, i))
-            search, _ = search_ray(i, scene, goal)
-            counts[i] = search.hit_count
-
-    @kernel
-    def multi_hit(begin, end, source, frame, arrays, tallies, wanted, splits, hits):
-        stack = scratch(stack_bytes)
-        store(stack, ZERO_U64)
-        scene = RayScene(source, frame, arrays, stack, None, None)
-        surfaces, to = wanted.surfaces, hit_addresses(hits)
-        for i in range(np.uint64(begin), np.uint64(end)):
-            first = np.uint64(splits[i])
-            capacity = np.uint64(splits[i + ONE_U64]) - first
-            if capacity == ZERO_U64:
-                continue
-            tally = tally_of(tallies, i)
-            search, ray = search_ray(i, scene, Goal(capacity, to, first, surfaces, tally))
-            add_to(tally, SHADINGS, search.hit_count)
-            finish_rows(to, first, search.hit_count, ray, True)
-
-    @kernel
-    def collect_hits(begin, end, source, frame, arrays, status, wanted, splits, hits):
-        stack = scratch(stack_bytes)
-        store(stack, ZERO_U64)
-        scene = RayScene(source, frame, arrays, stack, status, None)
-        surfaces, to = wanted.surfaces, hit_addresses(hits)
-        most, room, row = wanted.limit, np.uint64(len(hits.t)), ZERO_U64
+    def collect_hits(begin, end, scene, limits, splits, hits):
+        memory, to = scratch(stack_bytes), hit_addresses(hits)
+        store(memory, ZERO_U64)
+        room, row = np.uint64(len(hits.t)), ZERO_U64
         splits[0] = 0
         for i in range(np.uint64(begin), np.uint64(end)):
-            capacity = min(most, room - row)
+            capacity = min(limits.most, room - row)
             if capacity == ZERO_U64:
                 return np.int64(i)
-            search, ray = search_ray(i, scene, Goal(capacity, to, row, surfaces, None))
-            if search.hit_count == capacity and capacity != most:
+            goal = SearchGoal(capacity, to, row, limits.surfaces)
+            found = keep(i, scene, goal, limits.sorts, memory)
+            if found == capacity and capacity != limits.most:
                 return np.int64(i)
-            finish_rows(to, row, search.hit_count, ray, wanted.sorts)
-            row += search.hit_count
+            row += found
             splits[i + ONE_U64 - np.uint64(begin)] = row
         return np.int64(end)
 
     @kernel
-    def cast(frame, arrays, ox, oy, oz, dx, dy, dz, t_min, t_max):
-        stack, row = scratch(stack_bytes), scratch(16)
-        store(stack, ZERO_U64)
-        scene = RayScene(None, frame, arrays, stack, None, None)
-        hits = HitAddresses(row, row + np.uint64(4), row + np.uint64(8), row + np.uint64(12))
-        wanted = ox, oy, oz, dx, dy, dz, np.float32(t_min), np.float32(t_max)
-        search, ray = search_numbers(wanted, scene, Goal(ONE_U64, hits, ZERO_U64, False, None))
-        finish_first(hits, ZERO_U64, search.hit_count, ray)
-        t, u, v, prim_id = get_hit(hits, ZERO_U64)
-        numbers = np.float64(t), np.float64(u), np.float64(v), np.int64(prim_id)
-        return numbers, np.int64(ray.status)
+    def cast(frame, arrays, numbers):
+        memory, at = scratch(stack_bytes), scratch(128)
+        store(memory, ZERO_U64)
+        # The ray is written where a batch of one ray would be.
+        direction, low, high, status = at + _DIRECTION, at + _LOW, at + _HIGH, at + _STATUS
+        for k in range(3):
+            store(at + np.uint64(k) * BYTES_64, numbers[k])
+            store(direction + np.uint64(k) * BYTES_64, numbers[k + 3])
+        store(low, number(numbers[6]))
+        store(high, number(numbers[7]))
+        store(status, _VALID)
+        one = ZERO_U64
+        source = RaySource(at, one, True, direction, one, True, low, one, high, one)
+        scene = RayScene(source, frame, arrays, status, None, None)
+        hit = HitAddresses(at + _T, at + _U, at + _V, at + _PRIM_ID)
+        nearest(ZERO_U64, scene, hit, memory)
+        t, u, v = load(number, hit.t), load(number, hit.u), load(number, hit.v)
+        columns = np.float64(t), np.float64(u), np.float64(v), np.int64(load(np.int32, hit.prim_id))
+        return columns, np.int64(load(np.uint8, status))
 
-    return RayQueries(first_hit, any_hit, count_hits, multi_hit, collect_hits, cast)
+    loops = (loop_of(answer, stack_bytes) for answer in ray_answers(of_ray))
+    return RayQueries(*loops, collect_hits, cast)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
-from raystream.jit.intrinsics import row_address
 from raystream.jit.simd import load, store
 
 #: The counts of a row in order: see `machines.counters.RayCounters`.
@@ -41,8 +40,10 @@ def new_tallies(count: int) -> NDArray[np.uint32]:
 
 @device
 def tally_of(tallies, i):
-    """Address of the tally of ray i; None if `tallies` is None."""
-    return row_address(tallies, np.uint64(i))
+    """The tally of ray i, from the address of the first ray's; None if that is None."""
+    if tallies is None:
+        return None
+    return tallies + i * ROW
 
 
 @device

@@ -95,9 +95,4 @@ def make_machine(machine: str, structure: Structure, options: Mapping[str, Any])
         from raystream.machines.multipass import MultipassBackend
 
         return MultipassBackend(structure, **options)
-    if structure.precision == "float64":
-        from raystream.machines.float64 import Float64Backend
-
-        made: Any = structure
-        return Float64Backend(made)
     return Branching(structure)

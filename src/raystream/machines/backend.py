@@ -90,7 +90,7 @@ class Backend(ABC):
 
     def batch(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch:
         """The rays of a query as flat arrays on the host; see `RayBatch`."""
-        return RayBatch(origins, directions, t_min, t_max)
+        return self.structure.ray_batch(origins, directions, t_min, t_max)
 
     def caster(self) -> Callable[..., Any] | None:
         """A function for the nearest hit of a single ray; None if only `run` finds it.
@@ -98,8 +98,8 @@ class Backend(ABC):
         Returns
         -------
         callable or None
-            ``cast(ox, oy, oz, dx, dy, dz, t_min, t_max) -> ((t, u, v, prim_id), status)``: Python
-            floats in world space to Python numbers. Several threads may call it.
+            ``cast((ox, oy, oz, dx, dy, dz, t_min, t_max)) -> ((t, u, v, prim_id), status)``:
+            Python floats in world space to Python numbers. Several threads may call it.
         """
         return None
 

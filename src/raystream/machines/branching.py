@@ -8,12 +8,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.core.hit_kinds import distance_type
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, rising, thread_count
+from raystream.kernels.aligned import array_address
 from raystream.kernels.growing_buffers import GrowingBuffers
-from raystream.kernels.hits import HitAccumulator, HitArrays, HitBatch, Sink, allocate_hits
-from raystream.kernels.queries import Wanted, output_of
+from raystream.kernels.hits import (
+    HitAccumulator,
+    HitArrays,
+    HitBatch,
+    Sink,
+    allocate_hits,
+)
+from raystream.kernels.queries import HitLimits, RayScene, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.backend import Backend
@@ -24,23 +32,20 @@ from raystream.structures import Structure
 #: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
 
-#: Least rays of a call.
-_LEAST = 256
-
 #: Bytes of a thread's calls besides: Python's objects, and the splits of the rays of a call.
 _CALL_BYTES = 1 << 16
 
 
 class HitRows(NamedTuple):
-    """Buffers for `RayQueries.collect_hits`."""
+    """Buffers for `RayQueries.collect_hits`, made for a number of hits."""
 
     hits: HitArrays
     capacity: int
 
     @classmethod
-    def of(cls, capacity: int) -> HitRows:
-        """Allocate `capacity` hits."""
-        return cls(allocate_hits(capacity), capacity)
+    def of(cls, kind: type[np.floating[Any]], capacity: int) -> HitRows:
+        """Allocate `capacity` hits, with distances of a type."""
+        return cls(allocate_hits(capacity, kind), capacity)
 
 
 class Branching(Backend):
@@ -78,7 +83,7 @@ class Branching(Backend):
         elif sink.visitor is not None:
             self._visit(query, rays, sink, progress)
         else:
-            hits = HitAccumulator(len(rays))
+            hits = HitAccumulator(len(rays), distance_type(self.structure.triangles))
             self._visit(query, rays, Sink(sink.status, visitor=hits.take), progress)
             sink.put(*hits.whole())
 
@@ -89,11 +94,13 @@ class Branching(Backend):
         -----
         All hits are collected in buffers, one for each thread, and copied: `HitAccumulator`.
         """
-        small = thread_count() * _CALL_BYTES
+        small = thread_count() * _CALL_BYTES + self.structure.ray_batch.copied_bytes * ray_count
+        hit_bytes = HitArrays.row_bytes(distance_type(self.structure.triangles))
         if kind is not Kind.MULTI_HIT:
             return small + batch_bytes(self.structure, kind, ray_count)
         capacity = max(FIRST_CAPACITY, 4 * -(-hit_count // max(ray_count, 1)))
-        return small + thread_count() * 16 * capacity + 24 * ray_count + 16 * hit_count
+        buffers = thread_count() * hit_bytes * capacity
+        return small + buffers + 24 * ray_count + hit_bytes * hit_count
 
     def caster(self) -> Callable[..., Any]:
         """The structure's search of one ray; see `Backend.caster`."""
@@ -149,40 +156,54 @@ class Branching(Backend):
             The rays' frame [default: the scene's].
         """
         structure = self.structure
-        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
-        kernel = structure.queries[query.kind]
-        output = output_of(query, sink)
-        arrays = structure.arrays_for(query, rays, sink)
-        shared = source, structure.frame if frame is None else frame, arrays, sink.tallies
+        scene, kept = self._scene_of(query, rays, sink, frame)
+        kernel, out = structure.queries[query.kind], output_of(query, sink)
+        size = call_size(len(rays), structure.least_rays, structure.rays_per_call())
+        if len(rays) <= size and progress is None:  # small batches
+            kernel(0, len(rays), scene, out)
+            return
 
         def body(begin: int, end: int) -> None:
-            kernel(begin, end, *shared, *output)
+            kernel(begin, end, scene, out)
 
-        parallel_for(
-            body, len(rays), call_size(len(rays), _LEAST, structure.rays_per_call()), progress
-        )
+        parallel_for(body, len(rays), size, progress)
         del kept  # the kernel reads it by address
+
+    def _scene_of(
+        self, query: Query, rays: RayBatch, sink: Sink, frame: SceneFrame | None = None
+    ) -> tuple[RayScene, object]:
+        """The arguments that rays share, and the objects to keep alive until they are traced."""
+        structure, tallies = self.structure, sink.tallies
+        has_filter = query.kind is Kind.FIRST_HIT or query.kind is Kind.ANY_HIT
+        source, kept = RaySource.of(rays.origins, rays.directions, rays.exact_limits)
+        scene = RayScene(
+            source,
+            structure.frame if frame is None else frame,
+            structure.arrays_for(query, rays, sink),
+            np.uint64(array_address(sink.status)),
+            None if tallies is None else np.uint64(array_address(tallies)),
+            query.on_hit if has_filter else None,
+        )
+        return scene, kept
 
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Pass all hits to the sink's visitor."""
         structure, visitor = self.structure, sink.visitor
+        kind = distance_type(structure.triangles)
         if trace_batch(structure, query, rays, sink, progress):
             return
         assert visitor is not None
-        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
-        arrays = structure.arrays_for(query, rays, sink)
-        shared = source, structure.frame, arrays, np.uint64(sink.status.ctypes.data)
-        wanted = Wanted.of(query)
+        scene, kept = self._scene_of(query, rays, sink)
+        collect, limits = structure.queries.collect_hits, HitLimits.of(query)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)
-            reached = structure.queries.collect_hits(begin, end, *shared, wanted, splits, rows.hits)
+            reached = collect(begin, end, scene, limits, splits, rows.hits)
             if reached > begin:
                 visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, begin))
             return int(reached)
 
-        body = GrowingBuffers(HitRows.of, fill, FIRST_CAPACITY)
-        parallel_for(
-            body, len(rays), call_size(len(rays), _LEAST, structure.rays_per_call()), progress
-        )
+        body = GrowingBuffers(partial(HitRows.of, kind), fill, FIRST_CAPACITY)
+        size = call_size(len(rays), structure.least_rays, structure.rays_per_call())
+        parallel_for(body, len(rays), size, progress)
         del kept

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
@@ -22,7 +21,14 @@ class LocalFrameBackend(Backend):
 
     All hits are counted before they are written, to allocate memory for them: counters include
     both searches.
+
+    Attributes
+    ----------
+    ray_block : callable
+        Makes a block of rays; called as `RayBlock` is.
     """
+
+    ray_block: Callable[..., RayBlock] = RayBlock
 
     @abstractmethod
     def run_local(
@@ -49,24 +55,19 @@ class LocalFrameBackend(Backend):
         if query.kind is Kind.MULTI_HIT:
             self._count_and_fill(query, rays, sink, progress)
             return
-        for block in self._blocks(rays, sink.status, progress):
+        frame = self.structure.frame
+        for block in blocks(rays, frame, sink.status, progress, self.ray_block):
             part = sink.part(block.rows)
             self.run_local(query, block.rays, part, block.progress)
             if query.kind is Kind.FIRST_HIT:
                 block.to_world(part.hits.t, np.arange(len(part.hits.t) + 1))
-
-    def _blocks(
-        self, rays: RayBatch, status: NDArray[np.uint8], progress: Progress | None
-    ) -> Iterator[RayBlock]:
-        """The blocks of a batch."""
-        return blocks(rays, self.structure.frame, status, progress)
 
     def _count_and_fill(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
     ) -> None:
         filled, half = self.room_for_hits(query, rays, sink, progress)
         splits, hits = filled.splits, filled.hits
-        for block in self._blocks(rays, sink.status, half):
+        for block in blocks(rays, self.structure.frame, sink.status, half, self.ray_block):
             self.run_local(query, block.rays, filled.part(block.rows), block.progress)
             block.to_world(hits.t, splits[block.rows.start : block.rows.stop + 1])
         sink.put(splits, hits)

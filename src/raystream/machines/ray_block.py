@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -96,11 +96,12 @@ def blocks(
     frame: SceneFrame,
     status: NDArray[np.uint8],
     progress: Progress | None,
+    make: Callable[..., RayBlock] = RayBlock,
 ) -> Iterator[RayBlock]:
-    """Turn a batch into blocks of local rays, one at a time; see `RayBlock`."""
+    """Turn a batch into blocks of local rays, one at a time; `make` is called as `RayBlock` is."""
     for first in range(0, len(batch), RAYS_PER_BLOCK):
         rows = slice(first, min(first + RAYS_PER_BLOCK, len(batch)))
-        yield RayBlock(batch, rows, frame, status, progress)
+        yield make(batch, rows, frame, status, progress)
 
 
 def _given(array: NDArray[Any], dtype: Any) -> NDArray[Any]:

@@ -9,10 +9,11 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.views import address_of
 from raystream.kernels.leaf_block import block_ray
-from raystream.kernels.queries import Searches, note_status
+from raystream.kernels.queries import RaySearches, note_status, searches_of
 from raystream.kernels.ray import Ray, prepare_ray
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
 from raystream.kernels.search import begin_search, is_full
+from raystream.kernels.tally import tally_of
 from raystream.primitives.field import FIELD_BYTES, traverse_all_cells, traverse_field
 from raystream.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
 from raystream.primitives.sphere import ExactRay, exact_ray, intersect_spheres
@@ -92,14 +93,17 @@ def traverse_all(scene, ray, search, stack):
     return search
 
 
-def primitive_searches(traverse) -> Searches:
+def primitive_searches(traverse) -> RaySearches:
     """Make the searches of a ray with a traversal; see `kernels.queries.searches`."""
 
     @device
-    def of_numbers(numbers, scene, goal):
-        ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
+    def search_ray(i, scene, goal, memory):
+        ox, oy, oz = load_origin(scene.source, i)
+        dx, dy, dz = load_direction(scene.source, i)
+        t_min, t_max = load_limits(scene.source, i)
         frame = scene.frame
         ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
+        note_status(scene.status, i, ray.status)
         exact = exact_ray((ox, oy, oz, dx, dy, dz), ray, frame)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         search = begin_search(
@@ -109,20 +113,11 @@ def primitive_searches(traverse) -> Searches:
             goal.hits,
             goal.first_row,
             goal.surfaces,
-            goal.counters,
+            tally_of(scene.tallies, i),
             None,
             None,
         )
-        found = traverse(_RayScene(scene.arrays, exact), local, search, scene.stack)
+        found = traverse(_RayScene(scene.arrays, exact), local, search, memory)
         return found, ray
 
-    @device
-    def of_batch(i, scene, goal):
-        ox, oy, oz = load_origin(scene.source, i)
-        dx, dy, dz = load_direction(scene.source, i)
-        t_min, t_max = load_limits(scene.source, i)
-        search, ray = of_numbers((ox, oy, oz, dx, dy, dz, t_min, t_max), scene, goal)
-        note_status(scene.status, i, ray.status)
-        return search, ray
-
-    return Searches(of_batch, of_numbers)
+    return searches_of(search_ray)

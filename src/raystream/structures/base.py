@@ -19,7 +19,7 @@ from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
-from raystream.kernels.queries import RayQueries, Searches, ray_queries, searches
+from raystream.kernels.queries import RayQueries, RaySearches, ray_queries, searches
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.batch_kernels import BatchKernels
 from raystream.structures.registry import StructureOptions
@@ -102,6 +102,12 @@ class Structure(ABC):
         Build and traversal options.
     make_searches : callable
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
+    queries : RayQueries
+        The queries of single rays.
+    ray_batch : type of RayBatch
+        What rays are made into.
+    least_rays : int
+        Least rays per call of the queries of single rays.
     precision : {"float32", "float64"}
         Precision of triangles and distances.
     batch_kernels : mapping of Kind to BatchKernels
@@ -112,8 +118,10 @@ class Structure(ABC):
 
     traverse: ClassVar[Callable[..., Any]]
     stack_bytes: ClassVar[int] = 8
-    make_searches: ClassVar[Callable[..., Searches]] = staticmethod(searches)
+    make_searches: ClassVar[Callable[..., RaySearches]] = staticmethod(searches)
     queries: ClassVar[RayQueries]
+    ray_batch: ClassVar[type[RayBatch]] = RayBatch
+    least_rays: ClassVar[int] = 256
     precision: ClassVar[str] = "float32"
     batch_kernels: Mapping[Kind, BatchKernels] = MappingProxyType({})
     is_outdated: bool = False

@@ -11,7 +11,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.ray_source import RaySource
+from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
 
 if TYPE_CHECKING:
@@ -43,6 +43,13 @@ class Batch(NamedTuple):
     def wants_any(self) -> bool:
         """Whether any hit is wanted, not the nearest one."""
         return self.query.kind is Kind.ANY_HIT
+
+    @property
+    def results(self) -> ResultAddresses:
+        """Where the kernels of nearest and any hits in float32 write."""
+        if self.wants_any:
+            return ResultAddresses.of_any(self.sink.seen, self.sink.status)
+        return ResultAddresses.of_first(self.sink.memory, self.sink.status)
 
     def packets(self, frame: SceneFrame) -> PacketSource:
         """The rays as packets."""

@@ -81,7 +81,7 @@ class RayCaster(TracedScene):
             columns = hits.t.item(), hits.u.item(), hits.v.item(), hits.prim_id.item()
             instance_id, status = hits.instance_id.item(), hits.status.item()
         else:
-            columns, status = self._cast(*origin, *direction, t_min, t_max)
+            columns, status = self._cast((*origin, *direction, t_min, t_max))
             instance_id = None
         hit = RayHit.of(columns, self.structure.triangles, instance_id)
         if status:

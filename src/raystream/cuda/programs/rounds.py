@@ -17,12 +17,12 @@ from raystream.cuda.launch import RayLauncher, Steps
 from raystream.cuda.programs.device_program import DeviceProgram, Record
 from raystream.cuda.programs.skip_prim_ids import place_skips
 from raystream.cuda.programs.steps import CLEAR_IGNORED, OPEN, WANT
-from raystream.cuda.query_kernels import RowAddresses
 from raystream.cuda.rays import HITS_AT_ONCE, moved, split_rows
 from raystream.cuda.scan import prefix_sum
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray
 from raystream.kernels.hits import HitAddresses
+from raystream.kernels.queries import RowAddresses
 from raystream.programs.hits import RaysAt, RowsAt
 from raystream.programs.loop_source import Goal
 from raystream.programs.rows import SkipsAt
@@ -146,9 +146,9 @@ class ProgramRounds(NamedTuple):
         with launcher.scope.nested() as inner:
             memory = inner.ready("hits", (4, row_count), np.float32)
             hits = _moved_hits(HitAddresses.of_rows(memory.address, row_count), -first_row)
-            to = RowAddresses(splits.address, hits, counts.address)
+            to = RowAddresses(self.surfaces, splits.address, hits, counts.address)
             kernel = launcher.scene.kernels.multi_hit
-            launcher.launch(kernel, bool(self.surfaces), to, rows=rays)
+            launcher.launch(kernel, to, rows=rays)
             rows = RowsAt(*hits, splits.address, counts.address, np.uint64(delivered))
             self._visit(rows, rays, open_rays, goal)
 

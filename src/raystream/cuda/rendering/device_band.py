@@ -15,9 +15,8 @@ from raystream.cuda.rendering.columns import HitColumns, StreamColumns
 from raystream.cuda.rendering.kernels import GENERATE_CAMERA_RAYS
 from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
-from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu, RangeKernel
-from raystream.kernels.ray_source import ResultAddresses
+from raystream.kernels.queries import RayScene
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.integrator import RenderContext
 from raystream.rendering.sampling.sampler import PixelSample
@@ -192,15 +191,13 @@ class DeviceBand:
         kernel.launch(self.scene.gpu, count, arguments, self._staging.stream.native)
 
     def trace(
-        self, kernel: RangeKernel, rays: StreamColumns, count: int, has_ends: bool, **to: np.uint64
+        self, kernel: RangeKernel, rays: StreamColumns, count: int, has_ends: bool, to: Any
     ) -> None:
-        """Launch a query for rays; `to` are the addresses of its results."""
+        """Launch a query of rays that writes to `to`."""
         status = self.empty("status", count, np.uint8)  # not read
-        places = dict.fromkeys(ResultAddresses._fields, NULL) | to
-        places["status"] = status.address
-        source = rays.source(*self._limits, has_ends)
-        scene, answers = self.scene, ResultAddresses(**places)
-        self.run(kernel, count, source, scene.frame, scene.resident.tree, None, answers)
+        source, held = rays.source(*self._limits, has_ends), self.scene
+        shared = source, held.frame, held.resident.tree, status.address
+        self.run(kernel, count, RayScene(*shared, None, None), to)
 
     def wait(self) -> None:
         """Wait until all launches are done."""

@@ -39,8 +39,8 @@ DeviceStage = Callable[[DeviceStream, DeviceBand], DeviceStream]
 
 def _find_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     """Trace the paths' rays."""
-    to = band.hits.addresses._asdict()
-    band.trace(band.scene.kernels.first_hit, stream.paths, stream.count, False, **to)
+    to = band.hits.addresses
+    band.trace(band.scene.kernels.first_hit, stream.paths, stream.count, False, to)
     return replace(stream, hits=band.hits)
 
 
@@ -117,7 +117,7 @@ def _trace_shadow_rays(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
         rays, counts = shadows.rays, shadows.slots.addresses.counts
         blocked = band.empty("answers", shadows.ray_count, np.uint8)
         any_hit = band.scene.kernels.any_hit
-        band.trace(any_hit, rays, shadows.ray_count, True, seen=blocked.address)
+        band.trace(any_hit, rays, shadows.ray_count, True, blocked.address)
         to = rays.addresses, blocked.address, band.first_pixel, band.radiance
         band.run(ADD_UNBLOCKED, shadows.thread_count, counts, *to)
     return replace(stream, shadows=None)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.graphics.packing import LOCAL_RAYS, RayKind
 from raystream.graphics.shader_source import TREE_GROUP, shader_source
 
 #: Bytes of the uniform ``Params`` before the structure's ``Tree``.
@@ -40,6 +41,8 @@ class ShaderStructure:
         Constants that are declared before the file, for the sizes of its arrays.
     instead : dict of str to str
         Replacements of the file's includes; see `shader_source`.
+    rays : RayKind
+        How the compute machine stores rays.
     """
 
     name: str
@@ -50,6 +53,7 @@ class ShaderStructure:
     constants: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, int] = field(default_factory=dict)
     instead: dict[str, str] = field(default_factory=dict)
+    rays: RayKind = LOCAL_RAYS
 
     def params(
         self,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.graphics.instanced_rays import placed_rays, power_of
 from raystream.graphics.structures.base import ShaderStructure, budget_for, numbers
 from raystream.graphics.structures.bvh import leaf_blocks, most_steps, stack_size
 from raystream.instances.structure import InstancedBvh, InstancedStructure
@@ -57,12 +59,8 @@ _INSTEAD = {
 
 def instanced_structure(structure: InstancedStructure) -> ShaderStructure:
     """The structures of the objects, and the tree over the instances, as shaders read them."""
-    return _trees(structure) if isinstance(structure, InstancedBvh) else _lists(structure)
-
-
-def power_of(scale: Any) -> NDArray[np.int32]:
-    """The exponents of powers of two."""
-    return np.asarray(np.frexp(scale)[1] - 1, np.int32)
+    made = _trees(structure) if isinstance(structure, InstancedBvh) else _lists(structure)
+    return replace(made, rays=placed_rays(float(structure.arrays.far_unit)))
 
 
 def _trees(bvh: InstancedBvh) -> ShaderStructure:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind
-from raystream.kernels.queries import output_of
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.group_queries import trace_groups
@@ -33,10 +32,9 @@ _CACHED_BYTES = 1 << 21
 
 
 def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
-    filter_, out = output_of(batch.query, batch.sink)
     rays = bvh.arrays, bvh.frame, batch.source
     prefetching = bvh.report.byte_count > _CACHED_BYTES
-    return trace_wavefront, (*rays, batch.wants_any, prefetching, filter_, out)
+    return trace_wavefront, (*rays, batch.wants_any, prefetching, batch.query.on_hit, batch.results)
 
 
 def _packets(bvh: BvhStructure, batch: Batch) -> Calls:
@@ -49,7 +47,7 @@ def _groups(bvh: BvhStructure, batch: Batch) -> Calls:
 
 def nearest_of_packets(structure: Structure, batch: Batch) -> tuple[Any, ...]:
     """The arguments of kernels that find the nearest or any hits of packets."""
-    wanted = NearestWanted(batch.wants_any, *output_of(batch.query, batch.sink))
+    wanted = NearestWanted(batch.wants_any, batch.query.on_hit, batch.results)
     return structure.arrays, batch.packets(structure.frame), wanted
 
 
