@@ -13,6 +13,7 @@ from raystream.float64.group_rays import Float64Packets
 from raystream.float64.packets import FLOAT64_ALL, FLOAT64_COUNTS, trace_packets
 from raystream.float64.stream import BLOCK_PACKETS, WORKING_BYTES, count_in_groups, trace_groups
 from raystream.jit.constants import ZERO_U64
+from raystream.kernels.aligned import array_address
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
@@ -28,8 +29,11 @@ _FEW = 256
 
 
 def _source(bvh: Float64Structure, batch: Batch) -> Float64Packets:
-    rays: Any = batch.rays
-    return Float64Packets.of(batch.packets(bvh.frame), *rays.float64_limits)
+    exact = batch.source
+    for name, limit in zip(("t_min", "t_max"), batch.rays.exact_limits, strict=True):
+        step = np.uint64(8 if len(limit) > 1 else 0)
+        exact = exact._replace(**{name: np.uint64(array_address(limit)), f"{name}_step": step})
+    return Float64Packets(*batch.packets(bvh.frame), exact)
 
 
 def _arguments(bvh: Float64Structure, batch: Batch) -> tuple[Any, ...]:

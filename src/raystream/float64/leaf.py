@@ -208,15 +208,15 @@ def _collected(collector, t, group):
 
 
 @device
-def nearest_kind(wants_any):
+def nearest_kind(wanted):
     """The nearest, or any, hits are kept."""
-    return Kind(_keep_lanes, _keep_hits, _FEW, False, wants_any, None, None)
+    return Kind(_keep_lanes, _keep_hits, _FEW, False, wanted.wants_any, None, None)
 
 
 @device
-def counting_kind(surfaces):
+def counting_kind(wanted):
     """All hits are counted, see `leaf_kinds.Counts`."""
-    return Kind(_count_lanes, _count_hits, _FEW, surfaces, False, None, None)
+    return Kind(_count_lanes, _count_hits, _FEW, wanted.surfaces, False, None, None)
 
 
 @device

@@ -5,20 +5,15 @@ Packets descend the tree as in `structures.bvh.packet`; leaves test triangles in
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from raystream.float64.best import SPAN_BYTES
 from raystream.float64.block import BLOCK, PRIM_IDS, edges_of, leaf_end
-from raystream.float64.counts import finish_counts, rays_alone
-from raystream.float64.group_rays import (
-    GROUP_BYTES,
-    Float64Lanes,
-    exact_ray,
-    finish_rays,
-    load_rays,
-)
+from raystream.float64.group_rays import GROUP_BYTES, Float64Lanes, exact_ray, load_rays
+from raystream.float64.group_results import rays_alone, store_counts, store_nearest
 from raystream.float64.leaf import (
     Float64Leaf,
     collecting_kind,
@@ -27,7 +22,7 @@ from raystream.float64.leaf import (
     test_group,
     test_one,
 )
-from raystream.float64.queries import LANES_BYTES, tree_searches
+from raystream.float64.queries import MEMORY_BYTES, tree_searches
 from raystream.float64.ray import ray_of_line
 from raystream.float64.rows import FLOAT64_ROWS
 from raystream.float64.traversal import STACK_BYTES
@@ -159,36 +154,25 @@ def _load_rays(packet, number, slow_groups, source, state, kind):
     return Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, scratch(SPAN_BYTES))
 
 
-@device
-def _begin_nearest(packet, number, slow_groups, source, wanted, state):
-    kind = nearest_kind(wanted.wants_any)
-    return _load_rays(packet, number, slow_groups, source, state, kind)
+def _answer(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> PacketAnswer:
+    """Make an answer of functions for its leaves, see `leaf`, and results, see `group_results`."""
+
+    @device
+    def begin(packet, number, slow_groups, source, wanted, state):
+        return _load_rays(packet, number, slow_groups, source, state, kind_of(wanted))
+
+    @device
+    def finish(packet, number, slow_groups, source, scene, wanted, state):
+        for g in range(GROUPS):
+            first, count = group_rows(source.order, number, g)
+            if count != ZERO_U64:
+                store_group(packet, g, state + _RAYS_AT, first, count, source, scene, wanted)
+        return True
+
+    return PacketAnswer(begin, finish, _STATE_BYTES)
 
 
-@device
-def _store_nearest(packet, number, slow_groups, source, scene, wanted, state):
-    own = scratch(STACK_BYTES), scratch(LANES_BYTES)
-    for g in range(GROUPS):
-        first, count = group_rows(source.order, number, g)
-        if count != ZERO_U64:
-            at = state + _RAYS_AT + g * GROUP_BYTES
-            finish_rays(at, first, count, scene, source.frame, wanted.wants_any, wanted.out, own)
-    return True
-
-
-@device
-def _begin_counts(packet, number, slow_groups, source, wanted, state):
-    kind = counting_kind(wanted.surfaces)
-    return _load_rays(packet, number, slow_groups, source, state, kind)
-
-
-@device
-def _store_counts(packet, number, slow_groups, source, scene, wanted, state):
-    for g in range(GROUPS):
-        first, count = group_rows(source.order, number, g)
-        if count != ZERO_U64:
-            finish_counts(packet, g, state + _RAYS_AT, first, count, source, scene, wanted)
-    return True
+# All hits
 
 
 @device
@@ -202,33 +186,28 @@ def _begin_rows(packet, number, slow_groups, source, wanted, state):
 def _store_rows(packet, number, slow_groups, source, scene, wanted, state):
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
-        if count == ZERO_U64:
-            continue
-        alone = rays_alone(state + _RAYS_AT, g, first, count, source.status)
-        while alone != ZERO_U64:
-            k = count_trailing_zeros(alone)
-            alone &= alone - ONE_U64
-            _collect_alone(g, k, source.frame, scene, wanted.surfaces, state)
+        if count != ZERO_U64 and rays_alone(state + _RAYS_AT, g) != ZERO_U64:
+            for k in range(count):
+                _collect_alone(g, k, first + k, source, scene, wanted.surfaces, state)
     return _store_found(packet, number, slow_groups, source, scene, wanted, state)
 
 
 @device_call
-def _collect_alone(g, k, frame, scene, surfaces, state):
-    """Collect the hits of a ray that is traced by itself."""
+def _collect_alone(g, k, i, source, scene, surfaces, state):
+    """Collect the hits of ray i, if it is traced by itself."""
     no_inline()
     hits, lanes = Collector(state), Float64Lanes(state + _RAYS_AT, g)
-    if not has_room(hits):
+    if lanes.is_alone[k] == np.int32(0) or not has_room(hits):
         return
-    half, rest = _UNIT, _UNIT  # as they are sorted
-    if hits.in_world != ZERO_U64:
-        half, rest = lanes.half[k], lanes.rest[k]
-    ray = ray_of_line(exact_ray(lanes, k), half, rest, np.uint8(0), frame)
-    memory = scratch(STACK_BYTES), scratch(LANES_BYTES)
-    first, found = hits.count, Buffers(hits.buffers).found
+    memory, first, found = scratch(MEMORY_BYTES), hits.count, Buffers(hits.buffers).found
+    half, rest = lanes.half[k], lanes.rest[k]
+    if hits.in_world == ZERO_U64:  # sorted before they are reported
+        half, rest = _UNIT, _UNIT
+    ray = ray_of_line(exact_ray(lanes, k), half, rest, np.uint8(0), source.frame)
     rows = HitAddresses(found.t, found.u, found.v, found.prim_id)
     # If all rows become full, there is no room for the packet.
-    room = hits.capacity - first
-    hits.count += _keep(scene, ray, room, rows, first, surfaces, memory)
+    own, room = (memory, memory + np.uint64(STACK_BYTES)), hits.capacity - first
+    hits.count += _keep(scene, ray, room, rows, first, surfaces, own)
     for row in range(first, hits.count):
         store(found.ray + (row << SHIFT_32), hits.first_rays[g] + np.int32(k))
 
@@ -250,6 +229,6 @@ _keep = tree_searches.keep
 _store_found = Copies("of_float64", {**FLOAT64_ROWS, row_transform: _lengths_of}).of(ROWS.finish)
 
 #: Kernels for a `Float64Packets`, as those of `packet_queries`.
-trace_packets = packet_kernel(TREES, PacketAnswer(_begin_nearest, _store_nearest, _STATE_BYTES))
-FLOAT64_COUNTS = PacketAnswer(_begin_counts, _store_counts, _STATE_BYTES)
+trace_packets = packet_kernel(TREES, _answer(nearest_kind, store_nearest))
+FLOAT64_COUNTS = _answer(counting_kind, store_counts)
 FLOAT64_ALL = PacketAnswer(_begin_rows, _store_rows, _STATE_BYTES)

@@ -7,7 +7,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.float64.block import HIGH, PRIM_IDS, test_block
 from raystream.float64.exact import resolve
@@ -20,7 +19,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, load, store
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.queries import RaySearches, note_status
-from raystream.kernels.ray_source import RaySource, load_direction, load_origin
+from raystream.kernels.ray_source import load_direction, load_origin
 
 _MISS = np.int32(-1)
 _INF = np.float64(np.inf)
@@ -29,21 +28,6 @@ _ZERO = np.float64(0.0)
 #: Bytes that `test_block` writes, and those of a search.
 LANES_BYTES = 64
 MEMORY_BYTES = STACK_BYTES + LANES_BYTES
-
-
-class Float64Source(NamedTuple):
-    """The rays of a batch.
-
-    Attributes
-    ----------
-    rays : RaySource
-        Its limits are rounded to float32, outward.
-    t_min, t_max : ndarray of shape (N,) or (1,), float64
-    """
-
-    rays: RaySource
-    t_min: NDArray[np.float64]
-    t_max: NDArray[np.float64]
 
 
 @device

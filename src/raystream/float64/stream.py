@@ -6,6 +6,9 @@ triangles in float64.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from raystream.float64.best import SPAN_BYTES
@@ -19,11 +22,9 @@ from raystream.float64.block import (
     load_corner,
     triangle_edges,
 )
-from raystream.float64.counts import finish_counts
-from raystream.float64.group_rays import GROUP_BYTES, finish_rays, load_rays
+from raystream.float64.group_rays import GROUP_BYTES, load_rays
+from raystream.float64.group_results import store_counts, store_nearest
 from raystream.float64.leaf import Float64Leaf, counting_kind, nearest_kind, test_group, test_one
-from raystream.float64.queries import LANES_BYTES
-from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
@@ -71,11 +72,6 @@ _BLOCK_LANES, _ALL = np.uint64(4), np.uint64(0xFFFF)
 
 
 @device
-def _group_at(memory, g):
-    return memory + _GROUPS_AT + g * GROUP_BYTES
-
-
-@device
 def _load_rays(memory, source, first, last):
     """Load the rays of packets in float64, after `load_block`."""
     g = ZERO_U64
@@ -86,7 +82,8 @@ def _load_rays(memory, source, first, last):
                 continue
             local = GroupLanes(memory, g)
             is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
-            load_rays(_group_at(memory, g), source, ray, length, is_slow, local)
+            at = memory + _GROUPS_AT + g * GROUP_BYTES
+            load_rays(at, source, ray, length, is_slow, local)
             if is_slow:  # some may have become inactive
                 _copy_limits(memory, g, _ALL)
             g += ONE_U64
@@ -149,7 +146,7 @@ def _visit_leaf(leaf, tree, child, rays, memory, small):
     return hit_count
 
 
-# The kernel
+# The kernels
 
 
 @device
@@ -159,48 +156,30 @@ def _load(memory, source, first, last, scene, wanted):
     return count, ray_count, group_count
 
 
-@device
-def _trace(memory, count, ray_count, scene, kind):
-    stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
-    rays, spans = memory + _GROUPS_AT, scratch(SPAN_BYTES)
-    leaf = Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, spans)
-    trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
+def _kernel(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any:
+    """Make a kernel of functions for leaves, see `leaf`, and results, see `group_results`."""
+
+    @device
+    def trace(memory, count, ray_count, scene, source, wanted):
+        stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
+        kind, rays, spans = kind_of(wanted), memory + _GROUPS_AT, scratch(SPAN_BYTES)
+        leaf = Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, spans)
+        trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
+
+    @device
+    def finish(memory, source, first, last, scene, group_count, wanted):
+        rays, g = memory + _GROUPS_AT, ZERO_U64
+        for packet in range(first, last):
+            for row in range(GROUPS):
+                ray, length = group_rows(source.order, packet, row)
+                if length != ZERO_U64:
+                    store_group(memory, g, rays, ray, length, source, scene, wanted)
+                    g += ONE_U64
+
+    return group_kernel(_load, trace, finish, BLOCK_PACKETS)
 
 
-@device
-def _trace_nearest(memory, count, ray_count, scene, source, wanted):
-    _trace(memory, count, ray_count, scene, nearest_kind(wanted.wants_any))
-
-
-@device
-def _store_nearest(memory, source, first, last, scene, group_count, wanted):
-    own, g = (scratch(STACK_BYTES), scratch(LANES_BYTES)), ZERO_U64
-    for packet in range(first, last):
-        for row in range(GROUPS):
-            ray, length = group_rows(source.order, packet, row)
-            if length != ZERO_U64:
-                at, any_ = _group_at(memory, g), wanted.wants_any
-                finish_rays(at, ray, length, scene, source.frame, any_, wanted.out, own)
-                g += ONE_U64
-
-
-@device
-def _trace_counts(memory, count, ray_count, scene, source, wanted):
-    _trace(memory, count, ray_count, scene, counting_kind(wanted.surfaces))
-
-
-@device
-def _store_counts(memory, source, first, last, scene, group_count, wanted):
-    rays, g = memory + _GROUPS_AT, ZERO_U64
-    for packet in range(first, last):
-        for row in range(GROUPS):
-            ray, length = group_rows(source.order, packet, row)
-            if length != ZERO_U64:
-                finish_counts(memory, g, rays, ray, length, source, scene, wanted)
-                g += ONE_U64
-
-
-#: The nearest or any hits of a `Float64Packets`, for a `packet_queries.NearestWanted`; in
-#: `WORKING_BYTES` bytes. The numbers of its hits, for a `CountsWanted`.
-trace_groups = group_kernel(_load, _trace_nearest, _store_nearest, BLOCK_PACKETS)
-count_in_groups = group_kernel(_load, _trace_counts, _store_counts, BLOCK_PACKETS)
+#: Kernels for a `Float64Packets`, in `WORKING_BYTES` bytes: the nearest or any hits for a
+#: `packet_queries.NearestWanted`, the numbers of hits for a `CountsWanted`.
+trace_groups = _kernel(nearest_kind, store_nearest)
+count_in_groups = _kernel(counting_kind, store_counts)
