@@ -20,7 +20,7 @@ from raystream.kernels.leaf_block import (
     triangle_count,
 )
 from raystream.kernels.ray import prepare_ray
-from raystream.kernels.search import begin_search
+from raystream.kernels.search import SearchGoal, begin_search
 from raystream.kernels.triangle_list import intersect_list
 
 _NONE = np.uint64(0)
@@ -70,12 +70,11 @@ def in_parts(blocks, count, max_coordinate, origins, directions, parts, surfaces
     for i in range(np.uint64(len(counts))):
         o, d = origins[i], directions[i]
         ray = block_ray(prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], max_coordinate))
-        kept = begin_search(
-            parts[0], np.float32(np.inf), room, to, i * room, surfaces, None, None, None
-        )
-        counted = begin_search(
-            parts[0], np.float32(np.inf), room, None, _NONE, surfaces, None, None, None
-        )
+        inf = np.float32(np.inf)
+        keeping = SearchGoal(room, to, i * room, surfaces)
+        kept = begin_search(parts[0], inf, keeping, None, None, None)
+        counting = SearchGoal(room, None, _NONE, surfaces)
+        counted = begin_search(parts[0], inf, counting, None, None, None)
         for k in range(len(parts) - 1):
             block = first
             while block != end:
@@ -94,7 +93,8 @@ def in_a_list(prim_ids, corners, max_coordinate, origins, directions, t_min, sur
     for i in range(np.uint64(len(counts))):
         o, d = origins[i], directions[i]
         ray = prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], max_coordinate)
-        search = begin_search(t_min, inf, room, to, i * room, surfaces, None, None, None)
+        goal = SearchGoal(room, to, i * room, surfaces)
+        search = begin_search(t_min, inf, goal, None, None, None)
         search = intersect_list(
             address(prim_ids), address(corners), _NONE, end, ray, search, t_min, inf
         )

@@ -16,7 +16,7 @@ from raystream.kernels.hits import HitArrays, Sink, hit_addresses
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame, prepare_ray
-from raystream.kernels.search import Search, begin_search, is_full, sort_hits, wants_any
+from raystream.kernels.search import Search, SearchGoal, begin_search, is_full, sort_hits, wants_any
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching
 from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH
@@ -100,7 +100,7 @@ def run_pass(
         stack = address(stacks) + np.uint64(i) * np.uint64(stride)
         top, t_min, t_far = states.top[i], rays.t_min[i], states.t_far[i]
         first, capacity = slots.first[i], slots.capacity[i]
-        tally = tally_of(tallies, i)
+        tally = tally_of(address(tallies), np.uint64(i))
         line = block_ray(
             prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
         )
@@ -119,8 +119,8 @@ def run_pass(
             add_to(tally, STEPS, _ONE)
             child = states.child[i]
             to = rows_of(out)
-            goal = begin_search(t_min, t_far, capacity, to, first, surfaces, tally, None, None)
-            is_any = wants_any(goal)
+            goal = SearchGoal(capacity, to, first, surfaces)
+            is_any = wants_any(begin_search(t_min, t_far, goal, tally, None, None))
             states.top[i] = visit(tree, child, line, t_min, t_far, is_any, stack, half_bytes, top)
             stage = _POP
         else:
@@ -147,10 +147,9 @@ def fused(tree, max_coordinate, rays, surfaces, slots, out, counts, tallies):
     for i in range(len(counts)):
         ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
         first, capacity = slots.first[i], slots.capacity[i]
-        t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(tallies, i)
-        search = begin_search(
-            t_min, t_max, capacity, rows_of(out), first, surfaces, tally, None, None
-        )
+        t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(address(tallies), np.uint64(i))
+        goal = SearchGoal(capacity, rows_of(out), first, surfaces)
+        search = begin_search(t_min, t_max, goal, tally, None, None)
         search = traverse(tree, ray, search, stack)
         counts[i] = search.hit_count
 

@@ -87,7 +87,8 @@ def kernels():
     """The compiled kernels of all packages, by location."""
     modules = [module for name, module in sys.modules.items() if name.startswith("raystream.")]
     values = [value for module in modules for value in vars(module).values()]
-    values += list(rs.Tracer(next(scenes())[1]).structure.queries)
+    loops, *others = rs.Tracer(next(scenes())[1]).structure.queries
+    values += [*loops, *others]
     for value in values:
         is_kernel = isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache)
         if is_kernel and value.overloads:

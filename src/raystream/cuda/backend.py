@@ -164,9 +164,7 @@ class CudaBackend(Backend):
             return None
         from raystream.cuda.rendering import CudaBands
 
-        gpu, kernels, resident, frame, *_ = self._scene
-        own = gpu, kernels, resident, frame, self._staging_streams
-        return CudaBands(context, *own, self.rays_at_once)
+        return CudaBands(context, self._scene, self._staging_streams, self.rays_at_once)
 
     def _trace(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         # Counters are those of the CPU's nodes.

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.cuda.hit_ids import HitIds
-from raystream.cuda.query_kernels import QueryKernels
 from raystream.cuda.rays import DeviceRays, moved
 from raystream.cuda.structures import Resident
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
-from raystream.kernels.queries import RayScene
+from raystream.kernels.queries import RayAnswers, RayScene
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.tally import ROW
 
@@ -39,7 +38,8 @@ class DeviceScene(NamedTuple):
     Attributes
     ----------
     gpu : Gpu
-    kernels : QueryKernels
+    kernels : RayAnswers
+        Of its queries.
     resident : Resident
     frame : SceneFrame
     triangles : Triangles, InstancedTriangles or Primitives
@@ -48,7 +48,7 @@ class DeviceScene(NamedTuple):
     """
 
     gpu: Gpu
-    kernels: QueryKernels
+    kernels: RayAnswers
     resident: Resident
     frame: SceneFrame
     triangles: Any
@@ -97,7 +97,7 @@ class RayLauncher:
         status: np.uint64 | None = None,
         rows: slice | None = None,
     ) -> None:
-        """Launch a kernel of `QueryKernels` for each ray, or for some rows of them.
+        """Launch a kernel for each ray, or for some rows of them.
 
         Does not wait. `status` and the addresses in `out` are those of the first of these rays.
         """

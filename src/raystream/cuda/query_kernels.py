@@ -7,27 +7,18 @@ structure, and writes world distances.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.answers import thread_of
-from raystream.kernels.queries import RaySearches, ray_answers
-
-
-class QueryKernels(NamedTuple):
-    """The kernels of a structure, from `make_kernels`."""
-
-    first_hit: RangeKernel
-    any_hit: RangeKernel
-    count_hits: RangeKernel
-    multi_hit: RangeKernel
+from raystream.kernels.queries import RayAnswers, RaySearches, ray_answers
 
 
 def make_kernels(
     traverse: Callable[..., Any],
     stack_bytes: int,
     make_searches: Callable[[Callable[..., Any]], RaySearches],
-) -> QueryKernels:
+) -> RayAnswers:
     """Make the kernels of a structure.
 
     Parameters
@@ -37,8 +28,8 @@ def make_kernels(
 
     Returns
     -------
-    QueryKernels
-        Each takes ``(scene, out)``; see `kernels.queries.RayAnswers`.
+    RayAnswers
+        Of RangeKernel; each takes ``(scene, out)``.
     """
     answers = ray_answers(make_searches(traverse))
-    return QueryKernels(*(RangeKernel(thread_of(answer, stack_bytes)) for answer in answers))
+    return RayAnswers(*(RangeKernel(thread_of(answer, stack_bytes)) for answer in answers))

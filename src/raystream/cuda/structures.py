@@ -7,12 +7,13 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 from raystream.cuda.bvh.kernels import LAYOUTS, Traced, has_binary_layout, lay_out, traced_as
 from raystream.cuda.nested import AddressMap, SharedAllocation
-from raystream.cuda.query_kernels import QueryKernels, make_kernels
+from raystream.cuda.query_kernels import make_kernels
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
+from raystream.kernels.queries import RayAnswers
 from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
 
-def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
+def kernels_of(made: Traced, *, is_own: bool = False) -> RayAnswers:
     """The query kernels of a structure.
 
     Parameters
@@ -34,7 +35,7 @@ def kernels_of(made: Traced, *, is_own: bool = False) -> QueryKernels:
 
 
 @cache
-def _made(made: Traced, is_binary: bool) -> QueryKernels:
+def _made(made: Traced, is_binary: bool) -> RayAnswers:
     held: Any = structure_class(made) if isinstance(made, str) else made
     traverse, stack_bytes = held.traverse, held.stack_bytes
     if is_binary and isinstance(made, str):

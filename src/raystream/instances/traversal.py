@@ -287,17 +287,9 @@ def instance_searches(traverse) -> RaySearches:
         ray, most, whole = scene_ray(load_world_ray(scene.source, i), top, scene.frame)
         note_status(scene.status, i, ray.status)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, most)
-        search = begin_search(
-            ray.t_min,
-            ray.t_max,
-            goal.capacity,
-            goal.hits,
-            goal.first_row,
-            goal.surfaces,
-            tally_of(scene.tallies, i),
-            ray_filter(scene.filter, i, ray),
-            InstanceRay(ray.t_scale, ray.t_offset, _NO_ID),
-        )
+        instance = InstanceRay(ray.t_scale, ray.t_offset, _NO_ID)
+        tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
+        search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, instance)
         found = traverse(_InstanceContext(top, world, whole), local, search, memory)
         return found, _world_ray(ray)
 

@@ -22,7 +22,7 @@ from raystream.kernels.hit_filter import HitFilter, RayFilter
 from raystream.kernels.hits import HitAddresses, Sink, hit_addresses
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, load_ray
-from raystream.kernels.search import begin_search, sort_hits
+from raystream.kernels.search import SearchGoal, begin_search, sort_hits
 from raystream.kernels.tally import SHADINGS, add_to, tally_of
 
 _INF = np.float32(np.inf)
@@ -53,11 +53,6 @@ class HitLimits(NamedTuple):
     most: np.uint64
     sorts: bool
 
-    @classmethod
-    def of(cls, query: Query) -> HitLimits:
-        """The limits of a query."""
-        return cls(query.surfaces, np.uint64(query.limit), query.is_ordered)
-
 
 class RayScene(NamedTuple):
     """The arguments that all rays of a query share.
@@ -82,15 +77,6 @@ class RayScene(NamedTuple):
     status: np.uint64 | None
     tallies: np.uint64 | None
     filter: HitFilter | None
-
-
-class SearchGoal(NamedTuple):
-    """The goal of one ray's search: see `kernels.search.Search`."""
-
-    capacity: np.uint64
-    hits: HitAddresses | None
-    first_row: np.uint64
-    surfaces: bool
 
 
 @device
@@ -143,17 +129,8 @@ def searches(traverse: Callable[..., Any]) -> RaySearches:
         ray = load_ray(scene.source, i, frame)
         note_status(scene.status, i, ray.status)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
-        search = begin_search(
-            ray.t_min,
-            ray.t_max,
-            goal.capacity,
-            goal.hits,
-            goal.first_row,
-            goal.surfaces,
-            tally_of(scene.tallies, i),
-            ray_filter(scene.filter, i, ray),
-            None,
-        )
+        tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
+        search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, None)
         return traverse(scene.arrays, local, search, memory), ray
 
     return searches_of(search_ray)
@@ -263,7 +240,9 @@ def _note_found(at, i, found):
 
 
 class RayAnswers(NamedTuple):
-    """The queries as functions of one ray: answers of a `RayScene`, see `kernels.answers`.
+    """The queries as answers of a `RayScene`, by `Kind`; or their loops, or threads.
+
+    See `kernels.answers`.
 
     Attributes
     ----------
@@ -278,10 +257,10 @@ class RayAnswers(NamedTuple):
         sorted.
     """
 
-    first_hit: Callable[..., None]
-    any_hit: Callable[..., None]
-    count_hits: Callable[..., None]
-    multi_hit: Callable[..., None]
+    first_hit: Any
+    any_hit: Any
+    count_hits: Any
+    multi_hit: Any
 
 
 def ray_answers(of_ray: RaySearches) -> RayAnswers:
@@ -319,12 +298,12 @@ def ray_answers(of_ray: RaySearches) -> RayAnswers:
 
 
 class RayQueries(NamedTuple):
-    """The compiled queries of a structure on the CPU, by `Kind`.
+    """The compiled queries of a structure on the CPU.
 
     Attributes
     ----------
-    first_hit, any_hit, count_hits, multi_hit : (begin, end, scene, out)
-        The loops of `RayAnswers`.
+    loops : RayAnswers
+        Each takes ``(begin, end, scene, out)``.
     collect_hits : (begin, end, scene, limits, splits, hits)
         Writes the nearest hits of each ray, within `HitLimits`, to rows 0 to splits[end - begin]
         of `hits` (HitArrays). Returns the first ray that is not done: `end`, or one whose hits do
@@ -335,10 +314,7 @@ class RayQueries(NamedTuple):
         status.
     """
 
-    first_hit: Callable[..., None]
-    any_hit: Callable[..., None]
-    count_hits: Callable[..., None]
-    multi_hit: Callable[..., None]
+    loops: RayAnswers
     collect_hits: Callable[..., int]
     cast: Callable[..., Any]
 
@@ -426,4 +402,4 @@ def ray_queries(
         return columns, np.int64(load(np.uint8, status))
 
     loops = (loop_of(answer, stack_bytes) for answer in ray_answers(of_ray))
-    return RayQueries(*loops, collect_hits, cast)
+    return RayQueries(RayAnswers(*loops), collect_hits, cast)

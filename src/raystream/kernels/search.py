@@ -206,17 +206,26 @@ class Search(NamedTuple):
     instance: InstanceRay | None
 
 
+class SearchGoal(NamedTuple):
+    """The goal of one ray's search; see `Search`."""
+
+    capacity: np.uint64
+    hits: HitAddresses | None
+    first_row: np.uint64
+    surfaces: bool
+
+
 @device
-def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, counters, filter_, instance):
-    """A search without hits; see `Search` for the arguments."""
+def begin_search(t_min, t_max, goal, counters, filter_, instance):
+    """A search for a `SearchGoal`, without hits; see `Search` for the arguments."""
     return Search(
         t_min,
         t_max,
         ZERO_U64,
-        capacity,
-        hits,
-        first_row,
-        surfaces,
+        goal.capacity,
+        goal.hits,
+        goal.first_row,
+        goal.surfaces,
         counters,
         filter_,
         instance,

@@ -88,10 +88,6 @@ class Backend(ABC):
             If the hits do not fit into memory.
         """
 
-    def batch(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch:
-        """The rays of a query as flat arrays on the host; see `RayBatch`."""
-        return self.structure.ray_batch(origins, directions, t_min, t_max)
-
     def caster(self) -> Callable[..., Any] | None:
         """A function for the nearest hit of a single ray; None if only `run` finds it.
 

@@ -157,7 +157,7 @@ class Branching(Backend):
         """
         structure = self.structure
         scene, kept = self._scene_of(query, rays, sink, frame)
-        kernel, out = structure.queries[query.kind], output_of(query, sink)
+        kernel, out = structure.queries.loops[query.kind], output_of(query, sink)
         size = call_size(len(rays), structure.least_rays, structure.rays_per_call())
         if len(rays) <= size and progress is None:  # small batches
             kernel(0, len(rays), scene, out)
@@ -194,11 +194,11 @@ class Branching(Backend):
             return
         assert visitor is not None
         scene, kept = self._scene_of(query, rays, sink)
-        collect, limits = structure.queries.collect_hits, HitLimits.of(query)
+        limits = HitLimits(query.surfaces, np.uint64(query.limit), query.is_ordered)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)
-            reached = collect(begin, end, scene, limits, splits, rows.hits)
+            reached = structure.queries.collect_hits(begin, end, scene, limits, splits, rows.hits)
             if reached > begin:
                 visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, begin))
             return int(reached)

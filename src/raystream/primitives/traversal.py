@@ -106,17 +106,8 @@ def primitive_searches(traverse) -> RaySearches:
         note_status(scene.status, i, ray.status)
         exact = exact_ray((ox, oy, oz, dx, dy, dz), ray, frame)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
-        search = begin_search(
-            ray.t_min,
-            ray.t_max,
-            goal.capacity,
-            goal.hits,
-            goal.first_row,
-            goal.surfaces,
-            tally_of(scene.tallies, i),
-            None,
-            None,
-        )
+        tally = tally_of(scene.tallies, i)
+        search = begin_search(ray.t_min, ray.t_max, goal, tally, None, None)
         found = traverse(_RayScene(scene.arrays, exact), local, search, memory)
         return found, ray
 

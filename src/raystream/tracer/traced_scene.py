@@ -407,7 +407,7 @@ class TracedScene:
                 if worlds is not None or self._world_count:
                     self._check_for_worlds(worlds)
                 return arrays
-        rays = self._backend.batch(rows_of(origins), rows_of(directions), t_min, t_max)
+        rays = self.structure.ray_batch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
         if worlds is not None or self._world_count:

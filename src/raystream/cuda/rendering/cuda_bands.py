@@ -11,15 +11,12 @@ from numpy.typing import NDArray
 
 from raystream.cuda.rendering.device_band import DeviceBand, RenderScene
 from raystream.cuda.rendering.stages import STAGES
-from raystream.jit.cuda import Gpu
 from raystream.jit.threads import Progress
 from raystream.rendering.whitted import sample_all_lights
 
 if TYPE_CHECKING:
-    from raystream.cuda.query_kernels import QueryKernels
+    from raystream.cuda.launch import DeviceScene
     from raystream.cuda.staging import StagingStreams
-    from raystream.cuda.structures import Resident
-    from raystream.kernels.ray import SceneFrame
     from raystream.rendering.integrator import PathStage, RenderContext
 
 #: Maximum number of pixels in flight, at about 300 bytes each.
@@ -33,10 +30,7 @@ class CudaBands:
     ----------
     context : RenderContext
         Its tables are copied to the device for the first sample.
-    gpu : Gpu
-    kernels : QueryKernels
-    resident : Resident
-    frame : SceneFrame
+    scene : DeviceScene
     staging_streams : StagingStreams
         The machine's.
     max_pixels : int
@@ -46,16 +40,13 @@ class CudaBands:
     def __init__(
         self,
         context: RenderContext,
-        gpu: Gpu,
-        kernels: QueryKernels,
-        resident: Resident,
-        frame: SceneFrame,
+        scene: DeviceScene,
         staging_streams: StagingStreams,
         max_pixels: int,
     ) -> None:
         self._max_pixels = min(max_pixels, MAX_PIXELS)
         self._context, self._staging_streams = context, staging_streams
-        self._queries = gpu, kernels, resident, frame
+        self._queries = scene
         self._lock = threading.Lock()
         self._scene: RenderScene | None = None
 
@@ -94,7 +85,7 @@ class CudaBands:
         """
         with self._lock:
             if self._scene is None:
-                self._scene = RenderScene(*self._queries, self._context)
+                self._scene = RenderScene(self._queries, self._context)
             scene = self._scene
         with self._staging_streams.taken(1) as (staging,):
             staging.begin()

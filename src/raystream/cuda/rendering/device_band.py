@@ -15,7 +15,7 @@ from raystream.cuda.rendering.columns import HitColumns, StreamColumns
 from raystream.cuda.rendering.kernels import GENERATE_CAMERA_RAYS
 from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
-from raystream.jit.cuda import Gpu, RangeKernel
+from raystream.jit.cuda import RangeKernel
 from raystream.kernels.queries import RayScene
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.integrator import RenderContext
@@ -24,10 +24,8 @@ from raystream.rendering.shading.camera_rays import view_of
 from raystream.rendering.shading.streams import ShadingBatch
 
 if TYPE_CHECKING:
-    from raystream.cuda.query_kernels import QueryKernels
+    from raystream.cuda.launch import DeviceScene
     from raystream.cuda.staging import StagingStream
-    from raystream.cuda.structures import Resident
-    from raystream.kernels.ray import SceneFrame
 
 
 class RenderScene:
@@ -35,11 +33,7 @@ class RenderScene:
 
     Parameters
     ----------
-    gpu : Gpu
-    kernels : QueryKernels
-    resident : Resident
-        The structure.
-    frame : SceneFrame
+    queries : DeviceScene
     context : RenderContext
 
     Attributes
@@ -49,21 +43,13 @@ class RenderScene:
         None for cameras whose paths begin on the host.
     """
 
-    def __init__(
-        self,
-        gpu: Gpu,
-        kernels: QueryKernels,
-        resident: Resident,
-        frame: SceneFrame,
-        context: RenderContext,
-    ) -> None:
-        self.gpu, self.kernels, self.resident, self.frame = gpu, kernels, resident, frame
-        self.context = context
+    def __init__(self, queries: DeviceScene, context: RenderContext) -> None:
+        self.queries, self.gpu, self.context = queries, queries.gpu, context
         self.sampler: Any = plain(context.sampler)
         self.view: Any = None
         if context.camera.projection == "perspective":
             self.view = plain(view_of(context.camera, context.width, context.height))
-        self._memory = TableMemory(gpu, context.kept)
+        self._memory = TableMemory(self.gpu, context.kept)
         self._placed: dict[str, Any] = {}
         self._lock = threading.Lock()
 
@@ -195,7 +181,7 @@ class DeviceBand:
     ) -> None:
         """Launch a query of rays that writes to `to`."""
         status = self.empty("status", count, np.uint8)  # not read
-        source, held = rays.source(*self._limits, has_ends), self.scene
+        source, held = rays.source(*self._limits, has_ends), self.scene.queries
         shared = source, held.frame, held.resident.tree, status.address
         self.run(kernel, count, RayScene(*shared, None, None), to)
 

@@ -40,7 +40,7 @@ DeviceStage = Callable[[DeviceStream, DeviceBand], DeviceStream]
 def _find_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     """Trace the paths' rays."""
     to = band.hits.addresses
-    band.trace(band.scene.kernels.first_hit, stream.paths, stream.count, False, to)
+    band.trace(band.scene.queries.kernels.first_hit, stream.paths, stream.count, False, to)
     return replace(stream, hits=band.hits)
 
 
@@ -116,7 +116,7 @@ def _trace_shadow_rays(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     if shadows is not None and shadows.ray_count:
         rays, counts = shadows.rays, shadows.slots.addresses.counts
         blocked = band.empty("answers", shadows.ray_count, np.uint8)
-        any_hit = band.scene.kernels.any_hit
+        any_hit = band.scene.queries.kernels.any_hit
         band.trace(any_hit, rays, shadows.ray_count, True, blocked.address)
         to = rays.addresses, blocked.address, band.first_pixel, band.radiance
         band.run(ADD_UNBLOCKED, shadows.thread_count, counts, *to)
