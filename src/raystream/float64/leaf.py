@@ -28,29 +28,22 @@ from raystream.float64.block import (
 )
 from raystream.float64.exact import barycentrics, estimate, resolve
 from raystream.float64.group_rays import GROUP_BYTES, Float64Group, Float64Lanes, exact_ray
-from raystream.float64.ray import reported
-from raystream.float64.rows import collect
+from raystream.float64.ray import Lengths, reported
+from raystream.float64.rows import collect, collect_one
 from raystream.float64.search import exists, is_counted, within
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
     count_trailing_zeros,
-    f64x16,
     i32x16,
-    lanes_from_bits,
     load,
-    mask16,
     mask_bits,
     select,
 )
 from raystream.structures.bvh.leaf_kinds import Counts, CountsLanes
 from raystream.structures.bvh.packet_leaf import Kind
 from raystream.structures.bvh.packet_rays import GROUP, three
-
-#: Up to this many rays of a group of a packet are tested against four triangles each; more, all 16
-#: at once against one triangle.
-_FEW = np.uint64(6)
 
 _LOCAL_BYTES = np.uint64(GROUP.itemsize)
 
@@ -170,7 +163,8 @@ def _collect_lanes(leaf, packet, g, hits, place, prim_id):
     if any_lane(taken):
         _, weight_v, weight_w, inverse = hit.weights
         u, v = barycentrics(weight_v, weight_w, inverse)
-        collect(collector, taken, _collected(collector, hit.t, group), u, v, i32x16(prim_id), g)
+        t = reported(hit.t, group) if collector.in_world != ZERO_U64 else hit.t
+        collect(collector, taken, t, u, v, i32x16(prim_id), g)
     # Step 2: the others one by one.
     doubtful = mask_bits(hits.found) & ~mask_bits(is_known)
     while doubtful != ZERO_U64:
@@ -193,33 +187,28 @@ def _collect_hits(leaf, packet, g, k, found, sure, block):
 @device
 def _collect_one(leaf, g, k, place, prim_id):
     """Collect the hit of a ray with a triangle, if there is one."""
-    group, line = Float64Group(leaf.rays, g), exact_ray(Float64Lanes(leaf.rays, g), k)
+    lanes = Float64Lanes(leaf.rays, g)
+    line = exact_ray(lanes, k)
     is_hit, t, u, v = resolve(line, place, leaf.kind.surfaces)
     if is_hit and within(line, t, t):
-        own, number = lanes_from_bits(mask16, ONE_U64 << k), i32x16(prim_id)
-        t = _collected(leaf.kind.collector, f64x16(t), group)
-        collect(leaf.kind.collector, own, t, f64x16(u), f64x16(v), number, g)
-
-
-@device
-def _collected(collector, t, group):
-    """Distances as they are collected: as they are reported, unless they are sorted before."""
-    return reported(t, group) if collector.in_world != ZERO_U64 else t
+        if leaf.kind.collector.in_world != ZERO_U64:
+            t = reported(t, Lengths(lanes.half[k], lanes.rest[k]))
+        collect_one(leaf.kind.collector, t, u, v, prim_id, g, k)
 
 
 @device
 def nearest_kind(wanted):
     """The nearest, or any, hits are kept."""
-    return Kind(_keep_lanes, _keep_hits, _FEW, False, wanted.wants_any, None, None)
+    return Kind(_keep_lanes, _keep_hits, False, wanted.wants_any, None, None)
 
 
 @device
 def counting_kind(wanted):
     """All hits are counted, see `leaf_kinds.Counts`."""
-    return Kind(_count_lanes, _count_hits, _FEW, wanted.surfaces, False, None, None)
+    return Kind(_count_lanes, _count_hits, wanted.surfaces, False, None, None)
 
 
 @device
 def collecting_kind(surfaces, collector):
     """All hits are collected."""
-    return Kind(_collect_lanes, _collect_hits, _FEW, surfaces, False, None, collector)
+    return Kind(_collect_lanes, _collect_hits, surfaces, False, None, collector)

@@ -6,7 +6,7 @@ Packets descend the tree as in `structures.bvh.packet`; leaves test triangles in
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from raystream.float64.leaf import (
     test_one,
 )
 from raystream.float64.queries import MEMORY_BYTES, tree_searches
-from raystream.float64.ray import ray_of_line
+from raystream.float64.ray import Lengths, ray_of_line
 from raystream.float64.rows import FLOAT64_ROWS
 from raystream.float64.traversal import STACK_BYTES
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
@@ -55,6 +55,10 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
     three,
 )
+
+#: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
+#: against one triangle.
+_FEW = np.uint64(6)
 
 #: What the tests take of a block's triangles, see `block.edges_of`; and with a lane index.
 _EDGES = np.dtype([*((name, "f8", (3, 4)) for name in "apqn"), ("h", "f8", 4)])
@@ -130,7 +134,7 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
             bits = entering_rays(packet, g, box, rays)
             if bits == ZERO_U64:
                 continue
-            if popcount(bits) <= leaf.kind.few:
+            if popcount(bits) <= _FEW:
                 has_hit |= _test_rays(leaf, packet, g, bits, block, edges)
             else:
                 has_hit |= _test_triangles(leaf, packet, g, bits, block, lanes)
@@ -212,17 +216,10 @@ def _collect_alone(g, k, i, source, scene, surfaces, state):
         store(found.ray + (row << SHIFT_32), hits.first_rays[g] + np.int32(k))
 
 
-class _Lengths(NamedTuple):
-    """See `Float64Ray`."""
-
-    half: np.float64
-    rest: np.float64
-
-
 @device
 def _lengths_of(packet, g, lane, slow_groups, state):
     lanes = Float64Lanes(state + _RAYS_AT, g)
-    return _Lengths(lanes.half[lane], lanes.rest[lane])
+    return Lengths(lanes.half[lane], lanes.rest[lane])
 
 
 _keep = tree_searches.keep

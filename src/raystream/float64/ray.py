@@ -80,6 +80,13 @@ class Line(NamedTuple):
     t_max: np.float64
 
 
+class Lengths(NamedTuple):
+    """The length of a `Line.direction` in given lengths, as of `Float64Ray`."""
+
+    half: np.float64
+    rest: np.float64
+
+
 class Float64Ray(NamedTuple):
     """A ray, all along the world's axes.
 

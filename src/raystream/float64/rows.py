@@ -69,5 +69,6 @@ keep_row = _of_float64(keep_hit)
 #: Sort rows by t, then prim_id: `kernels.search.sort_hits`.
 sort_rows = _of_float64(sort_hits)
 
-#: Append hits of 16 rays: `structures.bvh.packet_hits.collect`.
+#: Append hits of 16 rays, or of one: see `structures.bvh.packet_hits`.
 collect = _of_float64(packet_hits.collect)
+collect_one = _of_float64(packet_hits.collect_one)

@@ -86,6 +86,16 @@ def collect(hits, taken, t, u, v, prim_id, g):
 
 
 @device
+def collect_one(hits, t, u, v, prim_id, g, k):
+    """The same for a hit of ray k of group g."""
+    if has_room(hits):
+        found = Buffers(hits.buffers).found
+        put_hit(found, hits.count, t, u, v, prim_id)
+        store(found.ray + hits.count * _LANE, hits.first_rays[g] + np.int32(k))
+    hits.count += ONE_U64
+
+
+@device
 def _insert(rows, first, row, t, u, v, prim_id):
     """Insert a hit into the sorted rows first to row."""
     while row > first:
