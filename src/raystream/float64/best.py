@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.float64.block import HIGH, PRIM_IDS
+from raystream.float64.block import HIGH, PRIM_IDS, span_of
 from raystream.float64.group_rays import Float64Group, Float64Lanes, exact_ray, nearest_of
 from raystream.float64.search import exists, offer
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
@@ -175,14 +175,3 @@ def offer_hits(best, k, found, sure, block):
             if best.wants_any:
                 break
     return is_kept
-
-
-@device
-def span_of(spans, high_at, lane, sure):
-    """The interval of a lane in memory, and whether the triangle is hit for sure."""
-    at = spans + (lane << SHIFT_64)
-    return (
-        load(np.float64, at),
-        load(np.float64, at + high_at),
-        (sure >> lane) & ONE_U64 != ZERO_U64,
-    )

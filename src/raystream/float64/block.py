@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.float64.ray import largest
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
@@ -222,3 +222,10 @@ def test_ray(a, edges, line, t_min, t_far, lanes):
         store(lanes, hits.low)
         store(lanes + HIGH, hits.high)
     return found, mask_bits(hits.sure)
+
+
+@device
+def span_of(spans, high_at, lane, sure):
+    """The interval of a lane in memory, and whether the triangle is hit for sure."""
+    at, is_sure = spans + (lane << SHIFT_64), (sure >> lane) & ONE_U64 != ZERO_U64
+    return load(np.float64, at), load(np.float64, at + high_at), is_sure

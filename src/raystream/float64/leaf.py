@@ -15,7 +15,6 @@ from raystream.float64.best import (
     certain_hits,
     offer_hits,
     offer_lanes,
-    span_of,
 )
 from raystream.float64.block import (
     HIGH,
@@ -23,6 +22,7 @@ from raystream.float64.block import (
     SECOND,
     THIRD,
     load_corner,
+    span_of,
     test_lanes,
     test_ray,
 )

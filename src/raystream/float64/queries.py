@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.float64.block import HIGH, PRIM_IDS, test_block
+from raystream.float64.block import HIGH, PRIM_IDS, span_of, test_block
 from raystream.float64.exact import resolve
 from raystream.float64.ray import prepare_float64, reported
 from raystream.float64.rows import keep_row, put_row, row_t, sort_rows
-from raystream.float64.search import is_counted, no_hit, offer, within
+from raystream.float64.search import exists, no_hit, offer
 from raystream.float64.traversal import STACK_BYTES, tree_blocks
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
@@ -52,38 +52,38 @@ def write_nearest(to, i, best, ray):
     put_row(to, i, reported(t, ray), u, v, best.prim_id)
 
 
+def _visit_with(take: Callable[..., Any], far_of: Callable[..., Any]) -> tuple[Any, Any]:
+    """Make the arguments of a traversal, see `float64.traversal`, of what is done with each hit.
+
+    ``take(search, ray, span, place, prim_id)`` offers a triangle that may be hit, with the interval
+    of its distance as `span_of` returns it.
+    """
+
+    @device
+    def visit(block, ray, search, lanes):
+        found, sure = test_block(block, ray.line, ray.line.t_min, far_of(ray, search), lanes)
+        while found != ZERO_U64:
+            lane = count_trailing_zeros(found)
+            found &= found - ONE_U64
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+            span, place = span_of(lanes, HIGH, lane, sure), block + (lane << SHIFT_64)
+            search, is_over = take(search, ray, span, place, prim_id)
+            if is_over:
+                return search, True
+        return search, False
+
+    return visit, far_of
+
+
 @device
-def _visit_nearest(block, ray, best, lanes):
-    found, sure = test_block(block, ray.line, ray.line.t_min, best.high, lanes)
-    while found != ZERO_U64:
-        lane = count_trailing_zeros(found)
-        found &= found - ONE_U64
-        low = load(np.float64, lanes + (lane << SHIFT_64))
-        high = load(np.float64, lanes + HIGH + (lane << SHIFT_64))
-        is_sure = (sure >> lane) & ONE_U64 != ZERO_U64
-        prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-        best = offer(ray.line, best, low, high, is_sure, block + (lane << SHIFT_64), prim_id)
-    return best, False
+def _take_nearest(best, ray, span, place, prim_id):
+    low, high, is_sure = span
+    return offer(ray.line, best, low, high, is_sure, place, prim_id), False
 
 
 @device
 def _far_of_nearest(ray, best):
     return min(ray.line.t_max, best.high)
-
-
-@device
-def _is_hit(ray, lane, sure, block, lanes, surfaces):
-    """Whether a triangle that may be hit is hit within the interval."""
-    low = load(np.float64, lanes + (lane << SHIFT_64))
-    high = load(np.float64, lanes + HIGH + (lane << SHIFT_64))
-    if (sure >> lane) & ONE_U64 != ZERO_U64 and within(ray.line, low, high):
-        return True
-    return is_counted(ray.line, block + (lane << SHIFT_64), surfaces)
-
-
-@device
-def _far_of_all(ray, search):
-    return ray.line.t_max
 
 
 class _Counting(NamedTuple):
@@ -93,17 +93,16 @@ class _Counting(NamedTuple):
 
 
 @device
-def _visit_count(block, ray, search, lanes):
-    found, sure = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
+def _take_count(search, ray, span, place, prim_id):
+    low, high, is_sure = span
     total, limit, surfaces = search
-    while found != ZERO_U64:
-        lane = count_trailing_zeros(found)
-        found &= found - ONE_U64
-        if _is_hit(ray, lane, sure, block, lanes, surfaces):
-            total += ONE_U64
-            if total == limit:
-                return _Counting(total, limit, surfaces), True
-    return _Counting(total, limit, surfaces), False
+    total += np.uint64(exists(ray.line, low, high, is_sure, place, surfaces))
+    return _Counting(total, limit, surfaces), total == limit
+
+
+@device
+def _far_of_all(ray, search):
+    return ray.line.t_max
 
 
 class _Keeping(NamedTuple):
@@ -116,16 +115,11 @@ class _Keeping(NamedTuple):
 
 
 @device
-def _visit_keep(block, ray, search, lanes):
+def _take_kept(search, ray, span, place, prim_id):
     count, far, capacity, rows, first, surfaces = search
-    found, _ = test_block(block, ray.line, ray.line.t_min, far, lanes)
-    while found != ZERO_U64:
-        lane = count_trailing_zeros(found)
-        found &= found - ONE_U64
-        is_hit, t, u, v = resolve(ray.line, block + (lane << SHIFT_64), surfaces)
-        if is_hit and t >= ray.line.t_min and t <= far:
-            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-            count, far = keep_row(rows, first, count, capacity, t, u, v, prim_id, far)
+    is_hit, t, u, v = resolve(ray.line, place, surfaces)
+    if is_hit and t >= ray.line.t_min and t <= far:
+        count, far = keep_row(rows, first, count, capacity, t, u, v, prim_id, far)
     return _Keeping(count, far, capacity, rows, first, surfaces), False
 
 
@@ -162,9 +156,9 @@ class LineSearches(NamedTuple):
 @cache
 def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
     """Make the searches of a traversal; see `float64.traversal`."""
-    walk_nearest = blocks(_visit_nearest, _far_of_nearest)
-    walk_count = blocks(_visit_count, _far_of_all)
-    walk_keep = blocks(_visit_keep, _far_of_kept)
+    walk_nearest = blocks(*_visit_with(_take_nearest, _far_of_nearest))
+    walk_count = blocks(*_visit_with(_take_count, _far_of_all))
+    walk_keep = blocks(*_visit_with(_take_kept, _far_of_kept))
 
     @device
     def nearest(tree, ray, memory):
