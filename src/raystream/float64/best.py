@@ -74,22 +74,22 @@ def _limit(far, scale, offset):
 
 
 @device
-def _offer_one(best, k, low, high, is_sure, place, prim_id):
+def _offer_one(best, k, span, triangle, prim_id):
     """Offer ray k a triangle that it may hit; returns whether that is kept."""
     lanes, limits = Float64Lanes(best.rays), _LimitLanes(best.limits).limit
     line = exact_ray(lanes, k)
     if best.wants_any:
-        if not exists(line, low, high, is_sure, place, False):
+        if not exists(line, span, triangle, False):
             return False
         lanes.prim_id[k], lanes.far[k], limits[k] = prim_id, -_INF, -_INF32
         return True
     old = nearest_of(lanes, k)
-    new = offer(line, old, low, high, is_sure, place, prim_id)
-    if new.place == old.place and new.high == old.high:
+    new = offer(line, old, span, triangle, prim_id)
+    if new.triangle == old.triangle and new.high == old.high:
         return False
     far = min(new.high, line.t_max)
     lanes.low[k], lanes.high[k], lanes.far[k] = new.low, new.high, far
-    lanes.place[k], lanes.prim_id[k] = np.int64(new.place), new.prim_id
+    lanes.triangle[k], lanes.prim_id[k] = np.int64(new.triangle), new.prim_id
     limits[k] = np.float32(_limit(far, lanes.scale[k], lanes.offset[k]))
     return True
 
@@ -102,14 +102,14 @@ def certain_hits(group, hits):
 
 
 @device
-def offer_lanes(best, hits, place, prim_id):
+def offer_lanes(best, hits, triangle, prim_id):
     """Offer 16 rays a triangle.
 
     Parameters
     ----------
     best : Float64Best
     hits : PossibleHits
-    place : uint64
+    triangle : uint64
         The triangle's address.
     prim_id : int32
 
@@ -130,7 +130,7 @@ def offer_lanes(best, hits, place, prim_id):
         else:
             group.low = select(taken, hits.low, nearest)
             group.high = select(taken, hits.high, group.high)
-            group.place = select(taken, i64x16(np.int64(place)), group.place)
+            group.triangle = select(taken, i64x16(np.int64(triangle)), group.triangle)
             group.far = select(taken, hits.high, group.far)
             limit = _limit(hits.high, group.scale, group.offset)
         limits = _Limits(best.limits)
@@ -144,8 +144,7 @@ def offer_lanes(best, hits, place, prim_id):
     while doubtful != ZERO_U64:
         k = count_trailing_zeros(doubtful)
         doubtful &= doubtful - ONE_U64
-        low, high, is_sure = span_of(best.spans, _LANES_HIGH, k, sure)
-        if _offer_one(best, k, low, high, is_sure, place, prim_id):
+        if _offer_one(best, k, span_of(best.spans, _LANES_HIGH, k, sure), triangle, prim_id):
             bits |= ONE_U64 << k
     return bits
 
@@ -168,9 +167,9 @@ def offer_hits(best, k, found, sure, block):
     while found != ZERO_U64:
         lane = count_trailing_zeros(found)
         found &= found - ONE_U64
-        low, high, is_sure = span_of(best.spans, HIGH, lane, sure)
+        span, triangle = span_of(best.spans, HIGH, lane, sure), block + (lane << SHIFT_64)
         prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-        if _offer_one(best, k, low, high, is_sure, block + (lane << SHIFT_64), prim_id):
+        if _offer_one(best, k, span, triangle, prim_id):
             is_kept = True
             if best.wants_any:
                 break

@@ -2,7 +2,7 @@
 
 The test decides by signs and distances with bounds of their rounding: what it calls a miss is one,
 what it calls a sure hit is one, at a distance within the interval that it gives. The others are
-decided by `exact.resolve`.
+decided by `exact.solve_exactly`.
 
 With A = vertex 0 - origin, p and q the two edges at vertex 0 and d the direction, the weights of
 vertices 1 and 2 are in proportion to q . (A x d) and -p . (A x d), that of all three to

@@ -162,13 +162,13 @@ def _moved_sign(edge, d):
 
 
 @device_call
-def resolve(line, place, surfaces):
+def solve_exactly(line, triangle, surfaces):
     """Intersect a ray with a triangle.
 
     Parameters
     ----------
     line : Line
-    place : uint64
+    triangle : uint64
         Address of the triangle's first number in a block.
     surfaces : bool
         Whether a ray exactly through an edge or a vertex hits every triangle there (False), or
@@ -184,7 +184,7 @@ def resolve(line, place, surfaces):
     """
     no_inline()
     o, d = line.origin, line.direction
-    a, b, c = load_corner(place), load_corner(place + SECOND), load_corner(place + THIRD)
+    a, b, c = load_corner(triangle), load_corner(triangle + SECOND), load_corner(triangle + THIRD)
     corner, p, q, weights, is_sure, t, is_rounded = estimate(a, b, c, o, d)
     weight_u, weight_v, weight_w, inverse = weights
     if not is_sure:

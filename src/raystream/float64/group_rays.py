@@ -52,7 +52,7 @@ _NUMBERS = (
     ("rest", "f8"),
     ("scale", "f8"),  # t in float32, in the local frame, is t * scale - offset
     ("offset", "f8"),
-    ("place", "i8"),
+    ("triangle", "i8"),
     ("prim_id", "i4"),
     ("is_alone", "i4"),  # whether it is traced by itself, see `group_results`
 )
@@ -87,7 +87,7 @@ _LANES = np.uint64(16)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _INF, _ZERO, _UNIT = np.float64(np.inf), np.float64(0.0), np.float64(1.0)
 _INF32 = np.float32(np.inf)
-_NO_PLACE, _SHIFT64 = np.int64(0), np.int64(3)
+_NO_TRIANGLE, _SHIFT64 = np.int64(0), np.int64(3)
 _VALID = np.uint8(RayStatus.VALID)
 
 
@@ -106,7 +106,7 @@ def exact_ray(lanes, k):
 @device
 def nearest_of(lanes, k):
     """The nearest hit of a ray so far."""
-    return Nearest(lanes.low[k], lanes.high[k], np.uint64(lanes.place[k]), lanes.prim_id[k])
+    return Nearest(lanes.low[k], lanes.high[k], np.uint64(lanes.triangle[k]), lanes.prim_id[k])
 
 
 # Loading
@@ -223,7 +223,7 @@ def load_rays(at, source, first, count, is_slow, local):
             if k >= count:
                 lanes.far[k] = -_INF
     group.low, group.high = f64x16(_INF), f64x16(_INF)
-    group.place, group.prim_id = i64x16(_NO_PLACE), i32x16(NO_PRIM)
+    group.triangle, group.prim_id = i64x16(_NO_TRIANGLE), i32x16(NO_PRIM)
     group.scale = f64x16(np.float64(source.frame.scale))
     group.offset = f64x16(_ZERO)
     if is_slow:

@@ -37,7 +37,7 @@ from raystream.structures.bvh.packet_rays import three
 _LANES = np.uint64(16)
 _UNLIMITED = np.uint64(UNLIMITED)
 _INF, _ZERO = np.float64(np.inf), np.float64(0.0)
-_NO_PLACE, _SHIFT64 = np.int64(0), np.int64(3)
+_NO_TRIANGLE, _SHIFT64 = np.int64(0), np.int64(3)
 _NONE, _MISS = np.int32(0), np.int32(-1)
 
 _nearest, _count, _, _ = float64_searches(tree_blocks)
@@ -72,8 +72,8 @@ def _vertex(leaves, index, at):
 @device
 def _store_lanes(group, first, tree, out):
     """Write the nearest hits of 16 rays; returns bits of those in doubt."""
-    place, at = group.place, first << SHIFT_64
-    is_hit, zero = place != _NO_PLACE, f64x16(_ZERO)
+    triangle, at = group.triangle, first << SHIFT_64
+    is_hit, zero = triangle != _NO_TRIANGLE, f64x16(_ZERO)
     t_at, u_at, v_at = out.t + at, out.u + at, out.v + at
     prim_id = select(is_hit, group.prim_id, i32x16(_MISS))
     store(out.prim_id + (first << SHIFT_32), prim_id)
@@ -82,7 +82,7 @@ def _store_lanes(group, first, tree, out):
         store(u_at, zero)
         store(v_at, zero)
         return ZERO_U64
-    index = select(is_hit, (place - np.int64(tree.leaves)) >> _SHIFT64, i64x16(_NO_PLACE))
+    index = select(is_hit, (triangle - np.int64(tree.leaves)) >> _SHIFT64, i64x16(_NO_TRIANGLE))
     hit = estimate(
         _vertex(tree.leaves, index, ZERO_U64),
         _vertex(tree.leaves, index, SECOND),

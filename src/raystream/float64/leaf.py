@@ -26,7 +26,7 @@ from raystream.float64.block import (
     test_lanes,
     test_ray,
 )
-from raystream.float64.exact import barycentrics, estimate, resolve
+from raystream.float64.exact import barycentrics, estimate, solve_exactly
 from raystream.float64.group_rays import GROUP_BYTES, Float64Group, Float64Lanes, exact_ray
 from raystream.float64.ray import Lengths, reported
 from raystream.float64.rows import collect, collect_one
@@ -74,17 +74,17 @@ class Float64Leaf(NamedTuple):
 
 
 @device
-def test_group(leaf, packet, g, allowed, place, triangle, prim_id):
+def test_group(leaf, packet, g, allowed, triangle, shape, prim_id):
     """Test a triangle, see `block.edges_of`, against rays of a group: all, if `allowed` is None.
 
     Returns bits of the rays whose searches are shorter now.
     """
-    group, (a, edges) = Float64Group(leaf.rays, g), triangle
+    group, (a, edges) = Float64Group(leaf.rays, g), shape
     origin, direction = three(group.origin), three(group.direction)
     hits = test_lanes(a, edges, origin, direction, group.t_min, group.far, allowed)
     if not any_lane(hits.found):
         return ZERO_U64
-    return leaf.kind.keep_lanes(leaf, packet, g, hits, place, prim_id)
+    return leaf.kind.keep_lanes(leaf, packet, g, hits, triangle, prim_id)
 
 
 @device
@@ -109,9 +109,9 @@ def _best_of(leaf, packet, g):
 
 
 @device
-def _keep_lanes(leaf, packet, g, hits, place, prim_id):
+def _keep_lanes(leaf, packet, g, hits, triangle, prim_id):
     """Keep the `PossibleHits` of a group with the triangle at an address."""
-    return offer_lanes(_best_of(leaf, packet, g), hits, place, prim_id)
+    return offer_lanes(_best_of(leaf, packet, g), hits, triangle, prim_id)
 
 
 @device
@@ -121,7 +121,7 @@ def _keep_hits(leaf, packet, g, k, found, sure, block):
 
 
 @device
-def _count_lanes(leaf, packet, g, hits, place, prim_id):
+def _count_lanes(leaf, packet, g, hits, triangle, prim_id):
     group, counts = Float64Group(leaf.rays, g), Counts(packet, g)
     taken = certain_hits(group, hits)
     counts.count = select(taken, counts.count + np.int32(1), counts.count)
@@ -131,7 +131,7 @@ def _count_lanes(leaf, packet, g, hits, place, prim_id):
     while doubtful != ZERO_U64:
         k = count_trailing_zeros(doubtful)
         doubtful &= doubtful - ONE_U64
-        counts[k] += np.int32(is_counted(exact_ray(lanes, k), place, leaf.kind.surfaces))
+        counts[k] += np.int32(is_counted(exact_ray(lanes, k), triangle, leaf.kind.surfaces))
     return ZERO_U64
 
 
@@ -141,20 +141,19 @@ def _count_hits(leaf, packet, g, k, found, sure, block):
     while found != ZERO_U64:
         lane = count_trailing_zeros(found)
         found &= found - ONE_U64
-        low, high, is_sure = span_of(leaf.spans, HIGH, lane, sure)
-        place = block + (lane << SHIFT_64)
-        counts[k] += np.int32(exists(line, low, high, is_sure, place, leaf.kind.surfaces))
+        span, triangle = span_of(leaf.spans, HIGH, lane, sure), block + (lane << SHIFT_64)
+        counts[k] += np.int32(exists(line, span, triangle, leaf.kind.surfaces))
     return False
 
 
 @device
-def _collect_lanes(leaf, packet, g, hits, place, prim_id):
+def _collect_lanes(leaf, packet, g, hits, triangle, prim_id):
     group, collector = Float64Group(leaf.rays, g), leaf.kind.collector
     # Step 1: hits for sure, whose distances are known to the last digit without exact arithmetic.
     hit = estimate(
-        load_corner(place),
-        load_corner(place + SECOND),
-        load_corner(place + THIRD),
+        load_corner(triangle),
+        load_corner(triangle + SECOND),
+        load_corner(triangle + THIRD),
         three(group.origin),
         three(group.direction),
     )
@@ -170,7 +169,7 @@ def _collect_lanes(leaf, packet, g, hits, place, prim_id):
     while doubtful != ZERO_U64:
         k = count_trailing_zeros(doubtful)
         doubtful &= doubtful - ONE_U64
-        _collect_one(leaf, g, k, place, prim_id)
+        _collect_one(leaf, g, k, triangle, prim_id)
     return ZERO_U64
 
 
@@ -185,11 +184,11 @@ def _collect_hits(leaf, packet, g, k, found, sure, block):
 
 
 @device
-def _collect_one(leaf, g, k, place, prim_id):
+def _collect_one(leaf, g, k, triangle, prim_id):
     """Collect the hit of a ray with a triangle, if there is one."""
     lanes = Float64Lanes(leaf.rays, g)
     line = exact_ray(lanes, k)
-    is_hit, t, u, v = resolve(line, place, leaf.kind.surfaces)
+    is_hit, t, u, v = solve_exactly(line, triangle, leaf.kind.surfaces)
     if is_hit and within(line, t, t):
         if leaf.kind.collector.in_world != ZERO_U64:
             t = reported(t, Lengths(lanes.half[k], lanes.rest[k]))

@@ -98,9 +98,9 @@ def _test_triangles(leaf, packet, g, bits, block, edges):
         if prim_id < np.int32(0):
             break
         p, q, n = _of_lane(edges.p, lane), _of_lane(edges.q, lane), _of_lane(edges.n, lane)
-        triangle = _of_lane(edges.a, lane), (p, q, n, edges.h[lane])
-        place, allowed = block + (lane << SHIFT_64), lanes_from_bits(mask16, bits)
-        kept = test_group(leaf, packet, g, allowed, place, triangle, prim_id)
+        shape = _of_lane(edges.a, lane), (p, q, n, edges.h[lane])
+        triangle, allowed = block + (lane << SHIFT_64), lanes_from_bits(mask16, bits)
+        kept = test_group(leaf, packet, g, allowed, triangle, shape, prim_id)
         has_hit |= kept != ZERO_U64
     return has_hit
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.float64.block import HIGH, PRIM_IDS, span_of, test_block
-from raystream.float64.exact import resolve
+from raystream.float64.exact import solve_exactly
 from raystream.float64.ray import prepare_float64, reported
 from raystream.float64.rows import keep_row, put_row, row_t, sort_rows
 from raystream.float64.search import exists, no_hit, offer
@@ -45,18 +45,18 @@ def _load_ray(i, scene):
 @device
 def write_nearest(to, i, best, ray):
     """Write the nearest hit of a ray, or a miss, to row i; `to` has the names of `HitAddresses`."""
-    if best.place == ZERO_U64:
+    if best.triangle == ZERO_U64:
         put_row(to, i, _INF, _ZERO, _ZERO, _MISS)
         return
-    _, t, u, v = resolve(ray.line, best.place, False)
+    _, t, u, v = solve_exactly(ray.line, best.triangle, False)
     put_row(to, i, reported(t, ray), u, v, best.prim_id)
 
 
 def _visit_with(take: Callable[..., Any], far_of: Callable[..., Any]) -> tuple[Any, Any]:
     """Make the arguments of a traversal, see `float64.traversal`, of what is done with each hit.
 
-    ``take(search, ray, span, place, prim_id)`` offers a triangle that may be hit, with the interval
-    of its distance as `span_of` returns it.
+    ``take(search, ray, span, triangle, prim_id)`` offers a triangle that may be hit, with its
+    distance's interval as of `span_of`.
     """
 
     @device
@@ -66,8 +66,8 @@ def _visit_with(take: Callable[..., Any], far_of: Callable[..., Any]) -> tuple[A
             lane = count_trailing_zeros(found)
             found &= found - ONE_U64
             prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-            span, place = span_of(lanes, HIGH, lane, sure), block + (lane << SHIFT_64)
-            search, is_over = take(search, ray, span, place, prim_id)
+            span, triangle = span_of(lanes, HIGH, lane, sure), block + (lane << SHIFT_64)
+            search, is_over = take(search, ray, span, triangle, prim_id)
             if is_over:
                 return search, True
         return search, False
@@ -76,9 +76,8 @@ def _visit_with(take: Callable[..., Any], far_of: Callable[..., Any]) -> tuple[A
 
 
 @device
-def _take_nearest(best, ray, span, place, prim_id):
-    low, high, is_sure = span
-    return offer(ray.line, best, low, high, is_sure, place, prim_id), False
+def _take_nearest(best, ray, span, triangle, prim_id):
+    return offer(ray.line, best, span, triangle, prim_id), False
 
 
 @device
@@ -93,10 +92,9 @@ class _Counting(NamedTuple):
 
 
 @device
-def _take_count(search, ray, span, place, prim_id):
-    low, high, is_sure = span
+def _take_count(search, ray, span, triangle, prim_id):
     total, limit, surfaces = search
-    total += np.uint64(exists(ray.line, low, high, is_sure, place, surfaces))
+    total += np.uint64(exists(ray.line, span, triangle, surfaces))
     return _Counting(total, limit, surfaces), total == limit
 
 
@@ -115,9 +113,9 @@ class _Keeping(NamedTuple):
 
 
 @device
-def _take_kept(search, ray, span, place, prim_id):
+def _take_kept(search, ray, span, triangle, prim_id):
     count, far, capacity, rows, first, surfaces = search
-    is_hit, t, u, v = resolve(ray.line, place, surfaces)
+    is_hit, t, u, v = solve_exactly(ray.line, triangle, surfaces)
     if is_hit and t >= ray.line.t_min and t <= far:
         count, far = keep_row(rows, first, count, capacity, t, u, v, prim_id, far)
     return _Keeping(count, far, capacity, rows, first, surfaces), False
@@ -138,8 +136,6 @@ class LineSearches(NamedTuple):
     ----------
     nearest : device function
         ``nearest(tree, ray, memory)`` returns the `search.Nearest`.
-    anything : device function
-        ``anything(tree, ray, memory)``: whether there is a hit.
     count : device function
         ``count(tree, ray, limit, surfaces, memory)`` returns the number of hits, up to the limit.
     keep : device function
@@ -148,7 +144,6 @@ class LineSearches(NamedTuple):
     """
 
     nearest: Callable[..., Any]
-    anything: Callable[..., Any]
     count: Callable[..., Any]
     keep: Callable[..., Any]
 
@@ -170,10 +165,6 @@ def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
         return walk_count(tree, ray, search, memory[0], memory[1], wants_any).total
 
     @device
-    def anything(tree, ray, memory):
-        return count(tree, ray, ONE_U64, False, memory) != ZERO_U64
-
-    @device
     def keep(tree, ray, capacity, rows, first, surfaces, memory):
         search = _Keeping(ZERO_U64, ray.line.t_max, capacity, rows, first, surfaces)
         kept = walk_keep(tree, ray, search, memory[0], memory[1], False).kept
@@ -183,7 +174,7 @@ def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
             store(rows.t + (row << SHIFT_64), reported(row_t(rows, row), ray))
         return kept
 
-    return LineSearches(nearest, anything, count, keep)
+    return LineSearches(nearest, count, keep)
 
 
 #: The searches of a wide tree.
@@ -198,14 +189,14 @@ def _parts(memory):
 
 def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
     """Make the `RaySearches` of a traversal; see `float64.traversal`."""
-    nearest_of, _, count_of, keep_of = _line_searches(blocks)
+    nearest_of, count_of, keep_of = _line_searches(blocks)
 
     @device
     def nearest(i, scene, hits, memory):
         ray = _load_ray(i, scene)
         best = nearest_of(scene.arrays, ray, _parts(memory))
         write_nearest(hits, i, best, ray)
-        return np.uint64(best.place != ZERO_U64)
+        return np.uint64(best.triangle != ZERO_U64)
 
     @device
     def count(i, scene, goal, memory):

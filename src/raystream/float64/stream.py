@@ -107,12 +107,12 @@ def _test_groups(leaf, block, groups, count, memory):
         prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
         if prim_id < np.int32(0):
             break
-        place = block + (lane << SHIFT_64)
-        a = load_corner(place)
-        triangle = a, triangle_edges(a, load_corner(place + SECOND), load_corner(place + THIRD))
+        triangle = block + (lane << SHIFT_64)
+        a = load_corner(triangle)
+        shape = a, triangle_edges(a, load_corner(triangle + SECOND), load_corner(triangle + THIRD))
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            bits = test_group(leaf, memory, g, None, place, triangle, prim_id)
+            bits = test_group(leaf, memory, g, None, triangle, shape, prim_id)
             hit_count += np.uint64(bits != ZERO_U64)
             _copy_limits(memory, g, bits)
     return hit_count
