@@ -15,6 +15,7 @@ import raystream as rs
 from cases import CASES
 from exact_oracle import hits_of
 from meshes import dented_sphere, icosphere, soup
+from raystream.machines import Branching, branching
 
 KERNELS = ("auto", "packet", "groups", "single")
 COLUMNS = ("t", "u", "v", "prim_id", "status")
@@ -262,6 +263,36 @@ def test_results_are_float64():
     picked = hits[[0]]
     assert type(picked) is type(hits) is type(hits.ravel())
     assert tracer.memory_needed(1000).results == 29 * 1000
+
+
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_all_hits_take_one_search_in_buffers_that_grow(structure, rng, monkeypatch):
+    scene = rs.Scene.from_arrays(*soup(300, 5))
+    rays = rng.uniform(-1.0, 1.0, (70, 3)), rng.standard_normal((70, 3))
+    tracer = rs.Tracer(scene, structure, precision="float64")
+    counts, first = tracer.count_hits(*rays), tracer.first_hit(*rays)
+    assert counts.max() > 3
+    monkeypatch.setattr(Branching, "trace_singly", None)  # which a second search would call
+    monkeypatch.setattr(branching, "FIRST_CAPACITY", 2)
+    many = tracer.multi_hit(*rays)
+    assert np.diff(many.ray_splits).tolist() == counts.tolist()
+    nearest = many.ray_splits[:-1][counts > 0]
+    for name in ("t", "u", "v", "prim_id"):
+        found = getattr(many, name)[nearest]
+        assert found.tobytes() == getattr(first, name)[counts > 0].tobytes()
+
+
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_a_ray_that_is_cast_has_the_bits_of_a_batch(structure, rng):
+    scene = rs.Scene.from_arrays(*soup(300, 5))
+    tracer = rs.Tracer(scene, structure, precision="float64")
+    origins, directions = rng.uniform(-1.0, 1.0, (20, 3)), rng.standard_normal((20, 3))
+    directions[3] = 0.0
+    t_min = 1e-9 + 1e-17
+    hits = tracer.first_hit(origins, directions, t_min=t_min)
+    cast = [tracer.cast(*ray, t_min) for ray in zip(origins, directions, strict=True)]
+    for name in COLUMNS:
+        assert [getattr(one, name) for one in cast] == getattr(hits, name).tolist(), name
 
 
 @pytest.mark.parametrize("middle", [0.0, 6.4e6, 1e12])

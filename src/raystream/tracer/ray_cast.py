@@ -60,8 +60,8 @@ class RayCaster(TracedScene):
         -----
         For code that needs a hit before it knows its next ray; for many rays, `first_hit` takes
         less than a tenth of the time per ray. Threads may cast rays at the same time, and run in
-        parallel. On GPUs, on ``machine="multipass"``, with ``counters=True``, in float64 and in
-        subclasses with their own `first_hit`, it calls `first_hit` for one ray, and takes as long.
+        parallel. On GPUs, on ``machine="multipass"``, with ``counters=True`` and in subclasses
+        with their own `first_hit`, it calls `first_hit` for one ray, and takes as long.
 
         Examples
         --------
