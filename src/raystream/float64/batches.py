@@ -22,13 +22,13 @@ from raystream.structures.bvh.packet_multi_hit import count_all, counting_kernel
 from raystream.structures.bvh.packet_queries import TREES, NearestWanted
 
 if TYPE_CHECKING:
-    from raystream.float64.structure import Float64Structure
+    from raystream.structures.base import Structure
 
 #: Smaller batches, and those of as many rays, are traced ray by ray.
 _FEW = 256
 
 
-def _source(bvh: Float64Structure, batch: Batch) -> Float64Packets:
+def _source(bvh: Structure, batch: Batch) -> Float64Packets:
     exact = batch.source
     for name, limit in zip(("t_min", "t_max"), batch.rays.exact_limits, strict=True):
         step = np.uint64(8 if len(limit) > 1 else 0)
@@ -36,7 +36,7 @@ def _source(bvh: Float64Structure, batch: Batch) -> Float64Packets:
     return Float64Packets(*batch.packets(bvh.frame), exact)
 
 
-def _arguments(bvh: Float64Structure, batch: Batch) -> tuple[Any, ...]:
+def _arguments(bvh: Structure, batch: Batch) -> tuple[Any, ...]:
     sink = batch.sink
     if batch.wants_any:
         out = ResultAddresses.of_any(sink.seen, sink.status)
@@ -46,11 +46,11 @@ def _arguments(bvh: Float64Structure, batch: Batch) -> tuple[Any, ...]:
     return bvh.arrays, _source(bvh, batch), NearestWanted(batch.wants_any, None, out)
 
 
-def _packets(bvh: Float64Structure, batch: Batch) -> Calls:
+def _packets(bvh: Structure, batch: Batch) -> Calls:
     return trace_packets, _arguments(bvh, batch)
 
 
-def _groups(bvh: Float64Structure, batch: Batch) -> Calls:
+def _groups(bvh: Structure, batch: Batch) -> Calls:
     return trace_groups, _arguments(bvh, batch)
 
 
