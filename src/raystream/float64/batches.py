@@ -2,47 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from raystream.core.query import Kind
-from raystream.float64.packets import trace_float64_packets
-from raystream.float64.queries import Float64Source
-from raystream.float64.stream import BLOCK_RAYS, WORKING_BYTES, trace_float64_groups
-from raystream.kernels.hits import HitArrays
+from raystream.float64.group_rays import Float64Packets
+from raystream.float64.packets import FLOAT64_ALL, FLOAT64_COUNTS, trace_packets
+from raystream.float64.stream import BLOCK_PACKETS, WORKING_BYTES, count_in_groups, trace_groups
+from raystream.jit.constants import ZERO_U64
+from raystream.kernels.aligned import array_address
+from raystream.kernels.hits import HitAddresses
+from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.packet_rays import PACKET_RAYS
+from raystream.structures.bvh.packet_multi_hit import count_all, counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_queries import TREES, NearestWanted
 
 if TYPE_CHECKING:
-    from raystream.float64.structure import Float64Structure
+    from raystream.structures.base import Structure
 
 #: Smaller batches, and those of as many rays, are traced ray by ray.
 _FEW = 256
 
 
-def _groups(bvh: Float64Structure, batch: Batch) -> Calls:
-    rays = bvh.arrays, _source(batch), batch.packets(bvh.frame)
-    return trace_float64_groups, (*rays, *_results(batch))
+def _source(bvh: Structure, batch: Batch) -> Float64Packets:
+    exact = batch.source
+    for name, limit in zip(("t_min", "t_max"), batch.rays.exact_limits, strict=True):
+        step = np.uint64(8 if len(limit) > 1 else 0)
+        exact = exact._replace(**{name: np.uint64(array_address(limit)), f"{name}_step": step})
+    return Float64Packets(*batch.packets(bvh.frame), exact)
 
 
-def _packets(bvh: Float64Structure, batch: Batch) -> Calls:
-    rays = bvh.arrays, bvh.frame, _source(batch), batch.order
-    return trace_float64_packets, (*rays, *_results(batch))
-
-
-def _source(batch: Batch) -> Float64Source:
-    rays: Any = batch.rays
-    return Float64Source(batch.source, *rays.float64_limits)
-
-
-def _results(batch: Batch) -> tuple[Any, ...]:
+def _arguments(bvh: Structure, batch: Batch) -> tuple[Any, ...]:
     sink = batch.sink
-    if not batch.wants_any:
-        return False, sink.status, sink.hits
-    rows = HitArrays.empty(0, np.float64)._replace(prim_id=sink.seen.view(np.int8))
-    return True, sink.status, rows
+    if batch.wants_any:
+        out = ResultAddresses.of_any(sink.seen, sink.status)
+    else:
+        at = HitAddresses.of(sink.hits)
+        out = ResultAddresses(*at, ZERO_U64, np.uint64(sink.status.ctypes.data))
+    return bvh.arrays, _source(bvh, batch), NearestWanted(batch.wants_any, None, out)
+
+
+def _packets(bvh: Structure, batch: Batch) -> Calls:
+    return trace_packets, _arguments(bvh, batch)
+
+
+def _groups(bvh: Structure, batch: Batch) -> Calls:
+    return trace_groups, _arguments(bvh, batch)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -50,12 +59,32 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
     return ("packet",) if is_packet else ("groups",)
 
 
+#: Least packets of a call. To pass the arguments of a call takes as long as to trace half a packet
+#: through a small mesh, and to wake another thread as long as several: 1,000 rays on one thread
+#: take three quarters of the time that they take on two.
+_LEAST = 4
+
+
+def _of_groups(bind: Callable[..., Calls]) -> BatchKernel:
+    return BatchKernel(bind, _LEAST, BLOCK_PACKETS, share=4, memory_bytes=WORKING_BYTES)
+
+
 _KERNELS = {
-    "packet": BatchKernel(_packets, 1, 64, share=4, is_tiled=True),
-    "groups": BatchKernel(
-        _groups, 1, BLOCK_RAYS // PACKET_RAYS, share=4, memory_bytes=WORKING_BYTES
-    ),
+    "packet": BatchKernel(_packets, _LEAST, 64, share=4, is_tiled=True),
+    "groups": _of_groups(_groups),
+}
+
+_NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
+_VISITED = visiting_kernel(TREES, FLOAT64_ALL, _source)
+_COUNTED = {
+    "packet": counting_kernel(TREES, FLOAT64_COUNTS, _source),
+    "groups": _of_groups(partial(count_all, count_in_groups, _source)),
 }
 
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = dict.fromkeys((Kind.FIRST_HIT, Kind.ANY_HIT), BatchKernels(_KERNELS, _suited, _FEW))
+BATCH_KERNELS = {
+    Kind.FIRST_HIT: _NEAREST,
+    Kind.ANY_HIT: _NEAREST,
+    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, _FEW),
+    Kind.COUNT_HITS: BatchKernels(_COUNTED, _suited, _FEW),
+}

@@ -2,7 +2,7 @@
 
 The test decides by signs and distances with bounds of their rounding: what it calls a miss is one,
 what it calls a sure hit is one, at a distance within the interval that it gives. The others are
-decided by `exact.resolve`.
+decided by `exact.solve_exactly`.
 
 With A = vertex 0 - origin, p and q the two edges at vertex 0 and d the direction, the weights of
 vertices 1 and 2 are in proportion to q . (A x d) and -p . (A x d), that of all three to
@@ -17,9 +17,12 @@ sum of the three, and 90 h h + 168 M h for the third; 39 M h h for the distance'
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.float64.ray import largest
+from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
@@ -86,9 +89,8 @@ def triangle_edges(a, b, c):
     px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     n = fma(py, qz, -(pz * qy)), fma(pz, qx, -(px * qz)), fma(px, qy, -(py * qx))
-    h_p = maximum(maximum(absolute(px), absolute(py)), absolute(pz))
-    h_q = maximum(maximum(absolute(qx), absolute(qy)), absolute(qz))
-    return (px, py, pz), (qx, qy, qz), n, maximum(h_p, h_q)
+    p, q = (px, py, pz), (qx, qy, qz)
+    return p, q, n, maximum(largest(p), largest(q))
 
 
 @device
@@ -96,9 +98,33 @@ def _dot(x, y):
     return fma(x[2], y[2], fma(x[1], y[1], x[0] * y[0]))
 
 
+class PossibleHits(NamedTuple):
+    """What float64 says of rays and triangles, a lane for each pair.
+
+    Attributes
+    ----------
+    found : mask
+        Those that may meet, within the intervals wanted.
+    sure : mask
+        Of these, those that meet for sure.
+    low, high : float64 vector
+        The distance lies between.
+    """
+
+    found: Any
+    sure: Any
+    low: Any
+    high: Any
+
+
 @device
-def sides_of(a, edges, origin, direction):
-    """The signs of the three weights, as far as float64 shows them.
+def _both(first, second):
+    return second if first is None else first & second
+
+
+@device
+def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
+    """Test rays against triangles: a ray against four, or 16 rays against one.
 
     Parameters
     ----------
@@ -107,47 +133,42 @@ def sides_of(a, edges, origin, direction):
     edges : tuple
         See `triangle_edges`.
     origin, direction : triple of float64 numbers or vectors
+    t_min, t_far : float64 number or vector
+        Hits are wanted in this interval.
+    allowed : mask or None
+        The lanes to test [None: all].
 
     Returns
     -------
-    low, high : number or vector
-        The least and the largest of three numbers in proportion to the weights.
-    error : number or vector
-        Bound of their errors.
-    base : number or vector
-        Their sum, with a smaller error.
-    corner : triple
-        Vertex 0 from the origin.
-    reach : number or vector
-        The largest of its components.
+    PossibleHits
     """
     p, q, n, h = edges
     dx, dy, dz = direction
-    ax, ay, az = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
-    reach = maximum(maximum(absolute(ax), absolute(ay)), absolute(az))
+    # Step 1: three numbers in proportion to the weights, and their sum with a smaller error.
+    ax, ay, az = corner = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
     moment = (
         fma(ay, dz, -(az * dy)),
         fma(az, dx, -(ax * dz)),
         fma(ax, dy, -(ay * dx)),
     )
-    v = _dot(q, moment)
-    w = -_dot(p, moment)
-    base = _dot(n, direction)
+    v, w, base = _dot(q, moment), -_dot(p, moment), _dot(n, direction)
     u = (base - v) - w
     low, high = minimum(minimum(u, v), w), maximum(maximum(u, v), w)
-    return low, high, h * (reach + h) * _SIGN_ERROR, base, (ax, ay, az), reach
-
-
-@device
-def interval_of(corner, reach, edges, base, error):
-    """The interval in which the distance to the plane lies: everything if that is not clear."""
-    _, _, n, h = edges
+    reach = largest(corner)
+    error = h * (reach + h) * _SIGN_ERROR
+    # Most pairs end here: two weights have different signs for sure.
+    found = _both(allowed, (low >= -error) | (high <= error))
+    if not any_lane(found):
+        return PossibleHits(found, found, base, base)
+    # Step 2: the interval in which the distance lies: everything if the sum may be 0.
     is_clear = absolute(base) > error * _CLEAR
-    t = _dot(corner, n) / base
+    t, relative = _dot(corner, n) / base, h * h / absolute(base)
     size = absolute(t)
-    relative = h * h / absolute(base)
     slack = relative * (size * _BASE_ERROR + reach * _TOP_ERROR) + size * _RATIO_ERROR
-    return is_clear, t - slack, t + slack
+    least, most = select(is_clear, t - slack, -_INF), select(is_clear, t + slack, _INF)
+    found = found & (least <= t_far) & (most >= t_min)
+    # Step 3: the others' signs are equal for sure, or in doubt.
+    return PossibleHits(found, is_clear & ((low > error) | (high < -error)), least, most)
 
 
 @device
@@ -163,13 +184,27 @@ def load_corners(at):
 
 
 @device
+def edges_of(block):
+    """Vertices 0 of a block's triangles, and their edges: see `triangle_edges`."""
+    a = load_corners(block)
+    return a, triangle_edges(a, load_corners(block + SECOND), load_corners(block + THIRD))
+
+
+@device
 def test_block(block, line, t_min, t_far, lanes):
+    """`test_ray` with the triangles of the block at an address."""
+    a, edges = edges_of(block)
+    return test_ray(a, edges, line, t_min, t_far, lanes)
+
+
+@device
+def test_ray(a, edges, line, t_min, t_far, lanes):
     """Test the triangles of a block against a ray.
 
     Parameters
     ----------
-    block : uint64
-        Address.
+    a, edges : tuple
+        See `edges_of`.
     line : Line
     t_min, t_far : float64
         Hits are wanted in this interval.
@@ -181,16 +216,16 @@ def test_block(block, line, t_min, t_far, lanes):
     found, sure : uint64
         Bits of the lanes that may be hit; and of those that are hit for sure.
     """
-    a, b, c = load_corners(block), load_corners(block + SECOND), load_corners(block + THIRD)
-    edges = triangle_edges(a, b, c)
-    low, high, error, base, corner, reach = sides_of(a, edges, line.origin, line.direction)
-    found = (low >= -error) | (high <= error)
-    if not any_lane(found):
-        return ZERO_U64, ZERO_U64
-    is_clear, least, most = interval_of(corner, reach, edges, base, error)
-    least, most = select(is_clear, least, f64x4(-_INF)), select(is_clear, most, f64x4(_INF))
-    found = found & (least <= t_far) & (most >= t_min)
-    sure = is_clear & ((low > error) | (high < -error))
-    store(lanes, least)
-    store(lanes + HIGH, most)
-    return mask_bits(found), mask_bits(sure)
+    hits = test_lanes(a, edges, line.origin, line.direction, t_min, t_far, None)
+    found = mask_bits(hits.found)
+    if found != ZERO_U64:
+        store(lanes, hits.low)
+        store(lanes + HIGH, hits.high)
+    return found, mask_bits(hits.sure)
+
+
+@device
+def span_of(spans, high_at, lane, sure):
+    """The interval of a lane in memory, and whether the triangle is hit for sure."""
+    at, is_sure = spans + (lane << SHIFT_64), (sure >> lane) & ONE_U64 != ZERO_U64
+    return load(np.float64, at), load(np.float64, at + high_at), is_sure

@@ -6,6 +6,8 @@ doubt, such as rays through edges and vertices, by exact sums of products.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.float64.block import SECOND, THIRD, load_corner
@@ -20,6 +22,7 @@ from raystream.float64.double_numbers import (
     negate_double,
 )
 from raystream.float64.expansions import determinant_value, rounded_ratio
+from raystream.float64.ray import largest
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import absolute, maximum, minimum
@@ -48,20 +51,15 @@ def _differences(x, y):
 
 @device
 def _largest(x):
-    return maximum(maximum(absolute(x[0][0]), absolute(x[1][0])), absolute(x[2][0]))
+    return largest((x[0][0], x[1][0], x[2][0]))
 
 
-@device
-def _estimate(a, b, c, origin, direction):
-    """Weights and distance with numbers of twice the precision.
+class Estimate(NamedTuple):
+    """A ray's hit of a triangle in numbers of twice the precision; of numbers, or of vectors.
 
-    Parameters
+    Attributes
     ----------
-    a, b, c, origin, direction : triple of float64 numbers or vectors
-
-    Returns
-    -------
-    vectors : tuple
+    corner, p, q : triple
         Vertex 0 from the origin, and the two edges there, exactly.
     weights : tuple
         Numbers in proportion to the weights of vertices 0, 1, 2, and the inverse of their sum.
@@ -74,44 +72,48 @@ def _estimate(a, b, c, origin, direction):
         round to the same one, that is it. (Ziv, "Fast Evaluation of Elementary Mathematical
         Functions with Correctly Rounded Last Bit", ACM TOMS 17(3), 1991.)
     """
+
+    corner: Any
+    p: Any
+    q: Any
+    weights: Any
+    is_sure: Any
+    t: Any
+    is_rounded: Any
+
+
+@device
+def estimate(a, b, c, origin, direction):
+    """The `Estimate` of a hit, from triples of float64 numbers or vectors.
+
+    A hit that is sure and rounded has the bits of `solve_exactly`.
+    """
     corner = _differences(a, origin)
     p, q = _differences(b, a), _differences(c, a)
     reach, h = _largest(corner), maximum(_largest(p), _largest(q))
+    # Step 1: the weights, as in `float64.block`.
     moment, normal = cross_with(corner, direction), cross_double(p, q)
     v, w = dot_double(q, moment), negate_double(dot_double(p, moment))
     base, top = dot_with(normal, direction), dot_double(corner, normal)
     u = add_double(add_double(base, negate_double(v)), negate_double(w))
+    # Step 2: whether the errors of the weights leave their signs.
     size = h * (reach + h)
     least = minimum(minimum(absolute(u[0]), absolute(v[0])), absolute(w[0]))
-    total = absolute(base[0])
-    is_sure = (least > size * _SIGN_ERROR) & (total > size * _LEAST_BASE)
+    is_sure = (least > size * _SIGN_ERROR) & (absolute(base[0]) > size * _LEAST_BASE)
+    # Step 3: the distance, and whether its error leaves its last digit.
     t, rest = divide_double(top, base)
     length, inverse = absolute(t), _ONE / base[0]
     slack = h * h * (reach * _TOP_ERROR + length * _BASE_ERROR) * absolute(inverse)
     slack += length * _RATIO_ERROR
     is_rounded = (t + (rest + slack) == t) & (t + (rest - slack) == t)
-    weights = u[0], v[0], w[0], inverse
-    return (corner, p, q), weights, is_sure, t, is_rounded
+    return Estimate(corner, p, q, (u[0], v[0], w[0], inverse), is_sure, t, is_rounded)
 
 
 @device
-def settle(a, b, c, origin, direction):
-    """Distances and weights of rays that hit triangles for sure, where that is easily known.
-
-    Parameters
-    ----------
-    a, b, c, origin, direction : triple of float64 vectors
-
-    Returns
-    -------
-    is_settled : mask
-        The others are left to `resolve`, with which these have equal bits.
-    t, u, v : float64 vector
-    """
-    _, weights, is_sure, t, is_rounded = _estimate(a, b, c, origin, direction)
-    _, weight_v, weight_w, inverse = weights
+def barycentrics(weight_v, weight_w, inverse):
+    """Weights u and v of a hit's vertices 1 and 2, from numbers in proportion to them."""
     u, v = absolute(weight_v * inverse), absolute(weight_w * inverse)
-    return is_sure & is_rounded, t, minimum(u, _ONE), minimum(v, _ONE)
+    return minimum(u, _ONE), minimum(v, _ONE)
 
 
 @device
@@ -160,13 +162,13 @@ def _moved_sign(edge, d):
 
 
 @device_call
-def resolve(line, place, surfaces):
+def solve_exactly(line, triangle, surfaces):
     """Intersect a ray with a triangle.
 
     Parameters
     ----------
     line : Line
-    place : uint64
+    triangle : uint64
         Address of the triangle's first number in a block.
     surfaces : bool
         Whether a ray exactly through an edge or a vertex hits every triangle there (False), or
@@ -182,9 +184,8 @@ def resolve(line, place, surfaces):
     """
     no_inline()
     o, d = line.origin, line.direction
-    a, b, c = load_corner(place), load_corner(place + SECOND), load_corner(place + THIRD)
-    vectors, weights, is_sure, t, is_rounded = _estimate(a, b, c, o, d)
-    corner, p, q = vectors
+    a, b, c = load_corner(triangle), load_corner(triangle + SECOND), load_corner(triangle + THIRD)
+    corner, p, q, weights, is_sure, t, is_rounded = estimate(a, b, c, o, d)
     weight_u, weight_v, weight_w, inverse = weights
     if not is_sure:
         way = _alone(d)
@@ -192,9 +193,11 @@ def resolve(line, place, surfaces):
         weight_v = determinant_value(q, corner, way)
         weight_w = -determinant_value(p, corner, way)
         inverse = _ONE / determinant_value(way, p, q)
+    # A miss if two signs differ, or if the ray lies in the triangle's plane.
     low, high = min(weight_u, weight_v, weight_w), max(weight_u, weight_v, weight_w)
     if (low < 0.0 and high > 0.0) or (low == 0.0 and high == 0.0):
         return False, _INF, _ZERO, _ZERO
+    # Through an edge or a vertex: of this surface's triangles, one is hit.
     if surfaces and (low == 0.0 or high == 0.0):
         sign_u = weight_u if weight_u != 0.0 else _moved_sign(_differences(c, b), d)
         sign_v = weight_v if weight_v != 0.0 else _moved_sign(_differences(a, c), d)
@@ -203,5 +206,5 @@ def resolve(line, place, surfaces):
             return False, _INF, _ZERO, _ZERO
     if not is_rounded:
         t = rounded_ratio(corner, p, q, _alone(d))
-    first, second = abs(weight_v * inverse), abs(weight_w * inverse)
-    return True, t, min(first, _ONE), min(second, _ONE)
+    u, v = barycentrics(weight_v, weight_w, inverse)
+    return True, t, u, v

@@ -7,20 +7,19 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from raystream.float64.block import HIGH, PRIM_IDS, test_block
-from raystream.float64.exact import resolve
+from raystream.float64.block import HIGH, PRIM_IDS, span_of, test_block
+from raystream.float64.exact import solve_exactly
 from raystream.float64.ray import prepare_float64, reported
 from raystream.float64.rows import keep_row, put_row, row_t, sort_rows
-from raystream.float64.search import is_counted, no_hit, offer, within
+from raystream.float64.search import exists, no_hit, offer
 from raystream.float64.traversal import STACK_BYTES, tree_blocks
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, load, store
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.queries import RaySearches, note_status
-from raystream.kernels.ray_source import RaySource, load_direction, load_origin
+from raystream.kernels.ray_source import load_direction, load_origin
 
 _MISS = np.int32(-1)
 _INF = np.float64(np.inf)
@@ -29,21 +28,6 @@ _ZERO = np.float64(0.0)
 #: Bytes that `test_block` writes, and those of a search.
 LANES_BYTES = 64
 MEMORY_BYTES = STACK_BYTES + LANES_BYTES
-
-
-class Float64Source(NamedTuple):
-    """The rays of a batch.
-
-    Attributes
-    ----------
-    rays : RaySource
-        Its limits are rounded to float32, outward.
-    t_min, t_max : ndarray of shape (N,) or (1,), float64
-    """
-
-    rays: RaySource
-    t_min: NDArray[np.float64]
-    t_max: NDArray[np.float64]
 
 
 @device
@@ -61,45 +45,44 @@ def _load_ray(i, scene):
 @device
 def write_nearest(to, i, best, ray):
     """Write the nearest hit of a ray, or a miss, to row i; `to` has the names of `HitAddresses`."""
-    if best.place == ZERO_U64:
+    if best.triangle == ZERO_U64:
         put_row(to, i, _INF, _ZERO, _ZERO, _MISS)
         return
-    _, t, u, v = resolve(ray.line, best.place, False)
+    _, t, u, v = solve_exactly(ray.line, best.triangle, False)
     put_row(to, i, reported(t, ray), u, v, best.prim_id)
 
 
+def _visit_with(take: Callable[..., Any], far_of: Callable[..., Any]) -> tuple[Any, Any]:
+    """Make the arguments of a traversal, see `float64.traversal`, of what is done with each hit.
+
+    ``take(search, ray, span, triangle, prim_id)`` offers a triangle that may be hit, with its
+    distance's interval as of `span_of`.
+    """
+
+    @device
+    def visit(block, ray, search, lanes):
+        found, sure = test_block(block, ray.line, ray.line.t_min, far_of(ray, search), lanes)
+        while found != ZERO_U64:
+            lane = count_trailing_zeros(found)
+            found &= found - ONE_U64
+            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+            span, triangle = span_of(lanes, HIGH, lane, sure), block + (lane << SHIFT_64)
+            search, is_over = take(search, ray, span, triangle, prim_id)
+            if is_over:
+                return search, True
+        return search, False
+
+    return visit, far_of
+
+
 @device
-def _visit_nearest(block, ray, best, lanes):
-    found, sure = test_block(block, ray.line, ray.line.t_min, best.high, lanes)
-    while found != ZERO_U64:
-        lane = count_trailing_zeros(found)
-        found &= found - ONE_U64
-        low = load(np.float64, lanes + (lane << SHIFT_64))
-        high = load(np.float64, lanes + HIGH + (lane << SHIFT_64))
-        is_sure = (sure >> lane) & ONE_U64 != ZERO_U64
-        prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-        best = offer(ray.line, best, low, high, is_sure, block + (lane << SHIFT_64), prim_id)
-    return best, False
+def _take_nearest(best, ray, span, triangle, prim_id):
+    return offer(ray.line, best, span, triangle, prim_id), False
 
 
 @device
 def _far_of_nearest(ray, best):
     return min(ray.line.t_max, best.high)
-
-
-@device
-def _is_hit(ray, lane, sure, block, lanes, surfaces):
-    """Whether a triangle that may be hit is hit within the interval."""
-    low = load(np.float64, lanes + (lane << SHIFT_64))
-    high = load(np.float64, lanes + HIGH + (lane << SHIFT_64))
-    if (sure >> lane) & ONE_U64 != ZERO_U64 and within(ray.line, low, high):
-        return True
-    return is_counted(ray.line, block + (lane << SHIFT_64), surfaces)
-
-
-@device
-def _far_of_all(ray, search):
-    return ray.line.t_max
 
 
 class _Counting(NamedTuple):
@@ -109,17 +92,15 @@ class _Counting(NamedTuple):
 
 
 @device
-def _visit_count(block, ray, search, lanes):
-    found, sure = test_block(block, ray.line, ray.line.t_min, ray.line.t_max, lanes)
+def _take_count(search, ray, span, triangle, prim_id):
     total, limit, surfaces = search
-    while found != ZERO_U64:
-        lane = count_trailing_zeros(found)
-        found &= found - ONE_U64
-        if _is_hit(ray, lane, sure, block, lanes, surfaces):
-            total += ONE_U64
-            if total == limit:
-                return _Counting(total, limit, surfaces), True
-    return _Counting(total, limit, surfaces), False
+    total += np.uint64(exists(ray.line, span, triangle, surfaces))
+    return _Counting(total, limit, surfaces), total == limit
+
+
+@device
+def _far_of_all(ray, search):
+    return ray.line.t_max
 
 
 class _Keeping(NamedTuple):
@@ -132,16 +113,11 @@ class _Keeping(NamedTuple):
 
 
 @device
-def _visit_keep(block, ray, search, lanes):
+def _take_kept(search, ray, span, triangle, prim_id):
     count, far, capacity, rows, first, surfaces = search
-    found, _ = test_block(block, ray.line, ray.line.t_min, far, lanes)
-    while found != ZERO_U64:
-        lane = count_trailing_zeros(found)
-        found &= found - ONE_U64
-        is_hit, t, u, v = resolve(ray.line, block + (lane << SHIFT_64), surfaces)
-        if is_hit and t >= ray.line.t_min and t <= far:
-            prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
-            count, far = keep_row(rows, first, count, capacity, t, u, v, prim_id, far)
+    is_hit, t, u, v = solve_exactly(ray.line, triangle, surfaces)
+    if is_hit and t >= ray.line.t_min and t <= far:
+        count, far = keep_row(rows, first, count, capacity, t, u, v, prim_id, far)
     return _Keeping(count, far, capacity, rows, first, surfaces), False
 
 
@@ -160,8 +136,6 @@ class LineSearches(NamedTuple):
     ----------
     nearest : device function
         ``nearest(tree, ray, memory)`` returns the `search.Nearest`.
-    anything : device function
-        ``anything(tree, ray, memory)``: whether there is a hit.
     count : device function
         ``count(tree, ray, limit, surfaces, memory)`` returns the number of hits, up to the limit.
     keep : device function
@@ -170,7 +144,6 @@ class LineSearches(NamedTuple):
     """
 
     nearest: Callable[..., Any]
-    anything: Callable[..., Any]
     count: Callable[..., Any]
     keep: Callable[..., Any]
 
@@ -178,9 +151,9 @@ class LineSearches(NamedTuple):
 @cache
 def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
     """Make the searches of a traversal; see `float64.traversal`."""
-    walk_nearest = blocks(_visit_nearest, _far_of_nearest)
-    walk_count = blocks(_visit_count, _far_of_all)
-    walk_keep = blocks(_visit_keep, _far_of_kept)
+    walk_nearest = blocks(*_visit_with(_take_nearest, _far_of_nearest))
+    walk_count = blocks(*_visit_with(_take_count, _far_of_all))
+    walk_keep = blocks(*_visit_with(_take_kept, _far_of_kept))
 
     @device
     def nearest(tree, ray, memory):
@@ -192,10 +165,6 @@ def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
         return walk_count(tree, ray, search, memory[0], memory[1], wants_any).total
 
     @device
-    def anything(tree, ray, memory):
-        return count(tree, ray, ONE_U64, False, memory) != ZERO_U64
-
-    @device
     def keep(tree, ray, capacity, rows, first, surfaces, memory):
         search = _Keeping(ZERO_U64, ray.line.t_max, capacity, rows, first, surfaces)
         kept = walk_keep(tree, ray, search, memory[0], memory[1], False).kept
@@ -205,7 +174,7 @@ def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
             store(rows.t + (row << SHIFT_64), reported(row_t(rows, row), ray))
         return kept
 
-    return LineSearches(nearest, anything, count, keep)
+    return LineSearches(nearest, count, keep)
 
 
 #: The searches of a wide tree.
@@ -220,14 +189,14 @@ def _parts(memory):
 
 def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
     """Make the `RaySearches` of a traversal; see `float64.traversal`."""
-    nearest_of, _, count_of, keep_of = _line_searches(blocks)
+    nearest_of, count_of, keep_of = _line_searches(blocks)
 
     @device
     def nearest(i, scene, hits, memory):
         ray = _load_ray(i, scene)
         best = nearest_of(scene.arrays, ray, _parts(memory))
         write_nearest(hits, i, best, ray)
-        return np.uint64(best.place != ZERO_U64)
+        return np.uint64(best.triangle != ZERO_U64)
 
     @device
     def count(i, scene, goal, memory):

@@ -15,7 +15,15 @@ from raystream.core.rays import RayStatus
 from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import bits_as_float, copy_sign, float_as_bits
+from raystream.jit.simd import (
+    absolute,
+    bits_as_float,
+    copy_sign,
+    float_as_bits,
+    maximum,
+    minimum,
+    select,
+)
 from raystream.kernels.ray import MANTISSA_BITS, POWER_EXPONENT
 from raystream.structures.bvh.node_layout import BOX_FLIP, NODE_AXIS
 
@@ -72,6 +80,13 @@ class Line(NamedTuple):
     t_max: np.float64
 
 
+class Lengths(NamedTuple):
+    """The length of a `Line.direction` in given lengths, as of `Float64Ray`."""
+
+    half: np.float64
+    rest: np.float64
+
+
 class Float64Ray(NamedTuple):
     """A ray, all along the world's axes.
 
@@ -100,9 +115,9 @@ class Float64Ray(NamedTuple):
 
 @device
 def reported(t, ray):
-    """A distance in the lengths of the given direction."""
+    """Distances in the lengths of the given directions, of a ray or a group of rays."""
     # A distance beyond float64 is still a hit: only a miss is infinite.
-    return min(max(t * ray.half * ray.rest, -_LARGEST), _LARGEST)
+    return minimum(maximum(t * ray.half * ray.rest, -_LARGEST), _LARGEST)
 
 
 @device
@@ -119,7 +134,19 @@ def widened_far(t):
 
 @device
 def _kept(x):
-    return x if abs(x) >= LEAST else _ZERO
+    return select(absolute(x) >= LEAST, x, _ZERO)
+
+
+@device
+def without_least(x):
+    """A triple of numbers or vectors, with 0 for the smallest, see `LEAST`; also for NaN."""
+    return _kept(x[0]), _kept(x[1]), _kept(x[2])
+
+
+@device
+def largest(x):
+    """The largest magnitude of a triple of numbers or vectors."""
+    return maximum(maximum(absolute(x[0]), absolute(x[1])), absolute(x[2]))
 
 
 @device
@@ -184,7 +211,7 @@ def make_line(origin, direction, t_min, t_max):
         status, t_min, t_max = _INVALID, _INF, -_INF
         origin, direction = (_ZERO, _ZERO, _ZERO), (_ONE, _ONE, _ONE)
     dx, dy, dz = direction
-    exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
+    exponent = float_as_bits(largest(direction)) >> MANTISSA_BITS
     if exponent >= LEAST_EXPONENT and exponent <= MOST_EXPONENT:
         half, rest = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS), _ONE
         inverse = bits_as_float(exponent << MANTISSA_BITS)
@@ -193,15 +220,14 @@ def make_line(origin, direction, t_min, t_max):
     else:
         half, rest, dx, dy, dz = _scaled_slowly(direction)
         t_min, t_max = t_min / half / rest, t_max / half / rest
-    ways = _kept(dx), _kept(dy), _kept(dz)
-    start = _kept(origin[0]), _kept(origin[1]), _kept(origin[2])
-    return Line(start, ways, t_min, t_max), half, rest, status
+    line = Line(without_least(origin), without_least((dx, dy, dz)), t_min, t_max)
+    return line, half, rest, status
 
 
 @device
-def local_origin(line, frame):
-    """The origin in the scene's local frame."""
-    ox, oy, oz = line.origin
+def local_origin(origin, frame):
+    """An origin, of numbers or vectors, in the scene's local frame."""
+    ox, oy, oz = origin
     return (
         (ox - frame.center[0]) * frame.scale,
         (oy - frame.center[1]) * frame.scale,
@@ -234,8 +260,8 @@ def prepare_float64(origin, direction, t_min, t_max, frame):
 def ray_of_line(line, half, rest, status, frame):
     """The ray of a line; see `make_line` for the arguments."""
     dx, dy, dz = line.direction
-    x, y, z = local_origin(line, frame)
-    pad = _PAD * (np.float64(frame.max_coordinate) + max(abs(x), abs(y), abs(z)))
+    x, y, z = local = local_origin(line.origin, frame)
+    pad = _PAD * (np.float64(frame.max_coordinate) + largest(local))
     inv_x = _inverse(dx, frame.inverse_scale)
     inv_y = _inverse(dy, frame.inverse_scale)
     inv_z = _inverse(dz, frame.inverse_scale)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.float64.ray import reported
 from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.copies import Copies
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
-from raystream.kernels import search
+from raystream.kernels.search import get_hit, keep_hit, put_hit, sort_hits, t_of
+from raystream.structures.bvh import packet_hits, packet_multi_hit
 
 
 @device
@@ -39,12 +41,34 @@ def get_row(out, row):
     )
 
 
-_of_float64 = Copies(
-    "of_float64", {search.t_of: row_t, search.put_hit: put_row, search.get_hit: get_row}
-).of
+@device
+def _number_at(column, row):
+    return column + (row << SHIFT_64)
+
+
+@device
+def _tell_row(t, row, lengths):
+    """Convert the t of a row to lengths of the given direction; see `ray.reported`."""
+    at = _number_at(t, row)
+    store(at, reported(load(np.float64, at), lengths))
+
+
+#: What functions for rows of float32 call, and what their copies for float64 call instead.
+FLOAT64_ROWS = {
+    t_of: row_t,
+    put_hit: put_row,
+    get_hit: get_row,
+    packet_hits.number_at: _number_at,
+    packet_multi_hit.tell_row: _tell_row,
+}
+_of_float64 = Copies("of_float64", FLOAT64_ROWS).of
 
 #: Keep a hit if it is among the nearest: `kernels.search.keep_hit`.
-keep_row = _of_float64(search.keep_hit)
+keep_row = _of_float64(keep_hit)
 
 #: Sort rows by t, then prim_id: `kernels.search.sort_hits`.
-sort_rows = _of_float64(search.sort_hits)
+sort_rows = _of_float64(sort_hits)
+
+#: Append hits of 16 rays, or of one: see `structures.bvh.packet_hits`.
+collect = _of_float64(packet_hits.collect)
+collect_one = _of_float64(packet_hits.collect_one)

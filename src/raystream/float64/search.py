@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.float64.exact import resolve
+from raystream.float64.exact import solve_exactly
 from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
@@ -28,14 +28,14 @@ class Nearest(NamedTuple):
     ----------
     low, high : float64
         The distance lies between; inf without a hit. Equal if it was resolved.
-    place : uint64
+    triangle : uint64
         Address of the triangle's first number.
     prim_id : int32
     """
 
     low: np.float64
     high: np.float64
-    place: np.uint64
+    triangle: np.uint64
     prim_id: np.int32
 
 
@@ -52,59 +52,66 @@ def within(line, low, high):
 
 
 @device_call
-def _decide(line, best, low, high, is_sure, place, prim_id):
+def _break_tie(line, best, span, triangle, prim_id):
     """Offer a hit that is in doubt; see `offer`."""
     no_inline()
+    low, high, is_sure = span
     if not is_sure or not within(line, low, high):
-        is_hit, t, _, _ = resolve(line, place, False)
+        is_hit, t, _, _ = solve_exactly(line, triangle, False)
         if not is_hit or t < line.t_min or t > line.t_max:
             return best
         low, high = t, t
     if low > best.high:
         return best
     if high < best.low:
-        return Nearest(low, high, place, prim_id)
+        return Nearest(low, high, triangle, prim_id)
     if low != high:
-        _, t, _, _ = resolve(line, place, False)
+        _, t, _, _ = solve_exactly(line, triangle, False)
         low, high = t, t
     if best.low != best.high:
-        _, t, _, _ = resolve(line, best.place, False)
-        best = Nearest(t, t, best.place, best.prim_id)
+        _, t, _, _ = solve_exactly(line, best.triangle, False)
+        best = Nearest(t, t, best.triangle, best.prim_id)
     if low < best.low or (low == best.low and prim_id < best.prim_id):
-        return Nearest(low, high, place, prim_id)
+        return Nearest(low, high, triangle, prim_id)
     return best
 
 
 @device
-def offer(line, best, low, high, is_sure, place, prim_id):
+def offer(line, best, span, triangle, prim_id):
     """Keep a hit if it is the nearest.
 
     Parameters
     ----------
     line : Line
     best : Nearest
-    low, high : float64
-        Its distance lies between.
-    is_sure : bool
-        Whether the triangle is hit for sure.
-    place : uint64
+    span : tuple
+        Its distance lies between two float64; and whether the triangle is hit for sure.
+    triangle : uint64
     prim_id : int32
 
     Returns
     -------
     Nearest
     """
+    low, high, is_sure = span
     if is_sure and within(line, low, high):
         if low > best.high:
             return best
         if high < best.low:
-            return Nearest(low, high, place, prim_id)
-    return _decide(line, best, low, high, is_sure, place, prim_id)
+            return Nearest(low, high, triangle, prim_id)
+    return _break_tie(line, best, span, triangle, prim_id)
 
 
 @device_call
-def is_counted(line, place, surfaces):
+def is_counted(line, triangle, surfaces):
     """Whether a triangle that may be hit is hit, in the ray's interval."""
     no_inline()
-    is_hit, t, _, _ = resolve(line, place, surfaces)
+    is_hit, t, _, _ = solve_exactly(line, triangle, surfaces)
     return is_hit and t >= line.t_min and t <= line.t_max
+
+
+@device
+def exists(line, span, triangle, surfaces):
+    """The same for a hit with a `span`, see `offer`: exactly only if it is in doubt."""
+    low, high, is_sure = span
+    return (is_sure and within(line, low, high)) or is_counted(line, triangle, surfaces)

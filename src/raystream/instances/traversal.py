@@ -285,7 +285,7 @@ def instance_searches(traverse) -> RaySearches:
         top, world = scene.arrays, _NO_ID
         if top.worlds != _NONE:
             world = load(np.int32, top.worlds + (i << _TWO))
-        ray, most, whole = scene_ray(ray_numbers(scene.source, i), top, scene.frame)
+        ray, most, whole = scene_ray(load_world_ray(scene.source, i), top, scene.frame)
         note_status(scene.status, i, ray.status)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, most)
         instance = InstanceRay(ray.t_scale, ray.t_offset, _NO_ID)

@@ -50,6 +50,12 @@ _LONG = np.uint64(24)
 
 
 @device
+def number_at(column, row):
+    """Address of a row's t, u or v."""
+    return column + row * _LANE
+
+
+@device
 def has_room(hits):
     """Whether all hits of the packet fit."""
     return hits.count + _LANES <= hits.capacity
@@ -69,10 +75,11 @@ def collect(hits, taken, t, u, v, prim_id, g):
         The index of their group.
     """
     if has_room(hits):
-        at, found = hits.count * _LANE, Buffers(hits.buffers).found
-        store(found.t + at, compress(taken, t))
-        store(found.u + at, compress(taken, u))
-        store(found.v + at, compress(taken, v))
+        row, found = hits.count, Buffers(hits.buffers).found
+        store(number_at(found.t, row), compress(taken, t))
+        store(number_at(found.u, row), compress(taken, u))
+        store(number_at(found.v, row), compress(taken, v))
+        at = row * _LANE
         store(found.prim_id + at, prim_id)
         store(found.ray + at, compress(taken, lane_numbers(i32x16) + hits.first_rays[g]))
     hits.count += popcount(mask_bits(taken))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ from raystream.structures.bvh.packet_rays import (
     GROUPS,
     PACKET_RAYS,
     GroupLanes,
+    PacketSource,
     group_rows,
     t_transform,
 )
@@ -67,8 +68,10 @@ class PacketBuffers(NamedTuple):
 
     Attributes
     ----------
-    found : ndarray of shape (5, capacity), float32
-        Hits in the order of discovery: t, u, v, and as int32 prim_id and ray.
+    found : HitArrays
+        Hits in the order of discovery.
+    found_rays : ndarray of shape (capacity,), int32
+        Their rays.
     rows : HitArrays
         Sorted hits.
     ray_ids, splits : ndarray, int64
@@ -78,7 +81,8 @@ class PacketBuffers(NamedTuple):
         All of these, the capacity, and what is in use: `packet_hits.Buffers`.
     """
 
-    found: NDArray[np.float32]
+    found: HitArrays
+    found_rays: NDArray[np.int32]
     rows: HitArrays
     ray_ids: NDArray[np.int64]
     splits: NDArray[np.int64]
@@ -86,22 +90,24 @@ class PacketBuffers(NamedTuple):
     addresses: NDArray[np.uint64]
 
     @classmethod
-    def of(cls, capacity: int) -> PacketBuffers:
-        """Buffers for a number of hits."""
+    def of(cls, capacity: int, kind: type[np.floating[Any]] = np.float32) -> PacketBuffers:
+        """Buffers for a number of hits whose t, u and v are of type `kind`."""
+        hit_bytes = 2 * (3 * np.dtype(kind).itemsize + 4) + 4
         remedy = "give max_hits, or fewer rays at a time"
-        check_memory(capacity * 36, f"multi_hit: a buffer of {capacity:,} hits would", remedy)
+        check_memory(
+            capacity * hit_bytes, f"multi_hit: a buffer of {capacity:,} hits would", remedy
+        )
         rays = PACKETS_PER_CALL * PACKET_RAYS
-        found, rows = np.empty((5, capacity), np.float32), HitArrays.empty(capacity)
+        found, rows = HitArrays.empty(capacity, kind), HitArrays.empty(capacity, kind)
+        found_rays = np.empty(capacity, np.int32)
         ids, splits = np.empty(rays, np.int64), np.zeros(rays + 1, np.int64)
-        addresses = [array.ctypes.data for array in (*found, *rows, ids, splits)]
+        addresses = [array.ctypes.data for array in (*found, found_rays, *rows, ids, splits)]
         record = np.array([*addresses, capacity, 0, 0], np.uint64)
-        return cls(found, rows, ids, splits, capacity, record)
+        return cls(found, found_rays, rows, ids, splits, capacity, record)
 
     def found_hits(self, count: int) -> HitBatch:
         """The hits in the order of discovery."""
-        t, u, v, prim_bits, ray_bits = self.found[:, :count]
-        hits = HitArrays(t, u, v, prim_bits.view(np.int32))
-        return HitBatch(hits, None, ray_bits.view(np.int32), 0)
+        return HitBatch(self.found.part(slice(count)), None, self.found_rays[:count], 0)
 
     def sorted_hits(self, ray_count: int) -> HitBatch:
         """The sorted hits."""
@@ -126,49 +132,68 @@ class RowsWanted(NamedTuple):
 
 
 @device
-def _begin_rows(packet, number, slow_groups, source, wanted, state):
+def start_rows(number, slow_groups, source, wanted, state):
+    """Begin to collect a packet's hits; see `PacketAnswer.begin`."""
     hits, buffers = Collector(state), Buffers(wanted.buffers)
     hits.buffers, hits.capacity = wanted.buffers, buffers.capacity
     hits.count = ZERO_U64 if wanted.sorts else buffers.used
     _number_rays(hits, number, source.order, not wanted.sorts and slow_groups == ZERO_U64)
+    return hits
+
+
+@device
+def _begin_rows(packet, number, slow_groups, source, wanted, state):
+    hits = start_rows(number, slow_groups, source, wanted, state)
     return collecting_leaf(wanted.surfaces, hits)
 
 
 @device
-def _store_rows(packet, number, slow_groups, source, wanted, state):
+def store_rows(packet, number, slow_groups, source, scene, wanted, state):
+    """Sort and convert a packet's hits; see `PacketAnswer.finish`."""
     hits, buffers, order = Collector(state), Buffers(wanted.buffers), source.order
     used, count, sorts = buffers.used, hits.count, wanted.sorts
     if not has_room(hits) or (sorts and used + count > buffers.capacity):
         return False
     if sorts:
-        ends = Ends(state + _ENDS_AT)
-        buffers.used = sort_packet(hits, ends, used)
-        _finish_rows(packet, number, order, slow_groups, ends, used, buffers)
+        buffers.used = sort_packet(hits, Ends(state + _ENDS_AT), used)
+        _finish_rows(packet, number, order, slow_groups, state, used, buffers)
         return True
     if slow_groups != ZERO_U64:
-        _finish_found(packet, number, order, slow_groups, used, count, buffers)
+        _finish_found(packet, number, order, slow_groups, state, used, buffers)
     buffers.used = count
     return True
 
 
 #: All hits, for a `RowsWanted`, until a packet's hits do not fit into the buffers.
-ROWS = PacketAnswer(_begin_rows, _store_rows, int(_ENDS_AT) + ENDS_BYTES)
+ROWS = PacketAnswer(_begin_rows, store_rows, int(_ENDS_AT) + ENDS_BYTES)
 
 
 @device
-def _finish_rows(packet, number, order, slow_groups, ends, row, buffers):
+def row_transform(packet, g, lane, slow_groups, state):
+    """What `tell_row` takes of a ray."""
+    return t_transform(GroupLanes(packet, g), lane, (slow_groups >> g) & ONE_U64 == ONE_U64)
+
+
+@device
+def tell_row(t, row, transform):
+    """Convert the t of a row to world direction lengths."""
+    at, (t_scale, t_offset) = t + row * _LANE, transform
+    store(at, world_t(load(np.float32, at), t_scale, t_offset))
+
+
+@device
+def _finish_rows(packet, number, order, slow_groups, state, row, buffers):
     """Convert a sorted packet's distances; write its rays and the ends of their rows."""
+    ends = Ends(state + _ENDS_AT)
     t, ids, splits = buffers.rows.t, buffers.ray_ids, buffers.splits
     ray_count = buffers.ray_count
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        lanes, is_slow = GroupLanes(packet, g), (slow_groups >> g) & ONE_U64 == ONE_U64
         for lane in range(count):
-            t_scale, t_offset = t_transform(lanes, lane, is_slow)
+            transform = row_transform(packet, g, lane, slow_groups, state)
             row_end = ends.ends[g * _LANES + lane]
             while row != row_end:
-                at = t + row * _LANE
-                store(at, world_t(load(np.float32, at), t_scale, t_offset))
+                tell_row(t, row, transform)
                 row += ONE_U64
             store(ids + ray_count * BYTES_64, np.int64(first + lane))
             ray_count += ONE_U64
@@ -188,16 +213,13 @@ def _number_rays(hits, number, order, is_final):
 
 
 @device
-def _finish_found(packet, number, order, slow_groups, begin, end, buffers):
+def _finish_found(packet, number, order, slow_groups, state, begin, buffers):
     """Convert distances and ray indices of a packet with rays that took the slow path."""
     t, rays = buffers.found.t, buffers.found.ray
-    for row in range(begin, end):
+    for row in range(begin, Collector(state).count):
         ray = np.uint64(load(np.int32, rays + row * _LANE))
         g, lane = ray // _LANES, ray % _LANES
-        is_slow = (slow_groups >> g) & ONE_U64 == ONE_U64
-        t_scale, t_offset = t_transform(GroupLanes(packet, g), lane, is_slow)
-        at = t + row * _LANE
-        store(at, world_t(load(np.float32, at), t_scale, t_offset))
+        tell_row(t, row, row_transform(packet, g, lane, slow_groups, state))
         first, _ = group_rows(order, number, g)
         store(rays + row * _LANE, np.int32(first + lane))
 
@@ -205,9 +227,20 @@ def _finish_found(packet, number, order, slow_groups, begin, end, buffers):
 # Kernels of batches
 
 
-def _visit_all(trace: Callable[..., int], structure: Structure, batch: Batch) -> Calls:
+#: ``source_of(structure, batch)`` is what a kernel loads packets from.
+SourceOf = Callable[[Any, Batch], Any]
+
+
+def plain_source(structure: Structure, batch: Batch) -> PacketSource:
+    """The rays as packets in the scene's frame."""
+    return batch.packets(structure.frame)
+
+
+def _visit_all(
+    trace: Callable[..., int], source_of: SourceOf, structure: Structure, batch: Batch
+) -> Calls:
     """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel.bind`."""
-    query, visitor, source = batch.query, batch.sink.visitor, batch.packets(structure.frame)
+    query, visitor, source = batch.query, batch.sink.visitor, source_of(structure, batch)
     assert visitor is not None
     # Unsorted hits have 32-bit ray indices.
     sorts = query.is_ordered or len(batch.rays) >= 2**31
@@ -223,21 +256,29 @@ def _visit_all(trace: Callable[..., int], structure: Structure, batch: Batch) ->
             visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
         return int(reached)
 
-    return GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY), ()
+    buffers_of = partial(PacketBuffers.of, kind=np.dtype(structure.precision).type)
+    return GrowingBuffers(buffers_of, fill, FIRST_CAPACITY), ()
 
 
-def _count_all(trace: Callable[..., int], structure: Structure, batch: Batch) -> Calls:
+def count_all(
+    trace: Callable[..., object], source_of: SourceOf, structure: Structure, batch: Batch
+) -> Calls:
+    """Count the hits of packets; see `BatchKernel.bind`."""
     wanted = CountsWanted(batch.query.surfaces, np.uint64(batch.sink.counts.ctypes.data))
-    return trace, (structure.arrays, batch.packets(structure.frame), wanted)
+    return trace, (structure.arrays, source_of(structure, batch), wanted)
 
 
-def visiting_kernel(scenes: PacketScene) -> BatchKernel:
+def visiting_kernel(
+    scenes: PacketScene, answer: PacketAnswer = ROWS, source_of: SourceOf = plain_source
+) -> BatchKernel:
     """The kernel that delivers all hits of packets to a visitor."""
-    bind = partial(_visit_all, packet_kernel(scenes, ROWS))
+    bind = partial(_visit_all, packet_kernel(scenes, answer), source_of)
     return BatchKernel(bind, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False)
 
 
-def counting_kernel(scenes: PacketScene) -> BatchKernel:
+def counting_kernel(
+    scenes: PacketScene, answer: PacketAnswer = COUNTS, source_of: SourceOf = plain_source
+) -> BatchKernel:
     """The kernel that counts the hits of packets."""
-    bind = partial(_count_all, packet_kernel(scenes, COUNTS))
+    bind = partial(count_all, packet_kernel(scenes, answer), source_of)
     return BatchKernel(bind, 8, COUNTED_PER_CALL, is_tiled=True)

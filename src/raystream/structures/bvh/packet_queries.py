@@ -49,8 +49,8 @@ class PacketAnswer(NamedTuple):
         ``begin(packet, number, slow_groups, source, wanted, state)`` makes the leaf that a loaded
         packet is traced with.
     finish : device function
-        ``finish(packet, number, slow_groups, source, wanted, state)`` writes the results of a
-        packet; returns False if they do not fit.
+        ``finish(packet, number, slow_groups, source, scene, wanted, state)`` writes the results of
+        a packet; returns False if they do not fit.
     byte_count : int
         Of the state.
     """
@@ -80,7 +80,7 @@ def packet_kernel(scenes: PacketScene, answer: PacketAnswer) -> Any:
             slow_groups, most = load(packet, number, source, scene, memory)
             leaf = start(packet, number, slow_groups, source, wanted, state)
             trace(packet, scene, most, memory, leaf)
-            if not finish(packet, number, slow_groups, source, wanted, state):
+            if not finish(packet, number, slow_groups, source, scene, wanted, state):
                 return np.int64(number)
         return np.int64(end)
 
@@ -130,7 +130,7 @@ def _begin_nearest(packet, number, slow_groups, source, wanted, state):
 
 
 @device
-def _store_nearest(packet, number, slow_groups, source, wanted, state):
+def _store_nearest(packet, number, slow_groups, source, scene, wanted, state):
     store_packet(packet, number, source.order, slow_groups, wanted.wants_any, wanted.out)
     return True
 
@@ -163,7 +163,7 @@ def _begin_counts(packet, number, slow_groups, source, wanted, state):
 
 
 @device
-def _store_counts(packet, number, slow_groups, source, wanted, state):
+def _store_counts(packet, number, slow_groups, source, scene, wanted, state):
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
         found = CountsLanes(packet, g).count
