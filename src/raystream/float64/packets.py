@@ -5,6 +5,8 @@ Packets descend the tree as in `structures.bvh.packet`; leaves test triangles in
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.float64.block import (
@@ -47,9 +49,10 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.structures.bvh.leaf_kinds import no_prefetch
 from raystream.structures.bvh.node_layout import leaf_address
-from raystream.structures.bvh.packet import TRACE_BYTES, packet_trace
-from raystream.structures.bvh.packet_leaf import ANY, FIRST, entering_rays
+from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
+from raystream.structures.bvh.packet_leaf import entering_rays
 from raystream.structures.bvh.packet_load import load_packet
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
@@ -168,15 +171,20 @@ def _test_group(packet, at, g, bits, block, lane, edges, wants_any, spans):
     return has_hit
 
 
+class _Float64Leaf(NamedTuple):
+    """Leaves in float64; see `packet.trace_packet`. `groups` is the address of float64 groups."""
+
+    visit: Any
+    prefetch: Any
+    groups: np.uint64
+    wants_any: bool
+
+
 @device
-def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, float64_groups, filter_):
-    """Test a leaf in float64; see `packet_leaf.visit_leaf`. `float64_groups` is an address."""
-    spans, edges, has_hit, wants_any = (
-        scratch(_SPAN_BYTES),
-        scratch(_EDGES_BYTES),
-        False,
-        goal == ANY,
-    )
+def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
+    """Test a leaf in float64; see `packet_leaf.visit_leaf`."""
+    spans, edges, has_hit = scratch(_SPAN_BYTES), scratch(_EDGES_BYTES), False
+    wants_any = leaf.wants_any
     block = leaf_address(leaves, child)
     end = leaf_end(block, child)
     while block != end:
@@ -185,7 +193,7 @@ def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, float64_gr
             bits = entering_rays(packet, g, box, rays)
             if bits == ZERO_U64:
                 continue
-            at = float64_groups + g * _GROUP_BYTES
+            at = leaf.groups + g * _GROUP_BYTES
             if popcount(bits) <= _FEW:
                 if _test_rays(packet, at, g, bits, block, wants_any, spans):
                     has_hit = True
@@ -197,9 +205,6 @@ def _search_leaf(packet, child, leaves, box, rays, groups, own, goal, float64_gr
                     has_hit = True
         block += BLOCK
     return has_hit
-
-
-_trace_packet = packet_trace(_search_leaf)
 
 
 @device
@@ -225,13 +230,11 @@ def trace_float64_packets(begin, end, tree, frame, source, order, wants_any, sta
     packet, float64_groups = scratch(PACKET_BYTES), scratch(_GROUPS_BYTES)
     memory, own = scratch(TRACE_BYTES), (scratch(STACK_BYTES), scratch(LANES_BYTES))
     packets = PacketSource(source.rays, order, frame, address(status))
-    goal = ANY if wants_any else FIRST
+    leaf = _Float64Leaf(_visit_leaf, no_prefetch, float64_groups, wants_any)
     for number in range(np.uint64(begin), np.uint64(end)):
         slow_groups = load_packet(packet, number, packets)
         _load(packet, float64_groups, number, source, order, frame, slow_groups)
-        _trace_packet(
-            packet, GROUPS, tree, frame.max_coordinate, memory, goal, float64_groups, None
-        )
+        trace_packet(packet, GROUPS, tree, frame.max_coordinate, memory, leaf)
         for g in range(GROUPS):
             first, count = group_rows(order, number, g)
             if count != ZERO_U64:

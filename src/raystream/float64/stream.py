@@ -6,6 +6,8 @@ triangles in float64.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.float64.block import (
@@ -54,7 +56,7 @@ from raystream.structures.bvh.group_rays import (
     Hot,
     load_block,
 )
-from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, block_trace
+from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, trace_block
 from raystream.structures.bvh.node_layout import LANE, leaf_address
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
@@ -190,10 +192,17 @@ def _leaf_with_rays(block, rays, count, memory, wants_any, spans):
     return hit_count
 
 
+class _Float64Leaf(NamedTuple):
+    """Leaves in float64; see `group_stream.trace_block`."""
+
+    visit: Any
+    wants_any: bool
+
+
 @device
-def _visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
-    """Test a leaf in float64; see `group_stream.block_trace`."""
-    spans, hit_count = scratch(_SPAN_BYTES), ZERO_U64
+def _visit_leaf(leaf, tree, child, rays, memory, small):
+    """Test a leaf in float64; see `group_stream.trace_block`."""
+    spans, hit_count, wants_any = scratch(_SPAN_BYTES), ZERO_U64, leaf.wants_any
     block = leaf_address(tree.leaves, child)
     end = leaf_end(block, child)
     while block != end:
@@ -203,9 +212,6 @@ def _visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
             hit_count += _leaf_with_rays(block, rays.at, rays.length, memory, wants_any, spans)
         block += BLOCK
     return hit_count
-
-
-_trace_block = device(block_trace(_visit_leaf))
 
 
 @kernel
@@ -233,9 +239,10 @@ def trace_float64_groups(begin, end, tree, source, packets, wants_any, status, r
     small, groups = Small(scratch(SMALL_BYTES)), memory + LISTS_AT
     for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
         last = min(first + _PACKETS, np.uint64(end))
-        count, ray_count = load_block(memory, packets, first, last, groups, False)
+        count, ray_count, _ = load_block(memory, packets, first, last, False)
         _load(memory, first, last, source, order, frame)
-        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, None)
+        leaf = _Float64Leaf(_visit_leaf, wants_any)
+        trace_block(memory, groups, count, ray_count, tree, stack, small, leaf)
         g = ZERO_U64
         for packet in range(first, last):
             for row in range(GROUPS):

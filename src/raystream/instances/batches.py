@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from raystream.core.query import Kind
-from raystream.instances.packets import trace_instance_packets
+from raystream.instances.packets import INSTANCES
 from raystream.instances.streams import BLOCK_PACKETS, CALL_BYTES, trace_instances
 from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.kernels.queries import output_of
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence
+from raystream.structures.bvh.kernel_choice import nearest_of_packets
+from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_queries import NEAREST, packet_kernel
 
 if TYPE_CHECKING:
     from raystream.instances.structure import InstancedStructure
+
+_trace_packets = packet_kernel(INSTANCES, NEAREST)
 
 #: Batches of at most this many rays are traced ray by ray: lists of few rays share few instances.
 _FEW = 2047
 
 
 def _groups(scene: InstancedStructure, batch: Batch) -> Calls:
-    return trace_instances, _of_packets(scene, batch)
+    return trace_instances, nearest_of_packets(scene, batch)
 
 
 def _packets(scene: InstancedStructure, batch: Batch) -> Calls:
-    return trace_instance_packets, _of_packets(scene, batch)
-
-
-def _of_packets(scene: InstancedStructure, batch: Batch) -> tuple[Any, ...]:
-    filter_, out = output_of(batch.query, batch.sink)
-    return scene.arrays, batch.packets(scene.frame), batch.wants_any, filter_, out
+    return _trace_packets, nearest_of_packets(scene, batch)
 
 
 def _wavefront(scene: InstancedStructure, batch: Batch) -> Calls:
@@ -59,5 +59,18 @@ _KERNELS = {
     "wavefront": BatchKernel(_wavefront, 4096, 4096, by_packets=False, takes_filter=True),
 }
 
+
+def _suited_to_all(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
+    del count, byte_count
+    return ("packet",) if coherence.narrow >= 0.5 else ("single",)
+
+
+_NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
+
 #: The kernels by the kind of query, for trees that are not empty.
-BATCH_KERNELS = dict.fromkeys((Kind.FIRST_HIT, Kind.ANY_HIT), BatchKernels(_KERNELS, _suited, _FEW))
+BATCH_KERNELS = {
+    Kind.FIRST_HIT: _NEAREST,
+    Kind.ANY_HIT: _NEAREST,
+    Kind.MULTI_HIT: BatchKernels({"packet": visiting_kernel(INSTANCES)}, _suited_to_all, _FEW),
+    Kind.COUNT_HITS: BatchKernels({"packet": counting_kernel(INSTANCES)}, _suited_to_all, _FEW),
+}

@@ -23,7 +23,7 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.best import Best, LanesFilter, best_views, shorten_ray
 from raystream.kernels.hit_filter import FILTERED_BYTES, U_AT, V_AT, HitFilter, RayFilter, keeps
-from raystream.structures.bvh.group_leaf import leaf_tests
+from raystream.structures.bvh.group_leaf import GroupLeaf, visit_leaf
 from raystream.structures.bvh.group_rays import HOT_AT, LANE_SHIFT, LAST_LANE, PLACES_AT, Hot
 from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_rays import GROUP, GroupPlaces, first_ray
@@ -104,19 +104,22 @@ def _kept_singly(rays, taken, t, u, v, number, memory, g):
 
 
 @device
-def _group_best(memory, g, wants_any, rays):
-    at, own = Merged(memory, g), _lanes_filter(rays.filter, rays, memory, g)
-    return Best(at, at, rays.first_id, own, wants_any)
+def _lanes_best(leaf, memory, g):
+    rays, at = leaf.given, Merged(memory, g)
+    return Best(at, at, rays.first_id, _lanes_filter(rays.filter, rays, memory, g), leaf.wants_any)
 
 
 @device
-def _ray_best(memory, g, k, wants_any, rays):
-    at, own = MergedLanes(memory, g), _ray_filter(rays.filter, rays, memory, g, k)
-    return Best(at, at, rays.first_id, own, wants_any)
+def _ray_best(leaf, memory, g, k):
+    rays, at = leaf.given, MergedLanes(memory, g)
+    own = _ray_filter(rays.filter, rays, memory, g, k)
+    return Best(at, at, rays.first_id, own, leaf.wants_any)
 
 
-#: The tests of the leaves of objects.
-OBJECT_TESTS = leaf_tests(_group_best, _ray_best)
+@device
+def object_leaf(wants_any, rays):
+    """The leaves of the object of an instance, for an `InstanceList`."""
+    return GroupLeaf(visit_leaf, _lanes_best, _ray_best, wants_any, rays)
 
 
 @device

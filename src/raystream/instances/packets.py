@@ -7,7 +7,7 @@ packet of their own; then their hits are merged with those from other instances.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,35 +17,33 @@ from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import is_usual, ray_numbers
 from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
-from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     any_lane,
     f32x16,
     lanes_from_bits,
-    load,
     mask16,
     mask_bits,
     scratch,
     select,
     store,
 )
-from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes, shorten_lanes
+from raystream.kernels.best import shorten_lanes
 from raystream.structures.bvh.layout import TreeAddresses
+from raystream.structures.bvh.leaf_kinds import InstanceHits, Within, leaf_within, scene_group
 from raystream.structures.bvh.node_layout import prefetch_child
-from raystream.structures.bvh.packet import TRACE_BYTES, packet_trace
-from raystream.structures.bvh.packet_filter import lanes_filter, packet_filter, ray_filter
-from raystream.structures.bvh.packet_leaf import ANY, FIRST, entering_rays, leaf_visit
+from raystream.structures.bvh.packet import TRACE_BYTES, packet_walk
+from raystream.structures.bvh.packet_leaf import TriangleLeaf, entering_rays
 from raystream.structures.bvh.packet_load import load_packet, prepare_group, set_slow
+from raystream.structures.bvh.packet_queries import PacketScene
 from raystream.structures.bvh.packet_rays import (
-    GROUP,
     GROUPS,
     NO_CLASS,
     PACKET_BYTES,
     Group,
     GroupLanes,
     group_rows,
-    store_packet,
 )
 
 _LANES = np.uint64(16)
@@ -55,14 +53,16 @@ _INF = np.float32(np.inf)
 _INVALID = np.uint8(RayStatus.INVALID)
 _WORLDS_BYTES = int(GROUPS) * WORLD_BYTES
 _NUMBERS_BYTES = int(GROUPS)
-_ALL_GROUPS = np.uint64(2**64 - 1)
 
 
-class _Inside(NamedTuple):
-    """What the visit of an instance needs.
+class _InstanceLeaf(NamedTuple):
+    """Leaves of the tree over instances, see `packet.trace_packet`; and what their visit needs.
 
     Attributes
     ----------
+    visit, prefetch : device function
+    leaf : TriangleLeaf
+        The leaves of objects, as in a scene without instances.
     objects : uint64
         See `TopAddresses`.
     worlds : uint64
@@ -71,6 +71,9 @@ class _Inside(NamedTuple):
         Memory for a packet in object space, for its trace, and for the numbers of its groups.
     """
 
+    visit: Any
+    prefetch: Any
+    leaf: TriangleLeaf
     objects: np.uint64
     worlds: np.uint64
     packet: np.uint64
@@ -78,62 +81,22 @@ class _Inside(NamedTuple):
     groups: np.uint64
 
 
-class _Within(NamedTuple):
-    """What the groups in an instance are of the scene's packet, which has their rays' hits.
-
-    Attributes
-    ----------
-    scene, groups : uint64
-        Addresses of the packet, and of the numbers of these groups there.
-    first_id : int32
-        See `kernels.best.Best`.
-    """
-
-    scene: np.uint64
-    groups: np.uint64
-    first_id: np.int32
-
-
-#: A group in a scene or an instance, see `kernels.best`.
-_Hits, _HitsLanes = best_views(
-    GROUP, limit="t_active", t="t_scale", t_scale="slow_t_scale", t_offset="slow_t_offset"
-)
+_trace_object, _trace_top = packet_walk(), packet_walk()
 
 
 @device
-def _scene_group(within, g):
-    return np.uint64(load(np.uint8, within.groups + g))
-
-
-@device
-def _keep_in_group(packet, g, taken, t, uv, prim_id, goal, within, filter_):
-    u, v = uv
-    to = _scene_group(within, g)
-    own = lanes_filter(filter_, Group(packet, g), to)
-    best = Best(_Hits(packet, g), _Hits(within.scene, to), within.first_id, own, goal == ANY)
-    return offer_lanes(best, taken, t, u, v, prim_id) != ZERO_U64
-
-
-@device
-def _keep_of_ray(packet, g, k, bits, found, prim_ids, goal, within, filter_):
-    to, ray = _scene_group(within, g), _HitsLanes(packet, g)
-    own = ray_filter(filter_, GroupLanes(packet, g), to, k)
-    best = Best(ray, _HitsLanes(within.scene, to), within.first_id, own, goal == ANY)
-    return offer_hits(best, k, bits, found, prim_ids)
-
-
-_trace_object = packet_trace(leaf_visit(_keep_in_group, _keep_of_ray), prefetch_child)
-
-
-@device
-def _load_groups(packet, inside, box, rays, groups, instance, object_):
+def _load_groups(inside, packet, box, rays, groups, instance, object_):
     """Load the groups that enter an instance's box in object space; returns their number."""
     count = ZERO_U64
     for g in range(groups.first, groups.last + ONE_U64):
         bits = entering_rays(packet, g, box, rays)
         if bits == ZERO_U64:
             continue
-        hits, world, group = _Hits(packet, g), World(inside.worlds, g), Group(inside.packet, count)
+        hits, world, group = (
+            InstanceHits(packet, g),
+            World(inside.worlds, g),
+            Group(inside.packet, count),
+        )
         world.best_t, world.best = hits.t, hits.prim_id
         load_group(group, world, instance, object_)
         enters = lanes_from_bits(mask16, bits)
@@ -145,37 +108,35 @@ def _load_groups(packet, inside, box, rays, groups, instance, object_):
 
 
 @device_call
-def _search_instance(packet, index, leaves, box, rays, groups, goal, inside, filter_):
-    """Search an instance with groups of a packet; returns whether any ray has a nearer hit."""
+def _search_instance(inside, packet, index, leaves, box, rays, groups):
+    """Search an instance with groups of a packet; returns whether a ray's search is shorter now."""
     no_inline()
     instance = InstanceRecord(leaves, index)
     object_ = ObjectRecord(inside.objects, np.uint64(instance.object_id))
     if object_.nodes == NULL:
         return False
-    count = _load_groups(packet, inside, box, rays, groups, instance, object_)
+    count = _load_groups(inside, packet, box, rays, groups, instance, object_)
     if count == ZERO_U64:
         return False
     tree = TreeAddresses(object_.nodes, object_.leaves)
-    most, within = object_.max_coordinate, _Within(packet, inside.groups, instance.first_id)
-    _trace_object(inside.packet, count, tree, most, inside.memory, goal, within, filter_)
+    within = Within(packet, inside.groups, instance.first_id)
+    leaf = leaf_within(inside.leaf, within)
+    _trace_object(inside.packet, count, tree, object_.max_coordinate, inside.memory, leaf)
     has_hit = False
     for k in range(count):
-        g = _scene_group(within, k)
-        hits = _Hits(packet, g)
+        g = scene_group(within, k)
+        hits = InstanceHits(packet, g)
         found = hits.prim_id != World(inside.worlds, g).best
         if any_lane(found):
             has_hit = True
-            shorten_lanes(within.first_id, hits, found, hits.t, goal == ANY)
+            shorten_lanes(within.first_id, hits, found, hits.t, leaf.wants_any)
     return has_hit
 
 
 @device
-def _visit_instance(packet, child, leaves, box, rays, groups, own, goal, inside, filter_):  # noqa: ARG001
+def _visit_instance(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: ARG001
     index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
-    return _search_instance(packet, index, leaves, box, rays, groups, goal, inside, filter_)
-
-
-_trace_scene = packet_trace(_visit_instance, prefetch_child)
+    return _search_instance(leaf, packet, index, leaves, box, rays, groups)
 
 
 @device
@@ -187,7 +148,7 @@ def _read_rays(packet, number, worlds, slow_groups, source):
         group, world = Group(packet, g), WorldLanes(worlds, g)
         if not is_slow:
             set_slow(group)
-        hits, lanes = _Hits(packet, g), GroupLanes(packet, g)
+        hits, lanes = InstanceHits(packet, g), GroupLanes(packet, g)
         hits.t = f32x16(_INF)
         if count == ZERO_U64:
             continue
@@ -206,42 +167,35 @@ def _read_rays(packet, number, worlds, slow_groups, source):
 
 
 @device
-def _finish(packet):
-    """Make the distances of all groups those that are reported."""
-    for g in range(GROUPS):
-        group = Group(packet, g)
-        group.t, group.t_scale = _Hits(packet, g).t + _ZERO, f32x16(_ONE)
-        set_slow(group)
+def _load(packet, number, source, top, worlds):
+    padded = padded_source(source, top, number, number + ONE_U64)
+    slow_groups = load_packet(packet, number, padded)
+    _read_rays(packet, number, worlds, slow_groups, padded)
+    return slow_groups, padded.frame.max_coordinate
 
 
-@kernel
-def trace_instance_packets(begin, end, top, source, wants_any, filter_, out):
-    """Trace packets begin to end through a scene's instances.
-
-    Parameters
-    ----------
-    begin, end : int
-    top : TopAddresses
-        Of a scene without worlds, with a tree that is not empty.
-    source : PacketSource
-    wants_any : bool
-        Find whether there is a hit, else the nearest one.
-    filter_ : HitFilter or None
-    out : ResultAddresses
-    """
-    packet, memory, worlds = scratch(PACKET_BYTES), scratch(TRACE_BYTES), scratch(_WORLDS_BYTES)
-    inside = _Inside(
-        top.objects, worlds, scratch(PACKET_BYTES), scratch(TRACE_BYTES), scratch(_NUMBERS_BYTES)
+@device
+def _trace(packet, top, max_coordinate, worlds, leaf):
+    inside, groups = scratch(PACKET_BYTES), scratch(_NUMBERS_BYTES)
+    own = _InstanceLeaf(
+        _visit_instance,
+        prefetch_child,
+        leaf,
+        top.objects,
+        worlds,
+        inside,
+        scratch(TRACE_BYTES),
+        groups,
     )
     record = TreeRecord(top.trees)
     tree = TreeAddresses(record.nodes, record.leaves)
-    goal = ANY if wants_any else FIRST
-    for number in range(np.uint64(begin), np.uint64(end)):
-        _, padded = padded_source(source, top, number, number + ONE_U64)
-        slow_groups = load_packet(packet, number, padded)
-        _read_rays(packet, number, worlds, slow_groups, padded)
-        mine = packet_filter(filter_, source.order, number, _ALL_GROUPS)
-        most = padded.frame.max_coordinate
-        _trace_scene(packet, GROUPS, tree, most, memory, goal, inside, mine)
-        _finish(packet)
-        store_packet(packet, number, source.order, slow_groups, wants_any, out)
+    _trace_top(packet, GROUPS, tree, max_coordinate, scratch(TRACE_BYTES), own)
+    # From now on, all distances are the reported ones.
+    for g in range(GROUPS):
+        group = Group(packet, g)
+        group.t, group.t_scale = InstanceHits(packet, g).t + _ZERO, f32x16(_ONE)
+        set_slow(group)
+
+
+#: Of instances without worlds: `TopAddresses`, with a tree that is not empty.
+INSTANCES = PacketScene(_load, _trace, _WORLDS_BYTES)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.instances.traversal import MOST_FAR
-from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_origin
@@ -25,29 +24,26 @@ def padded_source(source, top, first, last):
 
     Returns
     -------
-    group_count : uint64
-        Of these packets.
-    source : PacketSource
+    PacketSource
     """
-    count, reach = _look(source, first, last)
+    reach = _reach(source, first, last)
     far = np.float32(min(top.far_unit * (reach * source.frame.scale), MOST_FAR))
-    return count, _padded(source, far)
+    return _padded(source, far)
 
 
 @device
-def _look(source, first, last):
-    """Groups of some packets, and the largest coordinate of their origins."""
-    count, reach = ZERO_U64, np.float64(0.0)
+def _reach(source, first, last):
+    """The largest coordinate of the origins of some packets."""
+    reach = np.float64(0.0)
     for packet in range(first, last):
         for row in range(GROUPS):
             ray, length = group_rows(source.order, packet, row)
-            count += np.uint64(length != ZERO_U64)
             for i in range(ray, ray + length):
                 x, y, z = load_origin(source.rays, i)
                 farthest = max(abs(x), abs(y), abs(z))
                 if farthest > reach and farthest < np.inf:
                     reach = farthest
-    return count, reach
+    return reach
 
 
 @device

@@ -8,23 +8,24 @@ others: what is kept of its hits depends on their distance and number only.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from raystream.core.rays import RayStatus
-from raystream.instances.merged_hits import OBJECT_TESTS, InstanceList, Merged, merge_hits
+from raystream.instances.merged_hits import InstanceList, Merged, merge_hits, object_leaf
 from raystream.instances.object_rays import load_rays
 from raystream.instances.padding import padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.instances.traversal import is_usual
 from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
-from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import f32x16, load, scratch, store
 from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.ray_source import RaySource, load_direction
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
+from raystream.structures.bvh.group_queries import finish_nearest, group_kernel
 from raystream.structures.bvh.group_rays import (
     FLAGS_AT,
     GROUP_SHIFT,
@@ -36,22 +37,11 @@ from raystream.structures.bvh.group_rays import (
     RAY_BITS,
     Hot,
     load_block,
-    store_block,
 )
-from raystream.structures.bvh.group_stream import (
-    STREAM_STACK_BYTES,
-    block_trace,
-    leaf_visit,
-    list_rays,
-)
+from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, group_walk, list_rays
 from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.packet_load import set_slow
-from raystream.structures.bvh.packet_rays import (
-    Group,
-    GroupLanes,
-    GroupPlaces,
-    first_ray,
-)
+from raystream.structures.bvh.packet_rays import Group, GroupLanes, GroupPlaces, first_ray
 
 #: Packets whose rays descend together. Their groups, and those of an instance, are in the L2 cache.
 BLOCK_PACKETS = 8
@@ -59,7 +49,6 @@ BLOCK_PACKETS = 8
 #: Bytes that a call needs.
 CALL_BYTES = 2 * -(-MEMORY_BYTES // 64) * 64
 
-_PACKETS = np.uint64(BLOCK_PACKETS)
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
 _INSIDE_AT = np.uint64(CALL_BYTES // 2)
@@ -68,80 +57,70 @@ _INF = np.float32(np.inf)
 _INVALID = np.uint8(RayStatus.INVALID)
 
 
-class _InstanceTree(NamedTuple):
-    """The tree over instances, and what their visit needs.
+class _InstanceLeaf(NamedTuple):
+    """Leaves of the tree over instances, see `group_stream.trace_block`; and what they need.
 
     Attributes
     ----------
-    nodes, leaves, objects : uint64
-        See `TreeRecord` and `TopAddresses`.
+    visit : device function
+    objects : uint64
+        See `TopAddresses`.
     source : RaySource
+    wants_any : bool
     filter : HitFilter or None
     inside, stack, small : uint64
         Memory for rays in object space, see `group_rays`; a stack; and bytes of a `Small`.
     """
 
-    nodes: np.uint64
-    leaves: np.uint64
+    visit: Any
     objects: np.uint64
     source: RaySource
+    wants_any: bool
     filter: HitFilter | None
     inside: np.uint64
     stack: np.uint64
     small: np.uint64
 
 
-_trace_object = device(block_trace(leaf_visit(OBJECT_TESTS)))
+_trace_object, _trace_top = group_walk(), group_walk()
 
 
 @device_call
-def _search_instance(tree, index, rays, count, scene, wants_any):
+def _search_instance(leaf, leaves, index, rays, count, scene):
     """Search an instance with the rays of a list; returns the number of hits."""
     no_inline()
-    instance = InstanceRecord(tree.leaves, index)
-    object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
+    instance = InstanceRecord(leaves, index)
+    object_ = ObjectRecord(leaf.objects, np.uint64(instance.object_id))
     if object_.nodes == NULL:
         return ZERO_U64
-    inside = tree.inside
+    inside, wants_any, first_id = leaf.inside, leaf.wants_any, instance.first_id
     group_count, ray_count = load_rays(
-        scene, inside, rays, count, tree.source, tree.leaves, index, tree.objects
+        scene, inside, rays, count, leaf.source, leaves, index, leaf.objects
     )
     if group_count == ZERO_U64:
         return ZERO_U64
-    nodes = TreeAddresses(object_.nodes, object_.leaves)
-    first_id = instance.first_id
-    _trace_object(
-        inside,
-        inside + LISTS_AT,
-        group_count,
-        ray_count,
-        nodes,
-        tree.stack,
-        Small(tree.small),
-        wants_any,
-        InstanceList(first_id, tree.filter, scene, rays, count - ONE_U64),
-    )
+    tree = TreeAddresses(object_.nodes, object_.leaves)
+    own = object_leaf(wants_any, InstanceList(first_id, leaf.filter, scene, rays, count - ONE_U64))
+    groups, small = inside + LISTS_AT, Small(leaf.small)
+    _trace_object(inside, groups, group_count, ray_count, tree, leaf.stack, small, own)
     return merge_hits(scene, inside, rays, count, first_id, wants_any)
 
 
 @device
-def _visit_instance(tree, child, rays, memory, small, wants_any, filter_):  # noqa: ARG001
+def _visit_instance(leaf, tree, child, rays, memory, small):  # noqa: ARG001
     at, count = rays.at, rays.length
     if rays.is_grouped:
         at, count = rays.room, list_rays(at, count, memory, rays.t_in, rays.room)
         if count == ZERO_U64:
             return ZERO_U64
     index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
-    return _search_instance(tree, index, at, count, memory, wants_any)
-
-
-_trace_scene = device(block_trace(_visit_instance))
+    return _search_instance(leaf, tree.leaves, index, at, count, memory)
 
 
 @device
-def _refuse(memory, groups, count, source):
+def _refuse(memory, count, source):
     """Take rays whose directions are too long or too short out of a list; returns its length."""
-    kept = ZERO_U64
+    groups, kept = memory + LISTS_AT, ZERO_U64
     for j in range(count):
         packed = np.uint64(load(np.uint32, groups + j * np.uint64(4)))
         g = packed >> GROUP_SHIFT
@@ -173,52 +152,40 @@ def _sound(memory, g, bits, source):
 
 
 @device
-def _finish(memory, group_count):
-    """Make the distances of all groups those that are reported."""
+def _load(memory, source, first, last, top, wanted):  # noqa: ARG001
+    padded = padded_source(source, top, first, last)
+    count, ray_count, group_count = load_block(memory, padded, first, last, True)
+    return _refuse(memory, count, source), ray_count, group_count
+
+
+@device
+def _trace(memory, count, ray_count, top, source, wanted):
+    leaf = _InstanceLeaf(
+        _visit_instance,
+        top.objects,
+        source.rays,
+        wanted.wants_any,
+        wanted.filter,
+        memory + _INSIDE_AT,
+        scratch(STREAM_STACK_BYTES),
+        scratch(SMALL_BYTES),
+    )
+    record = TreeRecord(top.trees)
+    tree = TreeAddresses(record.nodes, record.leaves)
+    stack, small = scratch(STREAM_STACK_BYTES), Small(scratch(SMALL_BYTES))
+    _trace_top(memory, memory + LISTS_AT, count, ray_count, tree, stack, small, leaf)
+
+
+@device
+def _finish(memory, source, first, last, top, group_count, wanted):
+    # From now on, all distances are the reported ones.
     for g in range(group_count):
         group = Group(memory, g)
         group.t, group.t_scale = Merged(memory, g).t + _ZERO, f32x16(np.float32(1.0))
         set_slow(group)
+    finish_nearest(memory, source, first, last, top, group_count, wanted)
 
 
-@kernel
-def trace_instances(begin, end, top, source, wants_any, filter_, out, memory):
-    """Trace packets begin to end through a scene's instances.
-
-    Parameters
-    ----------
-    begin, end : int
-    top : TopAddresses
-        Of a scene without worlds, with a tree that is not empty.
-    source : PacketSource
-    wants_any : bool
-        Find whether there is a hit, else the nearest one.
-    filter_ : HitFilter or None
-    out : ResultAddresses
-    memory : int
-        Address of `CALL_BYTES` bytes; a multiple of 64.
-    """
-    memory = np.uint64(memory)
-    inside = memory + _INSIDE_AT
-    stack, inner_stack = scratch(STREAM_STACK_BYTES), scratch(STREAM_STACK_BYTES)
-    small, inner_small = scratch(SMALL_BYTES), scratch(SMALL_BYTES)
-    record = TreeRecord(top.trees)
-    tree = _InstanceTree(
-        record.nodes,
-        record.leaves,
-        top.objects,
-        source.rays,
-        filter_,
-        inside,
-        inner_stack,
-        inner_small,
-    )
-    groups = memory + LISTS_AT
-    for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
-        last = min(first + _PACKETS, np.uint64(end))
-        group_count, padded = padded_source(source, top, first, last)
-        count, ray_count = load_block(memory, padded, first, last, groups, True)
-        count = _refuse(memory, groups, count, source)
-        _trace_scene(memory, groups, count, ray_count, tree, stack, Small(small), wants_any, None)
-        _finish(memory, group_count)
-        store_block(memory, source.order, first, last, wants_any, out)
+#: The nearest or any hits of instances without worlds: `TopAddresses`, with a tree that is not
+#: empty. For a `NearestWanted`; in `CALL_BYTES` bytes.
+trace_instances = group_kernel(_load, _trace, _finish, BLOCK_PACKETS)

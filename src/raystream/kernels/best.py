@@ -205,6 +205,28 @@ def offer_lanes(best, taken, t, u, v, prim_id):
 
 
 @device
+def reported_lanes(best, taken, t, prim_id):
+    """Hits of 16 rays with a triangle as they are reported, for rays that take all of them.
+
+    Parameters
+    ----------
+    best : Best
+        Its views have a vector for each attribute; ``hit.t`` is the end of the rays' intervals.
+    taken, t, prim_id
+        See `offer_lanes`.
+
+    Returns
+    -------
+    taken : mask16
+        The rays that hit it within their intervals.
+    t : f32x16
+    number : int32
+    """
+    told = _told_lanes(best.first_id, best.ray, t)
+    return taken & (told <= best.hit.t), told, _number(best.first_id, prim_id)
+
+
+@device
 def offer_hits(best, k, bits, found, prim_ids):
     """Offer the hits of a ray with some triangles of a block; returns whether one is kept.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from raystream.jit.simd import (
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes
-from raystream.kernels.leaf_block import HITS, Block, HitLanes
+from raystream.kernels.leaf_block import BLOCK, HITS, Block, BlockLanes, HitLanes
 from raystream.kernels.triangle_lanes import (
     barycentrics,
     distance_along,
@@ -33,6 +32,7 @@ from raystream.kernels.triangle_lanes import (
 from raystream.structures.bvh.group_rays import (
     COLD_AT,
     GROUP_SHIFT,
+    HITS_AT,
     HOT_AT,
     LANE_SHIFT,
     LAST_LANE,
@@ -42,7 +42,7 @@ from raystream.structures.bvh.group_rays import (
     in_frame,
     interval,
 )
-from raystream.structures.bvh.node_layout import LANE
+from raystream.structures.bvh.node_layout import LANE, leaf_address, leaf_end
 from raystream.structures.bvh.packet_filter import lanes_filter, ray_filter
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, three
 
@@ -144,159 +144,183 @@ def _distances(hot, cold, block, small):
     return distance_along(a, n, hot.origin, cold.direction)
 
 
-class LeafTests(NamedTuple):
-    """The tests of a block's triangles.
+class GroupLeaf(NamedTuple):
+    """Leaves of triangles whose nearest, or any, hits are kept; see `group_stream.trace_block`.
 
     Attributes
     ----------
-    with_groups, with_rays : device function
-        Against the groups, or the rays, of a list; they return the number of hits.
+    visit : device function
+    lanes_best, ray_best : device function
+        ``lanes_best(leaf, memory, g)`` is the `Best` of a group, and ``ray_best(leaf, memory, g,
+        k)`` that of its ray k. A ray's limit is its `t`.
+    wants_any : bool
+    given : NamedTuple or None
+        What the functions need besides.
     """
 
-    with_groups: Callable[..., Any]
-    with_rays: Callable[..., Any]
+    visit: Any
+    lanes_best: Any
+    ray_best: Any
+    wants_any: bool
+    given: Any
 
 
-def leaf_tests(group_best: Callable[..., Any], ray_best: Callable[..., Any]) -> LeafTests:
-    """Make the tests of leaves, which differ in where the rays' hits are.
+@device
+def _keep_lanes(leaf, memory, g, taken, t, u, v, prim_id):
+    """Keep hits of a group with a triangle; returns whether there was a nearer one."""
+    bits = offer_lanes(leaf.lanes_best(leaf, memory, g), taken, t, u, v, prim_id)
+    has_hit, limits = bits != ZERO_U64, GroupLanes(memory, g).t
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
+    return has_hit
+
+
+@device
+def _keep_hits(leaf, memory, number, block, bits, found):
+    """Keep the nearest of a ray's hit and those of some triangles of a block."""
+    g, k = number >> LANE_SHIFT, number & LAST_LANE
+    if offer_hits(leaf.ray_best(leaf, memory, g, k), k, bits, found, block.prim_ids):
+        Hot(memory + HOT_AT, number).t = GroupLanes(memory, g).t[k]
+
+
+@device
+def _test_with_group(leaf, g, memory, block, lane, lanes):
+    """Test a triangle against a group; returns whether a ray has a nearer hit."""
+    group = Group(memory, g)
+    is_y, is_z = axis_kinds(group)
+    corners = block.corners
+    a = _corner_in_frame(is_y, is_z, corners, _FIRST, lane)
+    b = _corner_in_frame(is_y, is_z, corners, _SECOND, lane)
+    c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
+    origin, shear = three(group.origin), group.shear
+    sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
+    candidates = signs_agree(sheared)
+    if not any_lane(candidates):
+        return False
+    low_x, high_x = _extent_of(corners, _X, lane)
+    low_y, high_y = _extent_of(corners, _Y, lane)
+    low_z, high_z = _extent_of(corners, _Z, lane)
+    t_in, t_out = interval(
+        low_x,
+        low_y,
+        low_z,
+        high_x,
+        high_y,
+        high_z,
+        three(group.inv),
+        three(group.near),
+        three(group.far),
+    )
+    nearest, t_min = group.t, group.t_min
+    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+    if not any_lane(candidates):
+        return False
+    normal = lanes.normal
+    n = in_frame(
+        is_y,
+        is_z,
+        f64x16(normal[_X, lane]),
+        f64x16(normal[_Y, lane]),
+        f64x16(normal[_Z, lane]),
+    )
+    # The distance first: rays that leave a surface meet its triangle behind their origin.
+    t = distance_along(a, n, origin, three(group.direction))
+    t = minimum(maximum(t, t_in), t_out) + _ZERO
+    candidates = candidates & (t >= t_min) & (t <= nearest)
+    if not any_lane(candidates):
+        return False
+    hit, u, v = barycentrics(sheared, False)
+    return _keep_lanes(leaf, memory, g, candidates & hit, t, u, v, block.prim_ids[lane])
+
+
+@device
+def _with_groups(leaf, at, groups, count, memory, small):
+    """Test a block against the groups of a list; returns the number of hits."""
+    block, lanes, hit_count = BlockLanes(at), SmallLanes(address_of(small)), ZERO_U64
+    _write_normals(Block(at), small)
+    for lane in range(_BLOCK_LANES):
+        if block.prim_ids[lane] < np.int32(0):
+            break
+        for j in range(count):
+            g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
+            hit_count += np.uint64(_test_with_group(leaf, g, memory, block, lane, lanes))
+    return hit_count
+
+
+@device
+def _with_rays(leaf, block, rays, count, memory, small):
+    """Test a block against the rays of a list; returns the number of hits."""
+    # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one
+    # per ray, mispredictions would take half the time of a leaf.)
+    hots, colds, hits = memory + HOT_AT, memory + COLD_AT, memory + HITS_AT
+    candidate_count = ZERO_U64
+    for j in range(count):
+        number = load(np.uint32, rays + j * LANE)
+        hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
+        store(hits + candidate_count * LANE, number)
+        candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
+    if candidate_count == ZERO_U64:
+        return ZERO_U64
+
+    # Step 2: test these exactly.
+    hit_count = ZERO_U64
+    low_x, high_x = _extent(block, _X)
+    low_y, high_y = _extent(block, _Y)
+    low_z, high_z = _extent(block, _Z)
+    _write_normals(block, small)
+    found = small.hits
+    for j in range(candidate_count):
+        number = np.uint64(load(np.uint32, hits + j * LANE))
+        hot, cold = Hot(hots, number), Cold(colds, number)
+        t_in, t_out = interval(
+            low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high
+        )
+        nearest, t_min = hot.t, hot.t_min
+        sheared = _sheared(hot, cold, block)
+        candidates = signs_agree(sheared)
+        candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+        # The distance first: rays that leave a surface meet its triangle behind their origin.
+        t = minimum(maximum(_distances(hot, cold, block, small), t_in), t_out) + _ZERO
+        candidates = candidates & (t >= t_min) & (t <= nearest)
+        if not any_lane(candidates):
+            continue
+        hit, u, v = barycentrics(sheared, False)
+        bits = mask_bits(candidates & hit)
+        if bits != ZERO_U64:
+            hit_count += ONE_U64
+            found.t, found.u, found.v = t, u, v
+            lanes = HitLanes(address_of(found))
+            _keep_hits(leaf, memory, number, block, bits, lanes)
+    return hit_count
+
+
+@device
+def visit_leaf(leaf, tree, child, rays, memory, small):
+    """Test a leaf's triangles against the rays that reach it; returns the number of hits.
 
     Parameters
     ----------
-    group_best, ray_best : device function
-        ``group_best(memory, g, wants_any, filter_)`` is the `Best` of a group, and
-        ``ray_best(memory, g, k, wants_any, filter_)`` that of its ray k. A ray's limit is its `t`.
+    leaf : GroupLeaf
+    tree : NamedTuple
+        With the address of its ``leaves``.
+    child : int32
+        The leaf's link.
+    rays : group_stream.RayList
+    memory, small
+        See `group_stream.trace_block`.
     """
-
-    @device
-    def keep_in_group(memory, g, taken, t, u, v, prim_id, wants_any, filter_):
-        """Keep hits of a group with a triangle; returns whether there was a nearer one."""
-        best = group_best(memory, g, wants_any, filter_)
-        bits = offer_lanes(best, taken, t, u, v, prim_id)
-        has_hit, limits = bits != ZERO_U64, GroupLanes(memory, g).t
-        while bits != ZERO_U64:
-            k = count_trailing_zeros(bits)
-            bits &= bits - ONE_U64
-            Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
-        return has_hit
-
-    @device
-    def keep_of_ray(memory, number, block, bits, found, wants_any, filter_):
-        """Keep the nearest of a ray's hit and those of some triangles of a block."""
-        g, k = number >> LANE_SHIFT, number & LAST_LANE
-        best = ray_best(memory, g, k, wants_any, filter_)
-        if offer_hits(best, k, bits, found, block.prim_ids):
-            Hot(memory + HOT_AT, number).t = GroupLanes(memory, g).t[k]
-
-    @device
-    def test_with_group(g, memory, block, lane, lanes, wants_any, filter_):
-        """Test a triangle against a group; returns whether a ray has a nearer hit."""
-        group = Group(memory, g)
-        is_y, is_z = axis_kinds(group)
-        corners = block.corners
-        a = _corner_in_frame(is_y, is_z, corners, _FIRST, lane)
-        b = _corner_in_frame(is_y, is_z, corners, _SECOND, lane)
-        c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
-        origin, shear = three(group.origin), group.shear
-        sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
-        candidates = signs_agree(sheared)
-        if not any_lane(candidates):
-            return False
-        low_x, high_x = _extent_of(corners, _X, lane)
-        low_y, high_y = _extent_of(corners, _Y, lane)
-        low_z, high_z = _extent_of(corners, _Z, lane)
-        t_in, t_out = interval(
-            low_x,
-            low_y,
-            low_z,
-            high_x,
-            high_y,
-            high_z,
-            three(group.inv),
-            three(group.near),
-            three(group.far),
-        )
-        nearest, t_min = group.t, group.t_min
-        candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-        if not any_lane(candidates):
-            return False
-        normal = lanes.normal
-        n = in_frame(
-            is_y,
-            is_z,
-            f64x16(normal[_X, lane]),
-            f64x16(normal[_Y, lane]),
-            f64x16(normal[_Z, lane]),
-        )
-        # The distance first: rays that leave a surface meet its triangle behind their origin.
-        t = distance_along(a, n, origin, three(group.direction))
-        t = minimum(maximum(t, t_in), t_out) + _ZERO
-        candidates = candidates & (t >= t_min) & (t <= nearest)
-        if not any_lane(candidates):
-            return False
-        hit, u, v = barycentrics(sheared, False)
-        prim_id = block.prim_ids[lane]
-        return keep_in_group(memory, g, candidates & hit, t, u, v, prim_id, wants_any, filter_)
-
-    @device
-    def with_groups(block, groups, count, memory, small, lanes, wants_any, filter_):
-        _write_normals(Block(address_of(block)), small)
-        hit_count = ZERO_U64
-        for lane in range(_BLOCK_LANES):
-            if block.prim_ids[lane] < np.int32(0):
-                break
-            for j in range(count):
-                g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-                hit_count += np.uint64(
-                    test_with_group(g, memory, block, lane, lanes, wants_any, filter_)
-                )
-        return hit_count
-
-    @device
-    def with_rays(block, rays, count, memory, small, hits, wants_any, filter_):
-        # Step 1: compact the rays whose edge functions agree in sign, without branches. (With one
-        # per ray, mispredictions would take half the time of a leaf.)
-        hots, colds = memory + HOT_AT, memory + COLD_AT
-        candidate_count = ZERO_U64
-        for j in range(count):
-            number = load(np.uint32, rays + j * LANE)
-            hot, cold = Hot(hots, np.uint64(number)), Cold(colds, np.uint64(number))
-            store(hits + candidate_count * LANE, number)
-            candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
-        if candidate_count == ZERO_U64:
-            return ZERO_U64
-
-        # Step 2: test these exactly.
-        hit_count = ZERO_U64
-        low_x, high_x = _extent(block, _X)
-        low_y, high_y = _extent(block, _Y)
-        low_z, high_z = _extent(block, _Z)
-        _write_normals(block, small)
-        found = small.hits
-        for j in range(candidate_count):
-            number = np.uint64(load(np.uint32, hits + j * LANE))
-            hot, cold = Hot(hots, number), Cold(colds, number)
-            t_in, t_out = interval(
-                low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high
-            )
-            nearest, t_min = hot.t, hot.t_min
-            sheared = _sheared(hot, cold, block)
-            candidates = signs_agree(sheared)
-            candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-            # The distance first: rays that leave a surface meet its triangle behind their origin.
-            t = minimum(maximum(_distances(hot, cold, block, small), t_in), t_out) + _ZERO
-            candidates = candidates & (t >= t_min) & (t <= nearest)
-            if not any_lane(candidates):
-                continue
-            hit, u, v = barycentrics(sheared, False)
-            bits = mask_bits(candidates & hit)
-            if bits != ZERO_U64:
-                hit_count += ONE_U64
-                found.t, found.u, found.v = t, u, v
-                lanes = HitLanes(address_of(found))
-                keep_of_ray(memory, number, block, bits, lanes, wants_any, filter_)
-        return hit_count
-
-    return LeafTests(with_groups, with_rays)
+    hit_count = ZERO_U64
+    block = leaf_address(tree.leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
+        if rays.is_grouped:
+            hit_count += _with_groups(leaf, block, rays.at, rays.length, memory, small)
+        else:
+            hit_count += _with_rays(leaf, Block(block), rays.at, rays.length, memory, small)
+        block += BLOCK
+    return hit_count
 
 
 #: A group's limits and hits. The nearest hit so far is the limit of its ray.
@@ -304,16 +328,18 @@ _Hits, _HitsLanes = best_views(GROUP, limit="t", t="t")
 
 
 @device
-def _group_best(memory, g, wants_any, filter_):
+def _lanes_best(leaf, memory, g):
     at = _Hits(memory, g)
-    return Best(at, at, None, lanes_filter(filter_, Group(memory, g), g), wants_any)
+    return Best(at, at, None, lanes_filter(leaf.given, Group(memory, g), g), leaf.wants_any)
 
 
 @device
-def _ray_best(memory, g, k, wants_any, filter_):
-    at, own = _HitsLanes(memory, g), ray_filter(filter_, GroupLanes(memory, g), g, k)
-    return Best(at, at, None, own, wants_any)
+def _ray_best(leaf, memory, g, k):
+    at, own = _HitsLanes(memory, g), ray_filter(leaf.given, GroupLanes(memory, g), g, k)
+    return Best(at, at, None, own, leaf.wants_any)
 
 
-#: The tests of a scene's leaves.
-TESTS = leaf_tests(_group_best, _ray_best)
+@device
+def nearest_leaf(wants_any, filter_):
+    """The leaves of a scene without instances; `filter_` is a `PacketFilter` or None."""
+    return GroupLeaf(visit_leaf, _lanes_best, _ray_best, wants_any, filter_)

@@ -132,8 +132,8 @@ def arrange_group(group, memory, number):
 
 
 @device
-def load_block(memory, source, first, last, groups, has_filter):
-    """Load packets first to last; list the groups with a ray that can hit anything.
+def load_block(memory, source, first, last, has_filter):
+    """Load packets first to last; list the groups with a ray that can hit anything, at `LISTS_AT`.
 
     With a filter, the groups' places are written, and their distances are those of rays that took
     the slow path: see `packet_filter.block_filter`.
@@ -142,8 +142,10 @@ def load_block(memory, source, first, last, groups, has_filter):
     -------
     count, ray_count : uint64
         Groups in the list, and their rays.
+    group_count : uint64
+        All groups.
     """
-    g, count, ray_count = _U0, _U0, _U0
+    groups, g, count, ray_count = memory + LISTS_AT, _U0, _U0, _U0
     for packet in range(first, last):
         for row in range(GROUPS):
             prefetch_group(packet + _U1, row, source)
@@ -163,7 +165,7 @@ def load_block(memory, source, first, last, groups, has_filter):
             count += np.uint64(bits != _U0)
             ray_count += popcount(bits)
             g += _U1
-    return count, ray_count
+    return count, ray_count, g
 
 
 @device

@@ -1,4 +1,4 @@
-"""Streams of groups: the kernel for incoherent rays that start near each other.
+"""Streams of groups: the walk for incoherent rays that start near each other.
 
 Rays in the order of the batch are loaded as groups of 16, one vector per number. A list of groups
 descends the tree, from the root, with the rays of each group that are in a box as bits: a box is
@@ -16,12 +16,11 @@ Ray Distributions on the Intel MIC Architecture", IEEE TVCG 18(9), 2012.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import device
 from raystream.jit.simd import (
     compress,
     count_trailing_zeros,
@@ -39,32 +38,19 @@ from raystream.jit.simd import (
     minimum,
     popcount,
     reduce_min,
-    scratch,
     select,
     store,
 )
 from raystream.jit.views import address_of, view
-from raystream.kernels.leaf_block import BLOCK, Block, BlockLanes
-from raystream.structures.bvh.group_leaf import (
-    SMALL_BYTES,
-    TESTS,
-    LeafTests,
-    Small,
-    SmallLanes,
-)
+from raystream.structures.bvh.group_leaf import SmallLanes
 from raystream.structures.bvh.group_rays import (
-    BLOCK_PACKETS,
     GROUP_SHIFT,
     HITS_AT,
     HOT_AT,
     LANE_SHIFT,
-    LISTS_AT,
-    PLACES_AT,
     RAY_BITS,
     Hot,
     interval,
-    load_block,
-    store_block,
 )
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import (
@@ -72,25 +58,11 @@ from raystream.structures.bvh.node_layout import (
     LANE,
     Node,
     NodeLanes,
-    leaf_address,
-    leaf_end,
     prefetch_child,
     sort_keys,
 )
-from raystream.structures.bvh.packet_filter import block_filter
 from raystream.structures.bvh.packet_rays import Group, three
 
-__all__ = [
-    "BLOCK_PACKETS",
-    "STREAM_STACK_BYTES",
-    "RayList",
-    "block_trace",
-    "leaf_visit",
-    "list_rays",
-    "trace_groups",
-]
-
-_PACKETS = np.uint64(BLOCK_PACKETS)
 #: Fewer rays than this per group, on average, continue as single rays.
 _FEW = np.uint64(10)
 _U0, _U1, _U2, _U3 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
@@ -266,54 +238,37 @@ class RayList(NamedTuple):
     room: np.uint64
 
 
-def leaf_visit(tests: LeafTests) -> Callable[..., Any]:
-    """Make the visit of a leaf of triangles; see `block_trace`."""
-    with_groups, with_rays = tests
-
-    @device
-    def visit_leaf(tree, child, rays, memory, small, wants_any, filter_):
-        lanes, hits, hit_count = SmallLanes(address_of(small)), memory + HITS_AT, _U0
-        at, length = rays.at, rays.length
-        block = leaf_address(tree.leaves, child)
-        end = leaf_end(block, child)
-        while block != end:
-            if rays.is_grouped:
-                hit_count += with_groups(
-                    BlockLanes(block),
-                    rays.at,
-                    rays.length,
-                    memory,
-                    small,
-                    lanes,
-                    wants_any,
-                    filter_,
-                )
-            else:
-                hit_count += with_rays(
-                    Block(block), at, length, memory, small, hits, wants_any, filter_
-                )
-            block += BLOCK
-        return hit_count
-
-    return visit_leaf
-
-
-def block_trace(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the descent of the groups of a list.
-
-    Parameters
-    ----------
-    visit_leaf : device function
-        ``visit_leaf(tree, child, rays, memory, small, wants_any, filter_)`` finds the hits of a
-        `RayList`; returns their number.
+def group_walk():
+    """Make the function that traces groups: one for each level of trees, as none calls itself.
 
     Returns
     -------
     device function
-        ``trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_)``.
+        ``trace_block(memory, groups, count, ray_count, tree, stack, small, leaf)``, see there.
     """
 
-    def trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, filter_):
+    @device
+    def trace_block(memory, groups, count, ray_count, tree, stack, small, leaf):
+        """Trace the groups of a list.
+
+        Parameters
+        ----------
+        memory : uint64
+            Address of the block, see `group_rays`.
+        groups : uint64
+            Address of the list, with memory for all others behind it.
+        count, ray_count : uint64
+            Its length, and the rays in it.
+        tree : NamedTuple
+            With addresses of ``nodes`` and ``leaves``.
+        stack : uint64
+            Address of `STREAM_STACK_BYTES` bytes.
+        small : view of group_leaf.Small
+        leaf : NamedTuple
+            What leaves are, and what becomes of their hits. It has a device function
+            ``visit(leaf, tree, child, rays, memory, small)`` that finds the hits of a `RayList` in
+            a leaf; returns their number.
+        """
         lanes = SmallLanes(address_of(small))
         hits = memory + HITS_AT
         hit_count = _U0
@@ -338,7 +293,7 @@ def block_trace(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
                     continue
             if child < np.int32(0):
                 rays = RayList(at, length, is_grouped, entry.t_in, room)
-                hit_count += visit_leaf(tree, child, rays, memory, small, wants_any, filter_)
+                hit_count += leaf.visit(leaf, tree, child, rays, memory, small)
                 continue
             number = np.uint64(child)
             if is_grouped:
@@ -355,33 +310,4 @@ def block_trace(visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
     return trace_block
 
 
-_trace_block = device(block_trace(leaf_visit(TESTS)))
-
-
-@kernel
-def trace_groups(begin, end, tree, source, wants_any, filter_, out, memory):
-    """Trace packets begin to end.
-
-    Parameters
-    ----------
-    begin, end : int
-    tree : TreeAddresses
-        Not empty.
-    source : PacketSource
-    wants_any : bool
-        Find whether there is a hit, else the nearest one.
-    filter_ : HitFilter or None
-    out : ResultAddresses
-    memory : int
-        Address of `MEMORY_BYTES` bytes; a multiple of 64.
-    """
-    memory = np.uint64(memory)
-    stack = scratch(STREAM_STACK_BYTES)
-    small = Small(scratch(SMALL_BYTES))
-    groups = memory + LISTS_AT
-    mine = block_filter(filter_, memory + PLACES_AT)
-    for first in range(np.uint64(begin), np.uint64(end), _PACKETS):
-        last = min(first + _PACKETS, np.uint64(end))
-        count, ray_count = load_block(memory, source, first, last, groups, filter_ is not None)
-        _trace_block(memory, groups, count, ray_count, tree, stack, small, wants_any, mine)
-        store_block(memory, source.order, first, last, wants_any, out)
+trace_block = group_walk()

@@ -8,20 +8,18 @@ from raystream.core.query import Kind
 from raystream.kernels.queries import output_of
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
-from raystream.structures.bvh.group_rays import MEMORY_BYTES
-from raystream.structures.bvh.group_stream import BLOCK_PACKETS, trace_groups
+from raystream.structures.bvh.group_queries import trace_groups
+from raystream.structures.bvh.group_rays import BLOCK_PACKETS, MEMORY_BYTES
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.packet import trace_packets
-from raystream.structures.bvh.packet_multi_hit import (
-    COUNTED_PER_CALL,
-    PACKETS_PER_CALL,
-    count_all,
-    visit_all,
-)
+from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_queries import NEAREST, TREES, NearestWanted, packet_kernel
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 if TYPE_CHECKING:
+    from raystream.structures.base import Structure
     from raystream.structures.bvh.structure import BvhStructure
+
+_trace_packets = packet_kernel(TREES, NEAREST)
 
 #: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of groups of
 #: rays, in the order of the batch; one ray after another.
@@ -42,17 +40,17 @@ def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
 
 
 def _packets(bvh: BvhStructure, batch: Batch) -> Calls:
-    return trace_packets, _of_packets(bvh, batch)
+    return _trace_packets, nearest_of_packets(bvh, batch)
 
 
 def _groups(bvh: BvhStructure, batch: Batch) -> Calls:
-    return trace_groups, _of_packets(bvh, batch)
+    return trace_groups, nearest_of_packets(bvh, batch)
 
 
-def _of_packets(bvh: BvhStructure, batch: Batch) -> tuple[Any, ...]:
+def nearest_of_packets(structure: Structure, batch: Batch) -> tuple[Any, ...]:
     """The arguments of kernels that find the nearest or any hits of packets."""
-    filter_, out = output_of(batch.query, batch.sink)
-    return bvh.arrays, batch.packets(bvh.frame), batch.wants_any, filter_, out
+    wanted = NearestWanted(batch.wants_any, *output_of(batch.query, batch.sink))
+    return structure.arrays, batch.packets(structure.frame), wanted
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -69,8 +67,8 @@ _NEAREST = {
     "wavefront": BatchKernel(_wavefront, 1024, 8192, by_packets=False, takes_filter=True),
 }
 _FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
-_VISITED = BatchKernel(visit_all, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False)
-_COUNTED = BatchKernel(count_all, 8, COUNTED_PER_CALL, is_tiled=True)
+_VISITED = visiting_kernel(TREES)
+_COUNTED = counting_kernel(TREES)
 
 #: The kernels by the kind of query, for trees that are not empty.
 BATCH_KERNELS = {

@@ -1,4 +1,4 @@
-"""Packets of 256 rays: the kernel for coherent rays.
+"""Packets of 256 rays: the walk for coherent rays.
 
 The bounds of a packet's origins and reciprocal directions form an interval ray: one test of
 eight boxes against it culls the children that no ray of the packet can enter. The others are
@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
     f32x16,
@@ -34,33 +34,19 @@ from raystream.jit.simd import (
     minimum,
     reduce_max,
     reduce_min,
-    scratch,
     select,
 )
 from raystream.jit.views import address_of, view
 from raystream.kernels.ray import PAD
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.node_layout import NODE, Node, NodeLanes
-from raystream.structures.bvh.packet_filter import packet_filter
-from raystream.structures.bvh.packet_hits import Collector
 from raystream.structures.bvh.packet_leaf import (
-    ANY,
-    FIRST,
     LEAF_SCRATCH,
     GroupRange,
     box_planes,
     group_range,
-    visit_leaf,
 )
-from raystream.structures.bvh.packet_load import load_packet
-from raystream.structures.bvh.packet_rays import (
-    GROUPS,
-    NO_CLASS,
-    PACKET_BYTES,
-    Group,
-    GroupLanes,
-    store_packet,
-)
+from raystream.structures.bvh.packet_rays import NO_CLASS, Group, GroupLanes
 
 _ZERO = np.float32(0.0)
 _TWO = np.float32(2.0)
@@ -270,40 +256,28 @@ def _next_class(packet, count):
     return NO_CLASS
 
 
-@device
-def _no_prefetch(child, nodes, leaves):
-    pass
-
-
-def packet_trace(search_leaf, prefetch=_no_prefetch):
-    """Make the function that traces a packet.
-
-    Parameters
-    ----------
-    search_leaf : device function
-        `packet_leaf.visit_leaf`, or another that takes the same.
-    prefetch : device function
-        `node_layout.prefetch_child`, for trees that do not fit into the cache [default: nothing].
+def packet_walk():
+    """Make the function that traces a packet: one for each level of trees, as none calls itself.
 
     Returns
     -------
     device function
-        ``trace_packet(packet, count, tree, max_coordinate, memory, goal, hits, filter_)``
+        ``trace_packet(packet, count, tree, max_coordinate, memory, leaf)``, see there.
     """
 
     @device
-    def visit_node(packet, node, rays, farthest, groups, tree, memory, stack, top):
+    def visit_node(packet, node, rays, farthest, groups, tree, memory, top, leaf):
         """Push a node's children that a ray enters; returns the stack's height."""
         t_in, entered = _enters(Node(node), rays, farthest)
         bits = mask_bits(entered)
         if bits != _U0:
             memory.keys = float_as_bits(maximum(t_in, _ZERO))
             keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
-            base = top
+            stack, base = address_of(memory) + _MEMORY_BYTES, top
             while bits != _U0:
                 lane = count_trailing_zeros(bits)
                 bits &= bits - _U1
-                prefetch(children[lane], tree.nodes, tree.leaves)
+                leaf.prefetch(children[lane], tree.nodes, tree.leaves)
                 planes = box_planes(node, lane, rays)
                 entering = group_range(packet, planes, rays.t_min, groups)
                 if entering.first <= entering.last:
@@ -311,9 +285,7 @@ def packet_trace(search_leaf, prefetch=_no_prefetch):
         return top
 
     @device
-    def trace_class(
-        packet, count, direction_class, tree, max_coordinate, memory, goal, hits, filter_
-    ):
+    def trace_class(packet, count, direction_class, tree, max_coordinate, memory, leaf):
         """Trace the rays of one class: a pass of a packet."""
         rays = _ray_class(packet, count, direction_class, max_coordinate)
         farthest = _farthest(packet, count)
@@ -325,12 +297,10 @@ def packet_trace(search_leaf, prefetch=_no_prefetch):
         while True:
             if child >= np.int32(0):
                 node = tree.nodes + np.uint64(child) * NODE
-                top = visit_node(packet, node, rays, farthest, groups, tree, memory, stack, top)
+                top = visit_node(packet, node, rays, farthest, groups, tree, memory, top, leaf)
             else:
                 box, own = box_planes(node, lane, rays), memory.leaf
-                if search_leaf(
-                    packet, child, tree.leaves, box, rays, groups, own, goal, hits, filter_
-                ):
+                if leaf.visit(leaf, packet, child, tree.leaves, box, rays, groups, own):
                     farthest = _farthest(packet, count)
                     if farthest == -_INF:
                         break
@@ -352,7 +322,7 @@ def packet_trace(search_leaf, prefetch=_no_prefetch):
             group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
 
     @device
-    def trace_packet(packet, count, tree, max_coordinate, memory, goal, hits, filter_):
+    def trace_packet(packet, count, tree, max_coordinate, memory, leaf):
         """Trace a loaded packet.
 
         Parameters
@@ -361,52 +331,24 @@ def packet_trace(search_leaf, prefetch=_no_prefetch):
             Address, see `packet_rays`.
         count : uint64
             Its groups, at least 1.
-        tree : TreeAddresses
+        tree : NamedTuple
+            With addresses of ``nodes`` and ``leaves``.
         max_coordinate : float32
         memory : uint64
             Address of `TRACE_BYTES` bytes.
-        goal : uint64
-            `FIRST`, `ANY`, `COUNT` or `ALL` hits, see `packet_leaf`.
-        hits : Collector
-            Takes the hits if the goal is `ALL`.
-        filter_ : PacketFilter or None
-            Decides which first or any hits exist.
+        leaf : NamedTuple
+            What leaves are, and what becomes of their hits. It has two device functions:
+            ``visit(leaf, packet, child, leaves, box, rays, groups, own)``, for which see
+            `packet_leaf.visit_leaf`, tests a leaf and returns whether a ray's search is shorter
+            now; ``prefetch(child, nodes, leaves)`` is `node_layout.prefetch_child` for trees that
+            do not fit into the cache, else `leaf_kinds.no_prefetch`.
         """
         direction_class = _next_class(packet, count)
         while direction_class != NO_CLASS:
-            trace_class(
-                packet, count, direction_class, tree, max_coordinate, memory, goal, hits, filter_
-            )
+            trace_class(packet, count, direction_class, tree, max_coordinate, memory, leaf)
             direction_class = _next_class(packet, count)
 
     return trace_packet
 
 
-trace_packet = packet_trace(visit_leaf)
-
-
-@kernel
-def trace_packets(begin, end, tree, source, wants_any, filter_, out):
-    """Trace packets begin to end.
-
-    Parameters
-    ----------
-    begin, end : int
-    tree : TreeAddresses
-        Not empty.
-    source : PacketSource
-    wants_any : bool
-        Find whether there is a hit, else the nearest one.
-    filter_ : HitFilter or None
-    out : ResultAddresses
-    """
-    packet = scratch(PACKET_BYTES)
-    memory = scratch(TRACE_BYTES)
-    goal = ANY if wants_any else FIRST
-    nowhere = Collector(_U0)
-    for number in range(np.uint64(begin), np.uint64(end)):
-        slow_groups = load_packet(packet, number, source)
-        mine = packet_filter(filter_, source.order, number, slow_groups)
-        most = source.frame.max_coordinate
-        trace_packet(packet, GROUPS, tree, most, memory, goal, nowhere, mine)
-        store_packet(packet, number, source.order, slow_groups, wants_any, out)
+trace_packet = packet_walk()

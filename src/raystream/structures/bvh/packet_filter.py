@@ -85,6 +85,14 @@ def block_filter(filter_, table):
 
 
 @device
+def all_slow(filter_):
+    """The same `PacketFilter`, of groups that are all as of rays that took the slow path."""
+    if filter_ is None:
+        return None
+    return PacketFilter(filter_.filter, filter_.places, ~ZERO_U64)
+
+
+@device
 def _is_slow(filter_, g):
     return (filter_.slow_groups >> (g & _SHIFT_BITS)) & ONE_U64 != ZERO_U64
 

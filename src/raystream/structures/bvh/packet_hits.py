@@ -15,16 +15,14 @@ from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
 from raystream.jit.views import view
 from raystream.kernels.search import get_hit, is_before, put_hit, sort_hits
-from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, world_lanes
+from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS
 
 #: Addresses of buffers: hits in the order of discovery, sorted hits, their rays and the ends of the
-#: rays' rows; then the capacity in hits.
+#: rays' rows; then the capacity in hits, and what is in use: hits, and rays if hits are sorted.
 _FOUND = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8"), ("ray", "u8")])
 _ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
-BUFFERS = np.dtype(
-    [("found", _FOUND), ("rows", _ROWS), ("ray_ids", "u8"), ("splits", "u8"), ("capacity", "u8")]
-)
-Buffers = view(BUFFERS)
+_NUMBERS = "ray_ids", "splits", "capacity", "used", "ray_count"
+Buffers = view([("found", _FOUND), ("rows", _ROWS), *((name, "u8") for name in _NUMBERS)])
 
 _COLLECTOR = np.dtype(
     [
@@ -58,7 +56,7 @@ def has_room(hits):
 
 
 @device
-def collect(hits, taken, t, u, v, prim_id, group, g):
+def collect(hits, taken, t, u, v, prim_id, g):
     """Append the hits of some lanes; those that do not fit are only counted.
 
     Parameters
@@ -67,14 +65,11 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
     taken : mask16
     t, u, v : f32x16
     prim_id : i32x16
-    group : Group
     g : uint64
-        The group's index.
+        The index of their group.
     """
     if has_room(hits):
         at, found = hits.count * _LANE, Buffers(hits.buffers).found
-        if hits.in_world != ZERO_U64:
-            t = world_lanes(t, group.t_scale)
         store(found.t + at, compress(taken, t))
         store(found.u + at, compress(taken, u))
         store(found.v + at, compress(taken, v))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from raystream.jit.simd import (
     any_lane,
     count_trailing_zeros,
     f32x16,
-    i32x16,
     mask_bits,
     maximum,
     minimum,
@@ -21,7 +19,6 @@ from raystream.jit.simd import (
     select,
 )
 from raystream.jit.views import address_of, view
-from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes
 from raystream.kernels.leaf_block import (
     AXIS,
     BLOCK,
@@ -40,25 +37,16 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
-from raystream.structures.bvh.packet_filter import lanes_filter, ray_filter
-from raystream.structures.bvh.packet_hits import collect
-from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, three
+from raystream.structures.bvh.packet_rays import Group, GroupLanes, three
 
-#: The goal for each ray: its nearest hit, any hit, the number of hits (in place of prim_id), or all
-#: hits.
-FIRST, ANY, COUNT, ALL = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
-#: Added to `COUNT` and `ALL`: one hit per crossing of a surface, at edges and vertices too.
-SURFACES = np.uint64(4)
+if TYPE_CHECKING:
+    from raystream.structures.bvh.leaf_kinds import Within
+    from raystream.structures.bvh.packet_filter import PacketFilter
 
 #: Scratch of a leaf: planes of the boxes of a block's four triangles, by axis, and hits of one ray;
 #: and the same with a lane index.
 LEAF_SCRATCH = np.dtype([("near", "f4", (3, 4)), ("far", "f4", (3, 4)), ("hits", HITS)])
 _ScratchLanes = view([("near", "f4", (3, 4, 1)), ("far", "f4", (3, 4, 1)), ("hits", HITS)])
-
-#: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
-#: against one triangle. (Camera and shadow rays on the bunny and in sibenik, one thread of a Zen 4:
-#: 1.02 to 1.12 times as fast as never; up to 2, 6 or 9 rays gain less.)
-_FEW = np.uint64(4)
 
 _ZERO = np.float32(0.0)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -71,6 +59,47 @@ class GroupRange(NamedTuple):
 
     first: np.uint64
     last: np.uint64
+
+
+class TriangleLeaf(NamedTuple):
+    """Leaves of triangles, and what becomes of their hits; see `packet.trace_packet`.
+
+    Attributes
+    ----------
+    visit, prefetch : device function
+    keep_lanes : device function
+        ``keep_lanes(leaf, packet, g, taken, t, u, v, prim_id)`` takes the hits of some lanes of a
+        group with a triangle; returns whether a ray's search is shorter now.
+    keep_hits : device function
+        ``keep_hits(leaf, packet, g, k, bits, found, prim_ids)`` takes those of a ray with some
+        triangles of a block; likewise.
+    lanes_best, ray_best : device function
+        ``lanes_best(leaf, packet, g)`` is the `Best` of a group, and ``ray_best(leaf, packet, g,
+        k)`` that of its ray k.
+    few : uint64
+        Up to this many rays of a group are tested one by one.
+    surfaces : bool
+        One hit per crossing of a surface, at edges and vertices too.
+    wants_any, filter
+        See `kernels.best.Best`; the filter is a `PacketFilter` or None.
+    collector : Collector or None
+        Takes all hits.
+    within : Within or None
+        None in a scene without instances.
+    """
+
+    visit: Any
+    prefetch: Any
+    keep_lanes: Any
+    keep_hits: Any
+    lanes_best: Any
+    ray_best: Any
+    few: np.uint64
+    surfaces: bool
+    wants_any: bool
+    filter: PacketFilter | None
+    collector: Any
+    within: Within | None
 
 
 @device
@@ -165,158 +194,109 @@ def _block_ray(lanes, k, rays):
     )
 
 
-def leaf_visit(keep_in_group: Callable[..., Any], keep_of_ray: Callable[..., Any]) -> Any:
-    """Make the visit of a leaf, which tests its triangles against groups of a packet.
+@device
+def _test_triangle(leaf, packet, g, at, lane, rays, own):
+    """Test a triangle of a block against a group; returns whether a ray's search is shorter now."""
+    kx, ky, kz = rays.kx, rays.ky, rays.kz
+    group, block, planes = Group(packet, g), BlockLanes(at), _ScratchLanes(address_of(own))
+    corners = block.corners
+    a = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
+    b = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
+    c = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
+    origin = group.origin[kx], group.origin[ky], group.origin[kz]
+    direction, shear = group.direction, group.shear
+    sheared = shear_vertices(
+        (f32x16(a[0]), f32x16(a[1]), f32x16(a[2])),
+        (f32x16(b[0]), f32x16(b[1]), f32x16(b[2])),
+        (f32x16(c[0]), f32x16(c[1]), f32x16(c[2])),
+        origin,
+        (shear[_X], shear[_Y]),
+    )
+    candidates = signs_agree(sheared)
+    if not any_lane(candidates):
+        return False
+    near, far = planes.near, planes.far
+    box = (
+        near[_X, lane],
+        near[_Y, lane],
+        near[_Z, lane],
+        far[_X, lane],
+        far[_Y, lane],
+        far[_Z, lane],
+    )
+    t_in, t_out = _group_interval(group, box)
+    nearest, t_min = group.t_active, group.t_min
+    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+    if not any_lane(candidates):
+        return False
+    # The distance first: rays that leave a surface meet its triangle behind their origin, and
+    # need no barycentrics.
+    t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
+    t = minimum(maximum(t, t_in), t_out) + _ZERO
+    candidates = candidates & (t >= t_min) & (t <= nearest)
+    if not any_lane(candidates):
+        return False
+    hit, u, v = barycentrics(sheared, leaf.surfaces)
+    return leaf.keep_lanes(leaf, packet, g, candidates & hit, t, u, v, block.prim_ids[lane])
+
+
+@device
+def _test_rays(leaf, packet, g, bits, block, rays, own):
+    """Test a block against some rays of a group; returns whether a ray's search is shorter now."""
+    lanes, found, has_hit = GroupLanes(packet, g), address_of(own.hits), False
+    prim_ids = BlockLanes(block).prim_ids
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        ray = _block_ray(lanes, k, rays)
+        hit = test_block(block, ray, lanes.t_min[k], lanes.t_active[k], leaf.surfaces, found)
+        if hit != ZERO_U64:
+            has_hit |= leaf.keep_hits(leaf, packet, g, k, hit, HitLanes(found), prim_ids)
+    return has_hit
+
+
+@device
+def visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
+    """Test a leaf's triangles against groups of a packet.
 
     Parameters
     ----------
-    keep_in_group : device function
-        ``keep_in_group(packet, g, taken, t, uv, prim_id, goal, hits, filter_)`` keeps the hits of
-        some lanes with a triangle; returns whether there was a nearer one.
-    keep_of_ray : device function
-        ``keep_of_ray(packet, g, k, bits, found, prim_ids, goal, hits, filter_)`` keeps the hits of
-        a ray with some triangles of a block; likewise.
+    leaf : TriangleLeaf
+    packet : uint64
+    child : int32
+        The leaf's link.
+    leaves : uint64
+    box : tuple of six float32
+        Its planes, see `box_planes`.
+    rays : RayClass
+    groups : GroupRange
+        Those that enter the box.
+    own : view of LEAF_SCRATCH
 
     Returns
     -------
-    device function
-        ``visit_leaf(packet, child, leaves, box, rays, groups, own, goal, hits, filter_)``
+    bool
+        Whether a ray's search is shorter now.
     """
-
-    @device
-    def test_triangle(packet, g, at, own, lane, rays, goal, hits, filter_):
-        """Test a triangle of a block against a group; returns whether a ray has a nearer hit."""
-        kx, ky, kz = rays.kx, rays.ky, rays.kz
-        group, block, planes = Group(packet, g), BlockLanes(at), _ScratchLanes(address_of(own))
-        corners = block.corners
-        a = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
-        b = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
-        c = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
-        origin = group.origin[kx], group.origin[ky], group.origin[kz]
-        direction, shear = group.direction, group.shear
-        sheared = shear_vertices(
-            (f32x16(a[0]), f32x16(a[1]), f32x16(a[2])),
-            (f32x16(b[0]), f32x16(b[1]), f32x16(b[2])),
-            (f32x16(c[0]), f32x16(c[1]), f32x16(c[2])),
-            origin,
-            (shear[_X], shear[_Y]),
-        )
-        candidates = signs_agree(sheared)
-        if not any_lane(candidates):
-            return False
-        near, far = planes.near, planes.far
-        box = (
-            near[_X, lane],
-            near[_Y, lane],
-            near[_Z, lane],
-            far[_X, lane],
-            far[_Y, lane],
-            far[_Z, lane],
-        )
-        t_in, t_out = _group_interval(group, box)
-        nearest, t_min = group.t_active, group.t_min
-        candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-        if not any_lane(candidates):
-            return False
-        # The distance first: rays that leave a surface meet its triangle behind their origin, and
-        # need no barycentrics.
-        t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
-        t = minimum(maximum(t, t_in), t_out) + _ZERO
-        candidates = candidates & (t >= t_min) & (t <= nearest)
-        if not any_lane(candidates):
-            return False
-        hit, u, v = barycentrics(sheared, goal >= SURFACES)
-        prim_id = block.prim_ids[lane]
-        return keep_in_group(packet, g, candidates & hit, t, (u, v), prim_id, goal, hits, filter_)
-
-    @device
-    def test_rays(packet, g, bits, block, own, rays, goal, hits, filter_):
-        """Test a block against some rays of a group; returns whether one has a nearer hit."""
-        lanes, found, has_hit = GroupLanes(packet, g), address_of(own.hits), False
-        prim_ids = BlockLanes(block).prim_ids
-        while bits != ZERO_U64:
-            k = count_trailing_zeros(bits)
-            bits &= bits - ONE_U64
-            ray = _block_ray(lanes, k, rays)
-            hit = test_block(block, ray, lanes.t_min[k], lanes.t_active[k], False, found)
-            if hit != ZERO_U64 and keep_of_ray(
-                packet, g, k, hit, HitLanes(found), prim_ids, goal, hits, filter_
-            ):
-                has_hit = True
-        return has_hit
-
-    @device
-    def visit_leaf(packet, child, leaves, box, rays, groups, own, goal, hits, filter_):
-        """Test a leaf's triangles against groups of a packet; returns whether any ray has a hit.
-
-        Parameters
-        ----------
-        packet : uint64
-        child : int32
-            The leaf's link.
-        leaves : uint64
-        box : tuple of six float32
-            Its planes, see `box_planes`.
-        rays : RayClass
-        groups : GroupRange
-            Those that enter the box.
-        own : view of LEAF_SCRATCH
-        goal, hits, filter_
-            See `packet.trace_packet`.
-        """
-        at = leaf_address(leaves, child)
-        end = leaf_end(at, child)
-        has_hit = False
-        while at != end:
-            block = BlockLanes(at)
-            _own_planes(own, Block(at), rays)
-            count = ONE_U64
-            while count != np.uint64(4):
-                if block.prim_ids[count] < np.int32(0):
-                    break
-                count += ONE_U64
-            for g in range(groups.first, groups.last + ONE_U64):
-                bits = entering_rays(packet, g, box, rays)
-                if bits == ZERO_U64:
-                    continue
-                if goal <= ANY and popcount(bits) <= _FEW:
-                    if test_rays(packet, g, bits, at, own, rays, goal, hits, filter_):
-                        has_hit = True
-                else:
-                    for lane in range(count):
-                        if test_triangle(packet, g, at, own, lane, rays, goal, hits, filter_):
-                            has_hit = True
-            at += BLOCK
-        return has_hit
-
-    return visit_leaf
-
-
-#: A group's limits and hits. The nearest hit so far is the limit of its ray.
-_Hits, _HitsLanes = best_views(GROUP, limit="t_active", t="t_active")
-
-
-@device
-def _keep_in_group(packet, g, taken, t, uv, prim_id, goal, hits, filter_):
-    """Keep the nearest hits, by t, then prim_id; or count or collect all of them."""
-    group, (u, v) = Group(packet, g), uv
-    if goal > ANY:
-        if goal & ONE_U64 == ONE_U64:
-            collect(hits, taken, t, u, v, i32x16(prim_id), group, g)
-        else:
-            group.prim_id = select(taken, group.prim_id + np.int32(1), group.prim_id)
-        return False
-    at = _Hits(packet, g)
-    best = Best(at, at, None, lanes_filter(filter_, group, g), goal == ANY)
-    return offer_lanes(best, taken, t, u, v, prim_id) != ZERO_U64
-
-
-@device
-def _keep_of_ray(packet, g, k, bits, found, prim_ids, goal, hits, filter_):
-    """Keep the nearest of a ray's hit and those of some triangles, by t, then prim_id."""
-    at, own = _HitsLanes(packet, g), ray_filter(filter_, GroupLanes(packet, g), g, k)
-    return offer_hits(Best(at, at, None, own, goal == ANY), k, bits, found, prim_ids)
-
-
-#: The visit of a scene's leaves.
-visit_leaf = leaf_visit(_keep_in_group, _keep_of_ray)
+    at = leaf_address(leaves, child)
+    end = leaf_end(at, child)
+    has_hit = False
+    while at != end:
+        block = BlockLanes(at)
+        _own_planes(own, Block(at), rays)
+        count = ONE_U64
+        while count != np.uint64(4):
+            if block.prim_ids[count] < np.int32(0):
+                break
+            count += ONE_U64
+        for g in range(groups.first, groups.last + ONE_U64):
+            bits = entering_rays(packet, g, box, rays)
+            if bits == ZERO_U64:
+                continue
+            if popcount(bits) <= leaf.few:
+                has_hit |= _test_rays(leaf, packet, g, bits, at, rays, own)
+            else:
+                for lane in range(count):
+                    has_hit |= _test_triangle(leaf, packet, g, at, lane, rays, own)
+        at += BLOCK
+    return has_hit

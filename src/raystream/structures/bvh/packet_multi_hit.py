@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -9,15 +11,14 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.jit.constants import BYTES_64, ONE_U64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, i32x16, load, scratch, store
+from raystream.jit.cpu import device
+from raystream.jit.simd import load, store
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import HitArrays, HitBatch
 from raystream.kernels.ray import world_t
-from raystream.structures.batch_kernels import Batch, Calls
-from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
+from raystream.structures.batch_kernels import Batch, BatchKernel, Calls
+from raystream.structures.bvh.leaf_kinds import collecting_leaf
 from raystream.structures.bvh.packet_hits import (
-    BUFFERS,
     COLLECTOR_BYTES,
     ENDS_BYTES,
     Buffers,
@@ -26,13 +27,16 @@ from raystream.structures.bvh.packet_hits import (
     has_room,
     sort_packet,
 )
-from raystream.structures.bvh.packet_leaf import ALL, COUNT, SURFACES
-from raystream.structures.bvh.packet_load import load_packet
+from raystream.structures.bvh.packet_queries import (
+    COUNTS,
+    CountsWanted,
+    PacketAnswer,
+    PacketScene,
+    packet_kernel,
+)
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
-    PACKET_BYTES,
     PACKET_RAYS,
-    Group,
     GroupLanes,
     group_rows,
     t_transform,
@@ -43,6 +47,9 @@ if TYPE_CHECKING:
 
 _LANES = np.uint64(16)
 _LANE = np.uint64(4)
+
+#: Where the ends of a packet's rows are, behind its collector.
+_ENDS_AT = np.uint64(-(-COLLECTOR_BYTES // 64) * 64)
 
 #: Most packets per call: 16,384 rays. With half as many, programs take 10 to 20 % longer, and with
 #: twice as many no less.
@@ -68,7 +75,7 @@ class PacketBuffers(NamedTuple):
         The rays in the order of `rows`, and the ends of their rows.
     capacity : int
     addresses : ndarray, uint64
-        All of these, and the capacity: `packet_hits.BUFFERS`.
+        All of these, the capacity, and what is in use: `packet_hits.Buffers`.
     """
 
     found: NDArray[np.float32]
@@ -87,7 +94,8 @@ class PacketBuffers(NamedTuple):
         found, rows = np.empty((5, capacity), np.float32), HitArrays.empty(capacity)
         ids, splits = np.empty(rays, np.int64), np.zeros(rays + 1, np.int64)
         addresses = [array.ctypes.data for array in (*found, *rows, ids, splits)]
-        return cls(found, rows, ids, splits, capacity, np.array([*addresses, capacity], np.uint64))
+        record = np.array([*addresses, capacity, 0, 0], np.uint64)
+        return cls(found, rows, ids, splits, capacity, record)
 
     def found_hits(self, count: int) -> HitBatch:
         """The hits in the order of discovery."""
@@ -100,98 +108,58 @@ class PacketBuffers(NamedTuple):
         return HitBatch(self.rows, self.splits[: ray_count + 1], self.ray_ids[:ray_count], 0)
 
 
-def visit_all(structure: Structure, batch: Batch) -> Calls:
-    """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel`."""
-    query, visitor, source = batch.query, batch.sink.visitor, batch.packets(structure.frame)
-    assert visitor is not None
-    goal = ALL + SURFACES if query.surfaces else ALL
-    # Unsorted hits have 32-bit ray indices.
-    sorts = query.is_ordered or len(batch.rays) >= 2**31
-    tree, nowhere = structure.arrays, ZERO_U64
+class RowsWanted(NamedTuple):
+    """What is wanted by `ROWS`.
 
-    def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
-        reached, used, ray_count = _collect_packets(
-            begin, end, tree, source, goal, sorts, buffers.addresses, nowhere
-        )
-        if used:
-            visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
-        return int(reached)
-
-    return GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY), ()
-
-
-def count_all(structure: Structure, batch: Batch) -> Calls:
-    """Count the hits of packets; see `BatchKernel`."""
-    source, at = batch.packets(structure.frame), np.uint64(batch.sink.counts.ctypes.data)
-    goal = COUNT + SURFACES if batch.query.surfaces else COUNT
-    nowhere = np.zeros(BUFFERS.itemsize // 8, np.uint64)
-    return _collect_packets, (structure.arrays, source, goal, False, nowhere, at)
-
-
-@kernel
-def _collect_packets(begin, end, tree, source, goal, sorts, buffers, counts):
-    """Collect or count the hits of packets begin to end, until a packet's hits do not fit.
-
-    Returns
-    -------
-    reached, used, ray_count : int
-        The first unfinished packet; hits in the buffers, and rays if they are sorted.
+    Attributes
+    ----------
+    surfaces : bool
+        See `packet_leaf.TriangleLeaf`.
+    sorts : bool
+    buffers : uint64
+        Address of `PacketBuffers.addresses`.
     """
-    packet = scratch(PACKET_BYTES)
-    memory = scratch(TRACE_BYTES)
-    hits = Collector(scratch(COLLECTOR_BYTES))
-    ends = Ends(scratch(ENDS_BYTES))
-    written, order = Buffers(address(buffers)), source.order
-    room, used, ray_count = written.capacity, ZERO_U64, ZERO_U64
-    hits.buffers, hits.capacity = address(buffers), room
-    keeps = goal & ONE_U64 == ONE_U64
-    for number in range(np.uint64(begin), np.uint64(end)):
-        slow_groups = load_packet(packet, number, source)
-        hits.count = ZERO_U64 if sorts else used
-        is_final = not sorts and slow_groups == ZERO_U64
-        _number_rays(hits, number, order, is_final)
-        if not keeps:
-            _clear_counts(packet)
-        most = source.frame.max_coordinate
-        trace_packet(packet, GROUPS, tree, most, memory, goal, hits, None)
-        if not keeps:
-            _store_counts(packet, number, order, counts)
-            continue
-        count = hits.count
-        if not has_room(hits) or (sorts and used + count > room):
-            return np.int64(number), np.int64(used), np.int64(ray_count)
-        if sorts:
-            row = used
-            used = sort_packet(hits, ends, used)
-            ray_count = _finish_rows(
-                packet, number, order, slow_groups, ends, row, written, ray_count
-            )
-        else:
-            if not is_final:
-                _finish_found(packet, number, order, slow_groups, used, count, written)
-            used = count
-    return np.int64(end), np.int64(used), np.int64(ray_count)
+
+    surfaces: bool
+    sorts: bool
+    buffers: np.uint64
 
 
 @device
-def _clear_counts(packet):
-    for g in range(GROUPS):
-        Group(packet, g).prim_id = i32x16(np.int32(0))
+def _begin_rows(packet, number, slow_groups, source, wanted, state):
+    hits, buffers = Collector(state), Buffers(wanted.buffers)
+    hits.buffers, hits.capacity = wanted.buffers, buffers.capacity
+    hits.count = ZERO_U64 if wanted.sorts else buffers.used
+    _number_rays(hits, number, source.order, not wanted.sorts and slow_groups == ZERO_U64)
+    return collecting_leaf(wanted.surfaces, hits)
 
 
 @device
-def _store_counts(packet, number, order, counts):
-    for g in range(GROUPS):
-        first, count = group_rows(order, number, g)
-        found = GroupLanes(packet, g).prim_id
-        for lane in range(count):
-            store(counts + (first + lane) * BYTES_64, np.int64(found[lane]))
+def _store_rows(packet, number, slow_groups, source, wanted, state):
+    hits, buffers, order = Collector(state), Buffers(wanted.buffers), source.order
+    used, count, sorts = buffers.used, hits.count, wanted.sorts
+    if not has_room(hits) or (sorts and used + count > buffers.capacity):
+        return False
+    if sorts:
+        ends = Ends(state + _ENDS_AT)
+        buffers.used = sort_packet(hits, ends, used)
+        _finish_rows(packet, number, order, slow_groups, ends, used, buffers)
+        return True
+    if slow_groups != ZERO_U64:
+        _finish_found(packet, number, order, slow_groups, used, count, buffers)
+    buffers.used = count
+    return True
+
+
+#: All hits, for a `RowsWanted`, until a packet's hits do not fit into the buffers.
+ROWS = PacketAnswer(_begin_rows, _store_rows, int(_ENDS_AT) + ENDS_BYTES)
 
 
 @device
-def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_count):
+def _finish_rows(packet, number, order, slow_groups, ends, row, buffers):
     """Convert a sorted packet's distances; write its rays and the ends of their rows."""
     t, ids, splits = buffers.rows.t, buffers.ray_ids, buffers.splits
+    ray_count = buffers.ray_count
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
         lanes, is_slow = GroupLanes(packet, g), (slow_groups >> g) & ONE_U64 == ONE_U64
@@ -205,7 +173,7 @@ def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_cou
             store(ids + ray_count * BYTES_64, np.int64(first + lane))
             ray_count += ONE_U64
             store(splits + ray_count * BYTES_64, np.int64(row_end))
-    return ray_count
+    buffers.ray_count = ray_count
 
 
 @device
@@ -232,3 +200,44 @@ def _finish_found(packet, number, order, slow_groups, begin, end, buffers):
         store(at, world_t(load(np.float32, at), t_scale, t_offset))
         first, _ = group_rows(order, number, g)
         store(rays + row * _LANE, np.int32(first + lane))
+
+
+# Kernels of batches
+
+
+def _visit_all(trace: Callable[..., int], structure: Structure, batch: Batch) -> Calls:
+    """Deliver all hits of packets to the sink's visitor, in parts; see `BatchKernel.bind`."""
+    query, visitor, source = batch.query, batch.sink.visitor, batch.packets(structure.frame)
+    assert visitor is not None
+    # Unsorted hits have 32-bit ray indices.
+    sorts = query.is_ordered or len(batch.rays) >= 2**31
+    scene = structure.arrays
+
+    def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
+        in_use = buffers.addresses[-2:]
+        in_use[:] = 0
+        wanted = RowsWanted(query.surfaces, sorts, np.uint64(buffers.addresses.ctypes.data))
+        reached = trace(begin, end, scene, source, wanted)
+        used, ray_count = in_use.tolist()
+        if used:
+            visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
+        return int(reached)
+
+    return GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY), ()
+
+
+def _count_all(trace: Callable[..., int], structure: Structure, batch: Batch) -> Calls:
+    wanted = CountsWanted(batch.query.surfaces, np.uint64(batch.sink.counts.ctypes.data))
+    return trace, (structure.arrays, batch.packets(structure.frame), wanted)
+
+
+def visiting_kernel(scenes: PacketScene) -> BatchKernel:
+    """The kernel that delivers all hits of packets to a visitor."""
+    bind = partial(_visit_all, packet_kernel(scenes, ROWS))
+    return BatchKernel(bind, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False)
+
+
+def counting_kernel(scenes: PacketScene) -> BatchKernel:
+    """The kernel that counts the hits of packets."""
+    bind = partial(_count_all, packet_kernel(scenes, COUNTS))
+    return BatchKernel(bind, 8, COUNTED_PER_CALL, is_tiled=True)

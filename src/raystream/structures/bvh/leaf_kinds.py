@@ -1,0 +1,196 @@
+"""Kinds of leaves of triangles, for packets: what becomes of their hits.
+
+The nearest or any hits are kept, all hits are counted, or all are collected. A leaf is made for a
+scene without instances; `leaf_within` makes that of an instance's object, whose rays' hits are
+those of the scene's packet.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.constants import ZERO_U64
+from raystream.jit.cpu import device
+from raystream.jit.simd import i32x16, load, select
+from raystream.jit.views import address_of, view
+from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes, reported_lanes
+from raystream.structures.bvh.node_layout import prefetch_child
+from raystream.structures.bvh.packet_filter import all_slow, lanes_filter, ray_filter
+from raystream.structures.bvh.packet_hits import collect
+from raystream.structures.bvh.packet_leaf import TriangleLeaf, visit_leaf
+from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, world_lanes
+
+#: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
+#: against one triangle. (Camera and shadow rays on the bunny and in sibenik, one thread of a Zen 4:
+#: 1.02 to 1.12 times as fast as never; up to 2, 6 or 9 rays gain less.)
+FEW = np.uint64(4)
+
+
+class Within(NamedTuple):
+    """What the groups in an instance are of the scene's packet, which has their rays' hits.
+
+    Attributes
+    ----------
+    scene, groups : uint64
+        Addresses of the packet, and of the numbers of these groups there, a byte each.
+    first_id : int32
+        See `kernels.best.Best`.
+    """
+
+    scene: np.uint64
+    groups: np.uint64
+    first_id: np.int32
+
+
+#: A group's limits and hits, see `kernels.best`. Without instances, the nearest hit so far is the
+#: limit of its ray; with them, it is the reported one, in the scene's packet.
+_Hits, _HitsLanes = best_views(GROUP, limit="t_active", t="t_active")
+InstanceHits, _InstanceHitsLanes = best_views(
+    GROUP, limit="t_active", t="t_scale", t_scale="slow_t_scale", t_offset="slow_t_offset"
+)
+
+#: The numbers of hits of a group's rays, which have no u.
+_COUNT = {"names": ["count"], "offsets": [GROUP.fields["u"][1]], "itemsize": GROUP.itemsize}
+Counts = view({**_COUNT, "formats": [("i4", 16)]})
+CountsLanes = view({**_COUNT, "formats": [("i4", (16, 1))]})
+
+
+@device
+def scene_group(within, g):
+    """The number of a group in the scene's packet."""
+    if within is None:
+        return g
+    return np.uint64(load(np.uint8, within.groups + g))
+
+
+@device
+def _lanes_best(leaf, packet, g):
+    at, own = _Hits(packet, g), lanes_filter(leaf.filter, Group(packet, g), g)
+    return Best(at, at, None, own, leaf.wants_any)
+
+
+@device
+def _ray_best(leaf, packet, g, k):
+    at, own = _HitsLanes(packet, g), ray_filter(leaf.filter, GroupLanes(packet, g), g, k)
+    return Best(at, at, None, own, leaf.wants_any)
+
+
+@device
+def _lanes_best_within(leaf, packet, g):
+    within, to = leaf.within, scene_group(leaf.within, g)
+    own = lanes_filter(leaf.filter, Group(packet, g), to)
+    ray, hit = InstanceHits(packet, g), InstanceHits(within.scene, to)
+    return Best(ray, hit, within.first_id, own, leaf.wants_any)
+
+
+@device
+def _ray_best_within(leaf, packet, g, k):
+    within, to = leaf.within, scene_group(leaf.within, g)
+    own = ray_filter(leaf.filter, GroupLanes(packet, g), to, k)
+    ray, hit = _InstanceHitsLanes(packet, g), _InstanceHitsLanes(within.scene, to)
+    return Best(ray, hit, within.first_id, own, leaf.wants_any)
+
+
+@device
+def _keep_lanes(leaf, packet, g, taken, t, u, v, prim_id):
+    return offer_lanes(leaf.lanes_best(leaf, packet, g), taken, t, u, v, prim_id) != ZERO_U64
+
+
+@device
+def _keep_hits(leaf, packet, g, k, bits, found, prim_ids):
+    return offer_hits(leaf.ray_best(leaf, packet, g, k), k, bits, found, prim_ids)
+
+
+@device
+def _count_lanes(leaf, packet, g, taken, t, u, v, prim_id):
+    best = leaf.lanes_best(leaf, packet, g)
+    taken, _, _ = reported_lanes(best, taken, t, prim_id)
+    counts = Counts(address_of(best.hit))
+    counts.count = select(taken, counts.count + np.int32(1), counts.count)
+    return False
+
+
+@device
+def _collect_lanes(leaf, packet, g, taken, t, u, v, prim_id):
+    best = leaf.lanes_best(leaf, packet, g)
+    taken, t, number = reported_lanes(best, taken, t, prim_id)
+    t = _collected(leaf.within, leaf.collector, t, Group(packet, g))
+    to = scene_group(leaf.within, g)
+    collect(leaf.collector, taken, t, u, v, i32x16(number), to)
+    return False
+
+
+@device
+def _collected(within, collector, t, group):
+    """Reported distances as they are collected: in world space, unless that is done later."""
+    if within is not None or collector.in_world == ZERO_U64:
+        return t
+    return world_lanes(t, group.t_scale)
+
+
+@device
+def _keep_none(leaf, packet, g, k, bits, found, prim_ids):
+    return False  # never called: all hits are of 16 rays
+
+
+@device
+def no_prefetch(child, nodes, leaves):
+    """The `prefetch` of leaves of trees that fit into the cache; see `packet.trace_packet`."""
+
+
+@device
+def nearest_leaf(wants_any, filter_):
+    """Leaves whose nearest, or any, hits are kept."""
+    return _plain_leaf(_keep_lanes, _keep_hits, FEW, False, wants_any, filter_, None)
+
+
+@device
+def counting_leaf(surfaces):
+    """Leaves whose hits are counted, see `Counts`."""
+    return _plain_leaf(_count_lanes, _keep_none, ZERO_U64, surfaces, False, None, None)
+
+
+@device
+def collecting_leaf(surfaces, collector):
+    """Leaves whose hits are all collected."""
+    return _plain_leaf(_collect_lanes, _keep_none, ZERO_U64, surfaces, False, None, collector)
+
+
+@device
+def _plain_leaf(keep_lanes, keep_hits, few, surfaces, wants_any, filter_, collector):
+    """See `TriangleLeaf` for the arguments."""
+    return TriangleLeaf(
+        visit_leaf,
+        no_prefetch,
+        keep_lanes,
+        keep_hits,
+        _lanes_best,
+        _ray_best,
+        few,
+        surfaces,
+        wants_any,
+        filter_,
+        collector,
+        None,
+    )
+
+
+@device
+def leaf_within(leaf, within):
+    """The same kind of leaf, of the object of an instance."""
+    return TriangleLeaf(
+        leaf.visit,
+        prefetch_child,
+        leaf.keep_lanes,
+        leaf.keep_hits,
+        _lanes_best_within,
+        _ray_best_within,
+        leaf.few,
+        leaf.surfaces,
+        leaf.wants_any,
+        all_slow(leaf.filter),
+        leaf.collector,
+        within,
+    )
