@@ -7,31 +7,36 @@ monotone: a node's padded box holds those of its triangles. So the tree leaves o
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
-    count_trailing_zeros,
     f32x4,
     fma,
+    i32x4,
+    lane_numbers,
     lanes_from_bits,
     load,
     mask4,
     mask_bits,
     maximum,
     minimum,
+    reduce_max,
+    reduce_min,
     select,
     store,
 )
-from raystream.kernels.leaf_block import AXIS, SECOND, THIRD, test_block
-from raystream.kernels.search import is_full, offer
+from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD, intersect_block
+from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.kernels.triangle_lanes import slab_interval
 from raystream.primitives.levels import BLOCK_CELLS
 from raystream.primitives.records import LevelRecord
 
 _NONE, _ONE, _TWO, _THREE, _FOUR, _FIVE = np.arange(6, dtype=np.uint64)
-_ZERO = np.float32(0.0)
+_ZERO, _INF, _NAN = np.float32([0.0, np.inf, np.nan])
 _TURNED = np.int32(1)
 _CELLS = np.uint64(BLOCK_CELLS)
 _LANES = np.uint64(4)
@@ -45,12 +50,11 @@ _STACK = np.uint64(2048)
 #: Lanes of the children in the second column, and in the second row.
 _SECOND_COLUMN, _SECOND_ROW = np.uint64(10), np.uint64(12)
 
-#: Of `test_block`.
-_BLOCK = np.uint64(192)
-_U, _V = np.uint64(16), np.uint64(32)
+#: The triangles of a row of cells: two leaf blocks.
+ROW_BYTES = 2 * int(BLOCK)
 
 #: Memory of a traversal.
-FIELD_BYTES = 2048 + 192 + 64
+FIELD_BYTES = int(_STACK) + ROW_BYTES
 
 
 @device
@@ -196,35 +200,80 @@ def traverse_all_cells(field, ray, line, search, stack):
     return search
 
 
+class _Row(NamedTuple):
+    """The corners of four cells of a row, see `core.height_field.HeightField`.
+
+    `upper` and `lower` are NaN where the triangles a, b, c and a, c, d are missing.
+    """
+
+    left: Any
+    right: Any
+    top: np.float32
+    bottom: np.float32
+    a: Any
+    b: Any
+    c: Any
+    d: Any
+    upper: Any
+    lower: Any
+
+
 @device
-def _store_corner(at, x, y, z):
+def _load_row(field, row, column):
+    """Load four cells. Past the end of a row x is NaN, and where there is no data z is."""
+    top = field.heights + ((row * field.width + column) << _TWO)
+    bottom = top + (field.width << _TWO)
+    a, b = load(f32x4, top), load(f32x4, top + _FOUR)
+    d, c = load(f32x4, bottom), load(f32x4, bottom + _FOUR)
+    across = field.x + (column << _TWO)
+    left, right = load(f32x4, across), load(f32x4, across + _FOUR)
+    # Local coordinates are too small for an overflow: a sum is NaN if one of its terms is.
+    ends = left + right + (a + c)
+    y = _plane(field.y, row), _plane(field.y, row + _ONE)
+    return _Row(left, right, y[0], y[1], a, b, c, d, ends + b, ends + d)
+
+
+@device
+def _store_corner(at, x, y, z, known):
     store(at, x)
-    store(at + AXIS, y)
-    store(at + AXIS + AXIS, z)
+    store(at + AXIS, f32x4(y))
+    store(at + AXIS + AXIS, select(known == known, z, f32x4(_NAN)))  # no ray hits NaN
+
+
+@device
+def _write_row(field, cells, row, column, blocks):
+    """Write the triangles a, b, c of four cells to a leaf block, and a, c, d to the next one."""
+    turns = field.turns == _TURNED
+    first_id = np.int32(field.first_id + np.int32((row * field.columns + column) << _ONE))
+    for half in range(_TWO):
+        is_upper = half == _NONE
+        known = cells.upper if is_upper else cells.lower
+        # The last two corners are exchanged where fronts would point down.
+        corner_c = blocks + (SECOND if turns == is_upper else THIRD)
+        other = blocks + (THIRD if turns == is_upper else SECOND)
+        _store_corner(blocks, cells.left, cells.top, cells.a, known)
+        _store_corner(corner_c, cells.right, cells.bottom, cells.c, known)
+        if is_upper:
+            _store_corner(other, cells.right, cells.top, cells.b, known)
+        else:
+            _store_corner(other, cells.left, cells.bottom, cells.d, known)
+        numbers = lane_numbers(i32x4)
+        store(blocks + PRIM_IDS, numbers + numbers + np.int32(first_id + np.int32(half)))
+        blocks += BLOCK
 
 
 @device
 def _search_row(field, row, column, ray, line, search, blocks):
     """Test four cells of a row."""
-    # Step 1: the corners. Past the end of a row x is NaN, and where there is no data z is.
-    top = field.heights + ((row * field.width + column) << _TWO)
-    bottom = top + (field.width << _TWO)
-    za, zb = load(f32x4, top), load(f32x4, top + _FOUR)
-    zd, zc = load(f32x4, bottom), load(f32x4, bottom + _FOUR)
-    across = field.x + (column << _TWO)
-    x_left, x_right = load(f32x4, across), load(f32x4, across + _FOUR)
-    y_top, y_bottom = _plane(field.y, row), _plane(field.y, row + _ONE)
-    # Local coordinates are too small for an overflow: a sum is NaN if one of its terms is.
-    ends = x_left + x_right + (za + zc)
-    known_upper, known_lower = ends + zb, ends + zd
-    known = (known_upper == known_upper) | (known_lower == known_lower)
-
-    # Step 2: the cells' boxes, where all four corners are known.
-    all_known = (known_upper == known_upper) & (known_lower == known_lower)
-    low_z = minimum(minimum(za, zb), minimum(zc, zd))
-    high_z = maximum(maximum(za, zb), maximum(zc, zd))
-    low_x, high_x = minimum(x_left, x_right), maximum(x_left, x_right)
-    low_y, high_y = f32x4(min(y_top, y_bottom)), f32x4(max(y_top, y_bottom))
+    # Step 1: the cells' boxes, where all four corners are known.
+    cells = _load_row(field, row, column)
+    a, b, c, d = cells.a, cells.b, cells.c, cells.d
+    upper, lower = cells.upper == cells.upper, cells.lower == cells.lower
+    low_z = minimum(minimum(a, b), minimum(c, d))
+    high_z = maximum(maximum(a, b), maximum(c, d))
+    low_x, high_x = minimum(cells.left, cells.right), maximum(cells.left, cells.right)
+    low_y = f32x4(min(cells.top, cells.bottom))
+    high_y = f32x4(max(cells.top, cells.bottom))
     back_x, back_y, back_z = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
     t_in, t_out = slab_interval(
         select(back_x, high_x, low_x),
@@ -238,41 +287,60 @@ def _search_row(field, row, column, ray, line, search, blocks):
         (ray.far_x, ray.far_y, ray.far_z),
     )
     missed = (t_in > t_out) | (t_in > search.t_far) | (t_out < search.t_min)
-    if mask_bits(known) & ~mask_bits(missed & all_known) == _NONE:
+    if mask_bits(upper | lower) & ~mask_bits(missed & upper & lower) == _NONE:
         return search
 
-    # Step 3: the triangles.
+    # Step 2: the triangles.
     add_to(search.counters, TESTS, _LANES + _LANES)
-    lanes = blocks + _BLOCK
-    turns = field.turns == _TURNED
-    y_upper, y_lower = f32x4(y_top), f32x4(y_bottom)
+    _write_row(field, cells, row, column, blocks)
     for half in range(_TWO):
-        is_upper = half == _NONE
-        # a, b, c and a, c, d; the last two exchanged where fronts would point down.
-        corner_c = blocks + (SECOND if turns == is_upper else THIRD)
-        other = blocks + (THIRD if turns == is_upper else SECOND)
-        _store_corner(blocks, x_left, y_upper, za)
-        _store_corner(corner_c, x_right, y_lower, zc)
-        if is_upper:
-            _store_corner(other, x_right, y_upper, zb)
-        else:
-            _store_corner(other, x_left, y_lower, zd)
-        bits = test_block(blocks, line, search.t_min, search.t_far, search.surfaces, lanes)
-        is_known = known_upper if is_upper else known_lower
-        bits &= mask_bits(is_known == is_known)
-        while bits != _NONE:
-            k = count_trailing_zeros(bits)
-            bits &= bits - _ONE
-            at = lanes + (k << _TWO)
-            cell = row * field.columns + column + k
-            number = np.int32(field.first_id + np.int32((cell << _ONE) + half))
-            search = offer(
-                search,
-                load(np.float32, at),
-                load(np.float32, at + _U),
-                load(np.float32, at + _V),
-                number,
-            )
-            if is_full(search):
-                return search
+        search = intersect_block(blocks + half * BLOCK, line, search, search.t_min, _INF)
+        if is_full(search):
+            break
     return search
+
+
+# For packets of rays
+
+
+@device
+def _box(x, y, z, rays):
+    """Near x, y, z and far x, y, z planes, for a `RayClass`, of a box with pairs of planes."""
+    low_x, high_x = min(x[0], x[1]), max(x[0], x[1])
+    low_y, high_y = min(y[0], y[1]), max(y[0], y[1])
+    back_x, back_y, back_z = rays.x.back, rays.y.back, rays.z.back
+    return (
+        select(back_x, high_x, low_x),
+        select(back_y, high_y, low_y),
+        select(back_z, z[1], z[0]),
+        select(back_x, low_x, high_x),
+        select(back_y, low_y, high_y),
+        select(back_z, z[0], z[1]),
+    )
+
+
+@device
+def node_box(field, level, column, row, rays):
+    """The box of a node, see `_box`."""
+    lane = (column & _ONE) | ((row & _ONE) << _ONE)
+    group = level.first + (row >> _ONE) * level.columns + (column >> _ONE)
+    left, top = min(column * level.size, field.columns), min(row * level.size, field.rows)
+    right = min(left + level.size, field.columns)
+    bottom = min(top + level.size, field.rows)
+    x = _plane(field.x, left), _plane(field.x, right)
+    y = _plane(field.y, top), _plane(field.y, bottom)
+    at = field.ranges + (group << _FIVE)
+    return _box(x, y, (_plane(at, lane), _plane(at, lane + _FOUR)), rays)
+
+
+@device
+def fill_row(field, row, column, rays, blocks):
+    """Write the triangles of four cells to two leaf blocks; returns their box, see `_box`."""
+    cells = _load_row(field, row, column)
+    _write_row(field, cells, row, column, blocks)
+    x = _plane(field.x, column), _plane(field.x, min(column + _LANES, field.columns))
+    # The second operand stays where the first one is NaN.
+    low, high = f32x4(_INF), f32x4(-_INF)
+    for z in (cells.a, cells.b, cells.c, cells.d):
+        low, high = minimum(z, low), maximum(z, high)
+    return _box(x, (cells.top, cells.bottom), (reduce_min(low), reduce_max(high)), rays)

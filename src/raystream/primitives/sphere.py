@@ -80,7 +80,8 @@ class ExactRay(NamedTuple):
         1 / the square of the direction's length.
     offset : float64
         The local distance by which the local ray's origin was advanced.
-    cx, cy, cz, scale : float64
+    center : tuple of three float64
+    scale : float64
         The scene's local frame.
     """
 
@@ -92,9 +93,7 @@ class ExactRay(NamedTuple):
     dz: np.float64
     inv_square: np.float64
     offset: np.float64
-    cx: np.float64
-    cy: np.float64
-    cz: np.float64
+    center: tuple[np.float64, np.float64, np.float64]
     scale: np.float64
 
 
@@ -107,7 +106,7 @@ def _scaled_slowly(dx, dy, dz):
 
 
 @device
-def _scaled(dx, dy, dz):
+def scaled(dx, dy, dz):
     """A direction whose largest component is in [1, 2); nothing useful of an invalid ray's."""
     exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
     if exponent > 0 and exponent < _LARGEST_EXPONENT:
@@ -133,8 +132,7 @@ def exact_ray(numbers, ray, frame):
     ExactRay
     """
     ox, oy, oz, dx, dy, dz = numbers
-    dx, dy, dz = _scaled(dx, dy, dz)
-    center = frame.center
+    dx, dy, dz = scaled(dx, dy, dz)
     return ExactRay(
         ox,
         oy,
@@ -144,20 +142,32 @@ def exact_ray(numbers, ray, frame):
         dz,
         _ONE64 / (dx * dx + dy * dy + dz * dz),
         ray.t_offset / ray.t_scale,
-        center[0],
-        center[1],
-        center[2],
+        frame.center,
         np.float64(frame.scale),
     )
 
 
 @device
-def own_box(spheres, exact, back):
-    """Planes of the spheres' boxes, by which rays enter and leave them; see `intersect`."""
-    x = as_float32((spheres.x - exact.cx) * exact.scale)
-    y = as_float32((spheres.y - exact.cy) * exact.scale)
-    z = as_float32((spheres.z - exact.cz) * exact.scale)
-    radius = as_float32(spheres.radius * exact.scale)
+def own_box(spheres, frame, back):
+    """The spheres' boxes.
+
+    Parameters
+    ----------
+    spheres : view of SphereBlock, or of x, y, z and radius as float64 vectors or numbers
+    frame : SceneFrame or ExactRay
+    back : tuple of three bool
+        Whether the rays' directions are negative.
+
+    Returns
+    -------
+    tuple of six float32 vectors or numbers
+        Near x, y, z and far x, y, z planes.
+    """
+    center, scale = frame.center, frame.scale
+    x = as_float32((spheres.x - center[0]) * scale)
+    y = as_float32((spheres.y - center[1]) * scale)
+    z = as_float32((spheres.z - center[2]) * scale)
+    radius = as_float32(spheres.radius * scale)
     reach_x = radius + (absolute(x) + radius) * BOX_GROWTH
     reach_y = radius + (absolute(y) + radius) * BOX_GROWTH
     reach_z = radius + (absolute(z) + radius) * BOX_GROWTH
@@ -172,19 +182,17 @@ def own_box(spheres, exact, back):
 
 
 @device
-def intersect(spheres, box, slabs, exact, t_min, t_far, hits):
+def intersect(spheres, interval, exact, t_min, t_far, hits):
     """Test a ray against several spheres, or several rays against one.
 
     Vectors have a lane for each sphere, or for each ray; the others' are numbers.
 
     Parameters
     ----------
-    spheres : view of SphereBlock, or Sphere
-    box : tuple of six float32 vectors or numbers
+    spheres
         See `own_box`.
-    slabs : three tuples of three float32 vectors or numbers
-        Reciprocal direction, and near and far constants of the slab distances, see
-        `kernels.ray.Ray`.
+    interval : tuple of two float32 vectors
+        The distances at which the rays enter and leave these boxes.
     exact : ExactRay
     t_min, t_far : float32 vector or number
         Closed interval in which a hit is wanted.
@@ -219,8 +227,7 @@ def intersect(spheres, box, slabs, exact, t_min, t_far, hits):
     far = narrow(maximum(inner, outer) - exact.offset)
 
     # Step 3: clamped to the box. Adding zero turns -0 into 0.
-    near_x, near_y, near_z, far_x, far_y, far_z = box
-    t_in, t_out = slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, *slabs)
+    t_in, t_out = interval
     hit = hit & (t_in <= t_out)
     near = minimum(maximum(near, t_in), t_out) + _ZERO
     far = minimum(maximum(far, t_in), t_out) + _ZERO
@@ -296,15 +303,15 @@ def intersect_spheres(block, ray, exact, search):
     at = scratch(_HITS_BYTES)
     add_to(search.counters, TESTS, _LANES)
     spheres = SphereBlock(block)
-    slabs = (
+    box = own_box(spheres, exact, (ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO))
+    interval = slab_interval(
+        *box,
         (ray.inv_x, ray.inv_y, ray.inv_z),
         (ray.near_x, ray.near_y, ray.near_z),
         (ray.far_x, ray.far_y, ray.far_z),
     )
-    box = own_box(spheres, exact, (ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO))
-    entered, left = intersect(
-        spheres, box, slabs, exact, search.t_min, search.t_far, _BlockHits(at)
-    )
+    t_min, t_far = search.t_min, search.t_far
+    entered, left = intersect(spheres, interval, exact, t_min, t_far, _BlockHits(at))
     for side in range(_TWO):
         bits = entered if side == _NONE else left
         search = _offer_lanes(bits, side, spheres, exact, search, _BlockHitLanes(at))

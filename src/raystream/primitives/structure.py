@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
+from raystream.core.height_field import LANES
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
-from raystream.primitives.levels import field_levels
+from raystream.primitives.batches import BATCH_KERNELS
+from raystream.primitives.levels import Levels, field_levels
 from raystream.primitives.records import (
     FIELD_ADDRESSES,
     SPHERES_PER_BLOCK,
@@ -66,15 +68,19 @@ class PrimitiveStructure(Structure):
         count = len(triangles.triangles)
         total = count + len(triangles.spheres)
         self._inner = self._kind(triangles.triangles, options, progress=part_of(progress, 0, total))
-        nodes, rows = self._sphere_tree(part_of(progress, count, total))
-        first = int(triangles.first_fields[-1])
         local = triangles.local_fields
         self._levels = [field_levels(one) for one in local]
+        field_nodes, rows = self._tree_over(_field_boxes(triangles, self._levels), 1, None)
+        fields = triangles.fields, local, self._levels, triangles.first_fields
+        sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total)
+        sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
+        first = int(triangles.first_fields[-1])
         self._memory = {
             **self._inner.memory,
-            "fields": field_records(triangles.fields, local, self._levels, triangles.first_fields),
-            "sphere_nodes": nodes,
-            "sphere_blocks": sphere_blocks(triangles.spheres, rows, first),
+            "field_nodes": field_nodes,
+            "fields": field_records(*fields, rows[:, 0].tolist()),
+            "sphere_nodes": sphere_nodes,
+            "sphere_blocks": sphere_blocks(triangles.spheres, sphere_rows, first),
         }
         self._addresses = self._make_addresses()
         field_bytes = sum(
@@ -96,15 +102,17 @@ class PrimitiveStructure(Structure):
         nothing = dict.fromkeys(PrimitiveAddresses._fields, np.uint64(0))
         return PrimitiveAddresses(**{**nothing, **inner, **own, **counts})
 
-    def _sphere_tree(
+    def _tree_over(
         self,
+        boxes: Triangles,
+        leaf_size: int,
         progress: Progress | None,  # noqa: ARG002
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Nodes over the spheres, and the spheres of each block."""
-        count = len(self.triangles.spheres)
-        rows = np.full(-(-count // SPHERES_PER_BLOCK) * SPHERES_PER_BLOCK, -1, np.int32)
+        """Nodes over boxes of primitives, and the primitives of each leaf, -1 for unused lanes."""
+        count = len(boxes)
+        rows = np.full(-(-count // leaf_size) * leaf_size, -1, np.int32)
         rows[:count] = np.arange(count)
-        return np.zeros((0, 64), np.float32), rows.reshape(-1, SPHERES_PER_BLOCK)
+        return np.zeros((0, 64), np.float32), rows.reshape(-1, leaf_size)
 
     @property
     def arrays(self) -> PrimitiveAddresses:
@@ -155,21 +163,22 @@ class PrimitiveStructure(Structure):
 
 
 #: Arrays besides those of the triangles' structure.
-_OWN = ("fields", "sphere_nodes", "sphere_blocks")
+_OWN = ("field_nodes", "fields", "sphere_nodes", "sphere_blocks")
 
 
 class PrimitiveBvh(PrimitiveStructure):
     """A BVH of the triangles, one of the spheres, and a tree over each height field."""
 
     _kind = BvhStructure
+    batch_kernels = BATCH_KERNELS
     traverse = staticmethod(traverse_trees)
     stack_bytes = STACK_BYTES
 
-    def _sphere_tree(
-        self, progress: Progress | None
+    def _tree_over(
+        self, boxes: Triangles, leaf_size: int, progress: Progress | None
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        tree = build_arrays(_sphere_boxes(self.triangles), "balanced", SPHERES_PER_BLOCK, progress)
-        return tree.nodes, np.ascontiguousarray(tree.prim_ids)
+        tree = build_arrays(boxes, "balanced", leaf_size, progress)
+        return tree.nodes, np.ascontiguousarray(tree.prim_ids[:, :leaf_size])
 
 
 class PrimitiveBrute(PrimitiveStructure):
@@ -184,8 +193,18 @@ class PrimitiveBrute(PrimitiveStructure):
         return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // max(1, len(self.triangles))))
 
 
+def _field_boxes(primitives: Primitives, levels: list[Levels]) -> Triangles:
+    """Triangles that span the height fields' boxes, in the scene's local frame."""
+    corners = np.empty((len(levels), 3, 3), np.float32)
+    for k, (field, tree) in enumerate(zip(primitives.local_fields, levels, strict=True)):
+        x, y, (low, high) = field.x[:-LANES], field.y, tree.ranges[-1]
+        corners[k, 0] = x.min(), y.min(), low.min()
+        corners[k, 1] = x.max(), y.max(), high.max()
+    return _boxes(primitives, corners)
+
+
 def _sphere_boxes(primitives: Primitives) -> Triangles:
-    """Triangles that span the spheres' boxes, in the scene's local frame."""
+    """The same for spheres."""
     spheres = primitives.spheres
     centers = (spheres.centers - primitives.center) * primitives.scale
     radii = (spheres.radii * primitives.scale)[:, None]
@@ -193,13 +212,20 @@ def _sphere_boxes(primitives: Primitives) -> Triangles:
     corners = np.empty((len(spheres), 3, 3), np.float32)
     corners[:, 0] = np.nextafter((centers - reach).astype(np.float32), np.float32(-np.inf))
     corners[:, 1] = np.nextafter((centers + reach).astype(np.float32), np.float32(np.inf))
+    return _boxes(primitives, corners)
+
+
+def _boxes(primitives: Primitives, corners: NDArray[np.float32]) -> Triangles:
+    """Triangles of which the first two corners are given; an infinite box is left out."""
     corners[:, 2] = corners[:, 0]
+    held = np.isfinite(corners).all(axis=(1, 2))
     bounds = np.zeros((2, 3), np.float32)
-    if len(corners):
-        bounds[:] = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
-    splits, solid = np.array([0, len(corners)], np.int64), np.ones(len(corners), np.bool_)
+    if held.any():
+        bounds[:] = corners[held, 0].min(axis=0), corners[held, 1].max(axis=0)
+    splits = np.array([0, len(corners)], np.int64)
+    missing = len(corners) - int(np.count_nonzero(held))
     return Triangles.from_solid(
-        corners, splits, primitives.center, primitives.scale, solid, 0, bounds
+        corners, splits, primitives.center, primitives.scale, held, missing, bounds
     )
 
 

@@ -17,11 +17,11 @@ from raystream.primitives.field import FIELD_BYTES, traverse_all_cells, traverse
 from raystream.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
 from raystream.primitives.sphere import ExactRay, exact_ray, intersect_spheres
 from raystream.structures.brute.traversal import traverse as traverse_brute
+from raystream.structures.bvh.node_layout import leaf_address
 from raystream.structures.bvh.traversal import STACK_BYTES as TREE_BYTES
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 from raystream.structures.bvh.traversal import tree_traversal
 
-_LEAF_SHIFT = np.int32(3)
 _TREE = np.uint64(TREE_BYTES)
 
 #: Memory of a traversal: of the trees in turn, then of height fields.
@@ -46,8 +46,7 @@ class _SphereTree(NamedTuple):
 
 @device
 def _search_spheres(tree, child, line, search, stack):  # noqa: ARG001
-    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
-    block = address_of(SphereBlock(tree.leaves, index))
+    block = leaf_address(tree.leaves, child)
     return intersect_spheres(block, tree.ray, tree.exact, search)
 
 
