@@ -15,7 +15,7 @@ from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
-from raystream.primitives.batches import BATCH_KERNELS
+from raystream.primitives.batches import batch_kernels
 from raystream.primitives.levels import Levels, field_levels
 from raystream.primitives.records import (
     FIELD_ADDRESSES,
@@ -170,9 +170,13 @@ class PrimitiveBvh(PrimitiveStructure):
     """A BVH of the triangles, one of the spheres, and a tree over each height field."""
 
     _kind = BvhStructure
-    batch_kernels = BATCH_KERNELS
     traverse = staticmethod(traverse_trees)
     stack_bytes = STACK_BYTES
+
+    def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
+        super().__init__(triangles, options, progress=progress)
+        own = self.memory["sphere_nodes"], self.memory["sphere_blocks"]
+        self.batch_kernels = batch_kernels(sum(one.nbytes for one in own))
 
     def _tree_over(
         self, boxes: Triangles, leaf_size: int, progress: Progress | None

@@ -28,7 +28,7 @@ _TREE = np.uint64(TREE_BYTES)
 STACK_BYTES = TREE_BYTES + FIELD_BYTES
 
 
-class _RayScene(NamedTuple):
+class RayScene(NamedTuple):
     """The primitives with the ray in float64."""
 
     primitives: PrimitiveAddresses
@@ -112,7 +112,7 @@ def primitive_searches(traverse) -> Searches:
             None,
             None,
         )
-        found = traverse(_RayScene(scene.arrays, exact), local, search, scene.stack)
+        found = traverse(RayScene(scene.arrays, exact), local, search, scene.stack)
         return found, ray
 
     @device

@@ -29,13 +29,13 @@ KERNELS = Bvh.choices("kernel")
 SMALL_BATCH = 1024
 
 #: Larger trees do not stay in the cache: their nodes are prefetched.
-_CACHED_BYTES = 1 << 21
+CACHED_BYTES = 1 << 21
 
 
 def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
     filter_, out = output_of(batch.query, batch.sink)
     rays = bvh.arrays, bvh.frame, batch.source
-    prefetching = bvh.report.byte_count > _CACHED_BYTES
+    prefetching = bvh.report.byte_count > CACHED_BYTES
     return trace_wavefront, (*rays, batch.wants_any, prefetching, filter_, out)
 
 
