@@ -59,10 +59,9 @@ BOX_GROWTH = np.float32(2.0**-22)
 #: What `intersect` writes of each lane: t of both hits, half the way in the sphere, and the ray's
 #: closest point to the centre, from there.
 HIT = [("near", "f4"), ("far", "f4"), ("half", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8")]
-_BLOCK_HITS = np.dtype([(name, kind, SPHERES_PER_BLOCK) for name, kind in HIT])
-_BlockHits = view(_BLOCK_HITS)
-_HITS_BYTES = _BLOCK_HITS.itemsize
-_BlockHitLanes = view([(name, kind, (SPHERES_PER_BLOCK, 1)) for name, kind in HIT])
+_Hits = view([(name, kind, SPHERES_PER_BLOCK) for name, kind in HIT])
+_HitLanes = view([(name, kind, (SPHERES_PER_BLOCK, 1)) for name, kind in HIT])
+_HITS_BYTES = 40 * SPHERES_PER_BLOCK
 
 _LARGEST_EXPONENT = np.int64(2046)
 
@@ -72,9 +71,9 @@ class ExactRay(NamedTuple):
 
     Attributes
     ----------
-    ox, oy, oz : float64
+    origin : tuple of three float64
         World space.
-    dx, dy, dz : float64
+    direction : tuple of three float64
         Scaled by the power of two that the local ray's direction is scaled by.
     inv_square : float64
         1 / the square of the direction's length.
@@ -85,12 +84,8 @@ class ExactRay(NamedTuple):
         The scene's local frame.
     """
 
-    ox: np.float64
-    oy: np.float64
-    oz: np.float64
-    dx: np.float64
-    dy: np.float64
-    dz: np.float64
+    origin: tuple[np.float64, np.float64, np.float64]
+    direction: tuple[np.float64, np.float64, np.float64]
     inv_square: np.float64
     offset: np.float64
     center: tuple[np.float64, np.float64, np.float64]
@@ -106,7 +101,7 @@ def _scaled_slowly(dx, dy, dz):
 
 
 @device
-def scaled(dx, dy, dz):
+def _scaled(dx, dy, dz):
     """A direction whose largest component is in [1, 2); nothing useful of an invalid ray's."""
     exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
     if exponent > 0 and exponent < _LARGEST_EXPONENT:
@@ -116,35 +111,25 @@ def scaled(dx, dy, dz):
 
 
 @device
-def exact_ray(numbers, ray, frame):
+def exact_ray(origin, direction, offset, frame):
     """A ray in float64.
 
     Parameters
     ----------
-    numbers : tuple of six float64
-        Origin and direction, world space.
-    ray : LocalRay
-        The same one.
+    origin, direction : tuple of three float64
+        World space.
+    offset : float64
+        See `ExactRay`.
     frame : SceneFrame
 
     Returns
     -------
     ExactRay
     """
-    ox, oy, oz, dx, dy, dz = numbers
-    dx, dy, dz = scaled(dx, dy, dz)
-    return ExactRay(
-        ox,
-        oy,
-        oz,
-        dx,
-        dy,
-        dz,
-        _ONE64 / (dx * dx + dy * dy + dz * dz),
-        ray.t_offset / ray.t_scale,
-        frame.center,
-        np.float64(frame.scale),
-    )
+    dx, dy, dz = _scaled(direction[0], direction[1], direction[2])
+    inv_square = _ONE64 / (dx * dx + dy * dy + dz * dz)
+    scale = np.float64(frame.scale)
+    return ExactRay(origin, (dx, dy, dz), inv_square, offset, frame.center, scale)
 
 
 @device
@@ -153,7 +138,8 @@ def own_box(spheres, frame, back):
 
     Parameters
     ----------
-    spheres : view of SphereBlock, or of x, y, z and radius as float64 vectors or numbers
+    spheres : tuple of four float64 vectors or numbers
+        Centres and radii, world space.
     frame : SceneFrame or ExactRay
     back : tuple of three bool
         Whether the rays' directions are negative.
@@ -164,10 +150,10 @@ def own_box(spheres, frame, back):
         Near x, y, z and far x, y, z planes.
     """
     center, scale = frame.center, frame.scale
-    x = as_float32((spheres.x - center[0]) * scale)
-    y = as_float32((spheres.y - center[1]) * scale)
-    z = as_float32((spheres.z - center[2]) * scale)
-    radius = as_float32(spheres.radius * scale)
+    x = as_float32((spheres[0] - center[0]) * scale)
+    y = as_float32((spheres[1] - center[1]) * scale)
+    z = as_float32((spheres[2] - center[2]) * scale)
+    radius = as_float32(spheres[3] * scale)
     reach_x = radius + (absolute(x) + radius) * BOX_GROWTH
     reach_y = radius + (absolute(y) + radius) * BOX_GROWTH
     reach_z = radius + (absolute(z) + radius) * BOX_GROWTH
@@ -205,22 +191,20 @@ def intersect(spheres, interval, exact, t_min, t_far, hits):
         Bits of the lanes whose sphere is entered, and left, in the interval.
     """
     # Step 1: the centres' distances from the line, at its closest point.
-    fx = (exact.ox - spheres.x) * exact.scale
-    fy = (exact.oy - spheres.y) * exact.scale
-    fz = (exact.oz - spheres.z) * exact.scale
-    radius = spheres.radius * exact.scale
-    middle = -((fx * exact.dx + fy * exact.dy + fz * exact.dz) * exact.inv_square)
-    lx = fx + middle * exact.dx
-    ly = fy + middle * exact.dy
-    lz = fz + middle * exact.dz
+    (x, y, z, radius), (ox, oy, oz), (dx, dy, dz) = spheres, exact.origin, exact.direction
+    scale, inv_square = exact.scale, exact.inv_square
+    fx, fy, fz = (ox - x) * scale, (oy - y) * scale, (oz - z) * scale
+    radius = radius * scale
+    middle = -((fx * dx + fy * dy + fz * dz) * inv_square)
+    lx, ly, lz = fx + middle * dx, fy + middle * dy, fz + middle * dz
     rest = radius * radius - (lx * lx + ly * ly + lz * lz)
     hit = rest >= _ZERO64
     if not any_lane(hit):
         return _NONE, _NONE
 
     # Step 2: both distances, in local units; the one that would cancel from their product.
-    half = square_root(rest * exact.inv_square)
-    product = (fx * fx + fy * fy + fz * fz - radius * radius) * exact.inv_square
+    half = square_root(rest * inv_square)
+    product = (fx * fx + fy * fy + fz * fz - radius * radius) * inv_square
     outer = select(middle >= _ZERO64, middle + half, middle - half)
     inner = select(outer == _ZERO64, absolute(outer), product / outer)
     near = narrow(minimum(inner, outer) - exact.offset)
@@ -251,7 +235,8 @@ def place(x, y, z, step, exact):
         The distance from that point.
     exact : ExactRay
     """
-    x, y, z = x + step * exact.dx, y + step * exact.dy, z + step * exact.dz
+    dx, dy, dz = exact.direction
+    x, y, z = x + step * dx, y + step * dy, z + step * dz
     total = absolute(x) + absolute(y) + absolute(z)
     px, py = x / total, y / total
     # The lower half of the octahedron is folded over the sides of the upper one.
@@ -266,7 +251,7 @@ def place(x, y, z, step, exact):
 
 
 @device
-def _offer_lanes(bits, side, spheres, exact, search, hits):
+def _offer_lanes(bits, side, held.numbers, exact, search, hits):
     """Offer the hits of lanes: of side 0 where the ray enters, of 1 where it leaves."""
     while bits != _NONE:
         k = count_trailing_zeros(bits)
@@ -277,7 +262,7 @@ def _offer_lanes(bits, side, spheres, exact, search, hits):
         half = hits.half[k]
         step = half if side == _ONE else -half
         u, v = place(hits.x[k], hits.y[k], hits.z[k], step, exact)
-        search = offer(search, t, u, v, np.int32(spheres.numbers[k] + np.int32(side)))
+        search = offer(search, t, u, v, np.int32(numbers[k] + np.int32(side)))
         if is_full(search):
             break
     return search
@@ -302,7 +287,8 @@ def intersect_spheres(block, ray, exact, search):
     """
     at = scratch(_HITS_BYTES)
     add_to(search.counters, TESTS, _LANES)
-    spheres = SphereBlock(block)
+    held = SphereBlock(block)
+    spheres = held.x, held.y, held.z, held.radius
     box = own_box(spheres, exact, (ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO))
     interval = slab_interval(
         *box,
@@ -311,10 +297,10 @@ def intersect_spheres(block, ray, exact, search):
         (ray.far_x, ray.far_y, ray.far_z),
     )
     t_min, t_far = search.t_min, search.t_far
-    entered, left = intersect(spheres, interval, exact, t_min, t_far, _BlockHits(at))
+    entered, left = intersect(spheres, interval, exact, t_min, t_far, _Hits(at))
     for side in range(_TWO):
         bits = entered if side == _NONE else left
-        search = _offer_lanes(bits, side, spheres, exact, search, _BlockHitLanes(at))
+        search = _offer_lanes(bits, side, held.numbers, exact, search, _HitLanes(at))
         if is_full(search):
             break
     return search

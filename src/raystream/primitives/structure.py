@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
-from raystream.core.height_field import LANES
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
 from raystream.primitives.batches import batch_kernels
-from raystream.primitives.levels import Levels, field_levels
+from raystream.primitives.levels import field_levels
 from raystream.primitives.records import (
     FIELD_ADDRESSES,
     SPHERES_PER_BLOCK,
@@ -70,7 +69,7 @@ class PrimitiveStructure(Structure):
         self._inner = self._kind(triangles.triangles, options, progress=part_of(progress, 0, total))
         local = triangles.local_fields
         self._levels = [field_levels(one) for one in local]
-        field_nodes, rows = self._tree_over(_field_boxes(triangles, self._levels), 1, None)
+        field_nodes, field_rows = self._tree_over(_field_boxes(triangles), 1, None)
         fields = triangles.fields, local, self._levels, triangles.first_fields
         sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total)
         sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
@@ -78,7 +77,7 @@ class PrimitiveStructure(Structure):
         self._memory = {
             **self._inner.memory,
             "field_nodes": field_nodes,
-            "fields": field_records(*fields, rows[:, 0].tolist()),
+            "fields": field_records(*fields, field_rows[:, 0].tolist()),
             "sphere_nodes": sphere_nodes,
             "sphere_blocks": sphere_blocks(triangles.spheres, sphere_rows, first),
         }
@@ -104,11 +103,14 @@ class PrimitiveStructure(Structure):
 
     def _tree_over(
         self,
-        boxes: Triangles,
+        boxes: NDArray[np.float64],
         leaf_size: int,
         progress: Progress | None,  # noqa: ARG002
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Nodes over boxes of primitives, and the primitives of each leaf, -1 for unused lanes."""
+        """Nodes over boxes of primitives, and the primitives of each leaf, -1 for unused lanes.
+
+        Boxes have shape (N, 2, 3), in the scene's local frame.
+        """
         count = len(boxes)
         rows = np.full(-(-count // leaf_size) * leaf_size, -1, np.int32)
         rows[:count] = np.arange(count)
@@ -179,9 +181,9 @@ class PrimitiveBvh(PrimitiveStructure):
         self.batch_kernels = batch_kernels(sum(one.nbytes for one in own))
 
     def _tree_over(
-        self, boxes: Triangles, leaf_size: int, progress: Progress | None
+        self, boxes: NDArray[np.float64], leaf_size: int, progress: Progress | None
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        tree = build_arrays(boxes, "balanced", leaf_size, progress)
+        tree = build_arrays(_spanning(self.triangles, boxes), "balanced", leaf_size, progress)
         return tree.nodes, np.ascontiguousarray(tree.prim_ids[:, :leaf_size])
 
 
@@ -197,39 +199,31 @@ class PrimitiveBrute(PrimitiveStructure):
         return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // max(1, len(self.triangles))))
 
 
-def _field_boxes(primitives: Primitives, levels: list[Levels]) -> Triangles:
-    """Triangles that span the height fields' boxes, in the scene's local frame."""
-    corners = np.empty((len(levels), 3, 3), np.float32)
-    for k, (field, tree) in enumerate(zip(primitives.local_fields, levels, strict=True)):
-        x, y, (low, high) = field.x[:-LANES], field.y, tree.ranges[-1]
-        corners[k, 0] = x.min(), y.min(), low.min()
-        corners[k, 1] = x.max(), y.max(), high.max()
-    return _boxes(primitives, corners)
+def _field_boxes(primitives: Primitives) -> NDArray[np.float64]:
+    bounds = np.array([one.bounds for one in primitives.fields]).reshape(-1, 2, 3)
+    return (bounds - primitives.center) * primitives.scale
 
 
-def _sphere_boxes(primitives: Primitives) -> Triangles:
-    """The same for spheres."""
+def _sphere_boxes(primitives: Primitives) -> NDArray[np.float64]:
     spheres = primitives.spheres
     centers = (spheres.centers - primitives.center) * primitives.scale
     radii = (spheres.radii * primitives.scale)[:, None]
     reach = radii + (np.abs(centers) + radii) * _BOX_GROWTH
-    corners = np.empty((len(spheres), 3, 3), np.float32)
-    corners[:, 0] = np.nextafter((centers - reach).astype(np.float32), np.float32(-np.inf))
-    corners[:, 1] = np.nextafter((centers + reach).astype(np.float32), np.float32(np.inf))
-    return _boxes(primitives, corners)
+    return np.stack([centers - reach, centers + reach], axis=1)
 
 
-def _boxes(primitives: Primitives, corners: NDArray[np.float32]) -> Triangles:
-    """Triangles of which the first two corners are given; an infinite box is left out."""
+def _spanning(primitives: Primitives, boxes: NDArray[np.float64]) -> Triangles:
+    """Triangles that span boxes."""
+    corners = np.empty((len(boxes), 3, 3), np.float32)
+    corners[:, 0] = np.nextafter(boxes[:, 0].astype(np.float32), np.float32(-np.inf))
+    corners[:, 1] = np.nextafter(boxes[:, 1].astype(np.float32), np.float32(np.inf))
     corners[:, 2] = corners[:, 0]
-    held = np.isfinite(corners).all(axis=(1, 2))
     bounds = np.zeros((2, 3), np.float32)
-    if held.any():
-        bounds[:] = corners[held, 0].min(axis=0), corners[held, 1].max(axis=0)
-    splits = np.array([0, len(corners)], np.int64)
-    missing = len(corners) - int(np.count_nonzero(held))
+    if len(corners):
+        bounds[:] = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    splits, solid = np.array([0, len(corners)], np.int64), np.ones(len(corners), np.bool_)
     return Triangles.from_solid(
-        corners, splits, primitives.center, primitives.scale, held, missing, bounds
+        corners, splits, primitives.center, primitives.scale, solid, 0, bounds
     )
 
 

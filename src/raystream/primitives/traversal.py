@@ -99,7 +99,7 @@ def primitive_searches(traverse) -> Searches:
         ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
         frame = scene.frame
         ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
-        exact = exact_ray((ox, oy, oz, dx, dy, dz), ray, frame)
+        exact = exact_ray((ox, oy, oz), (dx, dy, dz), ray.t_offset / ray.t_scale, frame)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         search = begin_search(
             ray.t_min,

@@ -250,7 +250,7 @@ def _push(stack, base, top, child, key, groups, node, lane):
 def _next_class(packet, count):
     """The class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(count):
-        bits = mask_bits(Group(packet, g).direction_class != NO_CLASS)
+        bits = mask_bits(Group(packet, g).direction_class > NO_CLASS)
         if bits != _U0:
             return GroupLanes(packet, g).direction_class[count_trailing_zeros(bits)]
     return NO_CLASS
@@ -319,7 +319,7 @@ def packet_walk():
             group = Group(packet, g)
             mine = group.direction_class == direction_class
             group.t = select(mine, group.t_active, group.t)
-            group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
+            group.direction_class = select(mine, _DONE - direction_class, group.direction_class)
 
     @device
     def trace_packet(packet, count, tree, max_coordinate, memory, leaf):
