@@ -23,8 +23,9 @@ from strategies import COORDINATES, meshes
 
 STRUCTURES = ("bvh", "brute")
 
-#: Kernels for many rays, of first and any hits only.
-MANY = ({"kernel": "groups"}, {"kernel": "packet"}, {"kernel": "wavefront"})
+#: Kernels for many rays, of first and any hits only; and of all queries.
+NEAREST_ONLY = ({"kernel": "groups"}, {"kernel": "wavefront"})
+MANY = (*NEAREST_ONLY, {"kernel": "packet"})
 
 #: Options of tracers that must agree: rays one by one, many at once, and without trees.
 TRACERS = ({"kernel": "single"}, *MANY, {"structure": "brute"})
@@ -69,7 +70,7 @@ def assert_agrees(scene: rs.Scene, parts: list[rs.Scene], rays) -> int:
         for name in COLUMNS:
             assert_same_bits(getattr(hits, name), first[name])
         assert_same_bits(tracer.any_hit(**rays), splits[1:] > splits[:-1])
-        if options in MANY:
+        if options in NEAREST_ONLY:
             continue
         for crossings, (all_splits, all_columns) in expected.items():
             counts = tracer.count_hits(**rays, crossings=crossings)
@@ -110,8 +111,8 @@ def varied_rays(seed: int, count: int, spread: float) -> dict:
     return rays
 
 
-def assert_first_and_any_agree(scene: rs.Scene, rays) -> int:
-    """All kernels have the oracle's first and any hits; returns the number of rays that hit."""
+def assert_varied_rays_agree(scene: rs.Scene, rays) -> int:
+    """All kernels have the oracle's hits; returns the number of rays that hit."""
     splits, columns = instanced.all_hits(scene, objects(), rays)
     first = instanced.nearest(splits, columns)
     for options in TRACERS:
@@ -120,19 +121,25 @@ def assert_first_and_any_agree(scene: rs.Scene, rays) -> int:
         for name in COLUMNS:
             assert_same_bits(getattr(hits, name), first[name])
         assert_same_bits(tracer.any_hit(**rays), splits[1:] > splits[:-1])
+        if options == {"kernel": "packet"}:
+            assert_same_bits(tracer.count_hits(**rays), np.diff(splits))
+            many = tracer.multi_hit(**rays)
+            assert_same_bits(many.ray_splits, splits)
+            for name in COLUMNS:
+                assert_same_bits(getattr(many, name), columns[name])
     return int(np.count_nonzero(first["prim_id"] >= 0))
 
 
 def test_varied_rays_agree() -> None:
     scene = random_scene(61, 12)
-    assert assert_first_and_any_agree(scene, varied_rays(62, 8192, 10.0)) > 500
+    assert assert_varied_rays_agree(scene, varied_rays(62, 8192, 10.0)) > 500
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", range(8))
 def test_a_million_varied_rays_agree(seed) -> None:
     scene = random_scene(seed + 71, 12)
-    assert assert_first_and_any_agree(scene, varied_rays(seed + 81, 1 << 17, 10.0)) > 1 << 12
+    assert assert_varied_rays_agree(scene, varied_rays(seed + 81, 1 << 17, 10.0)) > 1 << 12
 
 
 def test_batches_are_traced_by_any_kernel() -> None:
@@ -172,12 +179,16 @@ def test_invalid_rays_are_named_by_kernels_for_many(options) -> None:
     directions[2::7] = 0.0
     origins[3::7] = np.inf
     directions[4::7] *= 1e-160
-    wanted = rs.Tracer(scene, kernel="single").first_hit(origins, directions)
-    hits = rs.Tracer(scene, **options).first_hit(origins, directions)
-    for name in (*COLUMNS, "status"):
-        assert_same_bits(getattr(hits, name), getattr(wanted, name))
-    assert (hits.status.reshape(-1)[1::7] == 1).all()
-    assert (hits.status.reshape(-1)[5::7] == 0).all()
+    tracers = rs.Tracer(scene, kernel="single"), rs.Tracer(scene, **options)
+    for t_max in (np.inf, 2.0):  # with a limit, long ones cannot reach the scene
+        wanted, hits = (one.first_hit(origins, directions, t_max=t_max) for one in tracers)
+        for name in (*COLUMNS, "status"):
+            assert_same_bits(getattr(hits, name), getattr(wanted, name))
+        assert (hits.status.reshape(-1)[1::7] == 1).all()
+        assert (hits.status.reshape(-1)[5::7] == 0).all()
+        wanted, hits = (one.multi_hit(origins, directions, t_max=t_max) for one in tracers)
+        for name in (*COLUMNS, "ray_splits", "status"):
+            assert_same_bits(getattr(hits, name), getattr(wanted, name))
 
 
 @pytest.mark.parametrize("name", CASES)

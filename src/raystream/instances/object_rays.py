@@ -19,8 +19,6 @@ from raystream.jit.simd import (
     count_trailing_zeros,
     f32x16,
     f64x16,
-    float_as_bits,
-    i64x16,
     load,
     mask_bits,
     maximum,
@@ -36,10 +34,6 @@ from raystream.jit.views import address_of, view
 from raystream.kernels.best import far_limits
 from raystream.kernels.ray import (
     FAR,
-    LEAST_EXPONENT,
-    MANTISSA_BITS,
-    MOST_EXPONENT,
-    POWER_EXPONENT,
     local_limit,
 )
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
@@ -51,7 +45,7 @@ from raystream.structures.bvh.group_rays import (
     arrange_group,
 )
 from raystream.structures.bvh.node_layout import LANE
-from raystream.structures.bvh.packet_load import prepare_group
+from raystream.structures.bvh.packet_load import prepare_group, scale_lanes
 from raystream.structures.bvh.packet_rays import NO_PRIM, Group, GroupLanes, three
 
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -83,21 +77,24 @@ WorldLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in WORLD])
 
 
 @device
+def read_ray(world, lane, source, i):
+    """Read ray i, without a hit."""
+    origin, direction = world.origin, world.direction
+    origin[_X, lane], origin[_Y, lane], origin[_Z, lane] = load_origin(source, i)
+    direction[_X, lane], direction[_Y, lane], direction[_Z, lane] = load_direction(source, i)
+    world.t_min[lane], world.best_t[lane] = load_limits(source, i)
+
+
+@device
 def _read_rays(world, rays, first, last, scene, source):
     """Read 16 rays of a list from `first` on; the last one is repeated."""
-    origin, direction = world.origin, world.direction
     for lane in range(_LANES):
         number = np.uint64(load(np.uint32, rays + min(first + lane, last) * LANE))
-        g, k = number >> LANE_SHIFT, number & LAST_LANE
-        i = ray_index(scene, number)
-        origin[_X, lane], origin[_Y, lane], origin[_Z, lane] = load_origin(source, i)
-        direction[_X, lane], direction[_Y, lane], direction[_Z, lane] = load_direction(source, i)
-        t_min, t_max = load_limits(source, i)
-        lanes = MergedLanes(scene, g)
-        best_t, best = t_max, lanes.prim_id[k]
-        if best != NO_PRIM:
-            best_t = lanes.t[k]
-        world.t_min[lane], world.best_t[lane], world.best[lane] = t_min, best_t, best
+        lanes, k = MergedLanes(scene, number >> LANE_SHIFT), number & LAST_LANE
+        read_ray(world, lane, source, ray_index(scene, number))
+        world.best[lane] = lanes.prim_id[k]
+        if lanes.prim_id[k] != NO_PRIM:
+            world.best_t[lane] = lanes.t[k]
 
 
 @device
@@ -167,7 +164,7 @@ def _load_singly(lanes, lane, world, instance, object_):
 
 
 @device
-def load_group(group, world, instance, object_):
+def load_in_object_space(group, world, instance, object_):
     """Load 16 rays in object space; see `kernels.ray.to_local`."""
     ax, ay, az = instance.linear[_X], instance.linear[_Y], instance.linear[_Z]
     shift, center, scale = instance.shift, object_.center, object_.scale
@@ -179,24 +176,12 @@ def load_group(group, world, instance, object_):
     dx, dy, dz = _product(ax, dx, dy, dz), _product(ay, dx, dy, dz), _product(az, dx, dy, dz)
     ox, oy, oz = (wx - center[0]) * scale, (wy - center[1]) * scale, (wz - center[2]) * scale
 
-    largest = maximum(maximum(absolute(dx), absolute(dy)), absolute(dz))
-    exponent = float_as_bits(largest) >> MANTISSA_BITS
-    power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
-    inverse = bits_as_float(exponent << MANTISSA_BITS) * scale
-    t_scale = power * object_.inverse_scale
-    dx, dy, dz = dx * power, dy * power, dz * power
-    reach = maximum(maximum(absolute(wx), absolute(wy)), absolute(wz))
-    is_usual = (
-        (exponent >= LEAST_EXPONENT)
-        & (exponent <= MOST_EXPONENT)
-        & (absolute(dx) + absolute(dy) + absolute(dz) < _INF64)
-        & (reach <= _MAX_ORIGIN)
-    )
-
     # Limits of rays that are not advanced: exact, or left to `_load_singly`.
     t_min, best_t = world.t_min, world.best_t
-    low = narrow(widen(t_min) * inverse) + _ZERO
-    high = narrow(widen(best_t) * inverse) + _ZERO
+    is_usual, power, t_scale, low, high = scale_lanes((dx, dy, dz), t_min, best_t, object_)
+    dx, dy, dz = dx * power, dy * power, dz * power
+    reach = maximum(maximum(absolute(wx), absolute(wy)), absolute(wz))
+    is_usual = is_usual & (reach <= _MAX_ORIGIN)
     has_hit = world.best != NO_PRIM
     is_exact = widen(low) * t_scale == widen(t_min)
     is_exact = is_exact & (has_hit | (widen(high) * t_scale == widen(best_t)))
@@ -288,7 +273,7 @@ def load_rays(scene, inside, rays, count, source, leaves, index, objects):
         g = first >> LANE_SHIFT
         _read_rays(own, rays, first, last, scene, source)
         group, hits = Group(inside, g), Merged(inside, g)
-        load_group(group, world, instance, object_)
+        load_in_object_space(group, world, instance, object_)
         prepare_group(group, object_.max_coordinate)
         hits.t, hits.prim_id, hits.before = world.best_t, world.best, bits_as_float(world.best)
         arrange_group(group, inside, first)

@@ -11,11 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
-from raystream.instances.object_rays import WORLD_BYTES, World, WorldLanes, load_group
-from raystream.instances.padding import padded_source
+from raystream.instances.object_rays import (
+    WORLD_BYTES,
+    World,
+    WorldLanes,
+    load_in_object_space,
+    read_ray,
+)
+from raystream.instances.padding import drop_invalid, padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
-from raystream.instances.traversal import is_usual, ray_numbers
 from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
@@ -34,7 +38,7 @@ from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.leaf_kinds import InstanceHits, Within, leaf_within, scene_group
 from raystream.structures.bvh.node_layout import prefetch_child
 from raystream.structures.bvh.packet import TRACE_BYTES, packet_walk
-from raystream.structures.bvh.packet_leaf import TriangleLeaf, entering_rays
+from raystream.structures.bvh.packet_leaf import Kind, entering_rays
 from raystream.structures.bvh.packet_load import load_packet, prepare_group, set_slow
 from raystream.structures.bvh.packet_queries import PacketScene
 from raystream.structures.bvh.packet_rays import (
@@ -50,7 +54,6 @@ _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _INF = np.float32(np.inf)
-_INVALID = np.uint8(RayStatus.INVALID)
 _WORLDS_BYTES = int(GROUPS) * WORLD_BYTES
 _NUMBERS_BYTES = int(GROUPS)
 
@@ -61,8 +64,8 @@ class _InstanceLeaf(NamedTuple):
     Attributes
     ----------
     visit, prefetch : device function
-    leaf : TriangleLeaf
-        The leaves of objects, as in a scene without instances.
+    kind : Kind
+        Of the leaves of objects.
     objects : uint64
         See `TopAddresses`.
     worlds : uint64
@@ -73,7 +76,7 @@ class _InstanceLeaf(NamedTuple):
 
     visit: Any
     prefetch: Any
-    leaf: TriangleLeaf
+    kind: Kind
     objects: np.uint64
     worlds: np.uint64
     packet: np.uint64
@@ -98,7 +101,7 @@ def _load_groups(inside, packet, box, rays, groups, instance, object_):
             Group(inside.packet, count),
         )
         world.best_t, world.best = hits.t, hits.prim_id
-        load_group(group, world, instance, object_)
+        load_in_object_space(group, world, instance, object_)
         enters = lanes_from_bits(mask16, bits)
         group.t = select(enters, group.t, f32x16(-_INF))
         prepare_group(group, object_.max_coordinate)
@@ -120,7 +123,7 @@ def _search_instance(inside, packet, index, leaves, box, rays, groups):
         return False
     tree = TreeAddresses(object_.nodes, object_.leaves)
     within = Within(packet, inside.groups, instance.first_id)
-    leaf = leaf_within(inside.leaf, within)
+    leaf = leaf_within(inside.kind, within)
     _trace_object(inside.packet, count, tree, object_.max_coordinate, inside.memory, leaf)
     has_hit = False
     for k in range(count):
@@ -129,7 +132,7 @@ def _search_instance(inside, packet, index, leaves, box, rays, groups):
         found = hits.prim_id != World(inside.worlds, g).best
         if any_lane(found):
             has_hit = True
-            shorten_lanes(within.first_id, hits, found, hits.t, leaf.wants_any)
+            shorten_lanes(within.first_id, hits, found, hits.t, inside.kind.wants_any)
     return has_hit
 
 
@@ -141,29 +144,22 @@ def _visit_instance(leaf, packet, child, leaves, box, rays, groups, own):  # noq
 
 @device
 def _read_rays(packet, number, worlds, slow_groups, source):
-    """Read a packet's rays in world space, and refuse directions that are too long or short."""
+    """Read a packet's rays in world space."""
     for g in range(GROUPS):
         first, count = group_rows(source.order, number, g)
         is_slow = (slow_groups >> g) & ONE_U64 != ZERO_U64
-        group, world = Group(packet, g), WorldLanes(worlds, g)
+        world = WorldLanes(worlds, g)
         if not is_slow:
-            set_slow(group)
+            set_slow(Group(packet, g))
         hits, lanes = InstanceHits(packet, g), GroupLanes(packet, g)
         hits.t = f32x16(_INF)
         if count == ZERO_U64:
             continue
-        origin, direction = world.origin, world.direction
         for k in range(_LANES):
-            ox, oy, oz, dx, dy, dz, t_min, t_max = ray_numbers(
-                source.rays, first + min(k, count - ONE_U64)
-            )
-            origin[ZERO_U64, k], origin[ONE_U64, k], origin[np.uint64(2), k] = ox, oy, oz
-            direction[ZERO_U64, k], direction[ONE_U64, k], direction[np.uint64(2), k] = dx, dy, dz
-            world.t_min[k], world.best_t[k] = t_min, t_max
-            if is_slow and k < count and not is_usual(dx, dy, dz):
-                store(source.status + first + k, _INVALID)
-                lanes.t[k], lanes.t_min[k], lanes.direction_class[k] = -_INF, _INF, NO_CLASS
+            read_ray(world, k, source.rays, first + min(k, count - ONE_U64))
         hits.t = World(worlds, g).best_t
+        if is_slow:
+            drop_invalid(lanes, first, count, source)
 
 
 @device
@@ -180,7 +176,7 @@ def _trace(packet, top, max_coordinate, worlds, leaf):
     own = _InstanceLeaf(
         _visit_instance,
         prefetch_child,
-        leaf,
+        leaf.kind,
         top.objects,
         worlds,
         inside,

@@ -1,14 +1,20 @@
-"""Padding of the boxes of instances for packets of rays that begin far away."""
+"""Packets of rays from far away, for which boxes are padded, and with directions of any length."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from raystream.instances.traversal import MOST_FAR
-from raystream.jit.cpu import device
+from raystream.core.rays import RayStatus
+from raystream.instances.traversal import MOST_FAR, is_scalable
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import store
 from raystream.kernels.ray import SceneFrame
-from raystream.kernels.ray_source import load_origin
-from raystream.structures.bvh.packet_rays import GROUPS, PacketSource, group_rows
+from raystream.kernels.ray_source import load_direction, load_origin
+from raystream.structures.bvh.packet_rays import GROUPS, NO_CLASS, PacketSource, group_rows
+
+_INF = np.float32(np.inf)
+_INVALID = np.uint8(RayStatus.INVALID)
 
 
 @device
@@ -59,3 +65,23 @@ def _padded(source, far):
         np.float32(frame.max_coordinate + far),
     )
     return PacketSource(source.rays, source.order, grown, source.status)
+
+
+@device_call
+def drop_invalid(lanes, first, count, source):
+    """Make the rays of a group invalid whose directions are too long or too short.
+
+    Parameters
+    ----------
+    lanes : GroupLanes
+        With a ray that took the slow path: only these may be.
+    first, count : uint64
+        Its rays.
+    source : PacketSource
+    """
+    no_inline()
+    for k in range(count):
+        x, y, z = load_direction(source.rays, first + k)
+        if not is_scalable(x, y, z):
+            store(source.status + first + k, _INVALID)
+            lanes.t[k], lanes.t_min[k], lanes.direction_class[k] = -_INF, _INF, NO_CLASS

@@ -12,18 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
 from raystream.instances.merged_hits import InstanceList, Merged, merge_hits, object_leaf
 from raystream.instances.object_rays import load_rays
-from raystream.instances.padding import padded_source
+from raystream.instances.padding import drop_invalid, padded_source
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
-from raystream.instances.traversal import is_usual
 from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
-from raystream.jit.simd import f32x16, load, scratch, store
+from raystream.jit.simd import f32x16, load, mask_bits, scratch, store
 from raystream.kernels.hit_filter import HitFilter
-from raystream.kernels.ray_source import RaySource, load_direction
+from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.group_leaf import SMALL_BYTES, Small
 from raystream.structures.bvh.group_queries import finish_nearest, group_kernel
 from raystream.structures.bvh.group_rays import (
@@ -34,14 +32,14 @@ from raystream.structures.bvh.group_rays import (
     LISTS_AT,
     MEMORY_BYTES,
     PLACES_AT,
-    RAY_BITS,
     Hot,
     load_block,
 )
 from raystream.structures.bvh.group_stream import STREAM_STACK_BYTES, group_walk, list_rays
 from raystream.structures.bvh.layout import TreeAddresses
+from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_load import set_slow
-from raystream.structures.bvh.packet_rays import Group, GroupLanes, GroupPlaces, first_ray
+from raystream.structures.bvh.packet_rays import Group, GroupLanes, entry_rows
 
 #: Packets whose rays descend together. Their groups, and those of an instance, are in the L2 cache.
 BLOCK_PACKETS = 8
@@ -53,8 +51,6 @@ _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
 _INSIDE_AT = np.uint64(CALL_BYTES // 2)
 _ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
-_INVALID = np.uint8(RayStatus.INVALID)
 
 
 class _InstanceLeaf(NamedTuple):
@@ -118,44 +114,28 @@ def _visit_instance(leaf, tree, child, rays, memory, small):  # noqa: ARG001
 
 
 @device
-def _refuse(memory, count, source):
-    """Take rays whose directions are too long or too short out of a list; returns its length."""
-    groups, kept = memory + LISTS_AT, ZERO_U64
-    for j in range(count):
-        packed = np.uint64(load(np.uint32, groups + j * np.uint64(4)))
-        g = packed >> GROUP_SHIFT
-        bits = packed & RAY_BITS
+def _list_valid(memory, group_count, source):
+    """Drop invalid rays, and list the groups without them; returns the length of the list."""
+    groups, count = memory + LISTS_AT, ZERO_U64
+    for g in range(group_count):
         if load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0):
-            bits &= _sound(memory, g, bits, source)
-        store(groups + kept * np.uint64(4), np.uint32((g << GROUP_SHIFT) | bits))
-        kept += np.uint64(bits != ZERO_U64)
-    return kept
-
-
-@device_call
-def _sound(memory, g, bits, source):
-    """The rays of a group whose directions have lengths within bounds."""
-    no_inline()
-    lanes, sound = GroupLanes(memory, g), ZERO_U64
-    first = first_ray(GroupPlaces(memory + PLACES_AT, ZERO_U64, ZERO_U64), g)
-    for k in range(_LANES):
-        if (bits >> k) & ONE_U64 == ZERO_U64:
-            continue
-        x, y, z = load_direction(source.rays, first + k)
-        if is_usual(x, y, z):
-            sound |= ONE_U64 << k
-            continue
-        store(source.status + first + k, _INVALID)
-        hot = Hot(memory + HOT_AT, (g << LANE_SHIFT) | k)
-        lanes.t_min[k], lanes.t[k], hot.t_min, hot.t = _INF, -_INF, _INF, -_INF
-    return sound
+            lanes, hot_at = GroupLanes(memory, g), memory + HOT_AT
+            drop_invalid(lanes, *entry_rows(memory + PLACES_AT, g), source)
+            for k in range(_LANES):
+                hot = Hot(hot_at, (g << LANE_SHIFT) | k)
+                hot.t_min, hot.t = lanes.t_min[k], lanes.t[k]
+        group = Group(memory, g)
+        bits = mask_bits(group.t_min <= group.t)
+        store(groups + count * LANE, np.uint32((g << GROUP_SHIFT) | bits))
+        count += np.uint64(bits != ZERO_U64)
+    return count
 
 
 @device
 def _load(memory, source, first, last, top, wanted):  # noqa: ARG001
     padded = padded_source(source, top, first, last)
-    count, ray_count, group_count = load_block(memory, padded, first, last, True)
-    return _refuse(memory, count, source), ray_count, group_count
+    _, ray_count, group_count = load_block(memory, padded, first, last, True)
+    return _list_valid(memory, group_count, source), ray_count, group_count
 
 
 @device

@@ -36,9 +36,9 @@ __all__ = [
     "TopAddresses",
     "WorldRay",
     "instance_searches",
-    "is_usual",
+    "is_scalable",
+    "load_world_ray",
     "object_ray",
-    "ray_numbers",
     "scene_ray",
     "traverse_all",
     "traverse_top",
@@ -103,7 +103,7 @@ class WorldRay(NamedTuple):
     is_valid: bool
 
 
-class _RayScene(NamedTuple):
+class _InstanceContext(NamedTuple):
     """The instances that one ray may hit, with the numbers of the ray.
 
     Attributes
@@ -129,7 +129,7 @@ class _RayTree(NamedTuple):
 
 
 @device
-def is_usual(dx, dy, dz):
+def is_scalable(dx, dy, dz):
     """Whether a direction's length is within bounds."""
     return 1.0 / MAX_LENGTH <= max(abs(dx), abs(dy), abs(dz)) <= MAX_LENGTH
 
@@ -220,8 +220,8 @@ def traverse_all(scene, ray, search, stack):  # noqa: ARG001
 
 
 @device
-def ray_numbers(source, i):
-    """The numbers of ray i, for `scene_ray`."""
+def load_world_ray(source, i):
+    """Ray i in world space, for `scene_ray`."""
     ox, oy, oz = load_origin(source, i)
     dx, dy, dz = load_direction(source, i)
     t_min, t_max = load_limits(source, i)
@@ -250,7 +250,7 @@ def scene_ray(numbers, top, frame):
     """
     ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
     ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
-    is_valid = ray.status == _VALID and is_usual(dx, dy, dz)
+    is_valid = ray.status == _VALID and is_scalable(dx, dy, dz)
     reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
     far = np.float32(min(top.far_unit * reach, MOST_FAR))
     whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
@@ -294,7 +294,7 @@ def instance_searches(traverse) -> Searches:
             ray_filter(scene.filter, i, ray),
             InstanceRay(ray.t_scale, ray.t_offset, _NO_ID),
         )
-        found = traverse(_RayScene(top, world, whole), local, search, scene.stack)
+        found = traverse(_InstanceContext(top, world, whole), local, search, scene.stack)
         return found, _world_ray(ray)
 
     @device
@@ -302,7 +302,7 @@ def instance_searches(traverse) -> Searches:
         world, worlds = _NO_ID, scene.arrays.worlds
         if worlds != _NONE:
             world = load(np.int32, worlds + (i << _TWO))
-        search, ray = of_world(i, ray_numbers(scene.source, i), world, scene, goal)
+        search, ray = of_world(i, load_world_ray(scene.source, i), world, scene, goal)
         note_status(scene.status, i, ray.status)
         return search, ray
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from raystream.core.rays import RayStatus
 from raystream.instances.records import InstanceRecord, ObjectRecord, TreeRecord
-from raystream.instances.traversal import WorldRay, object_ray, ray_numbers, scene_ray
+from raystream.instances.traversal import WorldRay, load_world_ray, object_ray, scene_ray
 from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
@@ -74,7 +74,7 @@ _INVALID = np.uint8(RayStatus.INVALID)
 @device
 def _start(slot, keys, children, i, source, frame, top, status):
     """Put ray i into a slot, before the root of the tree over the instances."""
-    ray, most, _ = scene_ray(ray_numbers(source, i), top, frame)
+    ray, most, _ = scene_ray(load_world_ray(source, i), top, frame)
     if ray.status == _INVALID:
         store(status + i, _INVALID)
     start_ray(slot, keys, children, i, ray, most)
@@ -91,7 +91,7 @@ def _enter(slot, inner, keys, children, source, objects):
     instance = InstanceRecord(slot.leaves, index)
     object_ = ObjectRecord(objects, np.uint64(instance.object_id))
     i = np.uint64(slot.ray)
-    ox, oy, oz, dx, dy, dz, t_min, t_max = ray_numbers(source, i)
+    ox, oy, oz, dx, dy, dz, t_min, t_max = load_world_ray(source, i)
     ray = object_ray(instance, WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, True), object_)
     far = ray.t_max
     if slot.prim_id != NO_PRIM:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma, maximum, minimum, narrow, select, widen
+from raystream.jit.simd import any_lane, fma, maximum, minimum, narrow, select, widen
 
 _ZERO = np.float32(0.0)
 _ZERO64 = np.float64(0.0)
@@ -199,3 +199,43 @@ def barycentrics(sheared, surfaces):
         hit = hit & ((least > _ZERO64) | (most < _ZERO64))
     scale = np.float64(1.0) / (U + V + W)
     return hit, narrow(V * scale) + _ZERO, narrow(W * scale) + _ZERO
+
+
+@device
+def intersect_lanes(sheared, signs, box, limits, plane, surfaces):
+    """Intersect triangles with rays whose edge functions agree in sign.
+
+    Parameters
+    ----------
+    sheared : ShearedVertices
+    signs : mask
+        See `signs_agree`.
+    box : tuple of two float32 vectors
+        Where the rays enter and leave the triangles' padded boxes.
+    limits : tuple of two float32 vectors or numbers
+        Closed intervals in which hits are wanted.
+    plane : tuple
+        The tuple of a device function's arguments, and the function: the distance to the
+        triangles' planes. (Numba warns of a tuple that begins with a function.)
+    surfaces : bool
+
+    Returns
+    -------
+    hit : mask
+    t, u, v : float32 vector
+        Of these lanes.
+    """
+    (t_in, t_out), (t_min, t_far), (arguments, distance) = box, limits, plane
+    hit = signs & (t_in <= t_out) & (t_in <= t_far) & (t_out >= t_min)
+    t = u = v = sheared.az
+    if any_lane(hit):
+        # The distance before the barycentrics, which a ray that leaves a surface does not need: it
+        # meets the surface's triangle behind its origin. (Single bounce, ambient occlusion and
+        # shadow rays on the bunny and conference, one thread of a Zen 5: 1.03 to 1.05 times as
+        # fast; primary rays: the same.)
+        t = minimum(maximum(distance(*arguments), t_in), t_out) + _ZERO
+        hit = hit & (t >= t_min) & (t <= t_far)
+        if any_lane(hit):
+            inside, u, v = barycentrics(sheared, surfaces)
+            hit = hit & inside
+    return hit, t, u, v

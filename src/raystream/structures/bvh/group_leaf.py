@@ -23,8 +23,8 @@ from raystream.jit.views import address_of, view
 from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, BlockLanes, HitLanes
 from raystream.kernels.triangle_lanes import (
-    barycentrics,
     distance_along,
+    intersect_lanes,
     plane_normal,
     shear_vertices,
     signs_agree,
@@ -52,31 +52,16 @@ _BLOCK_LANES = np.uint64(4)
 _ZERO = np.float32(0.0)
 
 #: Children of a node and their lists; hits of a block; normals of its triangles.
-_SMALL = np.dtype(
-    [
-        ("list", "u8", 8),
-        ("count", "u8", 8),
-        ("ray_count", "u8", 8),
-        ("normal", "f8", (3, 4)),
-        ("t_in", "f4", 8),
-        ("keys", "i4", 8),
-        ("hits", HITS),
-        ("unused", "V48"),
-    ]
-)
+_ROWS: list[tuple[str, str, tuple[int, ...]]] = [
+    *((name, "u8", (8,)) for name in ("list", "count", "ray_count")),
+    ("normal", "f8", (3, 4)),
+    ("t_in", "f4", (8,)),
+    ("keys", "i4", (8,)),
+]
+_OTHERS = [("hits", HITS), ("unused", "V48")]
+_SMALL = np.dtype([*_ROWS, *_OTHERS])
 Small = view(_SMALL)
-SmallLanes = view(
-    [
-        ("list", "u8", (8, 1)),
-        ("count", "u8", (8, 1)),
-        ("ray_count", "u8", (8, 1)),
-        ("normal", "f8", (3, 4, 1)),
-        ("t_in", "f4", (8, 1)),
-        ("keys", "i4", (8, 1)),
-        ("hits", HITS),
-        ("unused", "V48"),
-    ]
-)
+SmallLanes = view([*((name, kind, (*shape, 1)) for name, kind, shape in _ROWS), *_OTHERS])
 SMALL_BYTES = _SMALL.itemsize
 
 
@@ -186,7 +171,20 @@ def _keep_hits(leaf, memory, number, block, bits, found):
 
 
 @device
-def _test_with_group(leaf, g, memory, block, lane, lanes):
+def _group_distance(is_y, is_z, a, normal, lane, group):
+    """Distances of a group's rays to the plane of a triangle."""
+    n = in_frame(
+        is_y,
+        is_z,
+        f64x16(normal[_X, lane]),
+        f64x16(normal[_Y, lane]),
+        f64x16(normal[_Z, lane]),
+    )
+    return distance_along(a, n, three(group.origin), three(group.direction))
+
+
+@device
+def _test_with_group(leaf, g, memory, block, lane, normal):
     """Test a triangle against a group; returns whether a ray has a nearer hit."""
     group = Group(memory, g)
     is_y, is_z = axis_kinds(group)
@@ -202,50 +200,24 @@ def _test_with_group(leaf, g, memory, block, lane, lanes):
     low_x, high_x = _extent_of(corners, _X, lane)
     low_y, high_y = _extent_of(corners, _Y, lane)
     low_z, high_z = _extent_of(corners, _Z, lane)
-    t_in, t_out = interval(
-        low_x,
-        low_y,
-        low_z,
-        high_x,
-        high_y,
-        high_z,
-        three(group.inv),
-        three(group.near),
-        three(group.far),
-    )
-    nearest, t_min = group.t, group.t_min
-    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-    if not any_lane(candidates):
-        return False
-    normal = lanes.normal
-    n = in_frame(
-        is_y,
-        is_z,
-        f64x16(normal[_X, lane]),
-        f64x16(normal[_Y, lane]),
-        f64x16(normal[_Z, lane]),
-    )
-    # The distance first: rays that leave a surface meet its triangle behind their origin.
-    t = distance_along(a, n, origin, three(group.direction))
-    t = minimum(maximum(t, t_in), t_out) + _ZERO
-    candidates = candidates & (t >= t_min) & (t <= nearest)
-    if not any_lane(candidates):
-        return False
-    hit, u, v = barycentrics(sheared, False)
-    return _keep_lanes(leaf, memory, g, candidates & hit, t, u, v, block.prim_ids[lane])
+    inv, low, high = three(group.inv), three(group.near), three(group.far)
+    box = interval(low_x, low_y, low_z, high_x, high_y, high_z, inv, low, high)
+    limits, plane = (group.t_min, group.t), ((is_y, is_z, a, normal, lane, group), _group_distance)
+    hit, t, u, v = intersect_lanes(sheared, candidates, box, limits, plane, False)
+    return _keep_lanes(leaf, memory, g, hit, t, u, v, block.prim_ids[lane])
 
 
 @device
 def _with_groups(leaf, at, groups, count, memory, small):
     """Test a block against the groups of a list; returns the number of hits."""
-    block, lanes, hit_count = BlockLanes(at), SmallLanes(address_of(small)), ZERO_U64
+    block, normal, hit_count = BlockLanes(at), SmallLanes(address_of(small)).normal, ZERO_U64
     _write_normals(Block(at), small)
     for lane in range(_BLOCK_LANES):
         if block.prim_ids[lane] < np.int32(0):
             break
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            hit_count += np.uint64(_test_with_group(leaf, g, memory, block, lane, lanes))
+            hit_count += np.uint64(_test_with_group(leaf, g, memory, block, lane, normal))
     return hit_count
 
 
@@ -274,20 +246,12 @@ def _with_rays(leaf, block, rays, count, memory, small):
     for j in range(candidate_count):
         number = np.uint64(load(np.uint32, hits + j * LANE))
         hot, cold = Hot(hots, number), Cold(colds, number)
-        t_in, t_out = interval(
-            low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high
-        )
-        nearest, t_min = hot.t, hot.t_min
+        box = interval(low_x, low_y, low_z, high_x, high_y, high_z, hot.inv, hot.low, hot.high)
         sheared = _sheared(hot, cold, block)
-        candidates = signs_agree(sheared)
-        candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-        # The distance first: rays that leave a surface meet its triangle behind their origin.
-        t = minimum(maximum(_distances(hot, cold, block, small), t_in), t_out) + _ZERO
-        candidates = candidates & (t >= t_min) & (t <= nearest)
-        if not any_lane(candidates):
-            continue
-        hit, u, v = barycentrics(sheared, False)
-        bits = mask_bits(candidates & hit)
+        signs, limits = signs_agree(sheared), (hot.t_min, hot.t)
+        plane = (hot, cold, block, small), _distances
+        hit, t, u, v = intersect_lanes(sheared, signs, box, limits, plane, False)
+        bits = mask_bits(hit)
         if bits != ZERO_U64:
             hit_count += ONE_U64
             found.t, found.u, found.v = t, u, v

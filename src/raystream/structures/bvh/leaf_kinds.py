@@ -19,7 +19,7 @@ from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes, re
 from raystream.structures.bvh.node_layout import prefetch_child
 from raystream.structures.bvh.packet_filter import all_slow, lanes_filter, ray_filter
 from raystream.structures.bvh.packet_hits import collect
-from raystream.structures.bvh.packet_leaf import TriangleLeaf, visit_leaf
+from raystream.structures.bvh.packet_leaf import Kind, TriangleLeaf, visit_leaf
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, world_lanes
 
 #: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
@@ -67,30 +67,30 @@ def scene_group(within, g):
 
 @device
 def _lanes_best(leaf, packet, g):
-    at, own = _Hits(packet, g), lanes_filter(leaf.filter, Group(packet, g), g)
-    return Best(at, at, None, own, leaf.wants_any)
+    at, own = _Hits(packet, g), lanes_filter(leaf.kind.filter, Group(packet, g), g)
+    return Best(at, at, None, own, leaf.kind.wants_any)
 
 
 @device
 def _ray_best(leaf, packet, g, k):
-    at, own = _HitsLanes(packet, g), ray_filter(leaf.filter, GroupLanes(packet, g), g, k)
-    return Best(at, at, None, own, leaf.wants_any)
+    at, own = _HitsLanes(packet, g), ray_filter(leaf.kind.filter, GroupLanes(packet, g), g, k)
+    return Best(at, at, None, own, leaf.kind.wants_any)
 
 
 @device
 def _lanes_best_within(leaf, packet, g):
     within, to = leaf.within, scene_group(leaf.within, g)
-    own = lanes_filter(leaf.filter, Group(packet, g), to)
+    own = lanes_filter(all_slow(leaf.kind.filter), Group(packet, g), to)
     ray, hit = InstanceHits(packet, g), InstanceHits(within.scene, to)
-    return Best(ray, hit, within.first_id, own, leaf.wants_any)
+    return Best(ray, hit, within.first_id, own, leaf.kind.wants_any)
 
 
 @device
 def _ray_best_within(leaf, packet, g, k):
     within, to = leaf.within, scene_group(leaf.within, g)
-    own = ray_filter(leaf.filter, GroupLanes(packet, g), to, k)
+    own = ray_filter(all_slow(leaf.kind.filter), GroupLanes(packet, g), to, k)
     ray, hit = _InstanceHitsLanes(packet, g), _InstanceHitsLanes(within.scene, to)
-    return Best(ray, hit, within.first_id, own, leaf.wants_any)
+    return Best(ray, hit, within.first_id, own, leaf.kind.wants_any)
 
 
 @device
@@ -116,9 +116,9 @@ def _count_lanes(leaf, packet, g, taken, t, u, v, prim_id):
 def _collect_lanes(leaf, packet, g, taken, t, u, v, prim_id):
     best = leaf.lanes_best(leaf, packet, g)
     taken, t, number = reported_lanes(best, taken, t, prim_id)
-    t = _collected(leaf.within, leaf.collector, t, Group(packet, g))
-    to = scene_group(leaf.within, g)
-    collect(leaf.collector, taken, t, u, v, i32x16(number), to)
+    collector, to = leaf.kind.collector, scene_group(leaf.within, g)
+    t = _collected(leaf.within, collector, t, Group(packet, g))
+    collect(collector, taken, t, u, v, i32x16(number), to)
     return False
 
 
@@ -143,54 +143,28 @@ def no_prefetch(child, nodes, leaves):
 @device
 def nearest_leaf(wants_any, filter_):
     """Leaves whose nearest, or any, hits are kept."""
-    return _plain_leaf(_keep_lanes, _keep_hits, FEW, False, wants_any, filter_, None)
+    return _plain_leaf(Kind(_keep_lanes, _keep_hits, FEW, False, wants_any, filter_, None))
 
 
 @device
 def counting_leaf(surfaces):
     """Leaves whose hits are counted, see `Counts`."""
-    return _plain_leaf(_count_lanes, _keep_none, ZERO_U64, surfaces, False, None, None)
+    return _plain_leaf(Kind(_count_lanes, _keep_none, ZERO_U64, surfaces, False, None, None))
 
 
 @device
 def collecting_leaf(surfaces, collector):
     """Leaves whose hits are all collected."""
-    return _plain_leaf(_collect_lanes, _keep_none, ZERO_U64, surfaces, False, None, collector)
+    return _plain_leaf(Kind(_collect_lanes, _keep_none, ZERO_U64, surfaces, False, None, collector))
 
 
 @device
-def _plain_leaf(keep_lanes, keep_hits, few, surfaces, wants_any, filter_, collector):
-    """See `TriangleLeaf` for the arguments."""
-    return TriangleLeaf(
-        visit_leaf,
-        no_prefetch,
-        keep_lanes,
-        keep_hits,
-        _lanes_best,
-        _ray_best,
-        few,
-        surfaces,
-        wants_any,
-        filter_,
-        collector,
-        None,
-    )
+def _plain_leaf(kind):
+    return TriangleLeaf(visit_leaf, no_prefetch, _lanes_best, _ray_best, None, kind)
 
 
 @device
-def leaf_within(leaf, within):
-    """The same kind of leaf, of the object of an instance."""
-    return TriangleLeaf(
-        leaf.visit,
-        prefetch_child,
-        leaf.keep_lanes,
-        leaf.keep_hits,
-        _lanes_best_within,
-        _ray_best_within,
-        leaf.few,
-        leaf.surfaces,
-        leaf.wants_any,
-        all_slow(leaf.filter),
-        leaf.collector,
-        within,
-    )
+def leaf_within(kind, within):
+    """Leaves of the object of an instance."""
+    best_of_lanes, best_of_ray = _lanes_best_within, _ray_best_within
+    return TriangleLeaf(visit_leaf, prefetch_child, best_of_lanes, best_of_ray, within, kind)

@@ -30,7 +30,7 @@ from raystream.kernels.leaf_block import (
     test_block,
 )
 from raystream.kernels.triangle_lanes import (
-    barycentrics,
+    intersect_lanes,
     plane_distance,
     shear_vertices,
     signs_agree,
@@ -61,21 +61,17 @@ class GroupRange(NamedTuple):
     last: np.uint64
 
 
-class TriangleLeaf(NamedTuple):
-    """Leaves of triangles, and what becomes of their hits; see `packet.trace_packet`.
+class Kind(NamedTuple):
+    """What becomes of the hits with triangles.
 
     Attributes
     ----------
-    visit, prefetch : device function
     keep_lanes : device function
         ``keep_lanes(leaf, packet, g, taken, t, u, v, prim_id)`` takes the hits of some lanes of a
         group with a triangle; returns whether a ray's search is shorter now.
     keep_hits : device function
         ``keep_hits(leaf, packet, g, k, bits, found, prim_ids)`` takes those of a ray with some
         triangles of a block; likewise.
-    lanes_best, ray_best : device function
-        ``lanes_best(leaf, packet, g)`` is the `Best` of a group, and ``ray_best(leaf, packet, g,
-        k)`` that of its ray k.
     few : uint64
         Up to this many rays of a group are tested one by one.
     surfaces : bool
@@ -84,22 +80,37 @@ class TriangleLeaf(NamedTuple):
         See `kernels.best.Best`; the filter is a `PacketFilter` or None.
     collector : Collector or None
         Takes all hits.
-    within : Within or None
-        None in a scene without instances.
     """
 
-    visit: Any
-    prefetch: Any
     keep_lanes: Any
     keep_hits: Any
-    lanes_best: Any
-    ray_best: Any
     few: np.uint64
     surfaces: bool
     wants_any: bool
     filter: PacketFilter | None
     collector: Any
+
+
+class TriangleLeaf(NamedTuple):
+    """Leaves of triangles, see `packet.trace_packet`.
+
+    Attributes
+    ----------
+    visit, prefetch : device function
+    lanes_best, ray_best : device function
+        ``lanes_best(leaf, packet, g)`` is the `Best` of a group, and ``ray_best(leaf, packet, g,
+        k)`` that of its ray k.
+    within : Within or None
+        None in a scene without instances.
+    kind : Kind
+    """
+
+    visit: Any
+    prefetch: Any
+    lanes_best: Any
+    ray_best: Any
     within: Within | None
+    kind: Kind
 
 
 @device
@@ -224,20 +235,11 @@ def _test_triangle(leaf, packet, g, at, lane, rays, own):
         far[_Y, lane],
         far[_Z, lane],
     )
-    t_in, t_out = _group_interval(group, box)
-    nearest, t_min = group.t_active, group.t_min
-    candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
-    if not any_lane(candidates):
-        return False
-    # The distance first: rays that leave a surface meet its triangle behind their origin, and
-    # need no barycentrics.
-    t = plane_distance(a, b, c, origin, (direction[kx], direction[ky], direction[kz]))
-    t = minimum(maximum(t, t_in), t_out) + _ZERO
-    candidates = candidates & (t >= t_min) & (t <= nearest)
-    if not any_lane(candidates):
-        return False
-    hit, u, v = barycentrics(sheared, leaf.surfaces)
-    return leaf.keep_lanes(leaf, packet, g, candidates & hit, t, u, v, block.prim_ids[lane])
+    interval, limits = _group_interval(group, box), (group.t_min, group.t_active)
+    along = direction[kx], direction[ky], direction[kz]
+    plane, surfaces = ((a, b, c, origin, along), plane_distance), leaf.kind.surfaces
+    hit, t, u, v = intersect_lanes(sheared, candidates, interval, limits, plane, surfaces)
+    return leaf.kind.keep_lanes(leaf, packet, g, hit, t, u, v, block.prim_ids[lane])
 
 
 @device
@@ -249,9 +251,9 @@ def _test_rays(leaf, packet, g, bits, block, rays, own):
         k = count_trailing_zeros(bits)
         bits &= bits - ONE_U64
         ray = _block_ray(lanes, k, rays)
-        hit = test_block(block, ray, lanes.t_min[k], lanes.t_active[k], leaf.surfaces, found)
+        hit = test_block(block, ray, lanes.t_min[k], lanes.t_active[k], leaf.kind.surfaces, found)
         if hit != ZERO_U64:
-            has_hit |= leaf.keep_hits(leaf, packet, g, k, hit, HitLanes(found), prim_ids)
+            has_hit |= leaf.kind.keep_hits(leaf, packet, g, k, hit, HitLanes(found), prim_ids)
     return has_hit
 
 
@@ -293,7 +295,7 @@ def visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
             bits = entering_rays(packet, g, box, rays)
             if bits == ZERO_U64:
                 continue
-            if popcount(bits) <= leaf.few:
+            if popcount(bits) <= leaf.kind.few:
                 has_hit |= _test_rays(leaf, packet, g, bits, at, rays, own)
             else:
                 for lane in range(count):

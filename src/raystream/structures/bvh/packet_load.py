@@ -142,6 +142,30 @@ def _patch(lanes, lane, status, source, i, frame):
 
 
 @device
+def scale_lanes(direction, t_min, t_max, frame):
+    """Lengths of 16 rays in a local frame, see `ray_source.local_ray`.
+
+    Returns
+    -------
+    is_usual : mask
+        Rays whose directions one power of two scales.
+    power : f64x16
+        Of two: it scales the largest component of the direction to [1, 2).
+    t_scale : f64x16
+    low, high : f32x16
+        The limits. They are exact if ``low * t_scale`` is t_min, and likewise for t_max.
+    """
+    dx, dy, dz = absolute(direction[0]), absolute(direction[1]), absolute(direction[2])
+    exponent = float_as_bits(maximum(maximum(dx, dy), dz)) >> MANTISSA_BITS
+    is_usual = (exponent >= LEAST_EXPONENT) & (exponent <= MOST_EXPONENT) & (dx + dy + dz < _INF64)
+    power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
+    inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
+    # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
+    low, high = narrow(widen(t_min) * inverse) + _ZERO, narrow(widen(t_max) * inverse) + _ZERO
+    return is_usual, power, power * frame.inverse_scale, low, high
+
+
+@device
 def _load_group(group, source, first, frame, status):
     """Load 16 rays and make them local; returns whether one of them took the slow path."""
     wx, wy, wz = load_origins(source, first)
@@ -153,28 +177,17 @@ def _load_group(group, source, first, frame, status):
     oz = narrow((wz - frame.center[2]) * frame.scale)
 
     # The condition for the fast path is that of `ray_source.load_ray`.
-    largest = maximum(maximum(absolute(dx), absolute(dy)), absolute(dz))
-    exponent = float_as_bits(largest) >> MANTISSA_BITS
-    power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
-    t_scale = power * frame.inverse_scale
-    inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
-    low = narrow(widen(t_min) * inverse) + _ZERO
-    high = narrow(widen(t_max) * inverse) + _ZERO
+    is_usual, power, t_scale, low, high = scale_lanes((dx, dy, dz), t_min, t_max, frame)
     reach = NEAR_REACH * frame.max_coordinate
     near_by = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz)) <= reach
     is_fast = (
-        (absolute(ox) + absolute(oy) + absolute(oz) < _INF)
+        is_usual
+        & (absolute(ox) + absolute(oy) + absolute(oz) < _INF)
         & near_by
         & (widen(narrow(t_scale)) == t_scale)
         & (widen(low) * t_scale == widen(t_min))
         & (widen(high) * t_scale == widen(t_max))
     )
-    is_usual = (
-        (exponent >= LEAST_EXPONENT)
-        & (exponent <= MOST_EXPONENT)
-        & (absolute(dx) + absolute(dy) + absolute(dz) < _INF64)
-    )
-    is_fast = is_fast & is_usual
     origin, direction = group.origin, group.direction
     origin[_X], origin[_Y], origin[_Z] = ox, oy, oz
     direction[_X] = narrow(dx * power)

@@ -151,11 +151,17 @@ class PacketSource(NamedTuple):
 
 
 @device
+def entry_rows(table, group):
+    """The rays of a group, by the entries at an address; see `PacketOrder.table`."""
+    entry = load(np.uint64, table + group * _ENTRY_BYTES)
+    return entry >> _COUNT_BITS, entry & _COUNT_MASK
+
+
+@device
 def group_rows(order, packet, group):
     """The rays of a group: index of the first one, and their number."""
     if order.table != NULL:
-        entry = load(np.uint64, order.table + (packet * GROUPS + group) * _ENTRY_BYTES)
-        return entry >> _COUNT_BITS, entry & _COUNT_MASK
+        return entry_rows(order.table + packet * GROUPS * _ENTRY_BYTES, group)
     limit = _LANES
     if order.width == ZERO_U64:
         first = packet * np.uint64(PACKET_RAYS) + group * _LANES
@@ -187,7 +193,7 @@ def group_entry(first, count):
 def first_ray(places, group):
     """The first ray of a group, as of `group_rows`, which divides by the width of the image."""
     if places.table != NULL:
-        return load(np.uint64, places.table + group * _ENTRY_BYTES) >> _COUNT_BITS
+        return entry_rows(places.table, group)[0]
     return places.first + group * places.step
 
 
