@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from raystream.core.query import Kind
+from raystream.jit.constants import ZERO_U64
 from raystream.kernels.queries import output_of
 from raystream.primitives.packets import PRIMITIVES
 from raystream.primitives.wavefront import PrimitiveTrees, trace_primitive_wavefront
@@ -26,7 +27,10 @@ def _packets(scene: PrimitiveBvh, batch: Batch) -> Calls:
 
 def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
     filter_, out = output_of(batch.query, batch.sink)
-    rays = PrimitiveTrees.of(scene.arrays), scene.frame, batch.source
+    held = scene.arrays
+    others = held._replace(sphere_nodes=ZERO_U64)
+    trees = PrimitiveTrees(held.sphere_nodes, held.sphere_blocks, others)
+    rays = trees, scene.frame, batch.source
     return trace_primitive_wavefront, (*rays, batch.wants_any, True, filter_, out)
 
 

@@ -7,8 +7,6 @@ monotone: a node's padded box holds those of its triangles. So the tree leaves o
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from raystream.jit.cpu import device
@@ -45,7 +43,8 @@ _LANES = np.uint64(4)
 _ENTRY = np.uint64(16)
 
 #: Three nodes of each level remain on the stack, and four of the last: at most 30 levels fit.
-_STACK = np.uint64(2048)
+STACK_BYTES = 2048
+_STACK = np.uint64(STACK_BYTES)
 
 #: Lanes of the children in the second column, and in the second row.
 _SECOND_COLUMN, _SECOND_ROW = np.uint64(10), np.uint64(12)
@@ -54,7 +53,7 @@ _SECOND_COLUMN, _SECOND_ROW = np.uint64(10), np.uint64(12)
 ROW_BYTES = 2 * int(BLOCK)
 
 #: Memory of a traversal.
-FIELD_BYTES = int(_STACK) + ROW_BYTES
+FIELD_BYTES = STACK_BYTES + ROW_BYTES
 
 
 @device
@@ -200,37 +199,48 @@ def traverse_all_cells(field, ray, line, search, stack):
     return search
 
 
-class _Row(NamedTuple):
-    """The corners of four cells of a row, see `core.height_field.HeightField`.
+@device
+def _box(x, y, z, back):
+    """Near x, y, z and far x, y, z planes of boxes, of which pairs of planes are given.
 
-    `upper` and `lower` are NaN where the triangles a, b, c and a, c, d are missing.
+    `back` says of each axis whether the rays' directions are negative; z has its low plane first.
     """
-
-    left: Any
-    right: Any
-    top: np.float32
-    bottom: np.float32
-    a: Any
-    b: Any
-    c: Any
-    d: Any
-    upper: Any
-    lower: Any
+    low_x, high_x = minimum(x[0], x[1]), maximum(x[0], x[1])
+    low_y, high_y = minimum(y[0], y[1]), maximum(y[0], y[1])
+    return (
+        select(back[0], high_x, low_x),
+        select(back[1], high_y, low_y),
+        select(back[2], z[1], z[0]),
+        select(back[0], low_x, high_x),
+        select(back[1], low_y, high_y),
+        select(back[2], z[0], z[1]),
+    )
 
 
 @device
 def _load_row(field, row, column):
-    """Load four cells. Past the end of a row x is NaN, and where there is no data z is."""
+    """Load four cells of a row; see `core.height_field.HeightField`.
+
+    Returns
+    -------
+    x, y : tuple of two f32x4, or numbers
+        Left and right, top and bottom.
+    z : tuple of four f32x4
+        At the corners a, b, c and d.
+    known : tuple of two f32x4
+        NaN where the triangles a, b, c, and a, c, d, are missing.
+    """
+    # Past the end of a row x is NaN, and where there is no data z is.
     top = field.heights + ((row * field.width + column) << _TWO)
     bottom = top + (field.width << _TWO)
     a, b = load(f32x4, top), load(f32x4, top + _FOUR)
     d, c = load(f32x4, bottom), load(f32x4, bottom + _FOUR)
     across = field.x + (column << _TWO)
-    left, right = load(f32x4, across), load(f32x4, across + _FOUR)
-    # Local coordinates are too small for an overflow: a sum is NaN if one of its terms is.
-    ends = left + right + (a + c)
+    x = load(f32x4, across), load(f32x4, across + _FOUR)
     y = _plane(field.y, row), _plane(field.y, row + _ONE)
-    return _Row(left, right, y[0], y[1], a, b, c, d, ends + b, ends + d)
+    # Local coordinates are too small for an overflow: a sum is NaN if one of its terms is.
+    ends = x[0] + x[1] + (a + c)
+    return x, y, (a, b, c, d), (ends + b, ends + d)
 
 
 @device
@@ -243,21 +253,19 @@ def _store_corner(at, x, y, z, known):
 @device
 def _write_row(field, cells, row, column, blocks):
     """Write the triangles a, b, c of four cells to a leaf block, and a, c, d to the next one."""
-    turns = field.turns == _TURNED
+    x, y, (a, b, c, d), known = cells
+    turns, numbers = field.turns == _TURNED, lane_numbers(i32x4)
     first_id = np.int32(field.first_id + np.int32((row * field.columns + column) << _ONE))
     for half in range(_TWO):
         is_upper = half == _NONE
-        known = cells.upper if is_upper else cells.lower
+        own = select(is_upper, known[0], known[1])
         # The last two corners are exchanged where fronts would point down.
         corner_c = blocks + (SECOND if turns == is_upper else THIRD)
         other = blocks + (THIRD if turns == is_upper else SECOND)
-        _store_corner(blocks, cells.left, cells.top, cells.a, known)
-        _store_corner(corner_c, cells.right, cells.bottom, cells.c, known)
-        if is_upper:
-            _store_corner(other, cells.right, cells.top, cells.b, known)
-        else:
-            _store_corner(other, cells.left, cells.bottom, cells.d, known)
-        numbers = lane_numbers(i32x4)
+        _store_corner(blocks, x[0], y[0], a, own)
+        _store_corner(corner_c, x[1], y[1], c, own)
+        other_y = y[0] if is_upper else y[1]
+        _store_corner(other, select(is_upper, x[1], x[0]), other_y, select(is_upper, b, d), own)
         store(blocks + PRIM_IDS, numbers + numbers + np.int32(first_id + np.int32(half)))
         blocks += BLOCK
 
@@ -267,21 +275,13 @@ def _search_row(field, row, column, ray, line, search, blocks):
     """Test four cells of a row."""
     # Step 1: the cells' boxes, where all four corners are known.
     cells = _load_row(field, row, column)
-    a, b, c, d = cells.a, cells.b, cells.c, cells.d
-    upper, lower = cells.upper == cells.upper, cells.lower == cells.lower
+    x, y, (a, b, c, d), known = cells
+    upper, lower = known[0] == known[0], known[1] == known[1]
     low_z = minimum(minimum(a, b), minimum(c, d))
     high_z = maximum(maximum(a, b), maximum(c, d))
-    low_x, high_x = minimum(cells.left, cells.right), maximum(cells.left, cells.right)
-    low_y = f32x4(min(cells.top, cells.bottom))
-    high_y = f32x4(max(cells.top, cells.bottom))
-    back_x, back_y, back_z = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
+    back = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
     t_in, t_out = slab_interval(
-        select(back_x, high_x, low_x),
-        select(back_y, high_y, low_y),
-        select(back_z, high_z, low_z),
-        select(back_x, low_x, high_x),
-        select(back_y, low_y, high_y),
-        select(back_z, low_z, high_z),
+        *_box(x, y, (low_z, high_z), back),
         (ray.inv_x, ray.inv_y, ray.inv_z),
         (ray.near_x, ray.near_y, ray.near_z),
         (ray.far_x, ray.far_y, ray.far_z),
@@ -304,23 +304,7 @@ def _search_row(field, row, column, ray, line, search, blocks):
 
 
 @device
-def _box(x, y, z, rays):
-    """Near x, y, z and far x, y, z planes, for a `RayClass`, of a box with pairs of planes."""
-    low_x, high_x = min(x[0], x[1]), max(x[0], x[1])
-    low_y, high_y = min(y[0], y[1]), max(y[0], y[1])
-    back_x, back_y, back_z = rays.x.back, rays.y.back, rays.z.back
-    return (
-        select(back_x, high_x, low_x),
-        select(back_y, high_y, low_y),
-        select(back_z, z[1], z[0]),
-        select(back_x, low_x, high_x),
-        select(back_y, low_y, high_y),
-        select(back_z, z[0], z[1]),
-    )
-
-
-@device
-def node_box(field, level, column, row, rays):
+def node_box(field, level, column, row, back):
     """The box of a node, see `_box`."""
     lane = (column & _ONE) | ((row & _ONE) << _ONE)
     group = level.first + (row >> _ONE) * level.columns + (column >> _ONE)
@@ -330,17 +314,16 @@ def node_box(field, level, column, row, rays):
     x = _plane(field.x, left), _plane(field.x, right)
     y = _plane(field.y, top), _plane(field.y, bottom)
     at = field.ranges + (group << _FIVE)
-    return _box(x, y, (_plane(at, lane), _plane(at, lane + _FOUR)), rays)
+    return _box(x, y, (_plane(at, lane), _plane(at, lane + _FOUR)), back)
 
 
 @device
-def fill_row(field, row, column, rays, blocks):
+def fill_row(field, row, column, back, blocks):
     """Write the triangles of four cells to two leaf blocks; returns their box, see `_box`."""
     cells = _load_row(field, row, column)
     _write_row(field, cells, row, column, blocks)
     x = _plane(field.x, column), _plane(field.x, min(column + _LANES, field.columns))
-    # The second operand stays where the first one is NaN.
     low, high = f32x4(_INF), f32x4(-_INF)
-    for z in (cells.a, cells.b, cells.c, cells.d):
+    for z in cells[2]:  # the second operand stays where the first one is NaN
         low, high = minimum(z, low), maximum(z, high)
-    return _box(x, (cells.top, cells.bottom), (reduce_min(low), reduce_max(high)), rays)
+    return _box(x, cells[1], (reduce_min(low), reduce_max(high)), back)

@@ -251,7 +251,7 @@ def place(x, y, z, step, exact):
 
 
 @device
-def _offer_lanes(bits, side, held.numbers, exact, search, hits):
+def _offer_lanes(bits, side, numbers, exact, search, hits):
     """Offer the hits of lanes: of side 0 where the ray enters, of 1 where it leaves."""
     while bits != _NONE:
         k = count_trailing_zeros(bits)

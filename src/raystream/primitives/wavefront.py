@@ -15,8 +15,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import scratch
 from raystream.jit.views import address_of
 from raystream.kernels.hits import HitAddresses
-from raystream.kernels.leaf_block import AXIS
-from raystream.kernels.ray import component, prepare_ray
+from raystream.kernels.ray import prepare_ray
 from raystream.kernels.ray_source import load_direction, load_origin, load_ray
 from raystream.kernels.search import Search
 from raystream.primitives.records import PrimitiveAddresses
@@ -25,15 +24,7 @@ from raystream.primitives.traversal import STACK_BYTES, RayScene, traverse_trees
 from raystream.structures.bvh.node_layout import leaf_address, t_key
 from raystream.structures.bvh.wavefront import NO_PRIM, SLOT, wavefront_kernel
 
-_TWO = np.uint64(2)
-
-
-def _offset(name: str) -> np.uint64:
-    assert SLOT.fields is not None
-    return np.uint64(SLOT.fields[name][1])
-
-
-_T, _U, _V, _PRIM_ID = map(_offset, ("t", "u", "v", "prim_id"))
+_T, _U, _V, _PRIM_ID = (np.uint64(SLOT.fields[k][1]) for k in ("t", "u", "v", "prim_id"))  # type: ignore[index]
 
 
 class PrimitiveTrees(NamedTuple):
@@ -51,58 +42,14 @@ class PrimitiveTrees(NamedTuple):
     leaves: np.uint64
     others: PrimitiveAddresses
 
-    @classmethod
-    def of(cls, arrays: PrimitiveAddresses) -> PrimitiveTrees:
-        """Those of a scene with spheres."""
-        others = arrays._replace(sphere_nodes=ZERO_U64)
-        return cls(arrays.sphere_nodes, arrays.sphere_blocks, others)
-
-
-class _SlabRay(NamedTuple):
-    """What the sphere test takes of a `kernels.ray.Ray`."""
-
-    inv_x: np.float32
-    inv_y: np.float32
-    inv_z: np.float32
-    near_x: np.float32
-    near_y: np.float32
-    near_z: np.float32
-    far_x: np.float32
-    far_y: np.float32
-    far_z: np.float32
-
 
 @device
-def _place(axes, axis):
-    """Where an axis of the world is in the order of a ray's frame."""
-    at = axis * AXIS
-    return ZERO_U64 if axes[0] == at else (ONE_U64 if axes[1] == at else _TWO)
-
-
-@device
-def _slab_ray(slot):
-    x, y, z = _place(slot.axes, ZERO_U64), _place(slot.axes, ONE_U64), _place(slot.axes, _TWO)
-    inv, near, far = slot.inv, slot.near, slot.far
-    return _SlabRay(
-        component(x, inv[0], inv[1], inv[2]),
-        component(y, inv[0], inv[1], inv[2]),
-        component(z, inv[0], inv[1], inv[2]),
-        component(x, near[0], near[1], near[2]),
-        component(y, near[0], near[1], near[2]),
-        component(z, near[0], near[1], near[2]),
-        component(x, far[0], far[1], far[2]),
-        component(y, far[0], far[1], far[2]),
-        component(z, far[0], far[1], far[2]),
-    )
-
-
-@device
-def _exact_ray(slot, frame, source):
-    """The `ExactRay` of a slot's ray, loaded again: it would take a cache line of each slot."""
+def _rays(slot, frame, source):
+    """The `Ray` and the `ExactRay` of a slot, loaded again: they would take cache lines."""
     i = np.uint64(slot.ray)
-    ox, oy, oz = load_origin(source, i)
-    dx, dy, dz = load_direction(source, i)
-    return exact_ray((ox, oy, oz, dx, dy, dz), slot, frame)
+    ray, offset = load_ray(source, i, frame), slot.t_offset / slot.t_scale
+    local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
+    return local, exact_ray(load_origin(source, i), load_direction(source, i), offset, frame)
 
 
 @device
@@ -118,8 +65,8 @@ def _search_of(slot):
 @device
 def _visit_spheres(slot, tree, frame, source, lanes, wants_any, filter_):  # noqa: ARG001
     """Test the spheres of the next leaf; returns whether the ray is done."""
-    exact, block = _exact_ray(slot, frame, source), leaf_address(tree.leaves, slot.child)
-    intersect_spheres(block, _slab_ray(slot), exact, _search_of(slot))
+    (ray, exact), block = _rays(slot, frame, source), leaf_address(tree.leaves, slot.child)
+    intersect_spheres(block, ray, exact, _search_of(slot))
     slot.t_key = t_key(slot.t)
     return wants_any and slot.prim_id != NO_PRIM
 
@@ -129,10 +76,8 @@ def _search_others(slot, tree, frame, source, wants_any):
     """Search the other trees for a slot's ray, which has been through the spheres'."""
     if slot.ray < np.int64(0) or (wants_any and slot.prim_id != NO_PRIM):
         return
-    ray = load_ray(source, np.uint64(slot.ray), frame)
-    local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
-    scene = RayScene(tree.others, _exact_ray(slot, frame, source))
-    traverse_trees(scene, local, _search_of(slot), scratch(STACK_BYTES))
+    ray, exact = _rays(slot, frame, source)
+    traverse_trees(RayScene(tree.others, exact), ray, _search_of(slot), scratch(STACK_BYTES))
 
 
 #: Through the trees of `PrimitiveTrees`.
