@@ -11,27 +11,30 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
-    count_trailing_zeros,
     f32x4,
     fma,
+    i32x4,
+    lane_numbers,
     lanes_from_bits,
     load,
     mask4,
     mask_bits,
     maximum,
     minimum,
+    reduce_max,
+    reduce_min,
     select,
     store,
 )
-from raystream.kernels.leaf_block import AXIS, SECOND, THIRD, test_block
-from raystream.kernels.search import is_full, offer
+from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD, intersect_block
+from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.kernels.triangle_lanes import slab_interval
 from raystream.primitives.levels import BLOCK_CELLS
 from raystream.primitives.records import LevelRecord
 
 _NONE, _ONE, _TWO, _THREE, _FOUR, _FIVE = np.arange(6, dtype=np.uint64)
-_ZERO = np.float32(0.0)
+_ZERO, _INF, _NAN = np.float32([0.0, np.inf, np.nan])
 _TURNED = np.int32(1)
 _CELLS = np.uint64(BLOCK_CELLS)
 _LANES = np.uint64(4)
@@ -40,17 +43,17 @@ _LANES = np.uint64(4)
 _ENTRY = np.uint64(16)
 
 #: Three nodes of each level remain on the stack, and four of the last: at most 30 levels fit.
-_STACK = np.uint64(2048)
+STACK_BYTES = 2048
+_STACK = np.uint64(STACK_BYTES)
 
 #: Lanes of the children in the second column, and in the second row.
 _SECOND_COLUMN, _SECOND_ROW = np.uint64(10), np.uint64(12)
 
-#: Of `test_block`.
-_BLOCK = np.uint64(192)
-_U, _V = np.uint64(16), np.uint64(32)
+#: The triangles of a row of cells: two leaf blocks.
+ROW_BYTES = 2 * int(BLOCK)
 
 #: Memory of a traversal.
-FIELD_BYTES = 2048 + 192 + 64
+FIELD_BYTES = STACK_BYTES + ROW_BYTES
 
 
 @device
@@ -197,82 +200,130 @@ def traverse_all_cells(field, ray, line, search, stack):
 
 
 @device
-def _store_corner(at, x, y, z):
+def _box(x, y, z, back):
+    """Near x, y, z and far x, y, z planes of boxes, of which pairs of planes are given.
+
+    `back` says of each axis whether the rays' directions are negative; z has its low plane first.
+    """
+    low_x, high_x = minimum(x[0], x[1]), maximum(x[0], x[1])
+    low_y, high_y = minimum(y[0], y[1]), maximum(y[0], y[1])
+    return (
+        select(back[0], high_x, low_x),
+        select(back[1], high_y, low_y),
+        select(back[2], z[1], z[0]),
+        select(back[0], low_x, high_x),
+        select(back[1], low_y, high_y),
+        select(back[2], z[0], z[1]),
+    )
+
+
+@device
+def _load_row(field, row, column):
+    """Load four cells of a row; see `core.height_field.HeightField`.
+
+    Returns
+    -------
+    x, y : tuple of two f32x4, or numbers
+        Left and right, top and bottom.
+    z : tuple of four f32x4
+        At the corners a, b, c and d.
+    known : tuple of two f32x4
+        NaN where the triangles a, b, c, and a, c, d, are missing.
+    """
+    # Past the end of a row x is NaN, and where there is no data z is.
+    top = field.heights + ((row * field.width + column) << _TWO)
+    bottom = top + (field.width << _TWO)
+    a, b = load(f32x4, top), load(f32x4, top + _FOUR)
+    d, c = load(f32x4, bottom), load(f32x4, bottom + _FOUR)
+    across = field.x + (column << _TWO)
+    x = load(f32x4, across), load(f32x4, across + _FOUR)
+    y = _plane(field.y, row), _plane(field.y, row + _ONE)
+    # Local coordinates are too small for an overflow: a sum is NaN if one of its terms is.
+    ends = x[0] + x[1] + (a + c)
+    return x, y, (a, b, c, d), (ends + b, ends + d)
+
+
+@device
+def _store_corner(at, x, y, z, known):
     store(at, x)
-    store(at + AXIS, y)
-    store(at + AXIS + AXIS, z)
+    store(at + AXIS, f32x4(y))
+    store(at + AXIS + AXIS, select(known == known, z, f32x4(_NAN)))  # no ray hits NaN
+
+
+@device
+def _write_row(field, cells, row, column, blocks):
+    """Write the triangles a, b, c of four cells to a leaf block, and a, c, d to the next one."""
+    x, y, (a, b, c, d), known = cells
+    turns, numbers = field.turns == _TURNED, lane_numbers(i32x4)
+    first_id = np.int32(field.first_id + np.int32((row * field.columns + column) << _ONE))
+    for half in range(_TWO):
+        is_upper = half == _NONE
+        own = select(is_upper, known[0], known[1])
+        # The last two corners are exchanged where fronts would point down.
+        corner_c = blocks + (SECOND if turns == is_upper else THIRD)
+        other = blocks + (THIRD if turns == is_upper else SECOND)
+        _store_corner(blocks, x[0], y[0], a, own)
+        _store_corner(corner_c, x[1], y[1], c, own)
+        other_y = y[0] if is_upper else y[1]
+        _store_corner(other, select(is_upper, x[1], x[0]), other_y, select(is_upper, b, d), own)
+        store(blocks + PRIM_IDS, numbers + numbers + np.int32(first_id + np.int32(half)))
+        blocks += BLOCK
 
 
 @device
 def _search_row(field, row, column, ray, line, search, blocks):
     """Test four cells of a row."""
-    # Step 1: the corners. Past the end of a row x is NaN, and where there is no data z is.
-    top = field.heights + ((row * field.width + column) << _TWO)
-    bottom = top + (field.width << _TWO)
-    za, zb = load(f32x4, top), load(f32x4, top + _FOUR)
-    zd, zc = load(f32x4, bottom), load(f32x4, bottom + _FOUR)
-    across = field.x + (column << _TWO)
-    x_left, x_right = load(f32x4, across), load(f32x4, across + _FOUR)
-    y_top, y_bottom = _plane(field.y, row), _plane(field.y, row + _ONE)
-    # Local coordinates are too small for an overflow: a sum is NaN if one of its terms is.
-    ends = x_left + x_right + (za + zc)
-    known_upper, known_lower = ends + zb, ends + zd
-    known = (known_upper == known_upper) | (known_lower == known_lower)
-
-    # Step 2: the cells' boxes, where all four corners are known.
-    all_known = (known_upper == known_upper) & (known_lower == known_lower)
-    low_z = minimum(minimum(za, zb), minimum(zc, zd))
-    high_z = maximum(maximum(za, zb), maximum(zc, zd))
-    low_x, high_x = minimum(x_left, x_right), maximum(x_left, x_right)
-    low_y, high_y = f32x4(min(y_top, y_bottom)), f32x4(max(y_top, y_bottom))
-    back_x, back_y, back_z = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
+    # Step 1: the cells' boxes, where all four corners are known.
+    cells = _load_row(field, row, column)
+    x, y, (a, b, c, d), known = cells
+    upper, lower = known[0] == known[0], known[1] == known[1]
+    low_z = minimum(minimum(a, b), minimum(c, d))
+    high_z = maximum(maximum(a, b), maximum(c, d))
+    back = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
     t_in, t_out = slab_interval(
-        select(back_x, high_x, low_x),
-        select(back_y, high_y, low_y),
-        select(back_z, high_z, low_z),
-        select(back_x, low_x, high_x),
-        select(back_y, low_y, high_y),
-        select(back_z, low_z, high_z),
+        *_box(x, y, (low_z, high_z), back),
         (ray.inv_x, ray.inv_y, ray.inv_z),
         (ray.near_x, ray.near_y, ray.near_z),
         (ray.far_x, ray.far_y, ray.far_z),
     )
     missed = (t_in > t_out) | (t_in > search.t_far) | (t_out < search.t_min)
-    if mask_bits(known) & ~mask_bits(missed & all_known) == _NONE:
+    if mask_bits(upper | lower) & ~mask_bits(missed & upper & lower) == _NONE:
         return search
 
-    # Step 3: the triangles.
+    # Step 2: the triangles.
     add_to(search.counters, TESTS, _LANES + _LANES)
-    lanes = blocks + _BLOCK
-    turns = field.turns == _TURNED
-    y_upper, y_lower = f32x4(y_top), f32x4(y_bottom)
+    _write_row(field, cells, row, column, blocks)
     for half in range(_TWO):
-        is_upper = half == _NONE
-        # a, b, c and a, c, d; the last two exchanged where fronts would point down.
-        corner_c = blocks + (SECOND if turns == is_upper else THIRD)
-        other = blocks + (THIRD if turns == is_upper else SECOND)
-        _store_corner(blocks, x_left, y_upper, za)
-        _store_corner(corner_c, x_right, y_lower, zc)
-        if is_upper:
-            _store_corner(other, x_right, y_upper, zb)
-        else:
-            _store_corner(other, x_left, y_lower, zd)
-        bits = test_block(blocks, line, search.t_min, search.t_far, search.surfaces, lanes)
-        is_known = known_upper if is_upper else known_lower
-        bits &= mask_bits(is_known == is_known)
-        while bits != _NONE:
-            k = count_trailing_zeros(bits)
-            bits &= bits - _ONE
-            at = lanes + (k << _TWO)
-            cell = row * field.columns + column + k
-            number = np.int32(field.first_id + np.int32((cell << _ONE) + half))
-            search = offer(
-                search,
-                load(np.float32, at),
-                load(np.float32, at + _U),
-                load(np.float32, at + _V),
-                number,
-            )
-            if is_full(search):
-                return search
+        search = intersect_block(blocks + half * BLOCK, line, search, search.t_min, _INF)
+        if is_full(search):
+            break
     return search
+
+
+# For packets of rays
+
+
+@device
+def node_box(field, level, column, row, back):
+    """The box of a node, see `_box`."""
+    lane = (column & _ONE) | ((row & _ONE) << _ONE)
+    group = level.first + (row >> _ONE) * level.columns + (column >> _ONE)
+    left, top = min(column * level.size, field.columns), min(row * level.size, field.rows)
+    right = min(left + level.size, field.columns)
+    bottom = min(top + level.size, field.rows)
+    x = _plane(field.x, left), _plane(field.x, right)
+    y = _plane(field.y, top), _plane(field.y, bottom)
+    at = field.ranges + (group << _FIVE)
+    return _box(x, y, (_plane(at, lane), _plane(at, lane + _FOUR)), back)
+
+
+@device
+def fill_row(field, row, column, back, blocks):
+    """Write the triangles of four cells to two leaf blocks; returns their box, see `_box`."""
+    cells = _load_row(field, row, column)
+    _write_row(field, cells, row, column, blocks)
+    x = _plane(field.x, column), _plane(field.x, min(column + _LANES, field.columns))
+    low, high = f32x4(_INF), f32x4(-_INF)
+    for z in cells[2]:  # the second operand stays where the first one is NaN
+        low, high = minimum(z, low), maximum(z, high)
+    return _box(x, cells[1], (reduce_min(low), reduce_max(high)), back)

@@ -16,11 +16,13 @@ from raystream.primitives.levels import LEVEL, Levels
 SPHERES_PER_BLOCK = 4
 
 #: Four spheres, world space; the numbers are those of the hits where a ray enters, see
-#: `core.primitives`. Unused lanes have NaN.
-_BLOCK = np.dtype(
-    [("x", "f8", 4), ("y", "f8", 4), ("z", "f8", 4), ("radius", "f8", 4), ("numbers", "i4", (4, 1))]
-)
+#: `core.primitives`. Unused lanes have NaN. And the same with a lane index.
+#: As long as a block of triangles, so that leaves are found and prefetched like theirs.
+_NUMBERS = [("numbers", "i4", (SPHERES_PER_BLOCK, 1)), ("unused", "V16")]
+_PLACES = [(name, "f8") for name in ("x", "y", "z", "radius")]
+_BLOCK = np.dtype([*((*place, SPHERES_PER_BLOCK) for place in _PLACES), *_NUMBERS])
 SphereBlock = view(_BLOCK)
+SphereBlockLanes = view([*((*place, (SPHERES_PER_BLOCK, 1)) for place in _PLACES), *_NUMBERS])
 
 LevelRecord = view(LEVEL)
 
@@ -53,8 +55,9 @@ class PrimitiveAddresses(NamedTuple):
         The triangles' `TreeAddresses`.
     references, corners, triangle_count : uint64
         The triangles' `BruteAddresses`.
-    fields, field_count : uint64
-        Address of the first `FieldRecord`.
+    field_nodes, fields, field_count : uint64
+        Addresses of the root of the height fields' tree, whose leaves are one each, and of the
+        first `FieldRecord`.
     sphere_nodes, sphere_blocks, block_count : uint64
         Addresses of the root of the spheres' tree and of the first `SphereBlock`.
     """
@@ -64,6 +67,7 @@ class PrimitiveAddresses(NamedTuple):
     references: np.uint64
     corners: np.uint64
     triangle_count: np.uint64
+    field_nodes: np.uint64
     fields: np.uint64
     field_count: np.uint64
     sphere_nodes: np.uint64
@@ -96,10 +100,11 @@ def field_records(
     local: Sequence[LocalField],
     levels: Sequence[Levels],
     first_ids: NDArray[np.int64],
+    rows: Sequence[int],
 ) -> NDArray[np.void]:
-    """The records of height fields; the caller keeps the arrays alive."""
-    records = np.zeros(len(fields), FIELD)
-    for k, record in enumerate(records):
+    """The records of height fields, in the order of `rows`; the caller keeps the arrays alive."""
+    records = np.zeros(len(rows), FIELD)
+    for record, k in zip(records, rows, strict=True):
         field, arrays, tree = fields[k], local[k], levels[k]
         record["heights"], record["x"] = arrays.heights.ctypes.data, arrays.x.ctypes.data
         record["y"], record["ranges"] = arrays.y.ctypes.data, tree.ranges.ctypes.data

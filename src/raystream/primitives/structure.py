@@ -14,6 +14,7 @@ from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
+from raystream.primitives.batches import batch_kernels
 from raystream.primitives.levels import field_levels
 from raystream.primitives.records import (
     FIELD_ADDRESSES,
@@ -66,15 +67,19 @@ class PrimitiveStructure(Structure):
         count = len(triangles.triangles)
         total = count + len(triangles.spheres)
         self._inner = self._kind(triangles.triangles, options, progress=part_of(progress, 0, total))
-        nodes, rows = self._sphere_tree(part_of(progress, count, total))
-        first = int(triangles.first_fields[-1])
         local = triangles.local_fields
         self._levels = [field_levels(one) for one in local]
+        field_nodes, field_rows = self._tree_over(_field_boxes(triangles), 1, None)
+        fields = triangles.fields, local, self._levels, triangles.first_fields
+        sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total)
+        sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
+        first = int(triangles.first_fields[-1])
         self._memory = {
             **self._inner.memory,
-            "fields": field_records(triangles.fields, local, self._levels, triangles.first_fields),
-            "sphere_nodes": nodes,
-            "sphere_blocks": sphere_blocks(triangles.spheres, rows, first),
+            "field_nodes": field_nodes,
+            "fields": field_records(*fields, field_rows[:, 0].tolist()),
+            "sphere_nodes": sphere_nodes,
+            "sphere_blocks": sphere_blocks(triangles.spheres, sphere_rows, first),
         }
         self._addresses = self._make_addresses()
         field_bytes = sum(
@@ -96,15 +101,20 @@ class PrimitiveStructure(Structure):
         nothing = dict.fromkeys(PrimitiveAddresses._fields, np.uint64(0))
         return PrimitiveAddresses(**{**nothing, **inner, **own, **counts})
 
-    def _sphere_tree(
+    def _tree_over(
         self,
+        boxes: NDArray[np.float64],
+        leaf_size: int,
         progress: Progress | None,  # noqa: ARG002
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Nodes over the spheres, and the spheres of each block."""
-        count = len(self.triangles.spheres)
-        rows = np.full(-(-count // SPHERES_PER_BLOCK) * SPHERES_PER_BLOCK, -1, np.int32)
+        """Nodes over boxes of primitives, and the primitives of each leaf, -1 for unused lanes.
+
+        Boxes have shape (N, 2, 3), in the scene's local frame.
+        """
+        count = len(boxes)
+        rows = np.full(-(-count // leaf_size) * leaf_size, -1, np.int32)
         rows[:count] = np.arange(count)
-        return np.zeros((0, 64), np.float32), rows.reshape(-1, SPHERES_PER_BLOCK)
+        return np.zeros((0, 64), np.float32), rows.reshape(-1, leaf_size)
 
     @property
     def arrays(self) -> PrimitiveAddresses:
@@ -155,7 +165,7 @@ class PrimitiveStructure(Structure):
 
 
 #: Arrays besides those of the triangles' structure.
-_OWN = ("fields", "sphere_nodes", "sphere_blocks")
+_OWN = ("field_nodes", "fields", "sphere_nodes", "sphere_blocks")
 
 
 class PrimitiveBvh(PrimitiveStructure):
@@ -165,11 +175,16 @@ class PrimitiveBvh(PrimitiveStructure):
     traverse = staticmethod(traverse_trees)
     stack_bytes = STACK_BYTES
 
-    def _sphere_tree(
-        self, progress: Progress | None
+    def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
+        super().__init__(triangles, options, progress=progress)
+        own = self.memory["sphere_nodes"], self.memory["sphere_blocks"]
+        self.batch_kernels = batch_kernels(sum(one.nbytes for one in own))
+
+    def _tree_over(
+        self, boxes: NDArray[np.float64], leaf_size: int, progress: Progress | None
     ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        tree = build_arrays(_sphere_boxes(self.triangles), "balanced", SPHERES_PER_BLOCK, progress)
-        return tree.nodes, np.ascontiguousarray(tree.prim_ids)
+        tree = build_arrays(_spanning(self.triangles, boxes), "balanced", leaf_size, progress)
+        return tree.nodes, np.ascontiguousarray(tree.prim_ids[:, :leaf_size])
 
 
 class PrimitiveBrute(PrimitiveStructure):
@@ -184,15 +199,24 @@ class PrimitiveBrute(PrimitiveStructure):
         return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // max(1, len(self.triangles))))
 
 
-def _sphere_boxes(primitives: Primitives) -> Triangles:
-    """Triangles that span the spheres' boxes, in the scene's local frame."""
+def _field_boxes(primitives: Primitives) -> NDArray[np.float64]:
+    bounds = np.array([one.bounds for one in primitives.fields]).reshape(-1, 2, 3)
+    return (bounds - primitives.center) * primitives.scale
+
+
+def _sphere_boxes(primitives: Primitives) -> NDArray[np.float64]:
     spheres = primitives.spheres
     centers = (spheres.centers - primitives.center) * primitives.scale
     radii = (spheres.radii * primitives.scale)[:, None]
     reach = radii + (np.abs(centers) + radii) * _BOX_GROWTH
-    corners = np.empty((len(spheres), 3, 3), np.float32)
-    corners[:, 0] = np.nextafter((centers - reach).astype(np.float32), np.float32(-np.inf))
-    corners[:, 1] = np.nextafter((centers + reach).astype(np.float32), np.float32(np.inf))
+    return np.stack([centers - reach, centers + reach], axis=1)
+
+
+def _spanning(primitives: Primitives, boxes: NDArray[np.float64]) -> Triangles:
+    """Triangles that span boxes."""
+    corners = np.empty((len(boxes), 3, 3), np.float32)
+    corners[:, 0] = np.nextafter(boxes[:, 0].astype(np.float32), np.float32(-np.inf))
+    corners[:, 1] = np.nextafter(boxes[:, 1].astype(np.float32), np.float32(np.inf))
     corners[:, 2] = corners[:, 0]
     bounds = np.zeros((2, 3), np.float32)
     if len(corners):

@@ -18,18 +18,18 @@ from raystream.primitives.field import FIELD_BYTES, traverse_all_cells, traverse
 from raystream.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
 from raystream.primitives.sphere import ExactRay, exact_ray, intersect_spheres
 from raystream.structures.brute.traversal import traverse as traverse_brute
+from raystream.structures.bvh.node_layout import leaf_address
 from raystream.structures.bvh.traversal import traverse as traverse_bvh
 from raystream.structures.bvh.traversal import tree_traversal
 from raystream.structures.bvh.walk import STACK_BYTES as TREE_BYTES
 
-_LEAF_SHIFT = np.int32(3)
 _TREE = np.uint64(TREE_BYTES)
 
 #: Memory of a traversal: of the trees in turn, then of height fields.
 STACK_BYTES = TREE_BYTES + FIELD_BYTES
 
 
-class _RayScene(NamedTuple):
+class RayScene(NamedTuple):
     """The primitives with the ray in float64."""
 
     primitives: PrimitiveAddresses
@@ -48,8 +48,7 @@ class _SphereTree(NamedTuple):
 @device
 def search_spheres(tree, child, line, search, stack):  # noqa: ARG001
     """Offer the hits of a leaf's spheres to a search."""
-    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
-    block = address_of(SphereBlock(tree.leaves, index))
+    block = leaf_address(tree.leaves, child)
     return intersect_spheres(block, tree.ray, tree.exact, search)
 
 
@@ -121,11 +120,11 @@ def primitive_searches(traverse) -> RaySearches:
         frame = scene.frame
         ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
         note_status(scene.status, i, ray.status)
-        exact = exact_ray((ox, oy, oz, dx, dy, dz), ray, frame)
+        exact = exact_ray((ox, oy, oz), (dx, dy, dz), ray.t_offset / ray.t_scale, frame)
         local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         tally = tally_of(scene.tallies, i)
         search = begin_search(ray.t_min, ray.t_max, goal, tally, None, None)
-        found = traverse(_RayScene(scene.arrays, exact), local, search, memory)
+        found = traverse(RayScene(scene.arrays, exact), local, search, memory)
         return found, ray
 
     return searches_of(search_ray)

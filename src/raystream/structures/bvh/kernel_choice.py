@@ -28,12 +28,12 @@ KERNELS = Bvh.choices("kernel")
 SMALL_BATCH = 1024
 
 #: Larger trees do not stay in the cache: their nodes are prefetched.
-_CACHED_BYTES = 1 << 21
+CACHED_BYTES = 1 << 21
 
 
 def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
     rays = bvh.arrays, bvh.frame, batch.source
-    prefetching = bvh.report.byte_count > _CACHED_BYTES
+    prefetching = bvh.report.byte_count > CACHED_BYTES
     return trace_wavefront, (*rays, batch.wants_any, prefetching, batch.query.on_hit, batch.results)
 
 

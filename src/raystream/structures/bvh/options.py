@@ -25,8 +25,9 @@ class Bvh(StructureOptions):
         Maximum number of triangles in a leaf, 1 to 32.
     kernel : {"auto", "wavefront", "packet", "groups", "single"}
         How the CPU traces rays; ``"auto"`` chooses for each batch. All give the same bits; the
-        others are for measurements. Queries that a kernel does not support use another one, and
-        those with ray counters use ``"single"``.
+        others are for measurements. Queries and scenes that a kernel does not support use another
+        one, such as ``"single"`` for ``"groups"`` and spheres, and those with ray counters use
+        ``"single"``.
 
     Raises
     ------

@@ -28,7 +28,6 @@ from raystream.jit.simd import (
     f32x16,
     float_as_bits,
     fma,
-    i32x16,
     mask_bits,
     maximum,
     minimum,
@@ -53,6 +52,9 @@ _TWO = np.float32(2.0)
 _INF = np.float32(np.inf)
 _U0, _U1, _U2 = np.uint64(0), np.uint64(1), np.uint64(2)
 _NO_LIMIT = np.int32(2**31 - 1)
+
+#: Minus a direction class: of rays that have been traced.
+_TRACED = np.int32(-2)
 
 #: A stack entry: a child, its key, the first and the last group that enter it, and the node and
 #: lane of its box.
@@ -250,10 +252,19 @@ def _push(stack, base, top, child, key, groups, node, lane):
 def _next_class(packet, count):
     """The class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(count):
-        bits = mask_bits(Group(packet, g).direction_class != NO_CLASS)
+        bits = mask_bits(Group(packet, g).direction_class > NO_CLASS)
         if bits != _U0:
             return GroupLanes(packet, g).direction_class[count_trailing_zeros(bits)]
     return NO_CLASS
+
+
+@device
+def continue_packet(packet, count):
+    """Make a packet that has been traced ready for another tree."""
+    for g in range(count):
+        group = Group(packet, g)
+        known = group.direction_class
+        group.direction_class = select(known < NO_CLASS, _TRACED - known, known)
 
 
 def packet_walk():
@@ -317,9 +328,10 @@ def packet_walk():
 
         for g in range(count):
             group = Group(packet, g)
-            mine = group.direction_class == direction_class
+            known = group.direction_class
+            mine = known == direction_class
             group.t = select(mine, group.t_active, group.t)
-            group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
+            group.direction_class = select(mine, _TRACED - known, known)
 
     @device
     def trace_packet(packet, count, tree, max_coordinate, memory, leaf):

@@ -91,7 +91,7 @@ SLOT = np.dtype(
         ("unused", "V12"),
     ]
 )
-_Slot = view(SLOT)
+Slot = view(SLOT)
 _SLOT_BYTES = np.uint64(SLOT.itemsize)
 
 #: Bytes of a ray's stacks, with room for the eight lanes that are always stored.
@@ -199,10 +199,10 @@ def slot_ray(slot):
 
 
 @device
-def _visit_leaf(slot, leaves, lanes_at, wants_any, filter_):
+def _visit_leaf(slot, tree, frame, source, lanes_at, wants_any, filter_):
     """Test the triangles of the next leaf; returns whether the ray is done."""
     child = slot.child
-    at = leaf_address(leaves, child)
+    at = leaf_address(tree.leaves, child)
     end = leaf_end(at, child)
     while at != end:
         bits = test_block(at, slot_ray(slot), slot.t_min, slot.t, False, lanes_at)
@@ -247,114 +247,141 @@ def next_child(slot, top, keys, children, tree, prefetching):
     return child
 
 
-@kernel
-def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, filter_, out):
-    """Trace rays begin to end.
+@device
+def _complete(slot, tree, frame, source, wants_any):
+    """The `complete` of a scene with one tree."""
+
+
+def wavefront_kernel(visit_leaf, complete=_complete):
+    """Make the kernel for rays in flight.
 
     Parameters
     ----------
-    begin, end : int
-    tree : TreeAddresses
-        Not empty.
-    frame : SceneFrame
-    source : RaySource
-    wants_any : bool
-        Find whether there is a hit, else the nearest one.
-    prefetching : bool
-        Prefetch nodes: pays off if the tree does not fit into the cache.
-    filter_ : HitFilter or None
-    out : ResultAddresses
+    visit_leaf : device function
+        ``visit_leaf(slot, tree, frame, source, lanes, wants_any, filter_)`` tests the primitives of
+        the slot's next leaf and keeps their hits in the slot; returns whether its ray is done.
+        `lanes` is the address of `HITS`.
+    complete : device function
+        ``complete(slot, tree, frame, source, wants_any)`` searches for the ray of a slot, if it has
+        one, what else is in the scene [default: nothing].
+
+    Returns
+    -------
+    kernel
+        ``trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, filter_, out)``
+        traces rays begin to end.
+
+        tree : NamedTuple
+            With addresses of ``nodes``, not empty, and ``leaves``.
+        frame : SceneFrame
+        source : RaySource
+        wants_any : bool
+            Find whether there is a hit, else the nearest one.
+        prefetching : bool
+            Prefetch nodes: pays off if the tree does not fit into the cache.
+        filter_ : HitFilter or None
+        out : ResultAddresses
     """
-    slots = scratch(_SLOTS_BYTES)
-    all_keys = scratch(_STACK_BYTES)
-    all_children = scratch(_STACK_BYTES)
-    lanes = scratch(_HITS_BYTES)
-    inner = scratch(QUEUE_BYTES)
-    inner_next = scratch(QUEUE_BYTES)
-    leaf = scratch(QUEUE_BYTES)
-    leaf_next = scratch(QUEUE_BYTES)
-    done = scratch(QUEUE_BYTES)
-    numbers = lane_numbers(i32x8)
-    ray_next, ray_end = np.uint64(begin), np.uint64(end)
-    # Lengths of the queues, in bytes.
-    inner_size = np.uint64(0)
-    leaf_size = np.uint64(0)
-    done_size = np.uint64(0)
-    for k in range(IN_FLIGHT):
-        store(done + done_size, k)
-        done_size += BYTES_64
-        _Slot(slots, k).ray = NO_RAY
 
-    while True:
-        # Step 1: write the results of finished slots and start new rays in them.
-        at = np.uint64(0)
-        while at != done_size:
-            k = load(np.uint64, done + at)
-            at += BYTES_64
-            slot = _Slot(slots, k)
-            finish_ray(slot, wants_any, out)
-            slot.ray = NO_RAY
-            if ray_next < ray_end:
-                ray = load_ray(source, ray_next, frame)
-                if ray.status == _INVALID:
-                    store(out.status + ray_next, _INVALID)
-                start_ray(
-                    slot,
-                    all_keys + k * STACK,
-                    all_children + k * STACK,
-                    ray_next,
-                    ray,
-                    frame.max_coordinate,
-                )
-                ray_next += ONE_U64
-                store(inner + inner_size, k)
-                inner_size += BYTES_64
+    @kernel
+    def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, filter_, out):
+        slots = scratch(_SLOTS_BYTES)
+        all_keys = scratch(_STACK_BYTES)
+        all_children = scratch(_STACK_BYTES)
+        lanes = scratch(_HITS_BYTES)
+        inner = scratch(QUEUE_BYTES)
+        inner_next = scratch(QUEUE_BYTES)
+        leaf = scratch(QUEUE_BYTES)
+        leaf_next = scratch(QUEUE_BYTES)
+        done = scratch(QUEUE_BYTES)
+        numbers = lane_numbers(i32x8)
+        ray_next, ray_end = np.uint64(begin), np.uint64(end)
+        # Lengths of the queues, in bytes.
+        inner_size = np.uint64(0)
+        leaf_size = np.uint64(0)
         done_size = np.uint64(0)
-        if inner_size == np.uint64(0) and leaf_size == np.uint64(0):
-            break
-
-        # Step 2: visit a node for each ray that waits for one.
-        next_size = np.uint64(0)
-        at = np.uint64(0)
-        while at != inner_size:
-            k = load(np.uint64, inner + at)
-            at += BYTES_64
-            slot = _Slot(slots, k)
-            keys, children = all_keys + k * STACK, all_children + k * STACK
-            node = Node(tree.nodes, np.uint64(slot.child))
-            top = visit_node(slot, node, keys, children, numbers)
-            child = next_child(slot, top, keys, children, tree, prefetching)
-            # Branchless: append the slot to all queues, and lengthen one of them.
-            is_leaf = np.uint64(child < np.int32(0))
-            is_done = np.uint64(child == BOTTOM)
-            store(inner_next + next_size, k)
-            store(leaf + leaf_size, k)
+        for k in range(IN_FLIGHT):
             store(done + done_size, k)
-            leaf_size += is_leaf << np.uint64(3)
-            done_size += is_done << np.uint64(3)
-            next_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
-        inner, inner_next = inner_next, inner
-        inner_size = next_size
+            done_size += BYTES_64
+            Slot(slots, k).ray = NO_RAY
 
-        # Step 3: test a leaf for each ray that waits for one.
-        next_size = np.uint64(0)
-        at = np.uint64(0)
-        while at != leaf_size:
-            k = load(np.uint64, leaf + at)
-            at += BYTES_64
-            slot = _Slot(slots, k)
-            keys, children = all_keys + k * STACK, all_children + k * STACK
-            top = slot.top
-            if _visit_leaf(slot, tree.leaves, lanes, wants_any, filter_):
-                top = LANE
-            child = next_child(slot, top, keys, children, tree, prefetching)
-            is_leaf = np.uint64(child < np.int32(0))
-            is_done = np.uint64(child == BOTTOM)
-            store(inner + inner_size, k)
-            store(leaf_next + next_size, k)
-            store(done + done_size, k)
-            next_size += is_leaf << np.uint64(3)
-            done_size += is_done << np.uint64(3)
-            inner_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
-        leaf, leaf_next = leaf_next, leaf
-        leaf_size = next_size
+        while True:
+            # Step 1: write the results of finished slots and start new rays in them.
+            at = np.uint64(0)
+            while at != done_size:
+                k = load(np.uint64, done + at)
+                at += BYTES_64
+                slot = Slot(slots, k)
+                complete(slot, tree, frame, source, wants_any)
+                finish_ray(slot, wants_any, out)
+                slot.ray = NO_RAY
+                if ray_next < ray_end:
+                    ray = load_ray(source, ray_next, frame)
+                    if ray.status == _INVALID:
+                        store(out.status + ray_next, _INVALID)
+                    start_ray(
+                        slot,
+                        all_keys + k * STACK,
+                        all_children + k * STACK,
+                        ray_next,
+                        ray,
+                        frame.max_coordinate,
+                    )
+                    ray_next += ONE_U64
+                    store(inner + inner_size, k)
+                    inner_size += BYTES_64
+            done_size = np.uint64(0)
+            if inner_size == np.uint64(0) and leaf_size == np.uint64(0):
+                break
+
+            # Step 2: visit a node for each ray that waits for one.
+            next_size = np.uint64(0)
+            at = np.uint64(0)
+            while at != inner_size:
+                k = load(np.uint64, inner + at)
+                at += BYTES_64
+                slot = Slot(slots, k)
+                keys, children = all_keys + k * STACK, all_children + k * STACK
+                node = Node(tree.nodes, np.uint64(slot.child))
+                top = visit_node(slot, node, keys, children, numbers)
+                child = next_child(slot, top, keys, children, tree, prefetching)
+                # Branchless: append the slot to all queues, and lengthen one of them.
+                is_leaf = np.uint64(child < np.int32(0))
+                is_done = np.uint64(child == BOTTOM)
+                store(inner_next + next_size, k)
+                store(leaf + leaf_size, k)
+                store(done + done_size, k)
+                leaf_size += is_leaf << np.uint64(3)
+                done_size += is_done << np.uint64(3)
+                next_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
+            inner, inner_next = inner_next, inner
+            inner_size = next_size
+
+            # Step 3: test a leaf for each ray that waits for one.
+            next_size = np.uint64(0)
+            at = np.uint64(0)
+            while at != leaf_size:
+                k = load(np.uint64, leaf + at)
+                at += BYTES_64
+                slot = Slot(slots, k)
+                keys, children = all_keys + k * STACK, all_children + k * STACK
+                top = slot.top
+                if visit_leaf(slot, tree, frame, source, lanes, wants_any, filter_):
+                    top = LANE
+                child = next_child(slot, top, keys, children, tree, prefetching)
+                is_leaf = np.uint64(child < np.int32(0))
+                is_done = np.uint64(child == BOTTOM)
+                store(inner + inner_size, k)
+                store(leaf_next + next_size, k)
+                store(done + done_size, k)
+                next_size += is_leaf << np.uint64(3)
+                done_size += is_done << np.uint64(3)
+                inner_size += ((is_leaf | is_done) ^ ONE_U64) << np.uint64(3)
+            leaf, leaf_next = leaf_next, leaf
+            leaf_size = next_size
+
+    return trace_wavefront
+
+
+#: Through a tree of triangles, `TreeAddresses`.
+trace_wavefront = wavefront_kernel(_visit_leaf)
