@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import as_host_array, as_real_array
-from raystream.core.scene_checks import check_triangles
-from raystream.core.triangles import Triangles
+from raystream.core.scene_kinds import check_support
 from raystream.line_of_sight.end_points import check_tracer
 from raystream.tracer import Tracer
 
@@ -57,7 +55,7 @@ def surface_points(
     """
     check_tracer(tracer)
     triangles = tracer.structure.triangles
-    check_triangles("surface_points", triangles)
+    check_support("surface_points", triangles)
     ids = as_host_array("prim_ids", prim_ids)
     if ids.size == 0:
         ids = ids.astype(np.int32)
@@ -91,11 +89,9 @@ def surface_points(
     return Hits(t, weights[0], weights[1], prim_id, status, triangles, None, instances)
 
 
-def _instances(
-    values: Any, prim_ids: NDArray[Any], triangles: Triangles | InstancedTriangles
-) -> NDArray[np.int32] | None:
+def _instances(values: Any, prim_ids: NDArray[Any], triangles: Any) -> NDArray[np.int32] | None:
     """Check `instance_ids`; None in a scene without instances."""
-    if not isinstance(triangles, InstancedTriangles):
+    if triangles.instances is None:
         if values is not None:
             raise ValueError("instance_ids: expected None: the scene has no instances")
         return None

@@ -226,15 +226,15 @@ def row_range(rows, i):
 
 
 @device
-def hit_at(rows, row, rays, position, ray, scene):
-    """The hit in a row, of the ray at a position among those traced; `ray` is its batch index."""
+def columns_at(rows, row):
+    """t, u, v and prim_id of a row."""
     at = row * BYTES_32
-    t, u, v = (
+    return (
         load(np.float32, rows.t + at),
         load(np.float32, rows.u + at),
         load(np.float32, rows.v + at),
+        load(np.int32, rows.prim_id + at),
     )
-    return hit_of(ray, t, u, v, load(np.int32, rows.prim_id + at), rays, position, scene)
 
 
 @device

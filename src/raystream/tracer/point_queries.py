@@ -13,7 +13,7 @@ from raystream.core.closest_points import ClosestPoints
 from raystream.core.hits import MultiHits
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_real_array
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.point_queries import NearestArrays, PointSource, work_bytes
 from raystream.machines.winding import winding_of
@@ -290,7 +290,7 @@ class PointQueries(RayCaster):
         >>> rs.Tracer(triangle).winding_number([0.0, 0.0, -1e-9]).round(3).item()
         0.125
         """
-        check_plain("winding numbers", self.structure.triangles)
+        check_support("winding numbers", self.structure.triangles)
         given, most = _points_of(points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
@@ -351,7 +351,7 @@ class PointQueries(RayCaster):
 
     def _point_loop(self) -> Any:
         """The structure's loop over points on the CPU, or None for the backend's own."""
-        check_plain("closest points", self.structure.triangles)
+        check_support("closest points", self.structure.triangles)
         loop = form_of(self.structure.name, "nearest")
         is_there = self.device == "cpu" or self._backend.capabilities.points
         if loop is None or not is_there or self.machine != "branching":

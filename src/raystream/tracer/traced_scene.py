@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
 from raystream.core.rays import RayArrays, RayBatch
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import REFUSALS, check_support
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
@@ -30,7 +28,7 @@ from raystream.scene.scene import Scene
 from raystream.structures import Structure, StructureOptions
 from raystream.structures.base import UpdateReport
 from raystream.structures.storage import load_structure, save_structure
-from raystream.tracer.configuration import Configuration, check_kind, configure
+from raystream.tracer.configuration import Configuration, configure
 from raystream.tracer.devices import device_of
 from raystream.tracer.precision import moved_triangles, of_scene
 
@@ -95,14 +93,8 @@ class TracedScene:
     def _built(
         self, configuration: Configuration, triangles: Any, progress: Progress | None
     ) -> Structure:
-        """Build the structure of triangles.
-
-        Raises
-        ------
-        ValueError
-            If the structure, device or machine does not support the kind of scene.
-        """
-        check_kind(triangles, self.device, self.machine)
+        """Build the structure of triangles; see `_check_kinds`."""
+        self._check_kinds(triangles)
         return device_of(self.device).build(
             configuration.structure,
             triangles,
@@ -110,16 +102,21 @@ class TracedScene:
             device=configuration.device_options,
         )
 
+    def _check_kinds(self, triangles: Any) -> None:
+        """Raise ValueError if the device, machine or counters do not support the kind of scene."""
+        machine = f"device={self.device!r}, machine={self.machine!r}"
+        check_support(machine, triangles, ValueError)
+        if self._counts:
+            check_support("counters=True", triangles, ValueError)
+
     def _set(self, scene: Scene | None, structure: Structure) -> None:
-        check_kind(structure.triangles, self.device, self.machine)
+        self._check_kinds(structure.triangles)
         if "structure" in vars(self):
             self.structure.tracers.pop(id(self), None)
         self._scene = scene
         self.structure = structure
         structure.tracers[id(self)] = self
-        placed: Any = structure.triangles
-        is_placed = isinstance(placed, InstancedTriangles)
-        self._world_count = placed.instances.world_count if is_placed else 0
+        self._world_count = structure.triangles.world_count
         self._latest = None
         self._backend = device_of(self.device).machines.make(
             self.machine, structure, self._machine_options
@@ -271,7 +268,7 @@ class TracedScene:
     def _update_views(self, scene: Any) -> UpdateReport:
         """Take another scene of the same primitives: its camera and lights."""
         if not isinstance(scene, Scene) or scene.triangles is not self.scene.triangles:
-            raise ValueError(f"update: {NOT_TRIANGLES}; make another tracer")
+            raise ValueError(f"update: {REFUSALS['primitives']}; make another tracer")
         self._set(scene, self.structure)
         return UpdateReport(False, 0.0, math.nan, math.nan)
 
@@ -304,7 +301,6 @@ class TracedScene:
         OSError
             If it cannot be written.
         """
-        check_plain("save", self.structure.triangles)
         save_structure(path, self.structure)
 
     @classmethod
@@ -341,11 +337,9 @@ class TracedScene:
         """
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
-        tracer = cls.__new__(cls)
-        tracer._configure(None, device, machine, counters, options)
         structure = load_structure(path, None if scene is None else scene.triangles)
-        tracer._set(scene, structure)
-        return tracer
+        given = scene, device
+        return cls.of_structure(structure, *given, machine=machine, counters=counters, **options)
 
     @classmethod
     def of_structure(
@@ -452,16 +446,15 @@ class TracedScene:
         return sink
 
     def __repr__(self) -> str:
-        placed: Any = self.structure.triangles
-        what = "primitives" if isinstance(placed, Primitives) else "triangles"
-        instances = ""
-        if isinstance(placed, InstancedTriangles):
-            instances = f", {len(placed.instances):,} instances"
+        held = self.structure.triangles
+        what = "primitives" if "primitives" in held.kinds else "triangles"
+        placed = held.instances
+        instances = "" if placed is None else f", {len(placed):,} instances"
         device = "" if self.device == "cpu" else f", device={self.device!r}"
         is_default = self.machine == device_of(self.device).machines.names[0]
         machine = "" if is_default else f", machine={self.machine!r}"
         return (
-            f"Tracer({len(placed):,} {what}{instances}, structure={self.structure.name!r}"
+            f"Tracer({len(held):,} {what}{instances}, structure={self.structure.name!r}"
             f"{device}{machine})"
         )
 
