@@ -4,11 +4,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.core.scene_kinds import REFUSALS, SUPPORTED, check_support, is_supported
+from raystream.core.scene_kinds import REFUSALS, check_support, is_supported
 
 
 def store_of(*kinds: str) -> Any:
@@ -38,20 +37,6 @@ def test_other_values_of_the_argument_are_named():
         ValueError, match=r"float64'; use device='cpu'.* or device='cuda'[^;]*ing'$"
     ):
         check_support(chosen, store_of("float64"), ValueError)
-
-
-def test_the_kinds_are_those_of_the_stores():
-    assert {kind for kinds in SUPPORTED.values() for kind in kinds} <= set(REFUSALS)
-    box, turned = rs.load("cornell"), np.eye(4)[None, :3]
-    scenes = {
-        (): box,
-        ("instances",): rs.Scene.instances([box], turned),
-        ("instances", "worlds"): rs.Scene.instances([box], turned, worlds=[0]),
-        ("primitives",): rs.Scene.spheres([[0, 0, 0]], 1.0),
-    }
-    for kinds, scene in scenes.items():
-        assert scene.triangles.kinds == kinds
-    assert rs.Tracer(box, precision="float64").structure.triangles.kinds == ("float64",)
 
 
 def test_what_is_written_for_triangles_says_what_it_met():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_real_array
+from raystream.core.rays import as_real_array, broadcast
 from raystream.core.store import Store, put_known
 
 
@@ -146,17 +146,6 @@ class HitColumns:
         local = self._triangles.local_normals(self)
         return self._triangles.normals_to_world(local, self.instance_id)
 
-    def _directions(self, directions: Any) -> NDArray[Any]:
-        """Directions for `spawn`, one for each hit."""
-        wanted = (*self.prim_id.shape, 3)
-        array = as_real_array("directions", directions)
-        try:
-            return np.broadcast_to(array, wanted)
-        except ValueError:
-            raise ValueError(
-                f"directions: shape {array.shape} does not broadcast to the hits' {wanted}"
-            ) from None
-
     def spawn(self, directions: Any) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """Make rays that leave the surfaces hit, without hitting the same triangles again.
 
@@ -190,7 +179,8 @@ class HitColumns:
         >>> bool(back.prim_id[0] == hits.prim_id[0])
         False
         """
-        array = self._directions(directions)
+        array = as_real_array("directions", directions)
+        array = broadcast("directions", array, (*self.prim_id.shape, 3), "the hits'")
         return self._triangles.spawned(self, array), array
 
 

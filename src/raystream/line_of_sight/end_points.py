@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.rays import as_integers, as_real_array
 from raystream.core.scene_kinds import check_support
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.core.store import Store
@@ -167,11 +167,7 @@ def end_points(name: str, values: Any, skipped: Any, triangles: Any) -> EndPoint
 
 
 def _skipped(name: str, values: Any, count: int, triangles: Any) -> NDArray[np.int64]:
-    ids = as_host_array(name, values)
-    if ids.size == 0:
-        ids = ids.astype(np.int64)
-    if ids.dtype.kind not in "iu":
-        raise TypeError(f"{name}: expected integers, got {ids.dtype}")
+    ids = as_integers(name, values)
     if ids.ndim not in (1, 2) or len(ids) != count:
         raise ValueError(f"{name}: expected shape ({count},) or ({count}, k), got {ids.shape}")
     if ids.size and not (ids.min() >= -1 and ids.max() < len(triangles)):

@@ -110,16 +110,8 @@ def placed_hit_of(ray, t, u, v, number, rays, position, scene):
     mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.mesh_halvings, np.int64(prim_id))
     corners = load(np.uint64, part) + np.uint64(index) * _TRIANGLE
     direction = _moved(part + _LINEAR, direction_at(rays, position))
-    return Hit(
-        np.int64(ray),
-        t,
-        u,
-        v,
-        prim_id,
-        np.int32(mesh),
-        faces_front(corners, direction),
-        np.int32(instance),
-    )
+    is_entering = faces_front(corners, direction)
+    return Hit(np.int64(ray), t, u, v, prim_id, np.int32(mesh), is_entering, np.int32(instance))
 
 
 @device

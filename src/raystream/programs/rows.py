@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_host_array
+from raystream.core.rays import as_host_array, as_integers
 from raystream.jit.constants import BYTES_32, ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
@@ -51,9 +51,7 @@ def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArra
         If its shape is neither the rays' nor has one dimension more, or its values are neither
         triangles of the scene nor -1.
     """
-    given = as_host_array("skip_prim_ids", values)
-    if given.dtype.kind not in "iu":
-        raise TypeError(f"skip_prim_ids: expected integers, got dtype {given.dtype}")
+    given = as_integers("skip_prim_ids", values)
     if given.shape != shape and given.shape[:-1] != shape:
         raise ValueError(
             f"skip_prim_ids: expected the rays' shape {shape}, or {shape} + (k,), got {given.shape}"

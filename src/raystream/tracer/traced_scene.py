@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.query import Query
-from raystream.core.rays import RayArrays, RayBatch
+from raystream.core.rays import RayArrays, RayBatch, as_integers, broadcast
 from raystream.core.scene_kinds import REFUSALS, check_support
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
@@ -41,18 +41,10 @@ _TRANSIENT = ("_backend", "_cast", "_latest", "_world_count")
 
 def flat_ids(name: str, values: Any, count: int, shape: tuple[int, ...]) -> NDArray[np.int32]:
     """One number for each ray, -1 to count - 1, as a flat array."""
-    ids = np.asarray(values)
-    if ids.dtype.kind not in "iu":
-        raise TypeError(f"{name}: expected integers, got {ids.dtype}")
+    ids = as_integers(name, values)
     if ids.size and not (ids.min() >= -1 and ids.max() < count):
         raise ValueError(f"{name}: expected -1 to {count - 1:,}")
-    try:
-        ids = np.broadcast_to(ids, shape)
-    except ValueError:
-        raise ValueError(
-            f"{name}: shape {ids.shape} does not broadcast to the rays' {shape}"
-        ) from None
-    return np.ascontiguousarray(ids, np.int32).reshape(-1)
+    return np.ascontiguousarray(broadcast(name, ids, shape), np.int32).reshape(-1)
 
 
 class TracedScene:
@@ -393,25 +385,20 @@ class TracedScene:
         worlds: Any = None,
     ) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""
+        if worlds is not None or self._world_count:
+            self._check_for_worlds(worlds)
         if self._backend.capabilities.device_arrays and not self._counts:
             arrays = RayArrays(origins, directions, t_min, t_max, worlds)
             if arrays.is_on_gpu():
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")
-                if worlds is not None or self._world_count:
-                    self._check_for_worlds(worlds)
                 return arrays
         rays = self._backend.batch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
-        if worlds is not None or self._world_count:
-            rays.worlds = self._checked_worlds(worlds, rays.shape)
+        if worlds is not None:
+            rays.worlds = flat_ids("worlds", worlds, self._world_count, rays.shape)
         return rays
-
-    def _checked_worlds(self, worlds: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
-        """`worlds` of `Tracer.first_hit`, flat."""
-        self._check_for_worlds(worlds)
-        return flat_ids("worlds", worlds, self._world_count, shape)
 
     def _check_for_worlds(self, worlds: Any) -> None:
         """Check that worlds are given if the scene has any, and else not."""

@@ -272,10 +272,9 @@ class Tracer(MemoryEstimator, PointQueries):
         ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown.
         """
-        surfaces = counts_surfaces(crossings)
         rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
         counts: NDArray[np.int64]
-        counts = self._find(Kind.COUNT_HITS, rays, filter_, progress, surfaces)
+        counts = self._find(Kind.COUNT_HITS, rays, filter_, progress, crossings)
         return counts
 
     def multi_hit(
@@ -327,12 +326,11 @@ class Tracer(MemoryEstimator, PointQueries):
         written. At equal t, before it is rounded to float32, the lower prim_id comes first. No hit
         is reported twice, and none is lost between two others, however close.
         """
-        surfaces = counts_surfaces(crossings)
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
         rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
-        found: MultiHits = self._find(Kind.MULTI_HIT, rays, filter_, progress, surfaces, limit)
+        found: MultiHits = self._find(Kind.MULTI_HIT, rays, filter_, progress, crossings, limit)
         return found
 
     def trace(
@@ -461,10 +459,11 @@ class Tracer(MemoryEstimator, PointQueries):
         given: tuple[Any, ...],
         filter_: tuple[Any, Any],
         progress: Progress | None,
-        surfaces: bool = False,
+        crossings: str = "triangles",
         limit: int = UNLIMITED,
     ) -> Any:
         """Answer a query of rays, the arguments of `_rays`, in arrays of their library."""
+        surfaces = counts_surfaces(crossings)
         rays = self._rays(*given)
         query = self._query(kind, rays, *filter_, surfaces, limit)
         if isinstance(rays, RayArrays):
