@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import Any
 
 from raystream.core.choices import Graphics, Multipass
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.graphics.adapters import open_device
 from raystream.graphics.error_scope import guarded
 from raystream.machines.backend import Backend
@@ -33,8 +32,7 @@ def _compute(structure: Structure, adapter: str | None, **options: Any) -> Backe
     from raystream.graphics.compute import ComputeBackend
 
     made: type[ComputeBackend] = ComputeBackend
-    triangles: Any = structure.triangles
-    if isinstance(triangles, InstancedTriangles):
+    if structure.triangles.instances is not None:
         from raystream.graphics.instanced_rays import InstancedBackend
 
         made = InstancedBackend
