@@ -157,10 +157,11 @@ class RaysAt(NamedTuple):
         start: int,
     ) -> RaysAt:
         """Addresses of the rays of a source."""
-        at = np.array((_place(positions), start, _place(ids), first), np.uint64)
+        places = _place(positions), start, _place(ids), first
+        at, start_at, ids_at, first_at = np.array(places, np.uint64)
         are_short = positions is not None and positions.itemsize == 4
         directions = source.directions, source.direction_step, source.directions_are_double
-        return cls(at[0], are_short, *at[1:], *directions)
+        return cls(at, are_short, start_at, ids_at, first_at, *directions)
 
     @classmethod
     def nowhere(cls) -> RaysAt:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 from typing import Any
 
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.query import Kind
 from raystream.instances import hit_ids
 from raystream.kernels.hits import Sink
 
@@ -33,13 +31,11 @@ def _all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
     return MultiHits(sink.splits, t, u, v, prim_id, status, triangles, instance_id)
 
 
-#: Makes the result of each kind of query, from what kernels wrote, the rays' leading shape and the
-#: scene's triangles.
-RESULTS: Mapping[Kind, Callable[[Sink, tuple[int, ...], Any], Any]] = MappingProxyType(
-    {
-        Kind.FIRST_HIT: _nearest_hits,
-        Kind.ANY_HIT: lambda sink, shape, _: sink.seen.reshape(shape),
-        Kind.COUNT_HITS: lambda sink, shape, _: sink.counts.reshape(shape),
-        Kind.MULTI_HIT: _all_hits,
-    }
+#: Makes the result of each kind of query, by its number, from what kernels wrote, the rays' leading
+#: shape and the scene's triangles.
+RESULTS: tuple[Callable[[Sink, tuple[int, ...], Any], Any], ...] = (
+    _nearest_hits,
+    lambda sink, shape, _: sink.seen.reshape(shape),
+    lambda sink, shape, _: sink.counts.reshape(shape),
+    _all_hits,
 )

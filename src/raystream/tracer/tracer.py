@@ -463,7 +463,7 @@ class Tracer(MemoryEstimator, PointQueries):
         limit: int = UNLIMITED,
     ) -> Any:
         """Answer a query of rays, the arguments of `_rays`, in arrays of their library."""
-        surfaces = counts_surfaces(crossings)
+        surfaces = crossings != "triangles" and counts_surfaces(crossings)
         rays = self._rays(*given)
         query = self._query(kind, rays, *filter_, surfaces, limit)
         if isinstance(rays, RayArrays):
@@ -471,7 +471,7 @@ class Tracer(MemoryEstimator, PointQueries):
         else:
             sink = self._answer(query, rays, progress)
             found = RESULTS[kind](sink, rays.shape, self.structure.triangles)
-        return in_library(found, *given[:2])
+        return in_library(found, given[0], given[1])
 
     def _query(
         self,
