@@ -410,7 +410,7 @@ def _interrupt(done: int, total: int) -> None:
     ("options", "message"),
     [
         ({"precision": "float16"}, "precision: expected 'float32' or 'float64', got 'float16'"),
-        ({"structure": "kdtree"}, "'kdtree' is not supported .* 'bvh' and 'brute'"),
+        ({"structure": "kdtree"}, "structure='kdtree': not supported .* use structure='bvh'"),
         ({"machine": "multipass"}, "machine='multipass': not supported with precision='float64'"),
         ({"counters": True}, "counters=True: not supported with precision='float64'"),
         ({"kernel": "wavefront"}, "kernel: 'wavefront' is not supported .* 'packet'"),

@@ -118,7 +118,7 @@ def test_float64_from_a_planet_away(gpu):
     ("options", "message"),
     [
         ({"build": "device"}, "build='device': not supported with precision='float64'"),
-        ({"structure": "grid"}, "'grid' is not supported with precision='float64'"),
+        ({"structure": "grid"}, "structure='grid': not supported with precision='float64'"),
         ({"counters": True}, "counters=True: not supported with precision='float64'"),
     ],
 )

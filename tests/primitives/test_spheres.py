@@ -264,7 +264,7 @@ def test_no_spheres_are_no_error(structure) -> None:
 
 @pytest.mark.parametrize("structure", ["grid", "kdtree", "graph"])
 def test_other_structures_say_so(structure) -> None:
-    with pytest.raises(ValueError, match="'bvh' and 'brute' do"):
+    with pytest.raises(ValueError, match="use structure='bvh' or structure='brute'"):
         rs.Tracer(rs.Scene.spheres([[0, 0, 0]], 1.0), structure)
 
 

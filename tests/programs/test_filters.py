@@ -248,7 +248,7 @@ def test_constants_of_a_filter_need_no_new_code():
         kept = many.prim_id % divisor == rest
         counts = tracer.count_hits(*rays, **arguments)
         np.testing.assert_array_equal(counts, sums(many, np.ones(len(many.t)), kept))
-    filter_ = Filter.of(arguments["on_hit"], None, (), tracer.structure.triangles)
+    filter_ = Filter.of(arguments["on_hit"], None, tracer.structure.triangles)
     program = filter_.program("count", np.uint64(0))
     program.compile()
     assert program.compiled_count <= 1

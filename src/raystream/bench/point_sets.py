@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
 
 #: How far `near_points` are from the surface, relative to the scene's diagonal: the deviation of
@@ -31,7 +31,7 @@ def near_points(
     triangles: Triangles, count: int, generator: np.random.Generator
 ) -> NDArray[np.float32]:
     """Points near uniform points of the surface, off it by some `NEAR` of the diagonal."""
-    check_plain("points near the surface", triangles)
+    check_support("points near the surface", triangles)
     if not len(triangles.prim_ids):
         return np.empty((0, 3), np.float32)
     corners = triangles.corners[triangles.prim_ids]

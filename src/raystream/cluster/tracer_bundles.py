@@ -13,7 +13,7 @@ from raystream.cluster.errors import ClusterError
 from raystream.cluster.scene_bundles import pack_scene, unpack_scene
 from raystream.core.choices import MACHINES, Cpu, DeviceOptions
 from raystream.core.options import Options
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, StructureOptions, structure_class
@@ -61,7 +61,7 @@ def pack_tracer(
     if built is None and (device == "cpu" or isinstance(device, Cpu)):
         built = Tracer(scene, structure, **options)  # type: ignore[arg-type]
     triangles = scene.structure.triangles if isinstance(scene, Tracer) else scene.triangles
-    check_plain("a cluster", triangles)
+    check_support("a cluster", triangles)
     header: dict[str, Any] = {}
     arrays = _pack_triangles(triangles)
     if built is None:

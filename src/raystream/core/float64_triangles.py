@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.triangles import MAX_COORDINATE, MAX_TRIANGLES, Triangles, local_frame
+from raystream.core.spawn import side_of, size_of
+from raystream.core.triangles import MAX_COORDINATE, Triangles, local_frame, splits_of
 
-#: What does not support float64.
-NOT_IN_FLOAT64 = "not supported with precision='float64'"
+if TYPE_CHECKING:
+    from raystream.core.hits import HitColumns
 
 #: Triangles whose temporary arrays are made at a time.
 _ROWS = 1 << 18
+
+_UNIT = 2.0**-53
+
+#: Rounding of positions, in units of `_UNIT`: three products and sums of numbers of the triangle's
+#: size, and twice the position's own; doubled as a margin, and for the normal's rounding.
+_SIZE_UNITS, _REACH_UNITS = 24.0, 8.0
 
 
 class Float64Triangles(Triangles):
@@ -32,6 +39,8 @@ class Float64Triangles(Triangles):
         Rows of `vertices`.
     """
 
+    kinds = ("float64",)
+    number_type = np.float64
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
 
@@ -44,10 +53,7 @@ class Float64Triangles(Triangles):
         meshes : sequence of (vertices, faces)
             As in `Triangles`.
         """
-        counts = [len(faces) for _, faces in meshes]
-        splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        if splits[-1] > MAX_TRIANGLES:
-            raise ValueError(f"scene: {splits[-1]:,} triangles are more than {MAX_TRIANGLES:,}")
+        splits = splits_of(meshes)
         vertices = np.concatenate(
             [np.zeros((0, 3)), *(np.asarray(points, np.float64) for points, _ in meshes)]
         )
@@ -111,3 +117,15 @@ class Float64Triangles(Triangles):
     ) -> NDArray[np.float64]:
         """Points on triangles are in world space already."""
         return points
+
+    def spawned(self, hits: HitColumns, directions: NDArray[Any]) -> NDArray[np.float64]:
+        """Origins of rays that leave hits, world space; see `Hits.spawn`.
+
+        They lie off the triangles' planes by a bound of the rounding of float64: about 2**-49 of
+        the triangle's size and of the distance from the world's origin.
+        """
+        corners = self.corners_at(hits.prim_id, hits.instance_id)
+        reach = np.abs(corners).max(axis=(-2, -1))
+        offset = _UNIT * (_SIZE_UNITS * size_of(corners) + _REACH_UNITS * reach)
+        side = side_of(hits.normals, directions)
+        return hits.positions + (side * offset)[..., None] * hits.normals

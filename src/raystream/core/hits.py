@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_real_array
-from raystream.core.spawn import spawn_origins
-from raystream.core.triangles import Triangles
-
-if TYPE_CHECKING:
-    from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.rays import as_real_array, broadcast
+from raystream.core.store import Store, put_known
 
 
 class HitColumns:
@@ -28,7 +25,7 @@ class HitColumns:
     #: Triangle, counted over the whole scene, int32. A miss has -1.
     prim_id: NDArray[np.int32]
 
-    _triangles: Triangles | InstancedTriangles
+    _triangles: Store
     _instance_id: NDArray[np.int32] | None = None
 
     @cached_property
@@ -65,10 +62,7 @@ class HitColumns:
         table = None if attributes is None else attributes.face_ids
         if table is None:
             return self.mesh_prim_id
-        faces = self.mesh_prim_id.copy()
-        is_known = (self.prim_id >= 0) & (self.prim_id < len(table))
-        faces[is_known] = table[self.prim_id[is_known]]
-        return faces
+        return put_known(self.mesh_prim_id.copy(), table, self.prim_id)
 
     @cached_property
     def positions(self) -> NDArray[np.float64]:
@@ -77,17 +71,19 @@ class HitColumns:
         Interpolated from the vertices, not stepped along the ray: they lie on the triangle
         however far away the ray began.
         """
-        return self._triangles.points_to_world(self._local_positions(), self.instance_id)
+        local = self._triangles.local_positions(self)
+        return self._triangles.points_to_world(local, self.instance_id)
 
     @cached_property
-    def normals(self) -> NDArray[np.float32]:
-        """Unit normals of the triangles' planes, shape (..., 3), float32; a miss has NaN.
+    def normals(self) -> NDArray[np.floating[Any]]:
+        """Unit normals of the surfaces, shape (..., 3), of the precision of t; a miss has NaN.
 
-        They point to the side from which the vertices run counter-clockwise, whichever side
-        the ray came from. An instance that mirrors its object keeps the outside outside: there
-        the vertices run clockwise, seen from that side.
+        Of a sphere they point away from the centre; of a triangle's plane, to the side from which
+        the vertices run counter-clockwise, whichever side the ray came from. An instance that
+        mirrors its object keeps the outside outside: there the vertices run clockwise, seen from
+        that side.
         """
-        return self._world_normals().astype(np.float32)
+        return self._world_normals().astype(self._triangles.number_type)
 
     @cached_property
     def material_id(self) -> NDArray[np.int32]:
@@ -95,12 +91,12 @@ class HitColumns:
 
         0 if the tracer's structure was loaded without a scene.
         """
-        attributes = self._triangles.attributes
-        is_hit = self.prim_id >= 0
-        materials = np.full(self.prim_id.shape, -1, np.int32)
-        known = 0 if attributes is None else attributes.material_ids[self.prim_id[is_hit]]
-        materials[is_hit] = known
-        return materials
+        return self._triangles.materials_at(self.prim_id)
+
+    @property
+    def is_on_sphere(self) -> NDArray[np.bool_]:
+        """Whether each hit is one of a sphere, bool, of the hits' shape."""
+        return self._triangles.sphere_rows(self.prim_id) >= 0
 
     @cached_property
     def texcoords(self) -> NDArray[np.float32]:
@@ -135,50 +131,20 @@ class HitColumns:
     def _interpolated(self, table: NDArray[np.float32] | None, width: int) -> NDArray[np.float64]:
         """Interpolate a table of vertices, shape (..., width), float64; NaN for misses."""
         values = np.full((*self.prim_id.shape, width), np.nan)
-        attributes, is_hit = self._triangles.attributes, self.prim_id >= 0
+        attributes = self._triangles.attributes
         if table is None or attributes is None:
             return values
-        vertices = attributes.faces[self.prim_id[is_hit]]
-        u, v = (weight[is_hit].astype(np.float64)[:, None] for weight in (self.u, self.v))
+        # Height fields and spheres have no vertices.
+        is_known = (self.prim_id >= 0) & (self.prim_id < len(attributes.faces))
+        vertices = attributes.faces[self.prim_id[is_known]]
+        u, v = (weight[is_known].astype(np.float64)[:, None] for weight in (self.u, self.v))
         a, b, c = (table[vertices[:, k]] for k in range(3))
-        values[is_hit] = (1.0 - u - v) * a + u * b + v * c
+        values[is_known] = (1.0 - u - v) * a + u * b + v * c
         return values
 
-    def _corners(self) -> NDArray[np.float64]:
-        """Shape (..., 3, 3), float64, local frame; NaN for misses."""
-        return self._triangles.corners_at(self.prim_id, self.instance_id)
-
-    def _local_positions(self) -> NDArray[np.float64]:
-        corners = self._corners()
-        u, v = self.u[..., None].astype(np.float64), self.v[..., None].astype(np.float64)
-        first = corners[..., 0, :]
-        along_u, along_v = corners[..., 1, :] - first, corners[..., 2, :] - first
-        result: NDArray[np.float64] = first + u * along_u + v * along_v
-        return result
-
-    def _local_normals(self) -> NDArray[np.float64]:
-        corners = self._corners()
-        first = corners[..., 0, :]
-        normal = np.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
-        # Scaled before it is measured: the square of a small area would vanish.
-        with np.errstate(invalid="ignore", divide="ignore"):
-            normal /= np.abs(normal).max(axis=-1, keepdims=True)
-            normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        return normal
-
     def _world_normals(self) -> NDArray[np.float64]:
-        return self._triangles.normals_to_world(self._local_normals(), self.instance_id)
-
-    def _directions(self, directions: Any) -> NDArray[Any]:
-        """Directions for `spawn`, one for each hit."""
-        wanted = (*self.prim_id.shape, 3)
-        array = as_real_array("directions", directions)
-        try:
-            return np.broadcast_to(array, wanted)
-        except ValueError:
-            raise ValueError(
-                f"directions: shape {array.shape} does not broadcast to the hits' {wanted}"
-            ) from None
+        local = self._triangles.local_normals(self)
+        return self._triangles.normals_to_world(local, self.instance_id)
 
     def spawn(self, directions: Any) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """Make rays that leave the surfaces hit, without hitting the same triangles again.
@@ -213,16 +179,9 @@ class HitColumns:
         >>> bool(back.prim_id[0] == hits.prim_id[0])
         False
         """
-        array = self._directions(directions)
-        triangles, instance_id = self._triangles, self.instance_id
-        local = spawn_origins(
-            triangles.reaches_at(instance_id),
-            self._local_positions(),
-            self._corners(),
-            self._local_normals(),
-            triangles.directions_to_local(array, instance_id),
-        )
-        return triangles.points_to_world(local, instance_id), array
+        array = as_real_array("directions", directions)
+        array = broadcast("directions", array, (*self.prim_id.shape, 3), "the hits'")
+        return self._triangles.spawned(self, array), array
 
 
 class Hits(HitColumns):
@@ -250,7 +209,7 @@ class Hits(HitColumns):
         v: NDArray[np.float32],
         prim_id: NDArray[np.int32],
         status: NDArray[np.uint8],
-        triangles: Triangles | InstancedTriangles,
+        triangles: Store,
         sectors: NDArray[np.int32] | None = None,
         instance_id: NDArray[np.int32] | None = None,
     ) -> None:
@@ -260,29 +219,18 @@ class Hits(HitColumns):
 
     def __getitem__(self, index: Any) -> Hits:
         """Pick rays, with any index that NumPy takes for the leading shape."""
-        return type(self)(
-            np.asarray(self.t[index]),
-            np.asarray(self.u[index]),
-            np.asarray(self.v[index]),
-            np.asarray(self.prim_id[index]),
-            np.asarray(self.status[index]),
-            self._triangles,
-            None if self.sectors is None else np.asarray(self.sectors[index]),
-            None if self._instance_id is None else np.asarray(self._instance_id[index]),
-        )
+        return self._changed(lambda column: np.asarray(column[index]))
 
     def ravel(self) -> Hits:
         """The same hits in shape (N,)."""
-        return type(self)(
-            self.t.ravel(),
-            self.u.ravel(),
-            self.v.ravel(),
-            self.prim_id.ravel(),
-            self.status.ravel(),
-            self._triangles,
-            None if self.sectors is None else self.sectors.ravel(),
-            None if self._instance_id is None else self._instance_id.ravel(),
-        )
+        return self._changed(np.ravel)
+
+    def _changed(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Hits:
+        """The hits with changed columns: of other rays, or in another shape."""
+        held = self.t, self.u, self.v, self.prim_id, self.status, self.sectors, self._instance_id
+        columns: list[Any] = [None if one is None else change(one) for one in held]
+        t, u, v, prim_id, status, sectors, instance_id = columns
+        return Hits(t, u, v, prim_id, status, self._triangles, sectors, instance_id)
 
     @property
     def is_hit(self) -> NDArray[np.bool_]:
@@ -336,7 +284,7 @@ class MultiHits(RayRows, HitColumns):
         v: NDArray[np.float32],
         prim_id: NDArray[np.int32],
         status: NDArray[np.uint8],
-        triangles: Triangles | InstancedTriangles,
+        triangles: Store,
         instance_id: NDArray[np.int32] | None = None,
     ) -> None:
         self.ray_splits = ray_splits
@@ -348,7 +296,7 @@ class MultiHits(RayRows, HitColumns):
         ids = None if self._instance_id is None else self._instance_id[rows]
         columns = self.t[rows], self.u[rows], self.v[rows], self.prim_id[rows]
         splits = np.array([0, len(columns[0])])
-        return type(self)(splits, *columns, np.zeros(1, np.uint8), self._triangles, ids)
+        return MultiHits(splits, *columns, np.zeros(1, np.uint8), self._triangles, ids)
 
     def __repr__(self) -> str:
         return f"MultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

@@ -10,18 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
-from raystream.core.errors import RaystreamError
 from raystream.core.instances import Instances
+from raystream.core.store import Store
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-#: What to do where scenes with instances are not supported.
-NOT_INSTANCED = (
-    "not supported in a scene with instances; scene.flattened() is the same scene without them, "
-    "if it fits into memory"
-)
 
-
-class InstancedTriangles:
+class InstancedTriangles(Store):
     """The triangles of a scene's objects, each in a local frame of its own, and their instances.
 
     ``prim_id`` counts the triangles of the objects, however often they are placed. Kernels count
@@ -51,6 +45,9 @@ class InstancedTriangles:
         all instances.
     """
 
+    instances: Instances
+    attributes: Attributes
+
     def __init__(
         self,
         objects: Sequence[Triangles],
@@ -59,6 +56,8 @@ class InstancedTriangles:
         attributes: Attributes,
     ) -> None:
         self.objects, self.instances = tuple(objects), instances
+        self.world_count = instances.world_count
+        self.kinds = ("instances", "worlds") if self.world_count else ("instances",)
         self.mesh_splits, self.attributes = mesh_splits, attributes
         counts = np.array([len(one) for one in self.objects], np.int64)
         self.first_prims = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -82,13 +81,10 @@ class InstancedTriangles:
     def __len__(self) -> int:
         return int(self.first_prims[-1])
 
-    def __getattr__(self, name: str) -> Any:
-        # What is written for `Triangles` meets instances here.
-        if name.startswith("_"):
-            raise AttributeError(name)
-        if name in _OF_TRIANGLES:
-            raise RaystreamError(f"triangles.{name}: {NOT_INSTANCED}")
-        raise AttributeError(f"InstancedTriangles has no attribute {name!r}")
+    @property
+    def number_count(self) -> int:
+        """How many numbers kernels have for triangles: those of all instances."""
+        return int(self.first_ids[-1])
 
     def __reduce__(self) -> tuple[Any, ...]:
         arguments = self.objects, self.instances, self.mesh_splits, self.attributes
@@ -99,12 +95,12 @@ class InstancedTriangles:
         return local_frame(*self.world_bounds)
 
     @property
-    def center(self) -> NDArray[np.float64]:
+    def center(self) -> NDArray[np.float64]:  # type: ignore[override]
         """World position of the origin of the scene's local frame; see `Triangles`."""
         return self._frame[0]
 
     @property
-    def scale(self) -> float:
+    def scale(self) -> float:  # type: ignore[override]
         """Local units of the scene's local frame per world unit."""
         return self._frame[1]
 
@@ -114,7 +110,7 @@ class InstancedTriangles:
         return ((self.world_bounds - self.center) * self.scale).astype(np.float32)
 
     @property
-    def max_coordinate(self) -> np.float32:
+    def max_coordinate(self) -> np.float32:  # type: ignore[override]
         """Largest absolute coordinate of `bounds`."""
         return np.float32(np.abs(self.bounds).max())
 
@@ -134,7 +130,7 @@ class InstancedTriangles:
         most : int
             How many, at most. They are spread evenly over the numbers of all triangles.
         """
-        total = int(self.first_ids[-1])
+        total = self.number_count
         numbers = np.arange(0, total, max(1, -(-total // most)), dtype=np.int32)
         prim_id, instance_id = self.split_ids(numbers)
         points = self.points_to_world(self.corners_at(prim_id, instance_id), instance_id)
@@ -236,12 +232,12 @@ class InstancedTriangles:
         numbers.sort()
         return numbers
 
-    # Geometry of hits: as `Triangles` has it, for each hit in the frame of its object.
+    # Geometry of hits, each in the frame of its object.
 
     def corners_at(
         self, prim_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> NDArray[np.float64]:
-        """Corners of triangles in their objects' local frames; see `Triangles.corners_at`."""
+        """Corners of triangles in their objects' local frames; see `Store.corners_at`."""
         prims = prim_id.reshape(-1)
         corners = np.full((len(prims), 3, 3), np.nan)
         for k, rows in self._by_object(instance_id):
@@ -296,7 +292,7 @@ class InstancedTriangles:
     def reaches_at(
         self, instance_id: NDArray[np.int32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Largest coordinates of the hits' objects; see `Triangles.reaches_at`.
+        """Largest coordinates of the hits' objects; see `Store.reaches_at`.
 
         The second is the length of the terms of ``inverse @ world``, each of which rounds.
         """
@@ -323,14 +319,6 @@ class InstancedTriangles:
         firsts = np.flatnonzero(np.diff(objects, prepend=-1))
         parts = np.split(rows, firsts[1:]) if len(rows) else []
         return [(int(objects[first]), part) for first, part in zip(firsts, parts, strict=True)]
-
-
-#: Attributes of `Triangles` that instances cannot have.
-_OF_TRIANGLES = frozenset(
-    name
-    for name in (*vars(Triangles), *Triangles.__annotations__)
-    if not (name.startswith("_") or name in vars(InstancedTriangles))
-)
 
 
 def _product(matrices: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.rays import as_integers, as_real_array
 
 #: Beyond this condition number a transform counts as singular.
 MAX_CONDITION = 1e9
@@ -148,9 +148,7 @@ class Instances:
 
 def _per_instance(name: str, values: Any, count: int) -> NDArray[np.int32]:
     """One integer for each instance."""
-    array = as_host_array(name, values)
-    if array.dtype.kind not in "iu" and array.size:
-        raise TypeError(f"{name}: expected integers, got {array.dtype}")
+    array = as_integers(name, values)
     if array.shape != (count,):
         raise ValueError(
             f"{name}: expected one for each of {count:,} transforms, got shape {array.shape}"

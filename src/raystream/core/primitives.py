@@ -4,37 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.attributes import Attributes
-from raystream.core.errors import RaystreamError
 from raystream.core.height_field import HeightField, LocalField
 from raystream.core.spheres import Spheres, directions_at
+from raystream.core.store import Store
 from raystream.core.triangles import MAX_TRIANGLES, Triangles, local_frame
 
-#: What to do where only triangles are supported.
-NOT_TRIANGLES = (
-    "not supported in a scene with spheres or height fields; first_hit, any_hit, multi_hit, "
-    "count_hits, cast, render, lidar_returns and visibility are, with structure='bvh' or 'brute' "
-    "and machine='branching' on the CPU or CUDA"
-)
+if TYPE_CHECKING:
+    from raystream.core.hits import HitColumns
+
+#: Rays leave a sphere from this part of (its radius + its centre's largest coordinate) beside its
+#: surface: 16 times the rounding of the origin to float64, and of the test.
+LEAVING = 2.0**-48
 
 
-def mesh_triangles(triangles: Any) -> Triangles:
-    """The triangles of a scene's meshes, which may stand beside other primitives."""
-    found: Triangles = triangles.triangles if isinstance(triangles, Primitives) else triangles
-    return found
-
-
-class Primitives:
+class Primitives(Store):
     """Triangles, height fields and spheres.
 
     ``prim_id`` counts the triangles of the meshes, then those of the height fields, then the
     spheres. Kernels give a sphere two numbers, for where a ray enters and leaves it: hits at equal
-    t are ordered by them. `prim_ids_of` converts.
+    t are ordered by them. `split_ids` converts.
 
     Parameters
     ----------
@@ -65,6 +59,9 @@ class Primitives:
     ValueError
         If there are too many primitives.
     """
+
+    kinds = ("primitives",)
+    attributes: Attributes
 
     def __init__(
         self,
@@ -119,14 +116,6 @@ class Primitives:
     def __len__(self) -> int:
         return int(self.first_fields[-1]) + len(self.spheres)
 
-    def __getattr__(self, name: str) -> Any:
-        # What is written for `Triangles` meets other primitives here.
-        if name.startswith("_"):
-            raise AttributeError(name)
-        if name in _OF_TRIANGLES:
-            raise RaystreamError(f"triangles.{name}: {NOT_TRIANGLES}")
-        raise AttributeError(f"Primitives has no attribute {name!r}")
-
     def __reduce__(self) -> tuple[Any, ...]:
         return Primitives, self._given
 
@@ -158,14 +147,23 @@ class Primitives:
         spheres = self.spheres.centers.nbytes + self.spheres.radii.nbytes
         return self.triangles.byte_count + held + spheres
 
-    def prim_ids_of(self, numbers: NDArray[np.int32]) -> NDArray[np.int32]:
+    def solid_numbers(self) -> NDArray[np.int32]:
+        """The triangles of the meshes that can be hit, increasing."""
+        return self.triangles.prim_ids
+
+    def object_corners(self) -> NDArray[np.float32]:
+        """`Triangles.corners` of the meshes."""
+        return self.triangles.corners
+
+    def split_ids(self, numbers: NDArray[np.int32]) -> tuple[NDArray[np.int32], None]:
         """The prim_ids of kernels' numbers, see `Primitives`; -1 stays -1."""
         first = np.int32(self.first_fields[-1])
         if not len(self.spheres):
-            return numbers
-        return np.where(numbers < first, numbers, first + ((numbers - first) >> 1))
+            return numbers, None
+        return np.where(numbers < first, numbers, first + ((numbers - first) >> 1)), None
 
-    # Geometry of hits, as `Triangles` has it. Spheres have no corners: NaN.
+    # Geometry of hits. Spheres have no corners: NaN. On them, u and v are where the hit is, see
+    # `core.spheres.directions_at`, and normals point away from the centre.
 
     def sphere_rows(self, prim_id: NDArray[np.int32]) -> NDArray[np.int64]:
         """The spheres of hits, -1 for other primitives and misses."""
@@ -190,61 +188,73 @@ class Primitives:
                 corners[rows] = field.corners_of(prims[rows] - firsts[k], local)
         return corners.reshape(*prim_id.shape, 3, 3)
 
-    def sphere_directions(
-        self, prim_id: NDArray[np.int32], u: NDArray[Any], v: NDArray[Any]
-    ) -> NDArray[np.float64]:
-        """Unit vectors from spheres' centres to hits; NaN for other primitives and misses."""
-        directions = directions_at(u, v)
-        directions[self.sphere_rows(prim_id) < 0] = np.nan
-        return directions
+    def _on_spheres(
+        self, hits: HitColumns
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64]]:
+        """Which hits are of spheres; of these the spheres, and unit vectors from their centres."""
+        rows = self.sphere_rows(hits.prim_id)
+        is_sphere = rows >= 0
+        return is_sphere, rows[is_sphere], directions_at(hits.u[is_sphere], hits.v[is_sphere])
+
+    def local_positions(self, hits: HitColumns) -> NDArray[np.float64]:
+        """Points of hits, shape (..., 3), local frame; NaN for misses."""
+        positions = super().local_positions(hits)
+        is_sphere, rows, normals = self._on_spheres(hits)
+        centers = self.spheres.centers[rows] - self.center
+        positions[is_sphere] = (centers + self.spheres.radii[rows, None] * normals) * self.scale
+        return positions
+
+    def local_normals(self, hits: HitColumns) -> NDArray[np.float64]:
+        """Unit normals of hits, shape (..., 3), local frame; NaN for misses."""
+        normals = super().local_normals(hits)
+        is_sphere, _, normals_there = self._on_spheres(hits)
+        normals[is_sphere] = normals_there
+        return normals
+
+    def spawned(self, hits: HitColumns, directions: NDArray[Any]) -> NDArray[np.float64]:
+        """Origins of rays that leave hits, world space; see `Hits.spawn`.
+
+        A ray into a sphere does not meet the point that it leaves, but the sphere's other side.
+        """
+        origins = super().spawned(hits, directions)
+        is_sphere, rows, normals = self._on_spheres(hits)
+        centers, radii = self.spheres.centers[rows], self.spheres.radii[rows]
+        side = np.einsum("ij,ij->i", normals, directions[is_sphere])
+        side = np.where(side >= 0.0, 1.0, -1.0)
+        offset = LEAVING * (radii + np.abs(centers).max(axis=1, initial=0.0))
+        origins[is_sphere] = centers + (radii + side * offset)[:, None] * normals
+        return origins
+
+    def flat_corners(self, hits: HitColumns) -> NDArray[np.float32]:
+        """Corners of flat surfaces, shape (N, 3, 3), float32, local frame; 0 for misses.
+
+        The triangles that are hit; for spheres, triangles in the plane that touches them at the
+        hit, which is the first corner. Hits must have shape (N,).
+        """
+        corners = self.corners_at(hits.prim_id, hits.instance_id)
+        is_sphere, _, normals = self._on_spheres(hits)
+        first = self.local_positions(hits)[is_sphere]
+        # As large as the coordinates: rounding then turns the plane by some 2**-22.
+        size = 0.25 * np.abs(first).max(axis=1, initial=0.0)
+        size = np.where(size > 0.0, size, 1.0)[:, None]
+        axis = np.eye(3)[np.abs(normals).argmin(axis=1)] if len(normals) else np.zeros((0, 3))
+        across = np.cross(axis, normals)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        second, third = first + size * across, first + size * np.cross(normals, across)
+        corners[is_sphere] = np.stack([first, second, third], axis=1)
+        corners[hits.prim_id < 0] = 0.0
+        return corners.astype(np.float32)
 
     def materials_at(self, prim_id: NDArray[np.int32]) -> NDArray[np.int32]:
         """Materials of hits, int32; -1 for misses."""
-        materials = np.full(prim_id.shape, -1, np.int32)
+        materials = super().materials_at(prim_id)
         firsts = self.first_fields
-        is_triangle = (prim_id >= 0) & (prim_id < firsts[0])
-        materials[is_triangle] = self.attributes.material_ids[prim_id[is_triangle]]
         for k, field in enumerate(self.fields):
             is_here = (prim_id >= firsts[k]) & (prim_id < firsts[k + 1])
             materials[is_here] = field.material_id
         spheres = self.sphere_rows(prim_id)
         materials[spheres >= 0] = self.spheres.material_ids[spheres[spheres >= 0]]
         return materials
-
-    def to_world(self, points: NDArray[Any]) -> NDArray[np.float64]:
-        """Move local points of shape (..., 3) into world space."""
-        return np.asarray(points, np.float64) / self.scale + self.center
-
-    def points_to_world(
-        self,
-        points: NDArray[np.float64],
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> NDArray[np.float64]:
-        """Move points of shape (..., 3) from the local frame to world space."""
-        return self.to_world(points)
-
-    def normals_to_world(
-        self,
-        normals: NDArray[np.float64],
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> NDArray[np.float64]:
-        """Unit normals in world space."""
-        return normals
-
-    def directions_to_local(
-        self,
-        directions: NDArray[Any],
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> NDArray[Any]:
-        """World directions in the local frame, of any length."""
-        return directions
-
-    def reaches_at(
-        self,
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> tuple[Any, Any]:
-        """See `Triangles.reaches_at`."""
-        return float(self.max_coordinate), np.abs(self.center).max() * self.scale
 
     def some(self, most: int) -> Triangles:
         """Some triangles near the primitives, to choose a camera by.
@@ -270,11 +280,4 @@ class Primitives:
 #: Corners of two triangles across the unit cube.
 _ACROSS = np.array(
     [[[-1, -1, -1], [1, 1, -1], [1, 1, 1]], [[1, -1, -1], [-1, 1, -1], [-1, 1, 1]]], np.float64
-)
-
-#: Attributes of `Triangles` that other primitives cannot have.
-_OF_TRIANGLES = frozenset(
-    name
-    for name in (*vars(Triangles), *Triangles.__annotations__)
-    if not (name.startswith("_") or name in vars(Primitives))
 )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 #: A limit that no number of hits reaches.
 UNLIMITED = 2**62
 
 #: What a ray exactly through an edge or a vertex hits: see `Tracer.count_hits`.
 Crossings = Literal["triangles", "surfaces"]
+
+#: Orders of a ray's hits: see `Tracer.trace`.
+Order = Literal["front-to-back", "any"]
 
 
 class Kind(IntEnum):
@@ -58,6 +61,22 @@ def counts_surfaces(crossings: str) -> bool:
     ValueError
         If it is neither ``"triangles"`` nor ``"surfaces"``.
     """
-    if crossings not in ("triangles", "surfaces"):
-        raise ValueError(f"crossings: expected 'triangles' or 'surfaces', got {crossings!r}")
+    _check("crossings", crossings, get_args(Crossings))
     return crossings == "surfaces"
+
+
+def is_front_to_back(order: str) -> bool:
+    """Whether `order` asks for hits by increasing t.
+
+    Raises
+    ------
+    ValueError
+        If it is neither ``"front-to-back"`` nor ``"any"``.
+    """
+    _check("order", order, get_args(Order))
+    return order == "front-to-back"
+
+
+def _check(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ValueError(f"{name}: expected {' or '.join(map(repr, known))}, got {value!r}")

@@ -8,12 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.hit_kinds import distance_type, hits_type
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
 from raystream.core.rays import RayStatus
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 
 
 class _Columns(NamedTuple):
@@ -41,14 +38,14 @@ class RayHit(_Columns):
     # A tuple with attributes besides: it has no __slots__.
 
     status: RayStatus = RayStatus.VALID
-    _triangles: Triangles | InstancedTriangles
+    _triangles: Store
     _instance_id: int | None = None
 
     @classmethod
     def of(
         cls,
         columns: tuple[float, float, float, int],
-        triangles: Triangles | InstancedTriangles,
+        triangles: Store,
         instance_id: int | None = None,
     ) -> RayHit:
         """The hit of a valid ray with triangles.
@@ -56,18 +53,14 @@ class RayHit(_Columns):
         Parameters
         ----------
         columns : tuple
-            t, u, v and prim_id; without an `instance_id` in a scene that has instances, the
-            triangle's number among those of all instances.
-        triangles : Triangles or InstancedTriangles
+            t, u, v and prim_id; without an `instance_id`, the number that kernels have for it.
+        triangles : Store
         instance_id : int, optional
         """
-        if instance_id is None and isinstance(triangles, InstancedTriangles):
-            ids = triangles.split_ids(np.array(columns[3], np.int32))
-            prim_id, instance_id = (one.item() for one in ids)
-            columns = (*columns[:3], prim_id)
-        if isinstance(triangles, Primitives):
-            prim_id = triangles.prim_ids_of(np.array(columns[3], np.int32)).item()
-            columns = (*columns[:3], prim_id)
+        if instance_id is None and triangles.kinds:  # of plain triangles they are ids
+            prim_id, instance = triangles.split_ids(np.array(columns[3], np.int32))
+            columns = (*columns[:3], prim_id.item())
+            instance_id = None if instance is None else instance.item()
         hit = tuple.__new__(cls, columns)
         hit._triangles, hit._instance_id = triangles, instance_id
         return hit
@@ -84,10 +77,10 @@ class RayHit(_Columns):
     def hits(self) -> Hits:
         """The same as `Hits` of shape (), which also provides materials, `spawn` and the rest."""
         held = self._triangles
-        t, u, v = (np.array(one, distance_type(held)) for one in self[:3])
+        t, u, v = (np.array(one, held.number_type) for one in self[:3])
         prim_id, status = np.array(self.prim_id, np.int32), np.array(self.status, np.uint8)
         instance_id = np.array(self.instance_id, np.int32)
-        return hits_type(held)(t, u, v, prim_id, status, held, None, instance_id)
+        return Hits(t, u, v, prim_id, status, held, None, instance_id)
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -167,25 +167,7 @@ def _limit(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float32
         array = as_real_array(name, values).astype(np.float32, copy=False)
     if array.ndim == 0:
         return array.reshape(1)
-    return flat_values(name, array, shape)
-
-
-def flat_values(
-    name: str, array: NDArray[Any], shape: tuple[int, ...], items: str = "rays"
-) -> NDArray[Any]:
-    """Broadcast values to the shape of rays or other items, and flatten them.
-
-    Raises
-    ------
-    ValueError
-        If they do not broadcast.
-    """
-    try:
-        return np.broadcast_to(array, shape).reshape(-1)
-    except ValueError:
-        raise ValueError(
-            f"{name}: shape {array.shape} does not broadcast to the {items}' shape {shape}"
-        ) from None
+    return broadcast(name, array, shape).reshape(-1)
 
 
 def as_host_array(name: str, values: Any) -> NDArray[Any]:
@@ -261,6 +243,40 @@ def as_real_array(name: str, values: Any) -> NDArray[Any]:
     if array.dtype == np.float16:
         return array.astype(np.float32)
     return array.astype(np.float64, copy=False)
+
+
+def as_integers(name: str, values: Any) -> NDArray[Any]:
+    """View values as an array of integers; an empty one may be of any type.
+
+    Raises
+    ------
+    TypeError
+        If the values are not integers, or not on the CPU.
+    """
+    array = as_host_array(name, values)
+    if array.dtype.kind in "iu":
+        return array
+    if array.size:
+        raise TypeError(f"{name}: expected integers, got {array.dtype}")
+    return array.astype(np.int64)
+
+
+def broadcast(
+    name: str, array: NDArray[Any], shape: tuple[int, ...], whose: str = "the rays' shape"
+) -> NDArray[Any]:
+    """View an array in another shape, as `numpy.broadcast_to`.
+
+    Raises
+    ------
+    ValueError
+        If it does not broadcast to the shape; `whose` says what has it.
+    """
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise ValueError(
+            f"{name}: shape {array.shape} does not broadcast to {whose} {shape}"
+        ) from None
 
 
 #: Types of numbers that `float` converts as NumPy does.

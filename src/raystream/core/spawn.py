@@ -29,7 +29,7 @@ WORLD_UNIT = 2.0**-50
 def plane_offset(
     size: NDArray[np.float64], reach: NDArray[np.float64], reaches: tuple[Any, Any]
 ) -> NDArray[np.float64]:
-    """How far from a triangle's plane rays must start or end to miss it; see `spawn_origins`.
+    """How far from a triangle's plane rays must start or end to miss it.
 
     Parameters
     ----------
@@ -38,7 +38,13 @@ def plane_offset(
     reach : ndarray of shape (...), float64
         Largest absolute coordinate of the point on it.
     reaches : tuple of two float, or ndarray of shape (...)
-        See `Triangles.reaches_at`.
+        See `Store.reaches_at`.
+
+    Notes
+    -----
+    A ray from there that points away has the triangle's plane behind it by the offset at t = 0.
+    The test's rounding is that of a triangle whose vertices moved by less than the offset, so it
+    finds the plane at t < 0.
     """
     extent, far = reaches
     offset: NDArray[np.float64] = UNIT * np.minimum(
@@ -50,40 +56,13 @@ def plane_offset(
     return offset
 
 
-def spawn_origins(
-    reaches: tuple[Any, Any],
-    positions: NDArray[np.float64],
-    corners: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    directions: NDArray[Any],
-) -> NDArray[np.float64]:
-    """Move points off their triangles to the side that the directions point to.
+def size_of(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The longest side of triangles along an axis, from corners of shape (..., 3, 3)."""
+    size: NDArray[np.float64] = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
+    return size
 
-    Parameters
-    ----------
-    reaches : tuple of two float, or ndarray of shape (...)
-        See `Triangles.reaches_at`.
-    positions : ndarray of shape (..., 3), float64
-        Points on the triangles, local frame.
-    corners : ndarray of shape (..., 3, 3), float64
-        The triangles' vertices, local frame.
-    normals : ndarray of shape (..., 3), float64
-        Unit normals.
-    directions : ndarray of shape (..., 3), real
 
-    Returns
-    -------
-    ndarray of shape (..., 3), float64
-        Local frame.
-
-    Notes
-    -----
-    A ray from there has the triangle's plane behind it by `offset` at t = 0, and moves away
-    from it. The test's rounding is that of a triangle whose vertices moved by less than
-    `offset`, so it finds the plane at t < 0.
-    """
-    size = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
-    offset = plane_offset(size, np.abs(positions).max(axis=-1), reaches)
-    away = np.sign(np.einsum("...k,...k->...", normals, directions))
-    away = np.where(away == 0.0, 1.0, away)
-    return positions + (away * offset)[..., None] * normals
+def side_of(normals: NDArray[Any], directions: NDArray[Any]) -> NDArray[np.float64]:
+    """The side of planes that directions point to: 1 where the normal is, or along the plane."""
+    side = np.sign(np.einsum("...k,...k->...", normals, directions))
+    return np.where(side == 0.0, 1.0, side)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_host_array, as_real_array
+from raystream.core.rays import as_integers, as_real_array
 from raystream.core.triangles import MAX_COORDINATE
 
 
@@ -52,9 +52,7 @@ class Spheres:
             raise ValueError(
                 f"radii: expected finite numbers above 0, got {sizes[bad]} for sphere {bad}"
             )
-        ids = as_host_array("material_ids", material_ids)
-        if ids.dtype.kind not in "iu":
-            raise TypeError(f"material_ids: expected integers, got {ids.dtype}")
+        ids = as_integers("material_ids", material_ids)
         if ids.size and not (ids.min() >= 0 and ids.max() < 2**31):
             raise ValueError("material_ids: expected numbers of materials, from 0")
         return cls(places, sizes, _spread("material_ids", ids, count).astype(np.int32))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.attributes import Attributes
+from raystream.core.store import Store
 
 #: Coordinates beyond this count as non-finite: products of three would leave float64.
 MAX_COORDINATE = 2.0**200
@@ -31,7 +31,7 @@ SCALE_EXPONENTS = (-10, 20)
 _KEEPING = threading.Lock()
 
 
-class Triangles:
+class Triangles(Store):
     """Triangles of a scene, in a local frame where float32 suffices.
 
     ``local = (world - center) * scale``. The centre is zero and the scale is one for
@@ -68,25 +68,16 @@ class Triangles:
         Of the meshes, if the triangles come from a scene: used by hits, not by queries.
     """
 
-    mesh_splits: NDArray[np.int64]
-    center: NDArray[np.float64]
-    scale: float
     bounds: NDArray[np.float32]
-    max_coordinate: np.float32
     degenerate_count: int
     nonfinite_count: int
-    attributes: Attributes | None = None
     _corners: NDArray[np.float32] | None
     _prim_ids: NDArray[np.int32] | None  # None for all
     _restore: Callable[[], NDArray[np.float32]] | None = None
 
     def __init__(self, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> None:
-        counts = [len(faces) for _, faces in meshes]
-        self.mesh_splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        count = int(self.mesh_splits[-1])
-        if count > MAX_TRIANGLES:
-            raise ValueError(f"scene: {count:,} triangles are more than {MAX_TRIANGLES:,}")
-
+        self.mesh_splits = splits_of(meshes)
+        count = len(self)
         usable = [_usable_vertices(vertices) for vertices, _ in meshes]
         finite = np.ones(count, bool)
         for (_, faces), good, first in zip(meshes, usable, self.mesh_splits, strict=False):
@@ -105,7 +96,7 @@ class Triangles:
             corners[first : first + len(faces)] = local[faces]
 
         self._corners = corners
-        self._set_corners(finite)
+        self._set_solid(*_solid(corners, finite))
 
     @classmethod
     def from_local(
@@ -116,13 +107,11 @@ class Triangles:
         scale: float,
     ) -> Triangles:
         """Make the store from corners that are in a local frame already, as from a file."""
-        triangles = cls.__new__(cls)
-        triangles._corners, triangles.mesh_splits = corners, mesh_splits
-        triangles.center, triangles.scale = center, scale
         finite: NDArray[np.bool_] = np.all(np.isfinite(corners), axis=(1, 2))
-        triangles.nonfinite_count = len(corners) - int(np.count_nonzero(finite))
-        triangles._set_corners(finite)
-        return triangles
+        nonfinite_count = len(corners) - int(np.count_nonzero(finite))
+        solid, bounds = _solid(corners, finite)
+        frame = mesh_splits, center, scale
+        return cls.from_solid(corners, *frame, solid, nonfinite_count, bounds)
 
     @classmethod
     def from_solid(
@@ -165,15 +154,6 @@ class Triangles:
         triangles._set_solid(solid, bounds)
         return triangles
 
-    def _set_corners(self, finite: NDArray[np.bool_]) -> None:
-        """Find the triangles that can be hit, and their bounds."""
-        solid = finite & _has_area(self.corners)
-        corners = self.corners if solid.all() else self.corners[solid]
-        bounds = np.zeros((2, 3), np.float32)
-        if len(corners):
-            bounds[:] = _extremes(corners)
-        self._set_solid(solid, bounds)
-
     def _set_solid(self, solid: NDArray[np.bool_], bounds: NDArray[np.float32]) -> None:
         count = len(self.corners)
         self._prim_ids = None if solid.all() else np.flatnonzero(solid).astype(np.int32)
@@ -207,6 +187,10 @@ class Triangles:
             return np.arange(len(self), dtype=np.int32)
         return self._prim_ids
 
+    def solid_numbers(self) -> NDArray[np.integer[Any]]:
+        """The kernels' numbers of triangles that can be hit: `prim_ids`."""
+        return self.prim_ids
+
     def release(self) -> None:
         """Free `corners` if they can be computed again: 36 bytes per triangle.
 
@@ -225,18 +209,21 @@ class Triangles:
     def __len__(self) -> int:
         return int(self.mesh_splits[-1])
 
+    @property
+    def number_count(self) -> int:
+        """How many numbers kernels have for triangles."""
+        return len(self)
+
+    def object_corners(self) -> NDArray[np.float32]:
+        """`corners`; of `InstancedTriangles`, those of all objects."""
+        return self.corners
+
     def to_local(self, points: NDArray[Any]) -> NDArray[np.float32]:
         """Move world-space points of shape (..., 3) into the local frame."""
         with np.errstate(invalid="ignore", over="ignore"):
             if self.scale == 1.0 and not self.center.any():
                 return np.array(points, np.float32)
             return ((np.asarray(points, np.float64) - self.center) * self.scale).astype(np.float32)
-
-    def to_world(self, points: NDArray[Any]) -> NDArray[np.float64]:
-        """Move local points of shape (..., 3) into world space."""
-        return np.asarray(points, np.float64) / self.scale + self.center
-
-    # Geometry of hits; `InstancedTriangles` has the same, where instances matter.
 
     def corners_at(
         self,
@@ -250,47 +237,24 @@ class Triangles:
         corners[prim_id < 0] = np.nan
         return corners
 
-    def points_to_world(
-        self,
-        points: NDArray[np.float64],
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> NDArray[np.float64]:
-        """Move points of shape (..., 3) on triangles from the local frame to world space."""
-        return self.to_world(points)
-
-    def normals_to_world(
-        self,
-        normals: NDArray[np.float64],
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> NDArray[np.float64]:
-        """Unit normals of triangles in world space."""
-        return normals
-
-    def directions_to_local(
-        self,
-        directions: NDArray[Any],
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> NDArray[Any]:
-        """World directions in the local frame, of any length."""
-        return directions
-
-    def reaches_at(
-        self,
-        instance_id: NDArray[np.int32],  # noqa: ARG002
-    ) -> tuple[Any, Any]:
-        """Largest coordinates near triangles, in local units.
-
-        Returns
-        -------
-        extent, far : float
-            `max_coordinate`; and the length of the numbers that world positions are rounded at.
-        """
-        return float(self.max_coordinate), np.abs(self.center).max() * self.scale
-
     @property
     def world_bounds(self) -> NDArray[np.float64]:
         """`bounds` in world space, shape (2, 3), float64."""
         return self.to_world(self.bounds) if len(self.prim_ids) else np.zeros((2, 3))
+
+
+def splits_of(meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> NDArray[np.int64]:
+    """The first prim_id of each mesh, and the number of triangles; see `Triangles.mesh_splits`.
+
+    Raises
+    ------
+    ValueError
+        If there are too many triangles.
+    """
+    splits = np.cumsum([0, *(len(faces) for _, faces in meshes)], dtype=np.int64)
+    if splits[-1] > MAX_TRIANGLES:
+        raise ValueError(f"scene: {splits[-1]:,} triangles are more than {MAX_TRIANGLES:,}")
+    return splits
 
 
 def local_frame(
@@ -368,6 +332,17 @@ def _finite_bounds(
     if not lows:
         return np.zeros(3), np.zeros(3)
     return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _solid(
+    corners: NDArray[np.float32], finite: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Which triangles can be hit, and the bounds of these."""
+    solid = finite & _has_area(corners)
+    bounds = np.zeros((2, 3), np.float32)
+    if solid.any():
+        bounds[:] = _extremes(corners if solid.all() else corners[solid])
+    return solid, bounds
 
 
 def _has_area(corners: NDArray[np.float32]) -> NDArray[np.bool_]:

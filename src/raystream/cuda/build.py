@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from raystream.core.choices import Cuda
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
-from raystream.core.scene_checks import check_plain
-from raystream.core.triangles import Triangles
+from raystream.core.scene_kinds import check_support
 from raystream.cuda.devices import open_device
 from raystream.jit.threads import Progress
 from raystream.structures import Structure, StructureOptions, form_of, names_with
@@ -15,7 +14,7 @@ from raystream.tracer.devices import build_on_cpu
 
 def build_structure(
     structure: StructureOptions,
-    triangles: Triangles | InstancedTriangles | Primitives,
+    triangles: Any,
     *,
     progress: Progress | None = None,
     device: Cuda | None = None,
@@ -25,7 +24,7 @@ def build_structure(
     Parameters
     ----------
     structure : StructureOptions
-    triangles : Triangles, InstancedTriangles or Primitives
+    triangles : Store
     progress : callable, optional
         Called with (triangles placed, triangles); by the GPU once, at the end.
     device : Cuda, optional
@@ -44,7 +43,7 @@ def build_structure(
     device = device or Cuda()
     if device.build == "host":
         return build_on_cpu(structure, triangles, progress=progress)
-    check_plain("build='device'", triangles)
+    check_support("build='device'", triangles)
     name, build = structure.name, form_of(structure.name, "cuda build")
     if build is None:
         known = ", ".join(map(repr, names_with("cuda build")))

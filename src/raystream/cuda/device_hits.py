@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
 from raystream.jit.cuda import DeviceArray
 
@@ -53,7 +52,7 @@ class DeviceHits:
         t, u, v = self.t.host(), self.u.host(), self.v.host()
         prim_id, status, held = self.prim_id.host(), self.status.host(), self._triangles
         instance_id = None if self.instance_id is None else self.instance_id.host()
-        return hits_type(held)(t, u, v, prim_id, status, held, None, instance_id)
+        return Hits(t, u, v, prim_id, status, held, None, instance_id)
 
     def __repr__(self) -> str:
         return f"DeviceHits(shape={self.t.shape})"
@@ -101,7 +100,7 @@ class DeviceMultiHits:
         hits = self.t.host(), self.u.host(), self.v.host(), self.prim_id.host()
         splits, status, held = self.ray_splits.host(), self.status.host(), self._triangles
         instance_id = None if self.instance_id is None else self.instance_id.host()
-        return multi_hits_type(held)(splits, *hits, status, held, instance_id)
+        return MultiHits(splits, *hits, status, held, instance_id)
 
     def __repr__(self) -> str:
         return f"DeviceMultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

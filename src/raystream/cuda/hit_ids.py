@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
 from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
@@ -73,7 +72,7 @@ class HitIds:
     Parameters
     ----------
     gpu : Gpu
-    triangles : Triangles, InstancedTriangles or Primitives
+    triangles : Store
         With instances, a table is copied to the device when it is first needed.
     """
 
@@ -93,10 +92,10 @@ class HitIds:
             If there is no memory for them.
         """
         held = self._triangles
-        if isinstance(held, Primitives) and len(held.spheres):
+        if "primitives" in held.kinds and len(held.spheres):
             first = np.int32(held.first_fields[-1])
             scope.launch(HALVE, numbers.size, (first, numbers.address))
-        if not isinstance(held, InstancedTriangles):
+        if held.instances is None:
             return numbers, None
         instance_ids = scope.empty("instance_ids", numbers.shape, np.int32)
         arguments = self._instances(held), numbers.address, instance_ids.address

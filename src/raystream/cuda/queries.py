@@ -15,7 +15,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.hit_kinds import distance_type
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
@@ -54,7 +53,7 @@ class HitBlock(NamedTuple):
     def empty(cls, rays: RayLauncher, count: int) -> HitBlock:
         """Allocate uninitialised rows, of the precision of the rays' scene."""
         length = -(-count // _ROW_ALIGNMENT) * _ROW_ALIGNMENT
-        kind = distance_type(rays.scene.triangles)
+        kind = rays.scene.triangles.number_type
         return cls(rays.scope.empty("hits", (4, length), kind), count)
 
     @property
@@ -405,7 +404,7 @@ def trace_on_device(
         if progress:
             progress(done * len(rays), passes * len(rays))
 
-    kind = distance_type(scene.triangles)
+    kind = scene.triangles.number_type
     world_count = 0 if arrays.worlds is None else scene.triangles.instances.world_count
     with StreamScope(scene.gpu, stream_of(scene.gpu, arrays._asdict())) as scope:
         placed = place_device_rays(scope, arrays, world_count, kind)

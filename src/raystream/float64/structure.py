@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import RaystreamError
-from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
-from raystream.core.triangles import Triangles
+from raystream.core.float64_triangles import Float64Triangles
+from raystream.core.scene_kinds import REFUSALS
 from raystream.float64.batches import BATCH_KERNELS
 from raystream.float64.block import BLOCK_NUMBERS
 from raystream.float64.queries import MEMORY_BYTES, float64_searches
@@ -25,7 +23,6 @@ from raystream.structures.brute.options import Brute
 from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.layout import CHILDREN_AT, MAX_BLOCKS, WIDTH
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.registry import StructureOptions
 
 #: Kernels of a BVH that trace in float64.
 _KERNELS = ("auto", "packet", "groups", "single")
@@ -71,24 +68,6 @@ class Float64Structure(Structure):
         """Nodes and blocks."""
         return self._memory
 
-    def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """Not supported."""
-        raise RaystreamError(f"save: {NOT_IN_FLOAT64}")
-
-    @classmethod
-    def from_arrays(
-        cls,
-        triangles: Triangles,
-        arrays: Mapping[str, NDArray[Any]],
-        options: Any,
-    ) -> Structure:
-        """Not supported."""
-        raise RaystreamError(f"load: {NOT_IN_FLOAT64}")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the triangles; the structure is built again."""
-        return type(self), (self.triangles, self.options)
-
 
 class Float64Bvh(Float64Structure):
     """A BVH with boxes in float32 around triangles in float64.
@@ -111,7 +90,7 @@ class Float64Bvh(Float64Structure):
         if options.kernel not in _KERNELS:
             known = ", ".join(map(repr, _KERNELS))
             raise ValueError(
-                f"kernel: {options.kernel!r} is {NOT_IN_FLOAT64}; expected one of {known}"
+                f"kernel: {options.kernel!r} is {REFUSALS['float64']}; expected one of {known}"
             )
         self.triangles, self.options = triangles, options
         tree = build_arrays(triangles, options.quality, options.max_leaf_size, progress)
@@ -162,23 +141,8 @@ class Float64Brute(Float64Structure):
         return max(1, min(4096, (1 << 22) // max(1, len(self.triangles.prim_ids))))
 
 
-def build_float64(
-    options: StructureOptions, triangles: Float64Triangles, progress: Progress | None = None
-) -> Float64Structure:
-    """Build a structure of triangles in float64.
-
-    Raises
-    ------
-    ValueError
-        If the options are of another structure than `Bvh` or `Brute`.
-    """
-    if isinstance(options, Bvh):
-        return Float64Bvh(triangles, options, progress=progress)
-    if isinstance(options, Brute):
-        return Float64Brute(triangles, options, progress=progress)
-    raise ValueError(
-        f"structure: {options.name!r} is {NOT_IN_FLOAT64}; 'bvh' and 'brute' support it"
-    )
+#: By name.
+STRUCTURES = {"bvh": Float64Bvh, "brute": Float64Brute}
 
 
 def _round_outward(planes: NDArray[np.float32], toward: float) -> None:

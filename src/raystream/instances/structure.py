@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import RaystreamError
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
+from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
@@ -38,10 +37,8 @@ from raystream.jit.threads import Progress, part_of
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import PAD, SceneFrame
 from raystream.structures.base import BuildReport, Nested, Structure
-from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.layout import NODE_BYTES
-from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.registry import StructureOptions
 
@@ -68,6 +65,7 @@ class InstancedStructure(Structure):
 
     make_searches = staticmethod(instance_searches)
     triangles: InstancedTriangles  # type: ignore[assignment]
+    _kind: type[Structure]  # of the objects
 
     def __init__(
         self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
@@ -105,6 +103,29 @@ class InstancedStructure(Structure):
             byte_count=sum(array.nbytes for array in self._memory.values())
             + sum(one.report.byte_count for one in self.objects),
         )
+
+    @classmethod
+    def build(
+        cls,
+        triangles: InstancedTriangles,
+        options: StructureOptions,
+        *,
+        progress: Progress | None = None,
+    ) -> InstancedStructure:
+        """Build the structures of a scene's objects, and the tree over their instances.
+
+        Parameters
+        ----------
+        triangles : InstancedTriangles
+        options : StructureOptions
+        progress : callable, optional
+            Called with (triangles placed, triangles).
+        """
+        objects = []
+        for one, first in zip(triangles.objects, triangles.first_prims, strict=False):
+            part = part_of(progress, int(first), len(triangles))
+            objects.append(cls._kind(one, options, progress=part))
+        return cls(triangles, objects, options)
 
     def _trees(self, boxes: Triangles) -> TopTrees:
         """The trees over the boxes."""
@@ -145,20 +166,6 @@ class InstancedStructure(Structure):
         fields = {"objects": OBJECT_ADDRESSES, "trees": TREE.names or ()}
         return Nested(objects, fields, ("shared",))
 
-    def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """Not supported yet."""
-        raise RaystreamError(f"save: {NOT_INSTANCED}")
-
-    @classmethod
-    def from_arrays(
-        cls,
-        triangles: Triangles,  # noqa: ARG003
-        arrays: Mapping[str, NDArray[Any]],  # noqa: ARG003
-        options: Any,  # noqa: ARG003
-    ) -> Structure:
-        """Not supported yet."""
-        raise RaystreamError(f"load: {NOT_INSTANCED}")
-
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the objects; addresses are those of the copy's own arrays."""
         return type(self), (self.triangles, self.objects, self.options)
@@ -176,6 +183,7 @@ class InstancedStructure(Structure):
 class InstancedBvh(InstancedStructure):
     """A BVH over instances, and one for each object."""
 
+    _kind = BvhStructure
     traverse = staticmethod(traverse_top)
     stack_bytes = 2 * STACK_BYTES
     batch_kernels = BATCH_KERNELS
@@ -187,6 +195,7 @@ class InstancedBvh(InstancedStructure):
 class InstancedBrute(InstancedStructure):
     """Every instance, and every triangle of its object."""
 
+    _kind = BruteStructure
     traverse = staticmethod(traverse_all)
 
     def rays_per_call(self) -> int:
@@ -205,35 +214,5 @@ def _tree_records(trees: TopTrees, leaves: NDArray[np.void]) -> NDArray[np.void]
     return records
 
 
-def build_instanced(
-    options: StructureOptions, triangles: InstancedTriangles, progress: Progress | None = None
-) -> InstancedStructure:
-    """Build the structures of a scene's objects, and the tree over their instances.
-
-    Parameters
-    ----------
-    options : Bvh or Brute
-    triangles : InstancedTriangles
-    progress : callable, optional
-        Called with (triangles placed, triangles).
-
-    Raises
-    ------
-    ValueError
-        If the options are of another structure.
-    """
-    kind: Any
-    made: type[InstancedStructure]
-    if isinstance(options, Bvh):
-        kind, made = BvhStructure, InstancedBvh
-    elif isinstance(options, Brute):
-        kind, made = BruteStructure, InstancedBrute
-    else:
-        raise ValueError(
-            f"structure: {options.name!r} is {NOT_INSTANCED}; 'bvh' and 'brute' support them"
-        )
-    objects = []
-    for one, first in zip(triangles.objects, triangles.first_prims, strict=False):
-        part = part_of(progress, int(first), len(triangles))
-        objects.append(kind(one, options, progress=part))
-    return made(triangles, objects, options)
+#: What builds them, by name.
+STRUCTURES = {"bvh": InstancedBvh.build, "brute": InstancedBrute.build}

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from raystream.core.array_checks import checked_rays, checked_vertices
 from raystream.core.query import counts_surfaces
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.jax import callbacks
 from raystream.tracer import Tracer
 
@@ -79,7 +79,7 @@ class JaxTracer:
     def __init__(self, tracer: Tracer) -> None:
         if not isinstance(tracer, Tracer):
             raise TypeError(f"tracer: expected a Tracer, got {type(tracer).__name__}")
-        check_plain("raystream.jax", tracer.structure.triangles)
+        check_support("raystream.jax", tracer.structure.triangles)
         self.tracer = tracer
 
     def first_hit(

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import (
     MAX_COORDINATE,
-    MAX_TRIANGLES,
     Triangles,
     keeps_frame,
     local_frame,
+    splits_of,
 )
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import chunk_size, parallel_for
@@ -73,9 +73,7 @@ def make_triangles(meshes: _Meshes) -> Triangles:
     Triangles
         As ``Triangles(meshes)``, bit for bit.
     """
-    splits = np.cumsum([0, *(len(faces) for _, faces in meshes)], dtype=np.int64)
-    if splits[-1] > MAX_TRIANGLES:
-        return Triangles(meshes)  # which explains
+    splits = splits_of(meshes)
     # Most scenes need no frame of their own: then one pass is enough.
     center, scale = np.zeros(3), 1.0
     placed = _place(meshes, splits, center, scale)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.rays import as_host_array, as_real_array
-from raystream.core.scene_checks import check_triangles
+from raystream.core.rays import as_integers, as_real_array
+from raystream.core.scene_kinds import check_support
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
-from raystream.core.triangles import MAX_COORDINATE, Triangles
+from raystream.core.store import Store
+from raystream.core.triangles import MAX_COORDINATE
 from raystream.line_of_sight.placed_ends import FAR_UNITS, PlacedPlanes, placed_planes
 from raystream.programs.filters import Bound
 from raystream.tracer import Tracer
@@ -99,26 +99,24 @@ def planes_of(
 
 
 def leaving_distance(
-    triangles: Triangles | InstancedTriangles,
+    triangles: Store,
     extents: NDArray[np.float64],
     reach: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Distances from triangles' planes, local frame, at which rays that leave them start.
 
-    Those of `core.spawn.spawn_origins`.
+    Those of `core.spawn.plane_offset`.
     """
     units = EXTENT_UNITS * extents + REACH_UNITS * reach
     most = MOST_UNITS * (float(triangles.max_coordinate) + reach)
     return UNIT * np.minimum(units, most) + _world_rounding(triangles)
 
 
-def _world_rounding(triangles: Triangles | InstancedTriangles) -> float:
+def _world_rounding(triangles: Store) -> float:
     return WORLD_UNIT * float(np.abs(triangles.center).max()) * triangles.scale
 
 
-def end_points(
-    name: str, values: Any, skipped: Any, triangles: Triangles | InstancedTriangles
-) -> EndPoints:
+def end_points(name: str, values: Any, skipped: Any, triangles: Any) -> EndPoints:
     """Read points: an array of shape (N, 3), or hits of any shape, flattened.
 
     Parameters
@@ -127,7 +125,7 @@ def end_points(
         Name of the argument, for errors; `skipped` is ``skip_`` and the name.
     values : array_like of shape (N, 3), real, or Hits
     skipped : array_like of shape (N,) or (N, k), int, or None
-    triangles : Triangles or InstancedTriangles
+    triangles : Store
         The traced ones.
 
     Raises
@@ -140,17 +138,17 @@ def end_points(
     normals = extents = planes = None
     if isinstance(values, Hits):
         hits = values.ravel()
-        own = hits._triangles
-        check_triangles(f"{name}: points on surfaces", own)
+        own: Any = hits._triangles
+        check_support("points on surfaces", own)
         is_same = own.scale == triangles.scale and np.array_equal(own.center, triangles.center)
         if not (is_same and type(own) is type(triangles)):
             raise ValueError(f"{name}: the hits are of another scene than the tracer's")
         positions, is_valid = hits.positions, hits.is_hit.copy()
-        if isinstance(own, InstancedTriangles):
+        if own.instances is not None:
             normals, extents = hits._world_normals(), np.zeros(len(positions))
             planes = placed_planes(hits, own)
         else:
-            normals, extents, _ = planes_of(hits._corners())
+            normals, extents, _ = planes_of(own.corners_at(hits.prim_id, hits.instance_id))
         is_valid &= np.isfinite(normals).all(axis=-1)
         normals[~is_valid] = extents[~is_valid] = 0.0
     else:
@@ -168,14 +166,8 @@ def end_points(
     return EndPoints(positions, is_valid, reach, normals, extents, ids, planes)
 
 
-def _skipped(
-    name: str, values: Any, count: int, triangles: Triangles | InstancedTriangles
-) -> NDArray[np.int64]:
-    ids = as_host_array(name, values)
-    if ids.size == 0:
-        ids = ids.astype(np.int64)
-    if ids.dtype.kind not in "iu":
-        raise TypeError(f"{name}: expected integers, got {ids.dtype}")
+def _skipped(name: str, values: Any, count: int, triangles: Any) -> NDArray[np.int64]:
+    ids = as_integers(name, values)
     if ids.ndim not in (1, 2) or len(ids) != count:
         raise ValueError(f"{name}: expected shape ({count},) or ({count}, k), got {ids.shape}")
     if ids.size and not (ids.min() >= -1 and ids.max() < len(triangles)):

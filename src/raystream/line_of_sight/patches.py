@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_host_array
+from raystream.core.rays import as_integers
 from raystream.core.triangles import Triangles
 from raystream.line_of_sight.end_points import leaving_distance, planes_of
 
@@ -54,11 +54,7 @@ def patch_ids(values: Any, triangles: Triangles) -> NDArray[np.int64]:
     if values is None:
         splits = triangles.mesh_splits
         return np.repeat(np.arange(len(splits) - 1), np.diff(splits))
-    ids = as_host_array("patches", values)
-    if ids.size == 0:
-        ids = ids.astype(np.int64)
-    if ids.dtype.kind not in "iu":
-        raise TypeError(f"patches: expected integers, got {ids.dtype}")
+    ids = as_integers("patches", values)
     if ids.shape != (count,):
         raise ValueError(
             f"patches: expected one for each triangle, shape ({count},), got {ids.shape}"

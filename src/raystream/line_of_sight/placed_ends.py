@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
 from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
+from raystream.core.spawn import REACH_UNITS, UNIT, WORLD_UNIT, plane_offset, size_of
 
 #: At a segment's far end rounding in the triangle test acts as if each vertex moved by at most
 #: about 6 units of its distance from the ray's origin (see `core.spawn`); and the direction is
@@ -76,9 +76,9 @@ def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
         return found
     some, instances = hits[rows], triangles.instances
     ids = some.instance_id
-    corners, normals = some._corners(), some._local_normals()
-    extents = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
-    reach = np.abs(some._local_positions()).max(axis=-1)
+    extents = size_of(triangles.corners_at(some.prim_id, ids))
+    normals = triangles.local_normals(some)
+    reach = np.abs(triangles.local_positions(some)).max(axis=-1)
     most, world = triangles.reaches_at(ids)
     scales = np.array([float(one.scale) for one in triangles.objects])
     scale = scales[instances.object_ids[ids]]
@@ -87,8 +87,7 @@ def placed_planes(hits: Hits, triangles: InstancedTriangles) -> PlacedPlanes:
     )
     found.height[rows] = np.abs(np.einsum("nk,nk->n", found.step[rows], some._world_normals()))
     found.inverse[rows] = instances.inverses[ids, :, :3] * scale[:, None, None]
-    units = np.minimum(EXTENT_UNITS * extents + REACH_UNITS * reach, MOST_UNITS * (most + reach))
-    found.near[rows] = UNIT * units + WORLD_UNIT * world
+    found.near[rows] = plane_offset(extents, reach, (most, world))
     # The start is no farther from the object's origin than the end and the length together.
     units = FAR_UNITS * extents + 2.0 * REACH_UNITS * reach
     found.far[rows] = UNIT * units + WORLD_UNIT * world

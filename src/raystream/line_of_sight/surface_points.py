@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.rays import as_host_array, as_real_array
-from raystream.core.scene_checks import check_triangles
-from raystream.core.triangles import Triangles
+from raystream.core.rays import as_integers, as_real_array, broadcast
+from raystream.core.scene_kinds import check_support
 from raystream.line_of_sight.end_points import check_tracer
 from raystream.tracer import Tracer
 
@@ -57,12 +55,8 @@ def surface_points(
     """
     check_tracer(tracer)
     triangles = tracer.structure.triangles
-    check_triangles("surface_points", triangles)
-    ids = as_host_array("prim_ids", prim_ids)
-    if ids.size == 0:
-        ids = ids.astype(np.int32)
-    if ids.dtype.kind not in "iu":
-        raise TypeError(f"prim_ids: expected integers, got {ids.dtype}")
+    check_support("surface_points", triangles)
+    ids = as_integers("prim_ids", prim_ids)
     if ids.size and not (ids.min() >= -1 and ids.max() < len(triangles)):
         wrong = ids.min() if ids.min() < -1 else ids.max()
         raise ValueError(
@@ -72,12 +66,8 @@ def surface_points(
     weights = []
     for name, values in (("u", u), ("v", v)):
         array = as_real_array(name, values)
-        try:
-            weights.append(np.broadcast_to(array, ids.shape).astype(np.float32))
-        except ValueError:
-            raise ValueError(
-                f"{name}: shape {array.shape} does not broadcast to that of prim_ids, {ids.shape}"
-            ) from None
+        spread = broadcast(name, array, ids.shape, "that of prim_ids,")
+        weights.append(spread.astype(np.float32))
     is_miss = ids < 0
     for weight in weights:
         weight[is_miss] = 0.0
@@ -91,11 +81,9 @@ def surface_points(
     return Hits(t, weights[0], weights[1], prim_id, status, triangles, None, instances)
 
 
-def _instances(
-    values: Any, prim_ids: NDArray[Any], triangles: Triangles | InstancedTriangles
-) -> NDArray[np.int32] | None:
+def _instances(values: Any, prim_ids: NDArray[Any], triangles: Any) -> NDArray[np.int32] | None:
     """Check `instance_ids`; None in a scene without instances."""
-    if not isinstance(triangles, InstancedTriangles):
+    if triangles.instances is None:
         if values is not None:
             raise ValueError("instance_ids: expected None: the scene has no instances")
         return None
@@ -103,18 +91,8 @@ def _instances(
         raise ValueError(
             "instance_ids: expected the instance of each triangle, in a scene with instances"
         )
-    given = as_host_array("instance_ids", values)
-    if given.size == 0:
-        given = given.astype(np.int32)
-    if given.dtype.kind not in "iu":
-        raise TypeError(f"instance_ids: expected integers, got {given.dtype}")
-    try:
-        given = np.broadcast_to(given, prim_ids.shape)
-    except ValueError:
-        raise ValueError(
-            f"instance_ids: shape {given.shape} does not broadcast to that of prim_ids, "
-            f"{prim_ids.shape}"
-        ) from None
+    given = as_integers("instance_ids", values)
+    given = broadcast("instance_ids", given, prim_ids.shape, "that of prim_ids,")
     ids = np.where(prim_ids < 0, -1, given)
     found = prim_ids >= 0
     count = len(triangles.instances)

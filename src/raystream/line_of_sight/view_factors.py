@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.balance import Shares, balanced
 from raystream.line_of_sight.patches import Emitter, Patches, make_patches, patch_ids
@@ -176,7 +176,7 @@ def view_factors(
         raise ValueError(f"target_error: expected a number above 0, got {target_error}")
     sampler = Sampler.of("sobol", seed)
     triangles = tracer.structure.triangles
-    check_plain("view_factors", triangles)
+    check_support("view_factors", triangles)
     ids = patch_ids(patches, triangles)
     count = int(ids.max(initial=-1)) + 1
     matrices = _BALANCED_MATRICES if reciprocity else _MATRICES

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from raystream._version import __version__
 from raystream.core.libraries import library_of
 from raystream.core.memory import available_memory
-from raystream.core.scene_checks import check_no_worlds, check_triangles
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import (
     EndPoints,
@@ -171,9 +171,9 @@ def visibility(
         raise ValueError("skip_b: expected None without b; skip_a serves both")
     path = None if out is None else _checked_path(out, form)
     triangles = tracer.structure.triangles
-    check_no_worlds("visibility", triangles)
+    check_support("visibility", triangles)
     if path is not None:
-        check_triangles("out", triangles)
+        check_support("out", triangles)
     starts = end_points("a", a, skip_a, triangles)
     stops = starts if b is None else end_points("b", b, skip_b, triangles)
     opacity = cutouts_of(tracer, cutouts)

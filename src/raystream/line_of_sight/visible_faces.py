@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.checks import check_least
-from raystream.core.hits import Hits
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.memory import check_memory
 from raystream.core.rays import as_vector
-from raystream.core.scene_checks import check_no_worlds, check_triangles
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.line_of_sight.end_points import check_tracer, end_points, is_clear
 from raystream.line_of_sight.image_frame import seen_from
@@ -121,11 +119,9 @@ def visible_faces(
     camera = _as_camera(tracer, camera, width / height)
     points = check_least("points_per_face", points_per_face, 0)
     triangles: Any = tracer.structure.triangles
-    check_triangles("visible_faces", triangles)
-    check_no_worlds("visible_faces", triangles)
-    is_placed = isinstance(triangles, InstancedTriangles)
-    count = int(triangles.first_ids[-1]) if is_placed else len(triangles)
-    needed = _LOOKING_BYTES if is_placed and points else _COUNT_BYTES
+    check_support("visible_faces", triangles)
+    count = triangles.number_count
+    needed = _COUNT_BYTES if triangles.instances is None or not points else _LOOKING_BYTES
     check_memory(needed * count, f"counts of {count:,} faces would")
     opacity = cutouts_of(tracer, cutouts)
     on_hit = opacity and opacity.on_hit
@@ -136,7 +132,7 @@ def visible_faces(
     for first in range(0, height, rows):
         y = np.arange(first, min(first + rows, height))[:, None] + 0.5
         hits = tracer.first_hit(*camera.rays(width, height, x, y), on_hit=on_hit)
-        found = _numbers(hits, triangles)
+        found = triangles.numbers_of(hits.prim_id, hits.instance_id)
         ids, pixels = np.unique(found[found >= 0], return_counts=True)
         counts[ids] += pixels
         if progress:
@@ -145,25 +141,10 @@ def visible_faces(
     if points:
         _look_for_others(tracer, camera, (width, height), points, is_seen, opacity, progress)
     numbers = np.flatnonzero(is_seen)
-    prim_ids, instance_ids = _split(numbers, triangles)
+    prim_ids, instance_ids = triangles.split_ids(numbers.astype(np.int32))
+    if instance_ids is None:
+        instance_ids = np.zeros_like(prim_ids)
     return VisibleFaces(prim_ids, counts[numbers], instance_ids)
-
-
-def _numbers(hits: Hits, triangles: Any) -> NDArray[Any]:
-    """The triangles hit; with instances, their numbers among those of all instances."""
-    if not isinstance(triangles, InstancedTriangles):
-        return hits.prim_id
-    return triangles.numbers_of(hits.prim_id, hits.instance_id)
-
-
-def _split(
-    numbers: NDArray[np.int64], triangles: Any
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The prim_ids and instance_ids of numbers."""
-    ids = numbers.astype(np.int32)
-    if not isinstance(triangles, InstancedTriangles):
-        return ids, np.zeros(len(ids), np.int32)
-    return triangles.split_ids(ids)
 
 
 def _as_camera(tracer: Tracer, camera: Any, aspect: float) -> Camera:
@@ -192,8 +173,7 @@ def _look_for_others(
 ) -> None:
     """Trace rays to points of the faces that are not seen yet."""
     triangles: Any = tracer.structure.triangles
-    is_placed = isinstance(triangles, InstancedTriangles)
-    others = triangles.solid_numbers() if is_placed else triangles.prim_ids
+    others = triangles.solid_numbers()
     others = others[~is_seen[others]]
     pixels = size[0] * size[1]
     total = pixels + points * len(others)
@@ -202,8 +182,8 @@ def _look_for_others(
         u, v = _weights(number)
         for begin in range(0, len(others), _BLOCK):
             faces = others[begin : begin + _BLOCK]
-            prim_ids, instance_ids = _split(faces, triangles)
-            centers = surface_points(tracer, prim_ids, u, v, instance_ids if is_placed else None)
+            prim_ids, instance_ids = triangles.split_ids(faces.astype(np.int32))
+            centers = surface_points(tracer, prim_ids, u, v, instance_ids)
             stops = end_points("faces", centers, None, triangles)
             origins, is_inside = seen_from(camera, size, stops.positions)
             is_inside &= stops.is_valid

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from raystream.core.hit_kinds import distance_type
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress, part_of
@@ -130,7 +129,7 @@ class Backend(ABC):
         -------
         Sink
         """
-        kind = distance_type(self.structure.triangles)
+        kind = self.structure.triangles.number_type
         sink = Sink.of(query, len(rays), records, kind=kind)
         is_program = query.kind is Kind.TRACE
         if not is_program and (query.on_hit is None or query.limit == 0):
@@ -175,7 +174,7 @@ class Backend(ABC):
             half = part_of(progress, 0, 2 * count)
             self.run(query._replace(kind=Kind.COUNT_HITS), rays, counted, half)
             np.cumsum(counted.counts, out=filled.splits[1:])
-        kind = distance_type(self.structure.triangles)
+        kind = self.structure.triangles.number_type
         filled.hits = allocate_hits(int(filled.splits[-1]), kind)
         fill(filled, part_of(progress, count, 2 * count))
         sink.put(filled.splits, filled.hits)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.hit_kinds import distance_type
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.constants import NULL
@@ -89,7 +88,7 @@ class Branching(Backend):
         elif sink.visitor is not None:
             self._visit(query, rays, sink, progress)
         else:
-            hits = HitAccumulator(len(rays), distance_type(self.structure.triangles))
+            hits = HitAccumulator(len(rays), self.structure.triangles.number_type)
             self._visit(query, rays, Sink(sink.status, visitor=hits.take), progress)
             sink.put(*hits.whole())
 
@@ -101,7 +100,7 @@ class Branching(Backend):
         All hits are collected in buffers, one for each thread, and copied: `HitAccumulator`.
         """
         small = thread_count() * _CALL_BYTES + self.structure.ray_batch.copied_bytes * ray_count
-        hit_bytes = HitArrays.row_bytes(distance_type(self.structure.triangles))
+        hit_bytes = HitArrays.row_bytes(self.structure.triangles.number_type)
         if kind is not Kind.MULTI_HIT:
             return small + batch_bytes(self.structure, kind, ray_count)
         capacity = max(FIRST_CAPACITY, 4 * -(-hit_count // max(ray_count, 1)))
@@ -214,7 +213,7 @@ class Branching(Backend):
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Pass all hits to the sink's visitor."""
         structure, visitor = self.structure, sink.visitor
-        kind = distance_type(structure.triangles)
+        kind = structure.triangles.number_type
         if trace_batch(structure, query, rays, sink, progress):
             return
         assert visitor is not None

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from raystream.core.checks import check_least
 from raystream.core.hits import RayRows
-from raystream.core.primitives import Primitives
 from raystream.core.rays import RayBatch
-from raystream.core.scene_checks import check_float32, check_no_worlds
-from raystream.core.triangles import Triangles
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.physics.group_values import group_values
 from raystream.physics.library_results import LibraryLidarReturns, in_library_of
@@ -166,8 +164,7 @@ def lidar_returns(
     ([1092, 1138, 1359], [1, 2, 3])
     """
     held: Any = tracer.structure.triangles
-    check_float32("lidar_returns", held)
-    check_no_worlds("lidar_returns", held)
+    check_support("lidar_returns", held)
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
@@ -178,7 +175,7 @@ def lidar_returns(
         "transmission", transmission, names, "material", high=1.0, default=0.0
     )
     surfaces = Surfaces(
-        held.corners if isinstance(held, Triangles) else None,
+        None if held.kinds else held.corners,
         scene.attributes.material_ids,
         reflectances,
         transmissions,
@@ -202,17 +199,12 @@ def lidar_returns(
         if progress:
             progress(rows.stop, len(batch))
     returns = Returns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    material_ids = (
-        held.materials_at(returns.prim_id)
-        if isinstance(held, Primitives)
-        else surfaces.material_ids[returns.prim_id]
-    )
     mesh_splits = held.mesh_splits
     found = LidarReturns(
         np.concatenate([[0], np.cumsum(counts)]),
         returns,
         (np.searchsorted(mesh_splits, returns.prim_id, side="right") - 1).astype(np.int32),
-        material_ids,
+        held.materials_at(returns.prim_id),
         status.reshape(batch.shape),
     )
     return in_library_of(origins, directions, found, LibraryLidarReturns)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import RaystreamWarning
 from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
-from raystream.core.scene_checks import check_no_worlds, check_triangles
+from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
 from raystream.instances.structure import InstancedStructure
 from raystream.jit.threads import Progress, parallel_for
@@ -152,8 +152,7 @@ def thickness(
         raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
     if nested not in ("both", "inner"):
         raise ValueError(f"nested: expected 'both' or 'inner', got {nested!r}")
-    check_triangles("thickness", tracer.structure.triangles)
-    check_no_worlds("thickness", tracer.structure.triangles)
+    check_support("thickness", tracer.structure.triangles)
     batch = RayBatch(origins, directions, t_min, t_max)
     rules = Rules(ends == "clip", nested == "inner", cutouts)
     found, overlaps = find_segments(tracer, batch, rules, progress)

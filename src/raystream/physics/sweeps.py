@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_real_array
+from raystream.core.rays import as_real_array, broadcast
 from raystream.jit.threads import Progress, part_of
 from raystream.physics.lidar import LidarReturns, lidar_returns
 from raystream.physics.scan import Returns
@@ -275,12 +275,7 @@ def _limits(pulses: _PulseOptions, count: int) -> dict[str, NDArray[Any]]:
     for name in ("t_min", "t_max"):
         values = as_real_array(name, pulses.get(name, 0.0))
         if values.ndim:
-            try:
-                found[name] = np.broadcast_to(values, (count,))
-            except ValueError:
-                raise ValueError(
-                    f"{name}: shape {values.shape} does not broadcast to the rays' shape ({count},)"
-                ) from None
+            found[name] = broadcast(name, values, (count,))
     return found
 
 

@@ -17,6 +17,7 @@ from raystream.structures.bvh.packet_queries import NEAREST, packet_kernel
 if TYPE_CHECKING:
     from raystream.primitives.structure import PrimitiveBvh
 
+
 def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
     held = scene.arrays
     others = held._replace(sphere_nodes=ZERO_U64)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import RaystreamError
-from raystream.core.primitives import NOT_TRIANGLES, Primitives
+from raystream.core.primitives import Primitives
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.ray import SceneFrame
@@ -30,12 +28,9 @@ from raystream.primitives.traversal import (
     traverse_trees,
 )
 from raystream.structures.base import RAYS_PER_CALL, BuildReport, Nested, Structure
-from raystream.structures.brute.options import Brute
 from raystream.structures.brute.structure import BruteStructure
 from raystream.structures.bvh.build import build_arrays
-from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.structure import BvhStructure
-from raystream.structures.registry import StructureOptions
 
 #: Tests per call of a compiled loop, by brute force: about 50 ms.
 _TESTS_PER_CALL = 1 << 23
@@ -133,28 +128,6 @@ class PrimitiveStructure(Structure):
         levels = (array for one in self._levels for array in one)
         return Nested((*fields, *levels), {"fields": FIELD_ADDRESSES})
 
-    def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """Not supported."""
-        raise RaystreamError(f"save: {NOT_TRIANGLES}")
-
-    @classmethod
-    def from_arrays(
-        cls,
-        triangles: Triangles,  # noqa: ARG003
-        arrays: Mapping[str, NDArray[Any]],  # noqa: ARG003
-        options: Any,  # noqa: ARG003
-    ) -> Structure:
-        """Not supported."""
-        raise RaystreamError(f"load: {NOT_TRIANGLES}")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the primitives; a copy is built from them."""
-        return type(self), (self.triangles, self.options)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> PrimitiveStructure:
-        """A copy that shares the primitives, which never change."""
-        return type(self)(self.triangles, self.options)
-
     def quality(self) -> dict[str, float]:
         """Numbers of primitives."""
         held = self.triangles
@@ -227,22 +200,5 @@ def _spanning(primitives: Primitives, boxes: NDArray[np.float64]) -> Triangles:
     )
 
 
-def build_primitives(
-    options: StructureOptions, primitives: Primitives, progress: Progress | None = None
-) -> PrimitiveStructure:
-    """Build the structure of a scene with spheres or height fields.
-
-    Raises
-    ------
-    ValueError
-        If the options are of a structure other than ``"bvh"`` and ``"brute"``, or a height field's
-        spacing is too small for the scene.
-    """
-    if isinstance(options, Bvh):
-        return PrimitiveBvh(primitives, options, progress=progress)
-    if isinstance(options, Brute):
-        return PrimitiveBrute(primitives, options, progress=progress)
-    raise ValueError(
-        f"structure: {options.name!r} does not support spheres and height fields; 'bvh' and "
-        "'brute' do"
-    )
+#: By name.
+STRUCTURES = {"bvh": PrimitiveBvh, "brute": PrimitiveBrute}

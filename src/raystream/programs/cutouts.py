@@ -9,8 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.primitives import Primitives
-from raystream.core.scene_checks import check_triangles
+from raystream.core.scene_kinds import check_support
 
 #: What looks opacity up. It is named, as the rooms of devices are, and not imported: X-ray images
 #: need `physics`, whose analyses need this, so that neither room can be before the other.
@@ -46,13 +45,13 @@ def cutouts_of(tracer: Any, is_wanted: bool, is_solid: NDArray[np.bool_] | None 
     scene = tracer.scene
     if not is_wanted or scene.is_opaque:
         return None
-    triangles = tracer.structure.triangles
+    triangles: Any = tracer.structure.triangles
     opacity = None
-    if not isinstance(triangles, Primitives):
+    if "primitives" not in triangles.kinds:
         opacity = _opacity_of(scene, triangles, is_solid)
         if opacity is None:
             return None
-    check_triangles("cutouts=True, with surfaces that are not opaque", triangles)
+    check_support("cutouts=True, with surfaces that are not opaque", triangles)
     if tracer.is_counting:
         raise ValueError(
             "cutouts=True: a tracer with counters=True counts whole queries, and filters take "

@@ -8,14 +8,14 @@ from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.hit_filter import U_AT, V_AT
-from raystream.programs.hits import RaysAt, SceneAt, hit_of
-from raystream.programs.placed import PlacedAt, is_skipped_at, placed_hit_of
+from raystream.programs.hits import RaysAt, SceneAt
+from raystream.programs.placed import PlacedAt
+from raystream.programs.rows import SkipsAt
 
-#: Its numbers: whether the filter raised; from `SCENE` on a `SceneAt`, or with instances the
-#: address of a `PlacedAt`, that of the pairs that rays skip, and the pairs per ray; from
-#: `DIRECTIONS` on the address and stride of the rays' directions, and whether these are float64;
-#: then the constants.
-SCENE, DIRECTIONS, CONSTANTS = 1, 5, 8
+#: Its numbers: whether the filter raised; from `SCENE` on the address of a `SceneAt`, or with
+#: instances of a `PlacedAt`, and the `SkipsAt` of pairs; from `DIRECTIONS` on the address and
+#: stride of the rays' directions, and whether these are float64; then the constants.
+SCENE, DIRECTIONS, CONSTANTS = 1, 4, 7
 
 _ZERO, _1, _2, _3, _4, _5, _6 = (np.uint64(8 * k) for k in range(7))
 _SCENE_AT, _DIRECTIONS_AT = np.uint64(8 * SCENE), np.uint64(8 * DIRECTIONS)
@@ -29,7 +29,7 @@ def _number(at, offset):
 @device
 def scene_of(context):
     """The `SceneAt` of a context."""
-    at = context + _SCENE_AT
+    at = _number(context, _SCENE_AT)
     return SceneAt(_number(at, _ZERO), _number(at, _1), _number(at, _2), _number(at, _3))
 
 
@@ -49,11 +49,10 @@ def placed_scene_of(context):
 
 
 @device
-def is_filter_skipped(context, ray, hit):
-    """Whether a ray skips the triangle of a hit, in a scene with instances."""
+def skips_of(context):
+    """The pairs that rays skip, in a scene with instances."""
     at = context + _SCENE_AT
-    pairs, width = _number(at, _1), _number(at, _2)
-    return is_skipped_at(pairs, width, ray, hit.prim_id, hit.instance_id)
+    return SkipsAt(_number(at, _1), _number(at, _2))
 
 
 @device
@@ -65,16 +64,7 @@ def rays_of(context):
 
 
 @device
-def filtered_hit(hits, lane, prim_id, first, rays, scene):
-    """The `Hit` of a lane; see `kernels.hit_filter.kept_hits` for the arguments."""
-    at, ray = hits + (lane << SHIFT_32), first + lane
-    t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
-    return hit_of(ray, t, u, v, prim_id, rays, ray, scene)
-
-
-@device
-def placed_filtered_hit(hits, lane, prim_id, first, rays, scene):
-    """The same in a scene with instances, where `prim_id` is a number among all instances."""
-    at, ray = hits + (lane << SHIFT_32), first + lane
-    t, u, v = load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)
-    return placed_hit_of(ray, t, u, v, prim_id, rays, ray, scene)
+def lane_at(hits, lane):
+    """t, u and v of a lane; see `kernels.hit_filter.kept_hits`."""
+    at = hits + (lane << SHIFT_32)
+    return load(np.float32, at), load(np.float32, at + U_AT), load(np.float32, at + V_AT)

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import RayBatch
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 from raystream.jit.threads import Progress, rising
 from raystream.kernels.hits import (
     HitAccumulator,
@@ -25,7 +24,6 @@ from raystream.programs.loop_source import Goal
 from raystream.programs.program import Program
 from raystream.programs.ray_subset import PendingRays, RaySubset
 from raystream.programs.rounds import FindHits, visit
-from raystream.programs.skips import prim_ids_of, skipped_triangles
 
 
 def _keep_all(hit: Any) -> bool:
@@ -60,51 +58,30 @@ class Filter(NamedTuple):
     function : callable
         The user's function.
     skipped : ndarray of shape (N, k) or (N, k, 2), int32, or None
-        Triangles that each ray skips, see `skips.skipped_triangles`; on a device, as the caller
+        Triangles that each ray skips, see `rows.skipped_triangles`; on a device, as the caller
         gave them.
-    triangles : Triangles or InstancedTriangles
+    triangles : Store
     bound : Bound, optional
         If the function has constants.
     """
 
     function: Callable[..., Any]
     skipped: Any
-    triangles: Triangles | InstancedTriangles
+    triangles: Store
     bound: Bound | None = None
 
     @classmethod
-    def of(
-        cls,
-        on_hit: Any,
-        skip_prim_ids: Any,
-        shape: tuple[int, ...],
-        triangles: Triangles | InstancedTriangles,
-    ) -> Filter | None:
-        """The filter of a query's arguments; None if it keeps all hits."""
-        if on_hit is None and skip_prim_ids is None:
-            return None
-        skipped = None
-        if skip_prim_ids is not None:
-            skipped = skipped_triangles(skip_prim_ids, shape, triangles)
-        return cls._with(on_hit, skipped, triangles)
-
-    @classmethod
-    def among(cls, on_hit: Any, skip_prim_ids: Any, triangles: Triangles) -> Filter:
-        """The filter of a query of rays on a device."""
-        return cls._with(on_hit, prim_ids_of(skip_prim_ids), triangles)
-
-    @classmethod
-    def _with(cls, on_hit: Any, skipped: Any, triangles: Triangles | InstancedTriangles) -> Filter:
-        """The filter of a function, or of None, which keeps all hits."""
+    def of(cls, on_hit: Any, skipped: Any, triangles: Store) -> Filter:
+        """The filter of a function, or of None, which keeps all hits that are not skipped."""
         if isinstance(on_hit, Bound):
             return cls(on_hit.function, skipped, triangles, on_hit)
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
 
     def at_hits(self, rays: RayBatch) -> FilterAtHits:
         """The filter compiled to be called by traversals."""
-        is_placed = isinstance(self.triangles, InstancedTriangles)
-        # In a plain scene the traversal itself skips triangles.
-        function = None if self.function is _keep_all and not is_placed else self.function
+        # Without instances the traversal itself skips triangles.
+        is_bare = self.function is _keep_all and self.triangles.instances is None
+        function = None if is_bare else self.function
         constants = None if self.bound is None else self.bound.constants
         return FilterAtHits(function, self.skipped, constants, self.triangles, rays)
 

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.rays import RayBatch
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 from raystream.jit.simd import count_trailing_zeros, load
 from raystream.jit.user_loops import Loop, compile_loop
 from raystream.jit.user_results import accept_decision
@@ -25,16 +24,16 @@ from raystream.programs.filter_context import (
     CONSTANTS,
     DIRECTIONS,
     SCENE,
-    filtered_hit,
-    is_filter_skipped,
-    placed_filtered_hit,
+    lane_at,
     placed_scene_of,
     rays_of,
     scene_of,
+    skips_of,
 )
-from raystream.programs.hits import SceneAt
-from raystream.programs.placed import PlacedAt
+from raystream.programs.hits import hit_of
+from raystream.programs.placed import is_placed_skipped, placed_hit_of, scene_at
 from raystream.programs.program import check_function
+from raystream.programs.rows import SkipsAt
 
 #: Arguments of a filter's code: its context, and those of `hit_filter.kept_hits`.
 _TYPES = ("uint64", "uint64", "uint64", "int32", "uint64")
@@ -51,10 +50,10 @@ class FilterAtHits:
     function : callable or None
         The user's function; None if rays only skip triangles.
     skipped : ndarray of shape (N, k) or (N, k, 2), int32, or None
-        Triangles that each ray skips; see `skips.skipped_triangles`.
+        Triangles that each ray skips; see `rows.skipped_triangles`.
     constants : tuple or None
         The function's second argument.
-    triangles : Triangles or InstancedTriangles
+    triangles : Store
     rays : RayBatch
 
     Raises
@@ -69,23 +68,21 @@ class FilterAtHits:
         function: Any,
         skipped: NDArray[np.int32] | None,
         constants: tuple[Any, ...] | None,
-        triangles: Triangles | InstancedTriangles,
+        triangles: Store,
         rays: RayBatch,
     ) -> None:
         source, self._kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         reader = _Reader()
         text = "" if constants is None else reader.read(constants)
         self._context = np.zeros(CONSTANTS + len(reader.values), np.uint64)
-        self._scene_arrays: Any
-        place, width = (0, 0) if skipped is None else (skipped.ctypes.data, skipped.shape[1])
-        if isinstance(triangles, InstancedTriangles):
-            scene, arrays = PlacedAt.of(triangles)
-            row = np.array(scene, np.uint64)
-            self._scene_arrays = row, arrays
-            self._context[SCENE:DIRECTIONS] = row.ctypes.data, place, width, 0
-            place, width = 0, 0  # by the filter, not by the traversal
-        else:
-            self._context[SCENE:DIRECTIONS], self._scene_arrays = SceneAt.of(triangles)
+        scene, arrays = scene_at(triangles)
+        row = np.array(scene, np.uint64)
+        self._scene_arrays = row, arrays
+        skips = SkipsAt.nowhere() if skipped is None else SkipsAt.of(skipped)
+        self._context[SCENE:DIRECTIONS] = row.ctypes.data, *skips
+        is_placed = triangles.instances is not None
+        if is_placed:  # the filter itself skips triangles, not the traversal
+            skips = SkipsAt.nowhere()
         directions = source.directions, source.direction_step, source.directions_are_double
         self._context[DIRECTIONS:CONSTANTS] = directions
         for k, value in enumerate(reader.values, CONSTANTS):
@@ -94,11 +91,10 @@ class FilterAtHits:
         code = 0
         if function is not None:
             check_function(function, "first", constants is not None)
-            is_placed = isinstance(triangles, InstancedTriangles)
             self._loop = _compile(function, text, reader.classes, is_placed)
             code = self._loop.address_of(_TYPES)
         context = self._context.ctypes.data
-        self.addresses = HitFilter(*np.array((code, context, place, width), np.uint64))
+        self.addresses = HitFilter(*np.array((code, context, *skips), np.uint64))
 
     @property
     def has_raised(self) -> bool:
@@ -149,7 +145,7 @@ class _Reader:
 
 def _compile(function: Any, constants: str, classes: dict[str, Any], is_placed: bool) -> Loop:
     """The code of a filter; `constants` is an expression, or empty if it takes none."""
-    skips = "is_skipped(context, first + lane, hit) or " if is_placed else ""
+    skips = "is_skipped(skips_of(context), ray, hit) or " if is_placed else ""
     arguments = ", ".join(filter(None, ("hit", constants)))
     known = [
         f"# {name}: {one.__module__}.{one.__qualname__} {one._fields}"
@@ -162,7 +158,8 @@ def _compile(function: Any, constants: str, classes: dict[str, Any], is_placed: 
         "    while bits != zero:",
         "        lane = count_trailing_zeros(bits)",
         "        bits &= bits - one",
-        "        hit = filtered_hit(hits, lane, prim_id, first, rays, scene)",
+        "        ray, (t, u, v) = first + lane, lane_at(hits, lane)",
+        "        hit = hit_of(ray, t, u, v, prim_id, rays, ray, scene)",
         f"        if {skips}accept(function({arguments})) == ignore:",
         "            kept ^= one << lane",
         "    return kept",
@@ -170,13 +167,15 @@ def _compile(function: Any, constants: str, classes: dict[str, Any], is_placed: 
     names = {
         "accept": accept_decision(Decision, True),
         "count_trailing_zeros": count_trailing_zeros,
-        "filtered_hit": placed_filtered_hit if is_placed else filtered_hit,
+        "hit_of": placed_hit_of if is_placed else hit_of,
         "ignore": np.int64(Decision.IGNORE),
-        "is_skipped": is_filter_skipped,
+        "is_skipped": is_placed_skipped,
+        "lane_at": lane_at,
         "load": load,
         "one": np.uint64(1),
         "rays_of": rays_of,
         "scene_of": placed_scene_of if is_placed else scene_of,
+        "skips_of": skips_of,
         "zero": np.uint64(0),
         **{number.__name__: number for number in _NUMBERS + _INTEGERS},
         **classes,

@@ -158,17 +158,10 @@ class RaysAt(NamedTuple):
     ) -> RaysAt:
         """Addresses of the rays of a source."""
         places = _place(positions), start, _place(ids), first
-        position_place, start_place, id_place, first_place = np.array(places, np.uint64)
-        return cls(
-            position_place,
-            positions is not None and positions.itemsize == 4,
-            start_place,
-            id_place,
-            first_place,
-            source.directions,
-            source.direction_step,
-            source.directions_are_double,
-        )
+        at, start_at, ids_at, first_at = np.array(places, np.uint64)
+        are_short = positions is not None and positions.itemsize == 4
+        directions = source.directions, source.direction_step, source.directions_are_double
+        return cls(at, are_short, start_at, ids_at, first_at, *directions)
 
     @classmethod
     def nowhere(cls) -> RaysAt:
@@ -226,36 +219,24 @@ def row_range(rows, i):
 
 
 @device
-def hit_at(rows, row, rays, position, ray, scene):
-    """The hit in a row, of the ray at a position among those traced; `ray` is its batch index."""
+def columns_at(rows, row):
+    """t, u, v and prim_id of a row."""
     at = row * BYTES_32
-    t, u, v = (
+    return (
         load(np.float32, rows.t + at),
         load(np.float32, rows.u + at),
         load(np.float32, rows.v + at),
+        load(np.int32, rows.prim_id + at),
     )
-    return hit_of(ray, t, u, v, load(np.int32, rows.prim_id + at), rays, position, scene)
 
 
 @device
 def hit_of(ray, t, u, v, prim_id, rays, position, scene):
     """A `Hit` of the ray at a position among those traced; `ray` is its batch index."""
-    return Hit(
-        np.int64(ray),
-        t,
-        u,
-        v,
-        prim_id,
-        _mesh_of(scene, prim_id),
-        _is_entering(scene, prim_id, rays, position),
-        _NO_INSTANCE,
-    )
-
-
-@device
-def _mesh_of(scene, prim_id):
     mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.halvings, np.int64(prim_id))
-    return np.int32(mesh)
+    corners = scene.corners + np.uint64(prim_id) * _TRIANGLE
+    is_entering = faces_front(corners, direction_at(rays, position))
+    return Hit(np.int64(ray), t, u, v, prim_id, np.int32(mesh), is_entering, _NO_INSTANCE)
 
 
 @device
@@ -301,12 +282,6 @@ def _corner(at):
         np.float64(load(np.float32, at + BYTES_32)),
         np.float64(load(np.float32, at + _LONG)),
     )
-
-
-@device
-def _is_entering(scene, prim_id, rays, position):
-    at = scene.corners + np.uint64(prim_id) * _TRIANGLE
-    return faces_front(at, direction_at(rays, position))
 
 
 @device

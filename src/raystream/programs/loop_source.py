@@ -11,13 +11,14 @@ from raystream.jit.user_results import accept_decision
 from raystream.programs.decisions import Decision
 from raystream.programs.hits import (
     close_ray,
-    hit_at,
+    columns_at,
+    hit_of,
     is_open,
     position_at,
     ray_at,
     row_range,
 )
-from raystream.programs.placed import is_placed_skipped, placed_hit_at
+from raystream.programs.placed import is_placed_skipped, placed_hit_of
 from raystream.programs.rows import add_one, is_skipped, keep_row, move_row, put_row
 
 #: Use of hits: by a program with a record, or by a filter that keeps the nearest, counts, or keeps
@@ -93,7 +94,7 @@ def loop_source(
     names = ["rows", "rays", "scene", "open_rays"]
     names += [*(["skips"] if skips else []), *(["constants"] if constants else [])]
     names += _PARAMETERS[goal]
-    skipped = ["if is_skipped(skips, ray, rows, row):", "    row += one", "    continue"]
+    skipped = ["if is_skipped(skips, ray, hit):", "    row += one", "    continue"]
     lines = [
         "position = position_at(rays, i)",
         "if not is_open(open_rays, position):",
@@ -103,8 +104,9 @@ def loop_source(
         "start = row",
         *before,
         "while row != row_end:",
+        "    t, u, v, prim_id = columns_at(rows, row)",
+        "    hit = hit_of(ray, t, u, v, prim_id, rays, position, scene)",
         *([f"    {line}" for line in skipped] if skips else []),
-        "    hit = hit_at(rows, row, rays, position, ray, scene)",
         f"    decision = accept(function(hit{more}))",
         *([] if goal == "trace" else ["    if decision != ignore:"]),
         *(f"        {line}" for line in at_hit),
@@ -123,7 +125,8 @@ def loop_globals(goal: Goal, is_placed: bool = False) -> dict[str, Any]:
         "accept": accept_decision(Decision, goal != "trace"),
         "add_one": add_one,
         "close_ray": close_ray,
-        "hit_at": placed_hit_at if is_placed else hit_at,
+        "columns_at": columns_at,
+        "hit_of": placed_hit_of if is_placed else hit_of,
         "ignore": np.int64(Decision.IGNORE),
         "is_open": is_open,
         "is_skipped": is_placed_skipped if is_placed else is_skipped,

@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
-from raystream.programs.hits import Hit, direction_at, faces_front, interval_of
+from raystream.programs.hits import Hit, SceneAt, direction_at, faces_front, interval_of
 
 _WORD, _LONG = np.uint64(4), np.uint64(8)
 _TRIANGLE = np.uint64(36)
@@ -85,31 +84,13 @@ class PlacedAt(NamedTuple):
         return cls(*np.array(numbers, np.uint64)), kept
 
 
-class PlacedSkipsAt(NamedTuple):
-    """Address of the triangles that rays skip, each in one instance or in all.
-
-    Attributes
-    ----------
-    pairs : uint64
-        Address of the first ray's: prim_id and instance_id, int32. A prim_id of -1 skips nothing;
-        an instance_id of -1 is all instances.
-    width : uint64
-        Pairs per ray.
-    scene : PlacedAt
-    """
-
-    pairs: np.uint64
-    width: np.uint64
-    scene: PlacedAt
-
-    @classmethod
-    def of(cls, pairs: NDArray[np.int32], scene: PlacedAt) -> PlacedSkipsAt:
-        """The address of an array of shape (N, k, 2)."""
-        return cls(np.uint64(pairs.ctypes.data), np.uint64(pairs.shape[1]), scene)
-
-
 _known: WeakKeyDictionary[InstancedTriangles, tuple[PlacedAt, tuple[Any, ...]]]
 _known = WeakKeyDictionary()
+
+
+def scene_at(triangles: Any) -> tuple[SceneAt | PlacedAt, tuple[Any, ...]]:
+    """Addresses of a scene's triangles, and the arrays to keep alive."""
+    return (SceneAt if triangles.instances is None else PlacedAt).of(triangles)
 
 
 def _halvings(count: int) -> int:
@@ -117,43 +98,20 @@ def _halvings(count: int) -> int:
 
 
 @device
-def _instance_of(scene, number):
-    return interval_of(
-        scene.first_ids, scene.instance_count, scene.instance_halvings, np.int64(number)
-    )
-
-
-@device
-def _index_in_object(scene, instance, number):
-    return np.int64(number) - load(np.int64, scene.first_ids + instance * _LONG)
-
-
-@device
-def _prim_id_of(scene, instance, index):
-    first = load(np.int64, scene.parts + instance * _PART_BYTES + _FIRST_PRIM)
-    return np.int32(first + index)
-
-
-@device
 def placed_hit_of(ray, t, u, v, number, rays, position, scene):
     """A `Hit` of the triangle of this number; see `hits.hit_of` for the arguments."""
-    instance = _instance_of(scene, number)
-    index = _index_in_object(scene, instance, number)
-    prim_id = _prim_id_of(scene, instance, index)
-    mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.mesh_halvings, np.int64(prim_id))
+    # The instance, then the triangle in its object.
+    instance = interval_of(
+        scene.first_ids, scene.instance_count, scene.instance_halvings, np.int64(number)
+    )
+    index = np.int64(number) - load(np.int64, scene.first_ids + instance * _LONG)
     part = scene.parts + instance * _PART_BYTES
+    prim_id = np.int32(load(np.int64, part + _FIRST_PRIM) + index)
+    mesh = interval_of(scene.mesh_splits, scene.mesh_count, scene.mesh_halvings, np.int64(prim_id))
     corners = load(np.uint64, part) + np.uint64(index) * _TRIANGLE
     direction = _moved(part + _LINEAR, direction_at(rays, position))
-    return Hit(
-        np.int64(ray),
-        t,
-        u,
-        v,
-        prim_id,
-        np.int32(mesh),
-        faces_front(corners, direction),
-        np.int32(instance),
-    )
+    is_entering = faces_front(corners, direction)
+    return Hit(np.int64(ray), t, u, v, prim_id, np.int32(mesh), is_entering, np.int32(instance))
 
 
 @device
@@ -176,36 +134,14 @@ def _row(at, x, y, z):
 
 
 @device
-def placed_hit_at(rows, row, rays, position, ray, scene):
-    """The hit in a row; see `hits.hit_at` for the arguments."""
-    at = row * _WORD
-    t, u, v = (
-        load(np.float32, rows.t + at),
-        load(np.float32, rows.u + at),
-        load(np.float32, rows.v + at),
-    )
-    return placed_hit_of(ray, t, u, v, load(np.int32, rows.prim_id + at), rays, position, scene)
-
-
-@device
-def is_skipped_at(pairs, width, ray, prim_id, instance_id):
-    """Whether a ray skips a triangle in an instance."""
-    at = pairs + ray * width * _LONG
-    end = at + width * _LONG
+def is_placed_skipped(skips, ray, hit):
+    """Whether a ray skips the triangle of a hit in its instance; the skips are of pairs."""
+    at = skips.prim_ids + ray * skips.width * _LONG
+    end = at + skips.width * _LONG
     while at != end:
-        if load(np.int32, at) == prim_id:
+        if load(np.int32, at) == hit.prim_id:
             only = load(np.int32, at + _WORD)
-            if only < np.int32(0) or only == instance_id:
+            if only < np.int32(0) or only == hit.instance_id:
                 return True
         at += _LONG
     return False
-
-
-@device
-def is_placed_skipped(skips, ray, rows, row):
-    """Whether a ray skips the triangle of a row."""
-    number = load(np.int32, rows.prim_id + row * _WORD)
-    scene = skips.scene
-    instance = _instance_of(scene, number)
-    prim_id = _prim_id_of(scene, instance, _index_in_object(scene, instance, number))
-    return is_skipped_at(skips.pairs, skips.width, ray, prim_id, np.int32(instance))

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 from raystream.jit.user_loops import Loop, compile_loop
 from raystream.kernels.hits import HitBatch
-from raystream.programs.hits import RaysAt, RowsAt, SceneAt
+from raystream.programs.hits import RaysAt, RowsAt
 from raystream.programs.loop_source import Goal, loop_globals, loop_source
-from raystream.programs.placed import PlacedAt, PlacedSkipsAt
+from raystream.programs.placed import scene_at
 from raystream.programs.ray_subset import PendingRays
 from raystream.programs.rows import SkipsAt
 
@@ -31,11 +30,11 @@ class Program:
         Takes a `Hit`, for the goal ``"trace"`` a payload record, and constants if there are any.
     goal : {"trace", "first", "count", "multi"}
     skipped : ndarray of shape (N, k) or (N, k, 2), int32, optional
-        Triangles that rays skip; see `skips.skipped_triangles`.
+        Triangles that rays skip; see `rows.skipped_triangles`.
     arguments : tuple
         Arguments of the goal's loop: the payload's array or None; the output of hits or counts,
         by rays of the batch; for ``"multi"`` the hits found so far and the most.
-    triangles : Triangles or InstancedTriangles
+    triangles : Store
         Those of the scene; the program keeps their arrays alive.
     constants : tuple, optional
         The function's last argument.
@@ -52,20 +51,19 @@ class Program:
         goal: Goal,
         skipped: NDArray[np.int32] | None,
         arguments: tuple[Any, ...],
-        triangles: Triangles | InstancedTriangles,
+        triangles: Store,
         constants: tuple[Any, ...] | None = None,
     ) -> None:
         self.name = check_function(function, goal, constants is not None)
         payload = arguments[0] if goal == "trace" else None
         record = _RECORDS[0 if payload is None else payload.ndim]
-        is_placed = isinstance(triangles, InstancedTriangles)
+        is_placed = triangles.instances is not None
         text = _text(goal, skipped is not None, constants is not None, record)
         # Loops are known by their text, which has to say what it is for.
         text = f"# with instances\n{text}" if is_placed else text
         self._loop: Loop = compile_loop(text, function, loop_globals(goal, is_placed), __name__)
-        self._scene: SceneAt | PlacedAt
-        self._scene, self._scene_arrays = _scene_at(triangles)
-        skips = None if skipped is None else _skips_at(skipped, self._scene)
+        self._scene, self._scene_arrays = scene_at(triangles)
+        skips = None if skipped is None else SkipsAt.of(skipped)
         own = [value for value in (skips, constants) if value is not None]
         self._arguments = (*own, *arguments)
         self._kept = skipped
@@ -130,20 +128,6 @@ class Program:
         except Exception as error:
             reason = f": {error}" if str(error) else ""
             raise RuntimeError(f"{self.name}: raised {type(error).__name__}{reason}") from error
-
-
-def _scene_at(
-    triangles: Triangles | InstancedTriangles,
-) -> tuple[SceneAt | PlacedAt, tuple[Any, ...]]:
-    if isinstance(triangles, InstancedTriangles):
-        return PlacedAt.of(triangles)
-    return SceneAt.of(triangles)
-
-
-def _skips_at(skipped: NDArray[np.int32], scene: SceneAt | PlacedAt) -> SkipsAt | PlacedSkipsAt:
-    if isinstance(scene, PlacedAt):
-        return PlacedSkipsAt.of(skipped, scene)
-    return SkipsAt.of(skipped)
 
 
 def _text(goal: Goal, skips: bool, constants: bool, record: str) -> str:

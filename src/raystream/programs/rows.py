@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import as_host_array
+from raystream.core.rays import as_host_array, as_integers
 from raystream.jit.constants import BYTES_32, ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
@@ -22,9 +22,10 @@ class SkipsAt(NamedTuple):
     Attributes
     ----------
     prim_ids : uint64
-        Address of the first ray's, int32; -1 skips nothing.
+        Address of the first ray's, int32; -1 skips nothing. In a scene with instances, of pairs: a
+        prim_id and an instance_id, where -1 is all instances.
     width : uint64
-        Triangles per ray.
+        Triangles, or pairs, per ray.
     """
 
     prim_ids: np.uint64
@@ -32,8 +33,13 @@ class SkipsAt(NamedTuple):
 
     @classmethod
     def of(cls, prim_ids: NDArray[np.int32]) -> SkipsAt:
-        """The address of an array of shape (N, k)."""
+        """The address of an array of shape (N, k), or of pairs, (N, k, 2)."""
         return cls(np.uint64(prim_ids.ctypes.data), np.uint64(prim_ids.shape[1]))
+
+    @classmethod
+    def nowhere(cls) -> SkipsAt:
+        """No triangles."""
+        return cls(_NOWHERE, _NOWHERE)
 
 
 def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArray[np.int32]:
@@ -45,9 +51,7 @@ def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArra
         If its shape is neither the rays' nor has one dimension more, or its values are neither
         triangles of the scene nor -1.
     """
-    given = as_host_array("skip_prim_ids", values)
-    if given.dtype.kind not in "iu":
-        raise TypeError(f"skip_prim_ids: expected integers, got dtype {given.dtype}")
+    given = as_integers("skip_prim_ids", values)
     if given.shape != shape and given.shape[:-1] != shape:
         raise ValueError(
             f"skip_prim_ids: expected the rays' shape {shape}, or {shape} + (k,), got {given.shape}"
@@ -62,14 +66,60 @@ def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArra
     return np.ascontiguousarray(given, np.int32).reshape(count, width)
 
 
+def prim_ids_of(skipped: Any) -> Any:
+    """`skip_prim_ids` as an array: the triangles of hits, or what is given."""
+    return skipped.prim_id if _are_hits(skipped) else skipped
+
+
+def _are_hits(skipped: Any) -> bool:
+    """Whether they are the nearest hits of rays, here, in another library or on a GPU."""
+    return hasattr(skipped, "prim_id") and not hasattr(skipped, "ray_splits")
+
+
+def skipped_triangles(
+    skipped: Any, shape: tuple[int, ...], triangles: Any
+) -> NDArray[np.int32] | None:
+    """Check `skip_prim_ids` of a query of rays of a leading shape.
+
+    Parameters
+    ----------
+    skipped : array_like of shape S or S + (k,), int, or Hits of shape S, or None
+    shape : tuple of int
+    triangles : Store
+
+    Returns
+    -------
+    ndarray of shape (N, k), int32, or None
+        Triangles; -1 skips nothing. With instances, of shape (N, k, 2): prim_id and instance_id,
+        -1 for all instances.
+
+    Raises
+    ------
+    ValueError, TypeError
+        See `as_skips`; or if the instances of hits are not the scene's.
+    """
+    if skipped is None:
+        return None
+    prim_ids = as_skips(prim_ids_of(skipped), shape, len(triangles))
+    if triangles.instances is None:
+        return prim_ids
+    pairs = np.full((*prim_ids.shape, 2), -1, np.int32)
+    pairs[:, :, 0] = prim_ids
+    if _are_hits(skipped):
+        instance_id = as_host_array("skip_prim_ids", skipped.instance_id).reshape(prim_ids.shape)
+        if instance_id.max(initial=-1) >= len(triangles.instances):
+            raise ValueError("skip_prim_ids: the hits are of another scene than the tracer's")
+        pairs[:, :, 1] = np.where(prim_ids < 0, -1, instance_id)
+    return pairs
+
+
 @device
-def is_skipped(skips, ray, rows, row):
-    """Whether a ray skips the triangle of a row."""
-    prim_id = load(np.int32, rows.prim_id + row * BYTES_32)
+def is_skipped(skips, ray, hit):
+    """Whether a ray skips the triangle of a hit."""
     at = skips.prim_ids + ray * skips.width * BYTES_32
     end = at + skips.width * BYTES_32
     while at != end:
-        if load(np.int32, at) == prim_id:
+        if load(np.int32, at) == hit.prim_id:
             return True
         at += BYTES_32
     return False

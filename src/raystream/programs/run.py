@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.core.triangles import Triangles
+from raystream.core.store import Store
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import HitVisitor, Sink
 from raystream.programs.filters import count_filtered, filter_first, multi_filtered
-from raystream.programs.trace import trace_program
+from raystream.programs.program import Program
+from raystream.programs.ray_subset import RaySubset
+from raystream.programs.rounds import visit
 
 
 def run_on_hits(
@@ -23,7 +24,7 @@ def run_on_hits(
     query: Query,
     rays: RayBatch,
     sink: Sink,
-    triangles: Triangles | InstancedTriangles,
+    triangles: Store,
     progress: Progress | None,
 ) -> None:
     """Answer a query that has a filter or a program.
@@ -35,7 +36,7 @@ def run_on_hits(
     query : Query
     rays : RayBatch
     sink : Sink
-    triangles : Triangles or InstancedTriangles
+    triangles : Store
     progress : callable, optional
     """
 
@@ -59,4 +60,7 @@ def run_on_hits(
     elif query.kind is Kind.MULTI_HIT:
         sink.put(*multi_filtered(chosen, find, rays, query.limit, sink.status, progress))
     else:
-        trace_program(find, rays, triangles, chosen, sink.records, query.is_ordered, progress)
+        program = Program(chosen, "trace", None, (sink.records,), triangles)
+        program.compile()
+        whole, status = RaySubset(rays, None, 0), np.zeros(len(rays), np.uint8)
+        visit(find, whole, program.run, status, progress, is_ordered=query.is_ordered)

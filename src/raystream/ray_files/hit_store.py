@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamError
 from raystream.core.hits import MultiHits
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.ray_files.blocks import Block, Blocks
 from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, create_array
 from raystream.ray_files.durable import synchronize
@@ -66,7 +65,7 @@ class Columns(NamedTuple):
         """The columns of a query of a tracer's triangles."""
         of_rays, of_rows = COLUMNS[query], ROWS.get(query, {})
         known = {} if triangles.attributes is None else _FACE
-        if isinstance(triangles, InstancedTriangles):
+        if triangles.instances is not None:
             known = {**known, **_INSTANCE}
         if query == "first_hit":
             of_rays = {**of_rays, **known}

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream._version import __version__
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.triangles import Triangles
 from raystream.ray_files.blocks import Blocks
 from raystream.ray_files.ray_store import RayStore
 from raystream.tracer import Tracer
@@ -56,7 +54,7 @@ def identify(
     }
 
 
-def scene_digest(triangles: Triangles | InstancedTriangles, has_faces: bool = False) -> str:
+def scene_digest(triangles: Any, has_faces: bool = False) -> str:
     """Hash the scene as rays see it: triangles, their order, their meshes and instances.
 
     With `has_faces`, also the file's faces that hits report.
@@ -66,13 +64,10 @@ def scene_digest(triangles: Triangles | InstancedTriangles, has_faces: bool = Fa
         faces = triangles.attributes.face_ids
         digest.update(b"faces")
         _add_arrays(digest, [] if faces is None else [faces])
-    objects: Sequence[Triangles]
-    if isinstance(triangles, InstancedTriangles):
-        objects, placed = triangles.objects, triangles.instances
+    placed = triangles.instances
+    if placed is not None:
         _add_arrays(digest, (placed.object_ids, placed.transforms))
-    else:
-        objects = [triangles]
-    for one in objects:
+    for one in [triangles] if placed is None else triangles.objects:
         _add_arrays(digest, (one.corners, one.mesh_splits, one.center))
         digest.update(repr(float(one.scale)).encode())
     return digest.hexdigest()

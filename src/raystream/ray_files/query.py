@@ -15,7 +15,7 @@ from typing import Any
 from raystream.core.checks import check_least
 from raystream.core.errors import FileFormatError
 from raystream.core.query import Crossings, counts_surfaces
-from raystream.core.scene_checks import check_no_worlds, check_triangles
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress, part_of
 from raystream.ray_files.block_query import BlockQuery, BlockResult
 from raystream.ray_files.durable import locked
@@ -147,8 +147,7 @@ def query_zarr(
     _check_separate(Path(rays), target)
     blocks = source.divide(block_rays)
     triangles: Any = tracer.structure.triangles
-    check_triangles("query_zarr", triangles)
-    check_no_worlds("query_zarr", triangles)
+    check_support("query_zarr", triangles)
     columns = Columns.of(query, triangles)
     identity = identify(tracer, source, blocks, query, options)
     with _converting_errors(target), _exclusive(target):

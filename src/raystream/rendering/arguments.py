@@ -10,7 +10,7 @@ from typing import Any
 from raystream.core.checks import check_least
 from raystream.core.choices import DeviceOptions
 from raystream.core.memory import check_memory
-from raystream.core.scene_checks import check_drawable
+from raystream.core.scene_kinds import check_support
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
@@ -77,7 +77,7 @@ def make_tracer(
         tracer = scene
     else:
         tracer = Tracer(scene, structure, device, **options)
-    check_drawable(tracer.structure.triangles)
+    check_support("render", tracer.structure.triangles)
     return tracer
 
 

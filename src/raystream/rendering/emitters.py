@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamWarning
 from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import mesh_triangles
 from raystream.core.spawn import plane_offset
 from raystream.scene.lights import AreaLight
 from raystream.scene.scene import Scene
@@ -50,7 +49,7 @@ def sampled_lights(scene: Scene) -> list[AreaLight]:
     """
     lights = scene.area_lights
     held: Any = scene.triangles
-    if not isinstance(held, InstancedTriangles):
+    if held.instances is None:
         return lights
     prims = np.concatenate([np.empty(0, np.int64), *(one.prim_ids for one in lights)])
     owners = np.searchsorted(held.first_prims, prims, side="right") - 1
@@ -73,13 +72,12 @@ def emitters_of(scene: Scene, lights: Sequence[AreaLight]) -> Emitters:
     prims = np.unique(np.concatenate([np.empty(0, np.int32), *(one.prim_ids for one in lights)]))
     prims = prims.astype(np.int32)
     held: Any = scene.triangles
-    if len(prims) and isinstance(held, InstancedTriangles):
+    if len(prims) and held.instances is not None:
         return _in_instances(held, prims)
     corners = np.zeros((0, 3, 3))
     if len(prims):  # intersect1d would sort the scene's, too
-        triangles = mesh_triangles(held)
-        prims = prims[np.isin(prims, triangles.prim_ids)]
-        corners = triangles.corners[prims].astype(np.float64)
+        prims = prims[np.isin(prims, held.solid_numbers())]
+        corners = held.object_corners()[prims].astype(np.float64)
     return Emitters(corners, prims, np.zeros(len(prims), np.int32), np.zeros(len(prims)))
 
 

@@ -15,8 +15,6 @@ import numpy as np
 
 from raystream._version import __version__
 from raystream.core.errors import FileFormatError
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
 from raystream.rendering.environment import image_light, texels_of
 from raystream.rendering.film import Film
 from raystream.rendering.integrator import Integrator, RenderContext
@@ -129,19 +127,16 @@ def _digest(scene: Scene) -> str:
             digest.update(repr(value).encode())
 
     triangles: Any = scene.triangles
-    if isinstance(triangles, InstancedTriangles):
-        add(triangles.object_corners())
+    add(triangles.object_corners())
+    if triangles.instances is not None:
         add(triangles.instances.object_ids)
         add(triangles.instances.transforms)
-    elif isinstance(triangles, Primitives):
-        add(triangles.triangles.corners)
+    if "primitives" in triangles.kinds:
         for array in vars(triangles.spheres).values():
             add(array)
         for field in triangles.fields:
             for part in (field.heights, field.x, field.y, (field.base, field.material_id)):
                 add(part)
-    else:
-        add(triangles.corners)
     add((scene.triangles.center.tolist(), float(scene.triangles.scale)))
     for mesh in scene.meshes:
         for array in (mesh.normals, mesh.texcoords, mesh.colors, mesh.material_ids):

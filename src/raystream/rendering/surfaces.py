@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from raystream.core.errors import RaystreamError
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import NOT_TRIANGLES, Primitives
+from raystream.core.scene_kinds import check_support
 from raystream.rendering.shading.placed_tables import ObjectTables, placed_tables
 from raystream.rendering.shading.primitive_tables import MeshTables, primitive_tables
 from raystream.rendering.shading.streams import ShadingBatch
@@ -58,10 +56,8 @@ def tables_at(
 def objects_of(scene: Scene, arrays: SceneArrays) -> ObjectTables | MeshTables | None:
     """The tables of the objects of a scene with instances, or of the meshes beside primitives."""
     triangles: Any = scene.triangles
-    if isinstance(triangles, Primitives):
+    if "primitives" in triangles.kinds:
         if not scene.is_opaque:
-            raise RaystreamError(f"materials that are not opaque: {NOT_TRIANGLES}")
+            check_support("materials that are not opaque", triangles)
         return MeshTables.of(arrays)
-    if not isinstance(triangles, InstancedTriangles):
-        return None
-    return ObjectTables.of(triangles, arrays)
+    return None if triangles.instances is None else ObjectTables.of(triangles, arrays)

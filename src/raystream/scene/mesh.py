@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.rays import as_integers
+
 
 class Mesh:
     """Triangles over shared vertices, with optional attributes.
@@ -186,9 +188,7 @@ def _attribute(
 
 
 def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]:
-    array = np.asarray(material_ids)
-    if array.size and array.dtype.kind not in "iu":
-        raise TypeError(f"material_ids: expected integers, got dtype {array.dtype}")
+    array = as_integers("material_ids", material_ids)
     if array.ndim and array.shape != (face_count,):
         raise ValueError(f"material_ids: expected shape ({face_count},), got {array.shape}")
     if face_count and int(array.min()) < 0:
@@ -201,9 +201,7 @@ def _face_ids(face_ids: ArrayLike | None, face_count: int) -> NDArray[np.int32] 
     """The numbers, or None if each triangle is a face."""
     if face_ids is None:
         return None
-    array = np.asarray(face_ids)
-    if array.size and array.dtype.kind not in "iu":
-        raise TypeError(f"face_ids: expected integers, got dtype {array.dtype}")
+    array = as_integers("face_ids", face_ids)
     if array.shape != (face_count,):
         raise ValueError(f"face_ids: expected shape ({face_count},), got {array.shape}")
     if face_count and not (array.min() >= 0 and array.max() < 2**31):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.kernels.hits import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.machines import MultipassBackend, PassSnapshot
@@ -165,7 +165,7 @@ def walk(
     >>> tracer.first_hit([278, 273, -800], [0, 0, 1]).t.item() == way.t
     True
     """
-    check_plain("walk", tracer.structure.triangles)
+    check_support("walk", tracer.structure.triangles)
     structure = tracer.structure
     chart = map_of(structure)
     batch = RayBatch(origin, direction, 0.0, np.inf)

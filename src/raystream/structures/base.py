@@ -91,8 +91,9 @@ class Structure(ABC):
     """Triangles arranged for tracing.
 
     A subclass provides `traverse` (see `kernels.queries.ray_queries`) and the `stack_bytes` that
-    it needs, the `arrays` that the traversal reads, `saved_arrays` for a file, and `from_arrays`,
-    which validates arrays from a file. Every structure returns the same bits as brute force.
+    it needs, and the `arrays` that the traversal reads. One that takes long to build also has
+    `saved_arrays` for a file, and `from_arrays`, which validates arrays from a file. Every
+    structure returns the same bits as brute force.
 
     Attributes
     ----------
@@ -177,16 +178,21 @@ class Structure(ABC):
         """The addresses that are in the memory, and the arrays there."""
         return Nested()
 
-    @abstractmethod
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays to save besides the triangles, so that loading builds nothing."""
+        """The arrays to save besides the triangles, so that loading builds nothing [default: none].
+
+        Copies and pickles have what a file holds.
+        """
+        return {}
 
     @classmethod
-    @abstractmethod
     def from_arrays(
-        cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Any
+        cls,
+        triangles: Triangles,
+        arrays: Mapping[str, NDArray[Any]],
+        options: Any,
     ) -> Structure:
-        """Make a structure from saved arrays and options.
+        """Make a structure from saved arrays and options [default: build it].
 
         Raises
         ------
@@ -194,6 +200,7 @@ class Structure(ABC):
             If an array is missing, or its shape, dtype or content could make a traversal
             read out of bounds or never end.
         """
+        return cls(triangles, options)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle what a file holds: addresses are those of the copy's own arrays."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.core.npz import read_npz, write_npz
+from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
 from raystream.structures import STRUCTURES, StructureOptions, structure_class
 from raystream.structures.base import Structure
@@ -37,8 +38,11 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
         If the name does not end in ``.npz``.
     OSError
         If it cannot be written.
+    RaystreamError
+        If the scene is not of triangles in float32 alone.
     """
     triangles = structure.triangles
+    check_support("save", triangles)
     header = {
         "format": _FORMAT,
         "version": FORMAT_VERSION,

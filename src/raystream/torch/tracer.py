@@ -14,7 +14,7 @@ from torch import Tensor
 from raystream.core.array_checks import checked_rays, checked_vertices
 from raystream.core.crossing import inverse_rows, points_at
 from raystream.core.query import counts_surfaces
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.torch.operators import register
 from raystream.tracer import Tracer
 
@@ -83,7 +83,7 @@ class TorchTracer:
     def __init__(self, tracer: Tracer) -> None:
         if not isinstance(tracer, Tracer):
             raise TypeError(f"tracer: expected a Tracer, got {type(tracer).__name__}")
-        check_plain("raystream.torch", tracer.structure.triangles)
+        check_support("raystream.torch", tracer.structure.triangles)
         self.tracer = tracer
         self._number = register(tracer)
 

@@ -1,57 +1,41 @@
-"""The results of a query in the rays' shape, hits with their triangles and instances."""
+"""The results of queries: in the rays' shape, hits with their triangles and instances."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
-from raystream.core.query import Kind
 from raystream.instances import hit_ids
 from raystream.kernels.hits import Sink
 
 
-def split_numbers(numbers: Any, triangles: Any) -> tuple[Any, Any]:
+def _split(numbers: Any, triangles: Any) -> tuple[Any, Any]:
     """The prim_ids and instance_ids (None without instances) of kernels' numbers."""
-    if isinstance(triangles, InstancedTriangles):
-        return hit_ids.split_numbers(triangles, numbers)
-    if isinstance(triangles, Primitives):
-        return triangles.prim_ids_of(numbers), None
-    return numbers, None
+    if triangles.instances is None:
+        return triangles.split_ids(numbers)
+    return hit_ids.split_numbers(triangles, numbers)
 
 
-def nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:
-    """The results of `Kind.FIRST_HIT` for rays of a leading shape."""
+def _nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:
     t, u, v, numbers = sink.hits
-    status, sectors = sink.status, sink.sectors
-    prim_id, instance_id = split_numbers(numbers, triangles)
-    kind = hits_type(triangles)
-    if len(shape) == 1:
-        return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
-    columns: list[Any] = [
-        None if one is None else one.reshape(shape)
-        for one in (t, u, v, prim_id, status, sectors, instance_id)
-    ]
-    t, u, v, prim_id, status, sectors, instance_id = columns
-    return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
+    prim_id, instance_id = _split(numbers, triangles)
+    hits = Hits(t, u, v, prim_id, sink.status, triangles, sink.sectors, instance_id)
+    return hits if len(shape) == 1 else hits._changed(lambda column: column.reshape(shape))
 
 
-def all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
-    """The results of `Kind.MULTI_HIT` for rays of a leading shape."""
+def _all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
     t, u, v, numbers = sink.hits
-    prim_id, instance_id = split_numbers(numbers, triangles)
+    prim_id, instance_id = _split(numbers, triangles)
     status = sink.status.reshape(shape)
-    kind = multi_hits_type(triangles)
-    return kind(sink.splits, t, u, v, prim_id, status, triangles, instance_id)
+    return MultiHits(sink.splits, t, u, v, prim_id, status, triangles, instance_id)
 
 
-#: The results by the kind of query: ``result(sink, shape, triangles)``.
-RESULTS: dict[Kind, Callable[..., Any]] = {
-    Kind.FIRST_HIT: nearest_hits,
-    Kind.ANY_HIT: lambda sink, shape, _: sink.seen.reshape(shape),
-    Kind.COUNT_HITS: lambda sink, shape, _: sink.counts.reshape(shape),
-    Kind.MULTI_HIT: all_hits,
-}
+#: Makes the result of each kind of query, by its number, from what kernels wrote, the rays' leading
+#: shape and the scene's triangles.
+RESULTS: tuple[Callable[[Sink, tuple[int, ...], Any], Any], ...] = (
+    _nearest_hits,
+    lambda sink, shape, _: sink.seen.reshape(shape),
+    lambda sink, shape, _: sink.counts.reshape(shape),
+    _all_hits,
+)

@@ -6,15 +6,9 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from raystream.core.choices import MACHINES, DeviceOptions, MachineOptions
-from raystream.core.instanced_triangles import NOT_INSTANCED, InstancedTriangles
 from raystream.core.options import Options
-from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.structures import StructureOptions, options_of
 from raystream.tracer.devices import Device, device_of
-
-#: Devices with machines that trace spheres and height fields, and instances.
-_BRANCHING = ("cpu", "branching"), ("cuda", "branching")
-_INSTANCED = (*_BRANCHING, ("graphics", "compute"))
 
 
 class Configuration(NamedTuple):
@@ -105,21 +99,3 @@ def _device_options(
         return device if isinstance(device, DeviceOptions) else None
     known = entry.options.names()
     return entry.options(**{option: options[option] for option in known if option in options})
-
-
-def check_kind(triangles: Any, device: str, machine: str) -> None:
-    """Check that a device's machine traces scenes of this kind.
-
-    Raises
-    ------
-    ValueError
-        If there are instances, spheres or height fields that it does not support.
-    """
-    chosen = device, machine
-    if isinstance(triangles, InstancedTriangles) and chosen not in _INSTANCED:
-        raise ValueError(
-            f"device={device!r}, machine={machine!r}: {NOT_INSTANCED}; machine='branching' on "
-            "the CPU or CUDA, and machine='compute' on device='graphics' support them"
-        )
-    if isinstance(triangles, Primitives) and chosen not in _BRANCHING:
-        raise ValueError(f"device={device!r}, machine={machine!r}: {NOT_TRIANGLES}")

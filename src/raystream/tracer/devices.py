@@ -7,10 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from raystream.core.choices import Cpu, DeviceOptions
-from raystream.core.float64_triangles import Float64Triangles
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
-from raystream.core.triangles import Triangles
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.machines import MACHINES, make_machine, own_options
 from raystream.structures import Structure, StructureOptions, build_structure
@@ -74,29 +71,35 @@ class Device(NamedTuple):
     options: type[DeviceOptions] | None = None
 
 
+#: Modules whose ``STRUCTURES`` build for other kinds of scene than triangles in float32. They are
+#: named, and imported when they are needed: few scenes are of these kinds.
+_STRUCTURES = {
+    "float64": "raystream.float64.structure",
+    "instances": "raystream.instances.structure",
+    "primitives": "raystream.primitives.structure",
+}
+
+
 def build_on_cpu(
     structure: StructureOptions,
-    triangles: Triangles | InstancedTriangles | Primitives,
+    triangles: Any,
     *,
     progress: Progress | None = None,
     device: DeviceOptions | None = None,  # noqa: ARG001 - part of `DeviceFactory`
 ) -> Structure:
-    """Build a structure on the CPU; a `DeviceFactory`."""
-    if isinstance(triangles, Float64Triangles):
-        # Here, not above: few tracers are in float64.
-        from raystream.float64.structure import build_float64
+    """Build a structure on the CPU; a `DeviceFactory`.
 
-        return build_float64(structure, triangles, progress)
-    if isinstance(triangles, InstancedTriangles):
-        # Here, not above: few scenes have instances.
-        from raystream.instances.structure import build_instanced
-
-        return build_instanced(structure, triangles, progress)
-    if isinstance(triangles, Primitives):
-        from raystream.primitives.structure import build_primitives
-
-        return build_primitives(structure, triangles, progress)
-    return build_structure(structure, triangles, progress=progress)
+    Raises
+    ------
+    ValueError
+        If the structure does not support the kind of scene.
+    """
+    if not triangles.kinds:
+        return build_structure(structure, triangles, progress=progress)
+    check_support(f"structure={structure.name!r}", triangles, ValueError)
+    module = importlib.import_module(_STRUCTURES[triangles.kinds[0]])
+    built: Structure = module.STRUCTURES[structure.name](triangles, structure, progress=progress)
+    return built
 
 
 #: Devices by name: those in use, and those that were registered.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
-from raystream.core.scene_checks import check_plain
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.kernels.crossing_sides import net_exits
 from raystream.kernels.ray import SceneFrame
@@ -51,7 +51,7 @@ class InsideTest:
     def __init__(self, tracer: Any, method: str) -> None:
         if method not in ("rays", "winding"):
             raise ValueError(f"method: expected 'rays' or 'winding', got {method!r:.80}")
-        check_plain("inside tests", tracer.structure.triangles)
+        check_support("inside tests", tracer.structure.triangles)
         self._tracer = tracer
         self._triangles = tracer.structure.triangles
         self._uses_rays = method == "rays"

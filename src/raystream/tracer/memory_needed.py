@@ -5,7 +5,6 @@ from __future__ import annotations
 import operator
 from typing import Any, NamedTuple
 
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.memory import check_memory
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
@@ -25,9 +24,6 @@ _HIT = 16
 
 #: Bytes of a ray's counters, see `kernels.tally`.
 ROW_BYTES = 32
-
-#: Queries that return hits.
-_ROWS = (Kind.FIRST_HIT, Kind.MULTI_HIT)
 
 _KINDS = {kind.name.lower(): kind for kind in _RESULT}
 
@@ -123,12 +119,12 @@ class MemoryEstimator(RayCaster):
             # A graph names the sectors of hits.
             results += 0 if self.structure.sector_count is None else 4 * count
         working = self._backend.working_bytes(kind, count, hits)
-        triangles: Any = self.structure.triangles
-        if isinstance(triangles, InstancedTriangles) and kind in _ROWS:
-            results += 4 * (count if kind is Kind.FIRST_HIT else hits)
-            working += split_bytes(count if kind is Kind.FIRST_HIT else hits)
-        if self.structure.precision == "float64" and kind in _ROWS:
-            results += 12 * (count if kind is Kind.FIRST_HIT else hits)
+        rows = {Kind.FIRST_HIT: count, Kind.MULTI_HIT: hits}.get(kind, 0)
+        if self.structure.triangles.instances is not None:
+            results += 4 * rows
+            working += split_bytes(rows)
+        if self.structure.precision == "float64":
+            results += 12 * rows
         if self._counts:
             results += ROW_BYTES * count
         return MemoryNeeded(results, working)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from raystream.core.closest_points import ClosestPoints
 from raystream.core.memory import check_memory
-from raystream.core.rays import as_real_array, as_vectors, flat_values
-from raystream.core.scene_checks import check_plain
+from raystream.core.rays import as_real_array, as_vectors, broadcast
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress, thread_count
 from raystream.kernels.point_queries import POINTS_PER_CALL, NearestArrays, work_bytes
 from raystream.machines.winding import winding_of
@@ -285,7 +285,7 @@ class PointQueries(RayCaster):
         >>> rs.Tracer(triangle).winding_number([0.0, 0.0, -1e-9]).round(3).item()
         0.125
         """
-        check_plain("winding numbers", self.structure.triangles)
+        check_support("winding numbers", self.structure.triangles)
         given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
@@ -324,7 +324,7 @@ class PointQueries(RayCaster):
 
     def _check_points(self) -> None:
         """Check that the structure and the backend find closest points."""
-        check_plain("closest points", self.structure.triangles)
+        check_support("closest points", self.structure.triangles)
         known = names_with("nearest")
         if self.structure.name not in known or not self._backend.capabilities.points:
             names = " or ".join(f"structure={name!r}" for name in known)
@@ -342,4 +342,5 @@ def _limits_of(max_distance: Any, shape: tuple[int, ...]) -> NDArray[np.float64]
         raise ValueError("max_distance: expected numbers >= 0, got a negative one or NaN")
     if array.ndim == 0:
         return array.reshape(1)
-    return np.ascontiguousarray(flat_values("max_distance", array, shape, "points"))
+    spread = broadcast("max_distance", array, shape, "the points' shape")
+    return np.ascontiguousarray(spread).reshape(-1)

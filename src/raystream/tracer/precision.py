@@ -5,42 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from raystream.core.float64_triangles import NOT_IN_FLOAT64, Float64Triangles
-from raystream.core.scene_checks import check_plain
+from raystream.core.float64_triangles import Float64Triangles
+from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
 from raystream.kernels.move_triangles import move_triangles
 
 
-def triangles_of(tracer: Any, scene: Any, precision: str) -> Any:
-    """The triangles that a tracer's structure is built from.
+def triangles_of(scene: Any, precision: str) -> Any:
+    """The triangles that a structure is built from.
 
     Parameters
     ----------
-    tracer : Tracer
-        Configured.
     scene : Scene
     precision : {"float32", "float64"}
 
     Raises
     ------
     ValueError
-        If the precision is unknown, or not supported by the device, machine or counters.
+        If the precision is unknown.
     RaystreamError
         If the scene has instances, spheres or height fields, and the precision is float64.
     """
     if precision not in ("float32", "float64"):
         raise ValueError(f"precision: expected 'float32' or 'float64', got {precision!r}")
-    triangles = scene.triangles
     if precision == "float32":
-        return triangles
-    if tracer.device not in ("cpu", "cuda") or tracer.machine != "branching":
-        raise ValueError(
-            f"device={tracer.device!r}, machine={tracer.machine!r}: {NOT_IN_FLOAT64}; use "
-            "device='cpu' or 'cuda' with machine='branching'"
-        )
-    if tracer.is_counting:
-        raise ValueError(f"counters=True: {NOT_IN_FLOAT64}")
-    check_plain("precision='float64'", triangles)
+        return scene.triangles
+    check_support("precision='float64'", scene.triangles)
     return float64_triangles(scene)
 
 
@@ -53,11 +43,9 @@ def float64_triangles(scene: Any) -> Float64Triangles:
 
 def moved_triangles(triangles: Triangles, meshes: Sequence[Any]) -> Triangles:
     """Triangles with other vertices, in the same precision; see `move_triangles`."""
-    if isinstance(triangles, Float64Triangles):
-        return Float64Triangles.of(meshes)
-    return move_triangles(triangles, meshes)
+    return Float64Triangles.of(meshes) if triangles.kinds else move_triangles(triangles, meshes)
 
 
 def of_scene(triangles: Any) -> Any:
     """The triangles for the scene of a tracer; None for those in float64, which are its own."""
-    return None if isinstance(triangles, Float64Triangles) else triangles
+    return None if triangles.kinds else triangles

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
-from raystream.core.rays import RayArrays, RayBatch, flat_values
-from raystream.core.scene_checks import check_plain
+from raystream.core.rays import RayArrays, RayBatch, as_integers, broadcast
+from raystream.core.scene_kinds import REFUSALS, check_support
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
 from raystream.kernels.hits import Sink
@@ -30,7 +28,7 @@ from raystream.scene.scene import Scene
 from raystream.structures import Structure, StructureOptions
 from raystream.structures.base import UpdateReport
 from raystream.structures.storage import load_structure, save_structure
-from raystream.tracer.configuration import Configuration, check_kind, configure
+from raystream.tracer.configuration import Configuration, configure
 from raystream.tracer.devices import device_of
 from raystream.tracer.precision import moved_triangles, of_scene
 
@@ -43,12 +41,10 @@ _TRANSIENT = ("_backend", "_cast", "_latest", "_world_count")
 
 def flat_ids(name: str, values: Any, count: int, shape: tuple[int, ...]) -> NDArray[np.int32]:
     """One number for each ray, -1 to count - 1, as a flat array."""
-    ids = np.asarray(values)
-    if ids.dtype.kind not in "iu":
-        raise TypeError(f"{name}: expected integers, got {ids.dtype}")
+    ids = as_integers(name, values)
     if ids.size and not (ids.min() >= -1 and ids.max() < count):
         raise ValueError(f"{name}: expected -1 to {count - 1:,}")
-    return np.ascontiguousarray(flat_values(name, ids, shape), np.int32)
+    return np.ascontiguousarray(broadcast(name, ids, shape), np.int32).reshape(-1)
 
 
 class TracedScene:
@@ -89,14 +85,8 @@ class TracedScene:
     def _built(
         self, configuration: Configuration, triangles: Any, progress: Progress | None
     ) -> Structure:
-        """Build the structure of triangles.
-
-        Raises
-        ------
-        ValueError
-            If the structure, device or machine does not support the kind of scene.
-        """
-        check_kind(triangles, self.device, self.machine)
+        """Build the structure of triangles; see `_check_kinds`."""
+        self._check_kinds(triangles)
         return device_of(self.device).build(
             configuration.structure,
             triangles,
@@ -104,16 +94,21 @@ class TracedScene:
             device=configuration.device_options,
         )
 
+    def _check_kinds(self, triangles: Any) -> None:
+        """Raise ValueError if the device, machine or counters do not support the kind of scene."""
+        machine = f"device={self.device!r}, machine={self.machine!r}"
+        check_support(machine, triangles, ValueError)
+        if self._counts:
+            check_support("counters=True", triangles, ValueError)
+
     def _set(self, scene: Scene | None, structure: Structure) -> None:
-        check_kind(structure.triangles, self.device, self.machine)
+        self._check_kinds(structure.triangles)
         if "structure" in vars(self):
             self.structure.tracers.pop(id(self), None)
         self._scene = scene
         self.structure = structure
         structure.tracers[id(self)] = self
-        placed: Any = structure.triangles
-        is_placed = isinstance(placed, InstancedTriangles)
-        self._world_count = placed.instances.world_count if is_placed else 0
+        self._world_count = structure.triangles.world_count
         self._latest = None
         self._backend = device_of(self.device).machines.make(
             self.machine, structure, self._machine_options
@@ -265,7 +260,7 @@ class TracedScene:
     def _update_views(self, scene: Any) -> UpdateReport:
         """Take another scene of the same primitives: its camera and lights."""
         if not isinstance(scene, Scene) or scene.triangles is not self.scene.triangles:
-            raise ValueError(f"update: {NOT_TRIANGLES}; make another tracer")
+            raise ValueError(f"update: {REFUSALS['primitives']}; make another tracer")
         self._set(scene, self.structure)
         return UpdateReport(False, 0.0, math.nan, math.nan)
 
@@ -298,7 +293,6 @@ class TracedScene:
         OSError
             If it cannot be written.
         """
-        check_plain("save", self.structure.triangles)
         save_structure(path, self.structure)
 
     @classmethod
@@ -336,8 +330,8 @@ class TracedScene:
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
         structure = load_structure(path, None if scene is None else scene.triangles)
-        own: Any = {"machine": machine, "counters": counters, **options}
-        return cls.of_structure(structure, scene, device, **own)
+        given = scene, device
+        return cls.of_structure(structure, *given, machine=machine, counters=counters, **options)
 
     @classmethod
     def of_structure(
@@ -391,25 +385,20 @@ class TracedScene:
         worlds: Any = None,
     ) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""
+        if worlds is not None or self._world_count:
+            self._check_for_worlds(worlds)
         if self._backend.capabilities.device_arrays and not self._counts:
             arrays = RayArrays(origins, directions, t_min, t_max, worlds)
             if arrays.is_on_gpu():
                 if near is not None:
                     raise ValueError("near: expected None for rays on a GPU")
-                if worlds is not None or self._world_count:
-                    self._check_for_worlds(worlds)
                 return arrays
         rays = self.structure.ray_batch(rows_of(origins), rows_of(directions), t_min, t_max)
         if near is not None:
             rays.near = self._checked_sectors(near, rays.shape)
-        if worlds is not None or self._world_count:
-            rays.worlds = self._checked_worlds(worlds, rays.shape)
+        if worlds is not None:
+            rays.worlds = flat_ids("worlds", worlds, self._world_count, rays.shape)
         return rays
-
-    def _checked_worlds(self, worlds: Any, shape: tuple[int, ...]) -> NDArray[np.int32]:
-        """`worlds` of `Tracer.first_hit`, flat."""
-        self._check_for_worlds(worlds)
-        return flat_ids("worlds", worlds, self._world_count, shape)
 
     def _check_for_worlds(self, worlds: Any) -> None:
         """Check that worlds are given if the scene has any, and else not."""
@@ -444,16 +433,15 @@ class TracedScene:
         return sink
 
     def __repr__(self) -> str:
-        placed: Any = self.structure.triangles
-        what = "primitives" if isinstance(placed, Primitives) else "triangles"
-        instances = ""
-        if isinstance(placed, InstancedTriangles):
-            instances = f", {len(placed.instances):,} instances"
+        held = self.structure.triangles
+        what = "primitives" if "primitives" in held.kinds else "triangles"
+        placed = held.instances
+        instances = "" if placed is None else f", {len(placed):,} instances"
         device = "" if self.device == "cpu" else f", device={self.device!r}"
         is_default = self.machine == device_of(self.device).machines.names[0]
         machine = "" if is_default else f", machine={self.machine!r}"
         return (
-            f"Tracer({len(placed):,} {what}{instances}, structure={self.structure.name!r}"
+            f"Tracer({len(held):,} {what}{instances}, structure={self.structure.name!r}"
             f"{device}{machine})"
         )
 

@@ -12,13 +12,21 @@ from numpy.typing import NDArray
 from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.library_hits import in_library
-from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
+from raystream.core.query import (
+    UNLIMITED,
+    Crossings,
+    Kind,
+    Order,
+    Query,
+    counts_surfaces,
+    is_front_to_back,
+)
 from raystream.core.rays import RayArrays, RayBatch
-from raystream.core.scene_checks import check_triangles
+from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress
 from raystream.programs.filters import Bound, Filter
 from raystream.programs.payloads import as_payload, as_records, returned_payload
-from raystream.programs.trace import Order, check_order
+from raystream.programs.rows import prim_ids_of, skipped_triangles
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
 from raystream.tracer.answers import RESULTS
@@ -129,7 +137,7 @@ class Tracer(MemoryEstimator, PointQueries):
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
         configuration = self._configure(structure, device, machine, counters, options)
-        triangles = triangles_of(self, scene, precision)
+        triangles = triangles_of(scene, precision)
         self._set(scene, self._built(configuration, triangles, progress))
 
     def first_hit(
@@ -191,10 +199,9 @@ class Tracer(MemoryEstimator, PointQueries):
         -----
         At equal t, before it is rounded to float32, the lowest prim_id wins, in every structure.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
-        query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
-        found: Hits = self._found(query, rays, progress)
-        return in_library(found, origins, directions)
+        rays, filter_ = (origins, directions, t_min, t_max, near, worlds), (on_hit, skip_prim_ids)
+        found: Hits = self._find(Kind.FIRST_HIT, rays, filter_, progress)
+        return found
 
     def any_hit(
         self,
@@ -227,10 +234,9 @@ class Tracer(MemoryEstimator, PointQueries):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
-        query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
-        seen: NDArray[np.bool_] = self._found(query, rays, progress)
-        return in_library(seen, origins, directions)
+        rays, filter_ = (origins, directions, t_min, t_max, near, worlds), (on_hit, skip_prim_ids)
+        seen: NDArray[np.bool_] = self._find(Kind.ANY_HIT, rays, filter_, progress)
+        return seen
 
     def count_hits(
         self,
@@ -266,11 +272,10 @@ class Tracer(MemoryEstimator, PointQueries):
         ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown.
         """
-        surfaces = counts_surfaces(crossings)
-        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
-        query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
-        counts: NDArray[np.int64] = self._found(query, rays, progress)
-        return in_library(counts, origins, directions)
+        rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
+        counts: NDArray[np.int64]
+        counts = self._find(Kind.COUNT_HITS, rays, filter_, progress, crossings)
+        return counts
 
     def multi_hit(
         self,
@@ -321,14 +326,12 @@ class Tracer(MemoryEstimator, PointQueries):
         written. At equal t, before it is rounded to float32, the lower prim_id comes first. No hit
         is reported twice, and none is lost between two others, however close.
         """
-        surfaces = counts_surfaces(crossings)
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
-        rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
-        query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
-        found: MultiHits = self._found(query, rays, progress)
-        return in_library(found, origins, directions)
+        rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
+        found: MultiHits = self._find(Kind.MULTI_HIT, rays, filter_, progress, crossings, limit)
+        return found
 
     def trace(
         self,
@@ -406,9 +409,9 @@ class Tracer(MemoryEstimator, PointQueries):
         1359.2
         """
         surfaces = counts_surfaces(crossings)
-        check_order(order)
-        check_triangles("trace", self.structure.triangles)
-        query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
+        is_ordered = is_front_to_back(order)
+        check_support("trace", self.structure.triangles)
+        query = Query(Kind.TRACE, surfaces, is_ordered=is_ordered, on_hit=on_hit)
         rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         if isinstance(rays, RayArrays):
             changed = self._backend.answer_on_device(query, rays, progress, payload)
@@ -450,6 +453,26 @@ class Tracer(MemoryEstimator, PointQueries):
         queries = type(self).first_hit, type(self).any_hit
         return self._counts or queries != (Tracer.first_hit, Tracer.any_hit)
 
+    def _find(
+        self,
+        kind: Kind,
+        given: tuple[Any, ...],
+        filter_: tuple[Any, Any],
+        progress: Progress | None,
+        crossings: str = "triangles",
+        limit: int = UNLIMITED,
+    ) -> Any:
+        """Answer a query of rays, the arguments of `_rays`, in arrays of their library."""
+        surfaces = crossings != "triangles" and counts_surfaces(crossings)
+        rays = self._rays(*given)
+        query = self._query(kind, rays, *filter_, surfaces, limit)
+        if isinstance(rays, RayArrays):
+            found = self._backend.answer_on_device(query, rays, progress)
+        else:
+            sink = self._answer(query, rays, progress)
+            found = RESULTS[kind](sink, rays.shape, self.structure.triangles)
+        return in_library(found, given[0], given[1])
+
     def _query(
         self,
         kind: Kind,
@@ -464,21 +487,14 @@ class Tracer(MemoryEstimator, PointQueries):
                 return _PLAIN[kind]
             return Query(kind, surfaces, limit)
         triangles = self.structure.triangles
-        check_triangles("on_hit, skip_prim_ids", triangles)
+        check_support("on_hit, skip_prim_ids", triangles)
         if isinstance(rays, RayArrays):
-            chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)
+            skipped = prim_ids_of(skip_prim_ids)
         else:
-            chosen = Filter.of(on_hit, skip_prim_ids, rays.shape, triangles)
+            skipped = skipped_triangles(skip_prim_ids, rays.shape, triangles)
             if limit:
                 self._check_programs()
-        return Query(kind, surfaces, limit, on_hit=chosen)
-
-    def _found(self, query: Query, rays: RayBatch | RayArrays, progress: Progress | None) -> Any:
-        """The result of a query, where the rays are."""
-        if isinstance(rays, RayArrays):
-            return self._backend.answer_on_device(query, rays, progress)
-        sink = self._answer(query, rays, progress)
-        return RESULTS[query.kind](sink, rays.shape, self.structure.triangles)
+        return Query(kind, surfaces, limit, on_hit=Filter.of(on_hit, skipped, triangles))
 
     def _check_programs(self) -> None:
         if self._counts:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from raystream.core.choices import DeviceOptions
-from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.triangles import Triangles
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.structures.base import ShaderStructure
@@ -26,7 +25,7 @@ def shader_structure_of(structure: Structure) -> ShaderStructure:
     """
     _check_name(structure.name)
     placed: Any = structure
-    if isinstance(placed.triangles, InstancedTriangles):
+    if placed.triangles.instances is not None:
         # Here, not above: few scenes have instances.
         from raystream.graphics.structures.instances import instanced_structure
 

@@ -58,7 +58,7 @@ def primitive_tables(
     tables : SceneTables
         Of the scene, with the materials.
     meshes : MeshTables
-    hits : PrimitiveHits or PrimitiveMultiHits
+    hits : Hits or MultiHits
         Of shape (N,).
 
     Returns
@@ -71,7 +71,7 @@ def primitive_tables(
     """
     count = len(hits.t)
     is_sphere = hits.is_on_sphere
-    corners = hits.flat_corners()
+    corners = hits._triangles.flat_corners(hits)
     material_ids = np.maximum(hits.material_id, 0)
     rows = np.where(hits.prim_id >= 0, np.arange(count), -1).astype(np.int32)
     u, v = (np.where(is_sphere, np.float32(0.0), one) for one in (hits.u, hits.v))

@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.instanced_triangles import InstancedTriangles
-from raystream.core.primitives import Primitives
 from raystream.rendering.shading.sheen import sheen_table
 from raystream.rendering.shading.tangents import vertex_tangents
 from raystream.rendering.shading.textures import TextureTables, address_of, pack_textures
@@ -137,10 +135,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, SceneArrays]:
         If the scene has too many triangles or vertices, see `check_rows`.
     """
     triangles: Any = scene.triangles
-    if isinstance(triangles, InstancedTriangles):
-        corners = triangles.object_corners()
-    else:
-        corners = (triangles.triangles if isinstance(triangles, Primitives) else triangles).corners
+    corners = triangles.object_corners()
     check_rows(len(corners), 9, "triangles")
     vertices = VertexAttributes.of(scene)
     material_ids = scene.attributes.material_ids

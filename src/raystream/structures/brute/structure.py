@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -58,17 +57,6 @@ class BruteStructure(Structure):
     def memory(self) -> dict[str, NDArray[Any]]:
         """The triangles' prim_ids and corners."""
         return self._memory
-
-    def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """Nothing besides the triangles."""
-        return {}
-
-    @classmethod
-    def from_arrays(
-        cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Brute
-    ) -> BruteStructure:
-        """Build it: nothing was saved."""
-        return cls(triangles, options)
 
     def quality(self) -> dict[str, float]:
         """The number of triangles that each ray is tested against."""

@@ -1,0 +1,57 @@
+"""The table of what each kind of scene supports."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import raystream as rs
+from raystream.core.scene_kinds import REFUSALS, check_support, is_supported
+
+
+def store_of(*kinds: str) -> Any:
+    return SimpleNamespace(kinds=kinds)
+
+
+def test_features_that_are_not_listed_are_those_of_triangles_alone():
+    check_support("any feature", store_of())
+    for kind, text in REFUSALS.items():
+        with pytest.raises(rs.RaystreamError) as caught:
+            check_support("any feature", store_of(kind))
+        assert str(caught.value) == f"any feature: {text}"
+
+
+def test_a_scene_of_several_kinds_has_what_all_of_them_have():
+    assert is_supported("render", store_of("instances"))
+    assert not is_supported("render", store_of("instances", "worlds"))
+    with pytest.raises(rs.RaystreamError, match="render: not supported in a scene whose instances"):
+        check_support("render", store_of("instances", "worlds"))
+
+
+def test_other_values_of_the_argument_are_named():
+    chosen = "device='graphics', machine='branching'"
+    with pytest.raises(ValueError, match=r"with instances.*use .* or device='graphics', .*compute"):
+        check_support(chosen, store_of("instances"), ValueError)
+    with pytest.raises(
+        ValueError, match=r"float64'; use device='cpu'.* or device='cuda'[^;]*ing'$"
+    ):
+        check_support(chosen, store_of("float64"), ValueError)
+
+
+def test_what_is_written_for_triangles_says_what_it_met():
+    ball = rs.Scene.spheres([[0, 0, 0]], 1.0).triangles
+    with pytest.raises(rs.RaystreamError, match=r"triangles.corners: not supported in a scene"):
+        _ = ball.corners
+    assert not hasattr(ball, "shape")
+
+
+@pytest.mark.parametrize("feature", ["lidar_returns", "thickness", "visible_faces", "visibility"])
+def test_the_page_says_what_the_table_has(feature):
+    page = Path(__file__).parents[2] / "docs" / "scenes.rst"
+    rows = page.read_text(encoding="utf-8").partition("_what-works:")[2].split("   * - ")[2:]
+    (row,) = (row for row in rows if f"`{feature}`" in row.splitlines()[0] and "cut" not in row)
+    cells = [cell.partition("\n")[0].strip() for cell in row.split("\n     - ")[1:]]
+    kinds = "instances", "primitives", "float64"
+    for kind, cell in zip(kinds, cells, strict=True):
+        assert is_supported(feature, store_of(kind)) == (cell != "no")
