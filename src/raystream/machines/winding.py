@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, part_of
+from raystream.jit.threads import Progress
 from raystream.kernels.aligned import array_places
 from raystream.kernels.point_order import PointOrder, order_bytes
 from raystream.kernels.winding import LANES, WindingScene, winding_numbers
@@ -16,7 +19,7 @@ from raystream.kernels.winding_tree import (
     tree_winding_numbers,
     winding_tree_of,
 )
-from raystream.machines.batch import run_calls
+from raystream.machines.batch import run_calls, run_in_turn
 
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
 _ANGLES_PER_CALL = 1 << 23
@@ -89,21 +92,19 @@ def _numbers(
     numbers = np.zeros(count)
     if len(triangles.prim_ids) < _LEAST_TRIANGLES or count < _LEAST_POINTS:
         openings = ()
-    left = np.arange(count)
-    for opening in openings:
-        found, errors = _by_tree(triangles, local[left], opening, _rest(progress, count, left))
+
+    def by_tree(opening: float, left: NDArray[np.int64], progress: Progress | None) -> Any:
+        found, errors = _by_tree(triangles, local[left], opening, progress)
         numbers[left] = found
         room = np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy
-        left = left[~(errors < room)]
-        if not len(left):
-            break
-    numbers[left] = _exact(triangles, local[left], _rest(progress, count, left))
+        return errors < room
+
+    def exactly(left: NDArray[np.int64], progress: Progress | None) -> Any:
+        numbers[left] = _exact(triangles, local[left], progress)
+        return np.ones(len(left), bool)
+
+    run_in_turn([*(partial(by_tree, one) for one in openings), exactly], count, progress)
     return numbers
-
-
-def _rest(progress: Progress | None, count: int, left: NDArray[np.int64]) -> Progress | None:
-    """Progress of the points that are left of `count`."""
-    return part_of(progress, count - len(left), count)
 
 
 def _by_tree(
