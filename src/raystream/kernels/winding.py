@@ -153,18 +153,17 @@ class WindingScene(NamedTuple):
     ----------
     points : uint64
         Address of three float64 a point, finite: the local frame.
-    point_count : uint64
     corners : uint64
         Address of the triangles' corners, float32.
     prim_ids : uint64
         Address of the triangles that count, int32.
-    triangle_count : uint64
+    point_count, triangle_count : uint64
     """
 
     points: np.uint64
-    point_count: np.uint64
     corners: np.uint64
     prim_ids: np.uint64
+    point_count: np.uint64
     triangle_count: np.uint64
 
 
@@ -172,7 +171,7 @@ class WindingScene(NamedTuple):
 def _answer(i, scene, numbers, memory):
     """Write the winding numbers of eight points; see `kernels.answers`."""
     if is_first_of_eight(i):
-        points, end, corners, prim_ids, triangle_count = scene
+        points, corners, prim_ids, end, triangle_count = scene
         point = load_eight(points, None, end, i, memory)
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
         for k in range(triangle_count):

@@ -311,8 +311,8 @@ class TreeScene(NamedTuple):
         Address of three float64 a point, finite: the local frame.
     order : PointOrder
         Of the points of a call.
-    nodes, links, corners : uint64
-        Addresses of the arrays of a `WindingTree`.
+    tree : WindingTree
+        Addresses of its arrays.
     node_count, triangle_count : uint64
     opening : float64
         Below 1: a group whose radius is at most this much of its distance is expanded.
@@ -320,34 +320,29 @@ class TreeScene(NamedTuple):
 
     points: np.uint64
     order: PointOrder
-    nodes: np.uint64
-    links: np.uint64
-    corners: np.uint64
+    tree: WindingTree
     node_count: np.uint64
     triangle_count: np.uint64
     opening: float
 
 
-class TreeNumbers(NamedTuple):
-    """Addresses of the first point's winding number and of the bound of its error, float64."""
-
-    numbers: np.uint64
-    errors: np.uint64
-
-
 @device
 def _answer(i, scene, out, memory):
-    """Write the winding numbers of eight points; see `kernels.answers`."""
-    points, order = scene.points, scene.order
+    """Write the winding numbers of eight points and the bounds of their errors, to two addresses.
+
+    See `kernels.answers`.
+    """
+    points, order, tree, node_count, triangle_count, opening = scene
+    numbers, errors = out
     begin_order(order, points, i)
     if is_first_of_eight(i):
         point = load_eight(points, order, order.end, i, memory)
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
         total, error = f64x8(_0), f64x8(_0)
         place = ZERO_U64
-        while place < scene.node_count:
-            node, link = WindingNode(scene.nodes, place), WindingLink(scene.links, place)
-            is_far, of_group, bound = _far(node, point, scene.opening)
+        while place < node_count:
+            node, link = WindingNode(tree.nodes, place), WindingLink(tree.links, place)
+            is_far, of_group, bound = _far(node, point, opening)
             if is_far:
                 total, error = total + of_group, error + bound
                 place = np.uint64(link.beyond)
@@ -355,13 +350,13 @@ def _answer(i, scene, out, memory):
             place += ONE_U64
             if place == np.uint64(link.beyond):
                 for k in range(link.first, link.end):
-                    angle = add_triangle(angle, corners_at(scene.corners), k, point)
+                    angle = add_triangle(angle, corners_at(tree.corners), k, point)
         turns = angle[2] + total / np.float64(4.0 * math.pi)
         found = numbers_of((angle[0], angle[1], turns), memory)
-        store_eight(out.numbers, order, order.end, i, found, memory)
-        rounding = _ROUNDING_EACH * np.float64(scene.triangle_count)
+        store_eight(numbers, order, order.end, i, found, memory)
+        rounding = _ROUNDING_EACH * np.float64(triangle_count)
         bound = error / np.float64(4.0 * math.pi) + rounding
-        store_eight(out.errors, order, order.end, i, bound, memory)
+        store_eight(errors, order, order.end, i, bound, memory)
 
 
 #: The loop over points with a tree: calls begin at multiples of `LANES`.

@@ -14,8 +14,8 @@ from raystream.kernels.aligned import array_places
 from raystream.kernels.point_order import PointOrder, order_bytes
 from raystream.kernels.winding import LANES, WindingScene, winding_numbers
 from raystream.kernels.winding_tree import (
-    TreeNumbers,
     TreeScene,
+    WindingTree,
     tree_winding_numbers,
     winding_tree_of,
 )
@@ -116,14 +116,13 @@ def _by_tree(
     """Winding numbers, and bounds of their errors."""
     tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
     numbers, errors = np.empty(count), np.empty(count)
-    points, nodes, links, corners = array_places(local, tree.nodes, tree.links, tree.corners)
-    sizes = np.uint64(len(tree.nodes)), np.uint64(len(tree.corners))
-    to = TreeNumbers(*array_places(numbers, errors))
+    points, *places, to, bounds = array_places(local, *tree, numbers, errors)
+    shared = WindingTree(*places), np.uint64(len(tree.nodes)), np.uint64(len(tree.corners))
 
     def body(begin: int, end: int, memory: int) -> None:
         order = PointOrder._make(map(np.uint64, (begin, end, memory)))
-        scene = TreeScene(points, order, nodes, links, corners, *sizes, opening)
-        tree_winding_numbers(begin, end, scene, to)
+        scene = TreeScene(points, order, *shared, opening)
+        tree_winding_numbers(begin, end, scene, (to, bounds))
 
     memory_bytes = order_bytes(min(count, most))
     run_calls((body, ()), (0, count), most, most, progress, memory_bytes=memory_bytes)
@@ -136,9 +135,8 @@ def _exact(
     """Winding numbers by the sum over all triangles."""
     found = np.empty(len(local))
     prim_ids = np.ascontiguousarray(triangles.prim_ids)
-    points, corners, ids, to = array_places(local, triangles.corners, prim_ids, found)
-    sizes = np.uint64(len(local)), np.uint64(len(prim_ids))
-    scene = WindingScene(points, sizes[0], corners, ids, sizes[1])
+    *places, to = array_places(local, triangles.corners, prim_ids, found)
+    scene = WindingScene(*places, np.uint64(len(local)), np.uint64(len(prim_ids)))
     most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
     run_calls((winding_numbers, (scene, to)), (0, len(local)), most, most, progress)
     return found

@@ -26,17 +26,12 @@ def split_numbers(numbers: Any, triangles: Any) -> tuple[Any, Any]:
 def nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:
     """The results of `Kind.FIRST_HIT` for rays of a leading shape."""
     t, u, v, numbers = sink.hits
-    status, sectors = sink.status, sink.sectors
     prim_id, instance_id = split_numbers(numbers, triangles)
-    kind = hits_type(triangles)
-    if len(shape) == 1:
-        return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
-    columns: list[Any] = [
-        None if one is None else one.reshape(shape)
-        for one in (t, u, v, prim_id, status, sectors, instance_id)
-    ]
-    t, u, v, prim_id, status, sectors, instance_id = columns
-    return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
+    columns: Any = t, u, v, prim_id, sink.status, sink.sectors, instance_id
+    if len(shape) != 1:
+        columns = [None if one is None else one.reshape(shape) for one in columns]
+    *of_hits, sectors, instance_id = columns
+    return hits_type(triangles)(*of_hits, triangles, sectors, instance_id)
 
 
 def all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
