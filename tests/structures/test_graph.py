@@ -337,7 +337,7 @@ def test_bins_are_used_only_where_no_sector_near_is_known(rng):
         ({}, [0.5], TypeError, "near: expected integers, got float64"),
         ({}, [-2], ValueError, "near: expected -1 to"),
         ({}, [10**6], ValueError, "near: expected -1 to"),
-        ({}, [0, 0, 0], ValueError, r"near: shape \(3,\) does not broadcast to the rays' \(2,\)"),
+        ({}, [0, 0, 0], ValueError, r"near: shape \(3,\) does not broadcast to the rays' shape"),
     ],
 )
 def test_known_sectors_are_checked(options, near, error, words):

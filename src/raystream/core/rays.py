@@ -95,8 +95,8 @@ class RayBatch:
     def __init__(
         self, origins: Any, directions: Any, t_min: Any = 0.0, t_max: Any = np.inf
     ) -> None:
-        origins = _vectors("origins", origins)
-        directions = _vectors("directions", directions)
+        origins = as_vectors("origins", origins)
+        directions = as_vectors("directions", directions)
         shape = origins.shape
         if shape != directions.shape:
             try:
@@ -131,7 +131,8 @@ class RayBatch:
         return self._count
 
 
-def _vectors(name: str, values: Any) -> NDArray[Any]:
+def as_vectors(name: str, values: Any) -> NDArray[Any]:
+    """View values as an array of shape (..., 3); for errors, see `RayBatch`."""
     array = as_real_array(name, values)
     if array.ndim == 1 and array.size == 0:
         array = array.reshape(0, 3)
@@ -166,11 +167,24 @@ def _limit(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float32
         array = as_real_array(name, values).astype(np.float32, copy=False)
     if array.ndim == 0:
         return array.reshape(1)
+    return flat_values(name, array, shape)
+
+
+def flat_values(
+    name: str, array: NDArray[Any], shape: tuple[int, ...], items: str = "rays"
+) -> NDArray[Any]:
+    """Broadcast values to the shape of rays or other items, and flatten them.
+
+    Raises
+    ------
+    ValueError
+        If they do not broadcast.
+    """
     try:
         return np.broadcast_to(array, shape).reshape(-1)
     except ValueError:
         raise ValueError(
-            f"{name}: shape {array.shape} does not broadcast to the rays' shape {shape}"
+            f"{name}: shape {array.shape} does not broadcast to the {items}' shape {shape}"
         ) from None
 
 

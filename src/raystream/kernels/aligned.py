@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -31,3 +32,8 @@ def array_address(array: NDArray[Any]) -> int:
         return ctypes.addressof(ctypes.c_char.from_buffer(buffer))
     except (TypeError, ValueError, BufferError):
         return array.ctypes.data
+
+
+def array_places(*arrays: NDArray[Any]) -> Iterator[np.uint64]:
+    """The addresses of arrays as kernels take them; the caller keeps the arrays alive."""
+    return map(np.uint64, map(array_address, arrays))

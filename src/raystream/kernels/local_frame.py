@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.kernels.ray import to_local, world_t
+from raystream.kernels.ray import world_t
+from raystream.kernels.ray_source import load_ray
 
 _INF = np.float32(np.inf)
 
@@ -36,22 +37,6 @@ class LocalRays(NamedTuple):
         return cls(origins, directions, np.empty(count, np.float32), np.empty(count, np.float32))
 
 
-class WorldRays(NamedTuple):
-    """Rays in world space.
-
-    Attributes
-    ----------
-    origins, directions : ndarray of shape (N, 3), float32 or float64
-    t_min, t_max : ndarray of shape (N,), float32
-        Closed interval, in direction lengths.
-    """
-
-    origins: NDArray[Any]
-    directions: NDArray[Any]
-    t_min: NDArray[np.float32]
-    t_max: NDArray[np.float32]
-
-
 class TTransform(NamedTuple):
     """Local to world distances, per ray: world t = local t * scale + offset.
 
@@ -68,13 +53,13 @@ class TTransform(NamedTuple):
 
 
 @kernel
-def to_local_rays(begin, end, world, frame, rays, to_world, status):
+def to_local_rays(begin, end, source, frame, rays, to_world, status):
     """Transform rays begin to end to the local frame.
 
     Parameters
     ----------
     begin, end : int
-    world : WorldRays
+    source : RaySource
     frame : SceneFrame
     rays : LocalRays
         Written. Rays that are invalid or cannot reach the scene get an empty interval.
@@ -83,19 +68,8 @@ def to_local_rays(begin, end, world, frame, rays, to_world, status):
     status : ndarray of shape (N,), uint8
         Written: a `RayStatus`.
     """
-    origins, directions = world.origins, world.directions
     for i in range(np.uint64(begin), np.uint64(end)):
-        ray = to_local(
-            np.float64(origins[i, 0]),
-            np.float64(origins[i, 1]),
-            np.float64(origins[i, 2]),
-            np.float64(directions[i, 0]),
-            np.float64(directions[i, 1]),
-            np.float64(directions[i, 2]),
-            world.t_min[i],
-            world.t_max[i],
-            frame,
-        )
+        ray = load_ray(source, i, frame)
         rays.origins[i, 0] = ray.ox
         rays.origins[i, 1] = ray.oy
         rays.origins[i, 2] = ray.oz

@@ -6,9 +6,11 @@ and the nodes that the search visits are in the cache.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
@@ -18,15 +20,56 @@ _DIGIT_BITS = np.uint64(11)
 _DIGITS = np.uint64(1 << 11)
 _DIGIT_MASK = np.uint64((1 << 11) - 1)
 
-#: uint32 that `order_points` needs for each point, and besides.
-WORDS_PER_POINT = 3
-ORDER_WORDS = 2 * (1 << 11)
+#: uint32 that `_order_points` needs for each point, and besides.
+_WORDS_PER_POINT = 3
+_ORDER_WORDS = 2 * (1 << 11)
 
 _DOUBLE, _VECTOR = np.uint64(8), np.uint64(24)  # bytes
 _LAST_CELL = 2.0**_SIDE_BITS - 1.0
 
 #: Coordinates beyond this do not count: points there may be in any order.
 _FARTHEST = 2.0**200
+
+
+class PointOrder(NamedTuple):
+    """The points of a call, which are answered in an order of their own.
+
+    Attributes
+    ----------
+    first, end : uint64
+        Its points.
+    memory : uint64
+        Address of `order_bytes` bytes; 0 to answer them as they come.
+    """
+
+    first: np.uint64
+    end: np.uint64
+    memory: np.uint64
+
+
+def order_bytes(count: int) -> int:
+    """Bytes of memory that the order of `count` points needs."""
+    return 4 * (_WORDS_PER_POINT * count + _ORDER_WORDS)
+
+
+@device
+def begin_order(order, points, i):
+    """Sort the points of a call, if i is its first one; `order` may be None."""
+    if order is None:
+        return
+    if i == order.first and order.memory != NULL:
+        _order_points(points, order.first, order.end, order.memory)
+
+
+@device
+def point_at(order, i):
+    """The point that is answered as the i-th; i if `order` is None."""
+    if order is None or order.memory == NULL:
+        return i
+    # The numbers of the points follow two arrays of as many.
+    count, number = order.end - order.first, i - order.first
+    at = order.memory + ((count + count + number) << SHIFT_32)
+    return order.first + np.uint64(load(np.uint32, at))
 
 
 @device
@@ -54,7 +97,8 @@ def _widened(x, low, high):
 
 
 @device
-def _point(points, i):
+def load_point(points, i):
+    """Three float64 of point i."""
     at = points + i * _VECTOR
     return (
         load(np.float64, at),
@@ -68,7 +112,7 @@ def _bounds(points, begin, end):
     low_x, low_y, low_z = _FARTHEST, _FARTHEST, _FARTHEST
     high_x, high_y, high_z = -_FARTHEST, -_FARTHEST, -_FARTHEST
     for i in range(begin, end):
-        x, y, z = _point(points, i)
+        x, y, z = load_point(points, i)
         low_x, high_x = _widened(x, low_x, high_x)
         low_y, high_y = _widened(y, low_y, high_y)
         low_z, high_z = _widened(z, low_z, high_z)
@@ -77,7 +121,7 @@ def _bounds(points, begin, end):
 
 
 @device
-def order_points(points, begin, end, words):
+def _order_points(points, begin, end, words):
     """Sort points begin to end by their cell, cells along a Morton curve.
 
     Parameters
@@ -86,12 +130,8 @@ def order_points(points, begin, end, words):
         Address of three float64 a point.
     begin, end : uint64
     words : uint64
-        Address of ``WORDS_PER_POINT * (end - begin) + ORDER_WORDS`` uint32.
-
-    Returns
-    -------
-    uint64
-        Address of ``end - begin`` uint32: the points less `begin`, in order.
+        Address of `order_bytes` bytes. The last of three arrays of ``end - begin`` uint32 gets the
+        points less `begin`, in order.
     """
     count = end - begin
     keys, numbers = words, words + (count << SHIFT_32)
@@ -102,7 +142,7 @@ def order_points(points, begin, end, words):
         store(places + (k << SHIFT_32), np.uint32(0))
     low, scale = _bounds(points, begin, end)
     for k in range(count):
-        x, y, z = _point(points, begin + k)
+        x, y, z = load_point(points, begin + k)
         key = (
             _spread(_cell(x, low[0], scale))
             | (_spread(_cell(y, low[1], scale)) << ONE_U64)
@@ -120,7 +160,6 @@ def order_points(points, begin, end, words):
         number = load(np.uint32, numbers + (k << SHIFT_32))
         key = np.uint64(load(np.uint32, keys + (np.uint64(number) << SHIFT_32)))
         store(sorted_ + (_take(seconds, key >> _DIGIT_BITS) << SHIFT_32), number)
-    return sorted_
 
 
 @device

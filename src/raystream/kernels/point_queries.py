@@ -1,4 +1,8 @@
-"""The loop over points, around any structure's search for the nearest triangles."""
+"""The query for the triangles nearest to a point, around any structure's search.
+
+`kernels.answers` makes a loop and a thread of it. A loop answers the points of a call along a
+curve, and begins each search with the triangles that the one before found.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayStatus
-from raystream.jit.constants import ONE_U64, SHIFT_32, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import load, prefetch, scratch, store
+from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.cpu import device
+from raystream.jit.simd import load, prefetch, store
 from raystream.kernels.nearest import (
     ROW,
     NearestRow,
@@ -20,11 +24,13 @@ from raystream.kernels.nearest import (
     corners_at,
     offer_again,
 )
-from raystream.kernels.point_order import ORDER_WORDS, WORDS_PER_POINT, order_points
+from raystream.kernels.point_order import PointOrder, begin_order, load_point, order_bytes, point_at
 from raystream.kernels.point_triangle import foot_on_triangle
+from raystream.kernels.ray import SceneFrame
 
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
+_STATE_BYTES = np.uint64(64)  # of an answer's memory, before the stack
 _VALID = np.uint8(RayStatus.VALID)
 _INVALID = np.uint8(RayStatus.INVALID)
 _MISS = np.int32(-1)
@@ -41,8 +47,10 @@ _FARTHEST_LOCAL = 2.0**240
 #: them: the sphere around a point differs by that much from a plane, within the scene.
 _NEAREST_FAR = 2.0**26
 
-#: Fewer points are not sorted.
-_LEAST_SORTED = np.uint64(64)
+#: Most points of a call: sorted together, the more the nearer to each other. Fewer than some are
+#: not sorted.
+POINTS_PER_CALL = 1 << 14
+_LEAST_SORTED = 64
 
 #: How far ahead sorted points are prefetched, as they lie anywhere in memory: 1.05 to 1.1
 #: times as fast. 4 or 8 gained no more.
@@ -53,42 +61,28 @@ _AHEAD = np.uint64(2)
 _SLACK, _TINY = 1.0 + 2.0**-48, 2.0**-1000
 
 
-class PointSource(NamedTuple):
-    """The points of a query, in world space.
+class PointBatch(NamedTuple):
+    """Points in world space, and what is asked of each.
 
     Attributes
     ----------
-    points : uint64
-        Address of three float64 a point.
-    limits : uint64
-        Address of the greatest distance, float64, of the first point or of all.
-    limit_step : uint64
-        Bytes from a point's limit to the next; 0 if all have the same.
+    points : ndarray of shape (N, 3), float64
+        C-contiguous.
+    limits : ndarray of shape (N,) or (1,), float64
+        Greatest distances: of each point, or of all.
+    capacity : int
+        Triangles to find for each.
     """
 
-    points: np.uint64
-    limits: np.uint64
-    limit_step: np.uint64
-
-    @classmethod
-    def of(cls, points: NDArray[np.float64], limits: NDArray[np.float64]) -> PointSource:
-        """The source of C-contiguous arrays of shape (N, 3), and (N,) or (1,); keep them."""
-        return cls(_at(points), _at(limits), step_of(limits))
-
-
-class NearestAddresses(NamedTuple):
-    """Addresses of the arrays of `NearestArrays`."""
-
-    distance: np.uint64
-    positions: np.uint64
-    u: np.uint64
-    v: np.uint64
-    prim_id: np.uint64
-    status: np.uint64
+    points: NDArray[np.float64]
+    limits: NDArray[np.float64]
+    capacity: int
 
 
 class NearestArrays(NamedTuple):
     """The answers: `capacity` rows for each of N points, by distance, then prim_id.
+
+    Kernels take the addresses of these arrays, by the same names.
 
     Attributes
     ----------
@@ -111,25 +105,56 @@ class NearestArrays(NamedTuple):
     status: NDArray[np.uint8]
 
     @classmethod
-    def empty(cls, count: int, capacity: int) -> NearestArrays:
-        """Uninitialised arrays for `count` points."""
+    def empty(cls, count: int, capacity: int, make: Callable[..., Any] = np.empty) -> NearestArrays:
+        """Uninitialised arrays for `count` points; ``make(shape, dtype)`` allocates one."""
         rows = count * capacity
         return cls(
-            np.empty(rows),
-            np.empty((rows, 3)),
-            np.empty(rows, np.float32),
-            np.empty(rows, np.float32),
-            np.empty(rows, np.int32),
-            np.empty(count, np.uint8),
+            make(rows, np.float64),
+            make((rows, 3), np.float64),
+            make(rows, np.float32),
+            make(rows, np.float32),
+            make(rows, np.int32),
+            make(count, np.uint8),
         )
 
-    @property
-    def addresses(self) -> NearestAddresses:
-        """Where a loop writes; keep the arrays."""
-        distance, positions, u, v, prim_id, status = self
-        return NearestAddresses(
-            *(_at(distance), _at(positions), _at(u), _at(v), _at(prim_id), _at(status))
-        )
+
+class PointScene(NamedTuple):
+    """The arguments that all points of a query share.
+
+    Attributes
+    ----------
+    points : uint64
+        Address of three float64 a point: world space.
+    limits : uint64
+        Address of the greatest distance, float64, of the first point or of all.
+    limit_step : uint64
+        Bytes from a point's limit to the next; 0 if all have the same.
+    frame : SceneFrame
+    arrays : NamedTuple
+        The structure's arrays.
+    capacity : uint64
+        Triangles for each point.
+    rows : uint64
+        Address of `capacity` rows of `kernels.nearest.ROW` for each point; with an order, of twice
+        as many for all.
+    order : PointOrder or None
+    """
+
+    points: np.uint64
+    limits: np.uint64
+    limit_step: np.uint64
+    frame: SceneFrame
+    arrays: Any
+    capacity: np.uint64
+    rows: np.uint64
+    order: PointOrder | None
+
+    def in_call(self, begin: int, end: int, memory: int) -> PointScene:
+        """The scene for a call with an order, and the address of `work_bytes` of memory."""
+        of_order = memory + 2 * int(self.capacity) * ROW.itemsize
+        order = begin, end, of_order if end - begin >= _LEAST_SORTED else 0
+        own = PointOrder._make(map(np.uint64, order))
+        return self._replace(rows=np.uint64(memory), order=own)
 
 
 class PointSearch(NamedTuple):
@@ -143,7 +168,7 @@ class PointSearch(NamedTuple):
         frame, to the search (`kernels.nearest`), and returns it. The search may have found some of
         them before.
     stack_bytes : int
-        Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
+        Size of the memory at the address `stack`, which is aligned to 64 bytes.
     """
 
     find: Callable[..., Any]
@@ -179,22 +204,15 @@ def step_of(limits: NDArray[np.float64]) -> np.uint64:
     return np.uint64(8 if len(limits) > 1 else 0)
 
 
-def _at(array: NDArray[Any]) -> np.uint64:
-    return np.uint64(array.ctypes.data)
-
-
 def work_bytes(count: int, capacity: int) -> int:
-    """Bytes of memory that a call of the loop needs for `count` points."""
-    return 2 * capacity * ROW.itemsize + 4 * (WORDS_PER_POINT * count + ORDER_WORDS)
+    """Bytes of memory that a call of a loop needs for `count` points."""
+    return 2 * capacity * ROW.itemsize + order_bytes(count)
 
 
 @device
-def _local(source, i, frame):
+def _local(points, i, frame):
     """Point i in the local frame, and its status."""
-    at = source.points + i * _VECTOR
-    x = load(np.float64, at)
-    y = load(np.float64, at + _DOUBLE)
-    z = load(np.float64, at + (_DOUBLE + _DOUBLE))
+    x, y, z = load_point(points, i)
     world = max(max(abs(x), abs(y)), abs(z))
     is_number = abs(x) <= _FARTHEST and abs(y) <= _FARTHEST and abs(z) <= _FARTHEST
     x = (x - frame.center[0]) * frame.scale
@@ -223,16 +241,16 @@ def _length(p, q):
 
 
 @device
-def read_point(source, i, frame):
-    """Read point i of a `PointSource`; a `PointQuery`."""
-    limit = load(np.float64, source.limits + i * source.limit_step)
-    point, status = _local(source, i, frame)
-    moved, is_moved = _moved(point, frame)
+def _read_point(scene, i):
+    """Read point i of a `PointScene`; a `PointQuery`."""
+    limit = load(np.float64, scene.limits + i * scene.limit_step)
+    point, status = _local(scene.points, i, scene.frame)
+    moved, is_moved = _moved(point, scene.frame)
     return PointQuery(point, moved, is_moved, limit, status)
 
 
 @device
-def begin_point(query, frame, rows, capacity):
+def _begin_point(query, frame, rows, capacity):
     """Begin the search for a point's nearest triangles; see `kernels.nearest.begin_nearest`."""
     within = np.inf if query.is_moved else query.limit * frame.scale
     return begin_nearest(rows, capacity, within * within * _SLACK + _TINY)
@@ -240,7 +258,7 @@ def begin_point(query, frame, rows, capacity):
 
 @device
 def _write(out, row, distance, position, weights, prim_id):
-    """Write a row of `NearestAddresses`."""
+    """Write a row of `NearestArrays`."""
     store(out.distance + row * _DOUBLE, distance)
     at = out.positions + row * _VECTOR
     store(at, position[0])
@@ -262,7 +280,7 @@ def _write_found(out, row, found, query, least, frame):
 
     Parameters
     ----------
-    out : NearestAddresses
+    out : NearestArrays
     row : uint64
     found : NearestRow
     query : PointQuery
@@ -295,12 +313,12 @@ def _write_found(out, row, found, query, least, frame):
 
 
 @device
-def write_nearest(out, i, query, rows, found_count, capacity, frame):
+def _write_nearest(out, i, query, rows, found_count, capacity, frame):
     """Write the answer of point i.
 
     Parameters
     ----------
-    out : NearestAddresses
+    out : NearestArrays
     i : uint64
     query : PointQuery
     rows : uint64
@@ -319,53 +337,49 @@ def write_nearest(out, i, query, rows, found_count, capacity, frame):
 
 
 @device
-def _sorted_point(order, number, first):
-    """The point that comes as this number in the order, see `kernels.point_order`."""
-    return first + np.uint64(load(np.uint32, order + (number << SHIFT_32)))
+def _rows_of(order, i, scene, memory):
+    """Where the rows of a point are, those of the previous point, and how many it has."""
+    size = scene.capacity * _ROW_BYTES
+    if order is None:
+        own = scene.rows + i * size
+        return own, own, ZERO_U64
+    # Twice the number of these rows, and whether they are the second ones.
+    state = load(np.uint64, memory)
+    side = (state & ONE_U64) * size
+    return scene.rows + (size - side), scene.rows + side, state >> ONE_U64
 
 
-def point_queries(search: PointSearch) -> Callable[..., None]:
-    """Make the loop over points with a structure's search.
+@device
+def _keep_rows(order, memory, count):
+    """Note the rows of a point for the next one."""
+    if order is not None:
+        side = ~load(np.uint64, memory) & ONE_U64
+        store(memory, (count << ONE_U64) | side)
 
-    Parameters
-    ----------
-    search : PointSearch
 
-    Returns
-    -------
-    kernel
-        ``find_nearest(begin, end, source, frame, arrays, capacity, work, out)``: of points begin
-        to end of a `PointSource` writes the `capacity` nearest triangles to `NearestAddresses`.
-        `work` is the address of `work_bytes` bytes.
+def nearest_answer(search: PointSearch) -> tuple[Callable[..., None], int]:
+    """Make the query of a structure's search: an answer and its memory, see `kernels.answers`.
+
+    The answer takes a `PointScene` and writes `NearestArrays`.
     """
     find, stack_bytes = search
 
-    @kernel
-    def find_nearest(begin, end, source, frame, arrays, capacity, work, out):
-        first, last = np.uint64(begin), np.uint64(end)
-        count = last - first
-        stack = scratch(stack_bytes)
-        rows, others = work, work + capacity * _ROW_BYTES
-        known = ZERO_U64  # rows of the previous point
-        is_sorted = count >= _LEAST_SORTED
-        order = ZERO_U64
-        if is_sorted:
-            order = order_points(source.points, first, last, others + capacity * _ROW_BYTES)
-        for number in range(count):
-            i = first + number
-            if is_sorted:
-                i = _sorted_point(order, number, first)
-                ahead = _sorted_point(order, min(number + _AHEAD, count - ONE_U64), first)
-                prefetch(source.points + ahead * _VECTOR)
-            query = read_point(source, i, frame)
-            found = ZERO_U64
-            if query.status == _VALID:
-                nearest = begin_point(query, frame, rows, capacity)
-                nearest = offer_again(nearest, query.moved, others, known)
-                nearest = find(arrays, frame, query.moved, nearest, stack)
-                found = nearest.found_count
-                known = found
-                rows, others = others, rows
-            write_nearest(out, i, query, others, found, capacity, frame)
+    @device
+    def find_nearest(i, scene, out, memory):
+        frame, capacity, order = scene.frame, scene.capacity, scene.order
+        begin_order(order, scene.points, i)
+        # Points that are sorted lie anywhere in memory. Numbers after the last are of no point.
+        prefetch(scene.points + point_at(order, i + _AHEAD) * _VECTOR)
+        number = point_at(order, i)
+        query = _read_point(scene, number)
+        rows, others, known = _rows_of(order, i, scene, memory)
+        found = ZERO_U64
+        if query.status == _VALID:
+            nearest = _begin_point(query, frame, rows, capacity)
+            nearest = offer_again(nearest, query.moved, others, known)
+            nearest = find(scene.arrays, frame, query.moved, nearest, memory + _STATE_BYTES)
+            found = nearest.found_count
+            _keep_rows(order, memory, found)
+        _write_nearest(out, number, query, rows, found, capacity, frame)
 
-    return find_nearest
+    return find_nearest, int(_STATE_BYTES) + stack_bytes

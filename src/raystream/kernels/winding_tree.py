@@ -27,19 +27,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, all_lanes, f64x8, load, scratch, square_root, store
+from raystream.jit.intrinsics import corners_at
+from raystream.jit.simd import all_lanes, f64x8, square_root
 from raystream.jit.threads import parallel_for
-from raystream.kernels.point_order import ORDER_WORDS, WORDS_PER_POINT, order_points
-from raystream.kernels.winding import LANES, half_angle, to_corner, turned
+from raystream.jit.views import view
+from raystream.kernels.answers import loop_of
+from raystream.kernels.point_order import PointOrder, begin_order
+from raystream.kernels.winding import (
+    add_triangle,
+    dot,
+    is_first_of_eight,
+    load_eight,
+    numbers_of,
+    store_eight,
+)
 
 #: Triangles of a leaf: at least half of it.
 _LEAF = 8
 
-#: Numbers of a node: its centre, its radius about that, the integral of the third power of the
-#: distance from it and the area; the first three moments of the area vectors, of which only the
-#: symmetric parts count: 3, 6 and 10 numbers.
+#: Numbers of a node, see `WindingNode`.
 _NUMBERS = 25
 
 #: Work of a call of the kernel that makes nodes, in triangles: some milliseconds.
@@ -53,9 +61,24 @@ _KEY_BITS = 21
 _ROUNDING = 2.0**-44
 _ROUNDING_EACH = 2.0**-50
 
-_U8 = np.uint64(LANES)
-_X, _Y, _Z, _E = np.uint64(0), np.uint64(64), np.uint64(128), np.uint64(192)
 _0, _1 = np.float64(0.0), np.float64(1.0)
+
+
+#: A node: its centre, its radius about that, the integral of the third power of the distance from
+#: it and the area; the first three moments of the area vectors, of which only the symmetric parts
+#: count. And its first triangle, that after its last one, and the node after its subtree.
+WindingNode = view(
+    [
+        ("center", "f8", 3),
+        ("radius", "f8"),
+        ("cubes", "f8"),
+        ("area", "f8"),
+        ("first", "f8", 3),
+        ("second", "f8", 6),
+        ("third", "f8", 10),
+    ]
+)
+WindingLink = view([("first", "i8"), ("end", "i8"), ("beyond", "i8")])
 
 
 class WindingTree(NamedTuple):
@@ -66,8 +89,9 @@ class WindingTree(NamedTuple):
     corners : ndarray of shape (A, 3, 3), float32
         The triangles that count, along a Morton curve; local frame.
     nodes : ndarray of shape (M, 25), float64
+        See `WindingNode`.
     links : ndarray of shape (M, 3), int64
-        First and after the last triangle, and the node after the subtree; a leaf's is the next one.
+        See `WindingLink`; the node after a leaf is the next one.
     """
 
     corners: NDArray[np.float32]
@@ -147,11 +171,6 @@ def _scaled(p, by):
 
 
 @device
-def _dot(p, q):
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@device
 def _area_vector(a, b, c):
     p, q = _minus(b, a), _minus(c, a)
     return (
@@ -168,7 +187,7 @@ def _center_of(corners, first, last):
     for k in range(first, last):
         a, b, c = _corner(corners, k, 0), _corner(corners, k, 1), _corner(corners, k, 2)
         vector = _area_vector(a, b, c)
-        area = math.sqrt(_dot(vector, vector))
+        area = math.sqrt(dot(vector, vector))
         total += area
         center = _plus(center, _scaled(_plus(_plus(a, b), c), area))
     if total > 0.0:
@@ -239,10 +258,10 @@ def _make_nodes(begin, end, level, depth, tree):
             b = _minus(_corner(tree.corners, k, 1), center)
             c = _minus(_corner(tree.corners, k, 2), center)
             vector = _area_vector(a, b, c)
-            of_a, of_b, of_c = math.sqrt(_dot(a, a)), math.sqrt(_dot(b, b)), math.sqrt(_dot(c, c))
+            of_a, of_b, of_c = math.sqrt(dot(a, a)), math.sqrt(dot(b, b)), math.sqrt(dot(c, c))
             radius = max(radius, max(of_a, max(of_b, of_c)))
             cubes = of_a * of_a * of_a + of_b * of_b * of_b + of_c * of_c * of_c
-            third += math.sqrt(_dot(vector, vector)) * cubes / 3.0
+            third += math.sqrt(dot(vector, vector)) * cubes / 3.0
             _add_moments(node, a, b, c, vector)
         node[0], node[1], node[2] = center
         node[3], node[4], node[5] = radius * (1.0 + _ROUNDING), third * (1.0 + _ROUNDING), area
@@ -254,104 +273,91 @@ def _far(node, point, opening):
 
     Both are to be divided by 4 pi.
     """
-    d = node[0] - point[0], node[1] - point[1], node[2] - point[2]
-    squared = _dot(d, d)
+    center, radius = node.center, node.radius
+    d = center[0] - point[0], center[1] - point[1], center[2] - point[2]
+    squared = dot(d, d)
     r = square_root(squared)
-    if not all_lanes(r * opening > node[3]):
+    if not all_lanes(r * opening > radius):
         return False, squared, squared
     inv = _1 / squared
     inv3 = inv / r
-    beyond = r - node[3]
-    error = node[4] * (np.float64(4.0) * r - np.float64(3.0) * node[3]) * inv * inv
-    error = error / (beyond * beyond) + node[5] * inv * np.float64(_ROUNDING)
+    beyond = r - radius
+    error = node.cubes * (np.float64(4.0) * r - np.float64(3.0) * radius) * inv * inv
+    error = error / (beyond * beyond) + node.area * inv * np.float64(_ROUNDING)
     x, y, z = d
-    first = node[6] * x + node[7] * y + node[8] * z
+    a, b, c = node.first, node.second, node.third
+    first = a[0] * x + a[1] * y + a[2] * z
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    trace = node[9] + node[10] + node[11]
-    second = node[9] * xx + node[10] * yy + node[11] * zz
-    second = second + np.float64(2.0) * (node[12] * xy + node[13] * xz + node[14] * yz)
-    third = node[15] * (xx * x) + node[16] * (yy * y) + node[17] * (zz * z)
-    mixed = node[18] * (xx * y) + node[19] * (xx * z) + node[20] * (yy * x)
-    mixed = mixed + node[21] * (yy * z) + node[22] * (zz * x) + node[23] * (zz * y)
-    third = third + np.float64(3.0) * mixed + np.float64(6.0) * node[24] * (xy * z)
-    along = (node[15] + node[20] + node[22]) * x + (node[18] + node[16] + node[23]) * y
-    along = along + (node[19] + node[21] + node[17]) * z
+    trace = b[0] + b[1] + b[2]
+    second = b[0] * xx + b[1] * yy + b[2] * zz
+    second = second + np.float64(2.0) * (b[3] * xy + b[4] * xz + b[5] * yz)
+    third = c[0] * (xx * x) + c[1] * (yy * y) + c[2] * (zz * z)
+    mixed = c[3] * (xx * y) + c[4] * (xx * z) + c[5] * (yy * x)
+    mixed = mixed + c[6] * (yy * z) + c[7] * (zz * x) + c[8] * (zz * y)
+    third = third + np.float64(3.0) * mixed + np.float64(6.0) * c[9] * (xy * z)
+    along = (c[0] + c[5] + c[7]) * x + (c[3] + c[1] + c[8]) * y
+    along = along + (c[4] + c[6] + c[2]) * z
     total = first + trace - np.float64(3.0) * inv * second
     total = total + inv * (np.float64(7.5) * inv * third - np.float64(4.5) * along)
     return True, total * inv3, error
 
 
-@device
-def _exact(corners, first, last, point, angle):
-    for k in range(first, last):
-        a = to_corner(corners, k, 0, point)
-        b = to_corner(corners, k, 1, point)
-        c = to_corner(corners, k, 2, point)
-        angle = turned(angle, half_angle(a, b, c))
-    return angle
+class TreeScene(NamedTuple):
+    """What winding numbers are computed from by a tree.
 
-
-def order_bytes(count: int) -> int:
-    """Bytes of memory that a call of `tree_winding_numbers` needs for `count` points."""
-    return 4 * (WORDS_PER_POINT * count + ORDER_WORDS)
-
-
-@kernel
-def tree_winding_numbers(begin, end, points, tree, opening, work, numbers, errors):
-    """Compute the winding numbers of points begin to end, and bounds of their errors.
-
-    Parameters
+    Attributes
     ----------
-    begin, end : int
-    points : ndarray of shape (N, 3), float64
-        Local frame, finite.
+    points : uint64
+        Address of three float64 a point, finite: the local frame.
+    order : PointOrder
+        Of the points of a call.
     tree : WindingTree
+        Addresses of its arrays.
+    node_count, triangle_count : uint64
     opening : float64
         Below 1: a group whose radius is at most this much of its distance is expanded.
-    work : ndarray of uint8
-        `order_bytes` bytes.
-    numbers, errors : ndarray of shape (N,), float64
-        Written.
     """
-    lanes = scratch(256)
-    first, last = np.uint64(begin), np.uint64(end)
-    order = order_points(address(points), first, last, address(work))
-    node_count = len(tree.nodes)
-    rounding = _ROUNDING_EACH * np.float64(len(tree.corners))
-    at = first
-    while at < last:
-        for k in range(_U8):
-            number = min(at + k, last - ONE_U64) - first
-            i = first + np.uint64(load(np.uint32, order + (number << SHIFT_32)))
-            to = lanes + (k << SHIFT_64)
-            store(to + _X, points[i, 0])
-            store(to + _Y, points[i, 1])
-            store(to + _Z, points[i, 2])
-        point = load(f64x8, lanes + _X), load(f64x8, lanes + _Y), load(f64x8, lanes + _Z)
+
+    points: np.uint64
+    order: PointOrder
+    tree: WindingTree
+    node_count: np.uint64
+    triangle_count: np.uint64
+    opening: float
+
+
+@device
+def _answer(i, scene, out, memory):
+    """Write the winding numbers of eight points and the bounds of their errors, to two addresses.
+
+    See `kernels.answers`.
+    """
+    points, order, tree, node_count, triangle_count, opening = scene
+    numbers, errors = out
+    begin_order(order, points, i)
+    if is_first_of_eight(i):
+        point = load_eight(points, order, order.end, i, memory)
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
         total, error = f64x8(_0), f64x8(_0)
-        place = 0
+        place = ZERO_U64
         while place < node_count:
-            is_far, of_group, bound = _far(tree.nodes[place], point, opening)
-            beyond = tree.links[place, 2]
+            node, link = WindingNode(tree.nodes, place), WindingLink(tree.links, place)
+            is_far, of_group, bound = _far(node, point, opening)
             if is_far:
                 total, error = total + of_group, error + bound
-                place = beyond
+                place = np.uint64(link.beyond)
                 continue
-            place += 1
-            if place == beyond:
-                own = place - 1
-                angle = _exact(tree.corners, tree.links[own, 0], tree.links[own, 1], point, angle)
-        store(lanes + _X, angle[0])
-        store(lanes + _Y, angle[1])
-        store(lanes + _Z, angle[2] + total / np.float64(4.0 * math.pi))
-        store(lanes + _E, error / np.float64(4.0 * math.pi))
-        for k in range(min(_U8, last - at)):
-            i = first + np.uint64(load(np.uint32, order + ((at + k - first) << SHIFT_32)))
-            to = lanes + (k << SHIFT_64)
-            # Adding zero turns -0 into 0: the argument of a negative number is pi.
-            imaginary = load(np.float64, to + _Y) + _0
-            part = math.atan2(imaginary, load(np.float64, to + _X)) / (2.0 * math.pi)
-            numbers[i] = part + load(np.float64, to + _Z)
-            errors[i] = load(np.float64, to + _E) + rounding
-        at += _U8
+            place += ONE_U64
+            if place == np.uint64(link.beyond):
+                for k in range(link.first, link.end):
+                    angle = add_triangle(angle, corners_at(tree.corners), k, point)
+        turns = angle[2] + total / np.float64(4.0 * math.pi)
+        found = numbers_of((angle[0], angle[1], turns), memory)
+        store_eight(numbers, order, order.end, i, found, memory)
+        rounding = _ROUNDING_EACH * np.float64(triangle_count)
+        bound = error / np.float64(4.0 * math.pi) + rounding
+        store_eight(errors, order, order.end, i, bound, memory)
+
+
+#: The loop over points with a tree: calls begin at multiples of `LANES`.
+tree_winding_numbers = loop_of(_answer, 192)

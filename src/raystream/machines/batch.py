@@ -7,14 +7,14 @@ race of those that may be the fastest.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.kernels.aligned import ALIGNMENT, aligned_array
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
@@ -25,8 +25,9 @@ from raystream.structures.bvh.coherence import probe
 from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packet_rays import PacketOrder
 
-#: Most spare memories: of up to 40 MB each, of which calls have written a small part.
-_MOST_SPARE = 4
+#: Most spare memories, and bytes of each: up to 40 MB, of which calls have written a small part.
+#: Those for very many nearest triangles of a point are not kept.
+_MOST_SPARE, _MOST_SPARE_BYTES = 4, 1 << 26
 
 #: Memory of calls that have ended, for later ones: new pages took a tenth of the time. Several
 #: threads append and pop.
@@ -134,6 +135,74 @@ def call_size(count: int, least: int, most: int, share: int = 4, block: int = 1)
     return min(most, max(least, size))
 
 
+def run_calls(
+    calls: Calls,
+    items: tuple[int, int],
+    least: int,
+    most: int,
+    progress: Progress | None = None,
+    *,
+    block: int = 1,
+    share: int = 4,
+    memory_bytes: int = 0,
+    joins_chunks: bool = False,
+) -> None:
+    """Call a kernel for rays, packets or points, parts of them at a time, on all threads.
+
+    Parameters
+    ----------
+    calls : Calls
+        The kernel and its arguments after `begin` and `end`.
+    items : tuple of two int
+        Begin and end.
+    least, most, block, share, memory_bytes, joins_chunks
+        See `BatchKernel`. The kernel's last argument is the address of its memory, if it needs any.
+    progress : callable, optional
+        Called with (items done, items).
+    """
+    trace, arguments = calls
+    first, end = items
+    count = end - first
+    size = call_size(count, least, most, share, block)
+    if 0 < count <= size and not memory_bytes and progress is None:  # small batches
+        trace(first, end, *arguments)
+        return
+
+    def body(low: int, high: int) -> None:
+        if not memory_bytes:
+            trace(first + low, first + high, *arguments)
+            return
+        memory = _memory_of(memory_bytes)
+        trace(first + low, first + high, *arguments, memory.ctypes.data)
+        if len(_spare) < _MOST_SPARE and memory.nbytes <= _MOST_SPARE_BYTES:
+            _spare.append(memory)
+
+    parallel_for(body, count, size, progress, joins_chunks=joins_chunks)
+
+
+def run_in_turn(
+    kernels: Sequence[Callable[[NDArray[np.int64], Progress | None], NDArray[np.bool_]]],
+    count: int,
+    progress: Progress | None = None,
+) -> None:
+    """Run kernels one after another, each for what those before left undecided.
+
+    Parameters
+    ----------
+    kernels : sequence of callable
+        ``kernel(items, progress)`` takes the numbers of items, and returns which it has decided.
+    count : int
+        Items.
+    progress : callable, optional
+        Called with (items done, items).
+    """
+    left = np.arange(count)
+    for run in kernels:
+        if len(left):
+            decided = run(left, part_of(progress, count - len(left), count))
+            left = left[~decided]
+
+
 def _call_kernel(
     kernel: BatchKernel,
     calls: Calls,
@@ -141,30 +210,24 @@ def _call_kernel(
     rays: tuple[int, int],
     progress: Progress | None,
 ) -> None:
-    """Trace the rays between two cuts of an order on all threads."""
-    trace, arguments = calls
-    first, end = (order.cut(ray).packet for ray in rays) if kernel.by_packets else rays
-    count, byte_count = end - first, kernel.memory_bytes
-    if count <= kernel.least and not byte_count and progress is None:  # small batches
-        trace(first, end, *arguments)
-        return
+    """Trace the rays between two cuts of an order."""
+    begin, end = (order.cut(ray).packet for ray in rays) if kernel.by_packets else rays
 
-    def body(low: int, high: int) -> None:
-        if not byte_count:
-            trace(first + low, first + high, *arguments)
-            return
-        memory = _memory_of(byte_count)
-        trace(first + low, first + high, *arguments, memory.ctypes.data)
-        if len(_spare) < _MOST_SPARE:
-            _spare.append(memory)
-
-    def report(done: int, _: int) -> object:
+    def report(done: int, count: int) -> object:
         assert progress is not None
         return progress(done * (rays[1] - rays[0]) // count, rays[1] - rays[0])
 
-    size = call_size(count, kernel.least, kernel.most, kernel.share, kernel.block)
-    shown = None if progress is None else report
-    parallel_for(body, count, size, shown, joins_chunks=kernel.joins_chunks)
+    run_calls(
+        calls,
+        (begin, end),
+        kernel.least,
+        kernel.most,
+        None if progress is None else report,
+        block=kernel.block,
+        share=kernel.share,
+        memory_bytes=kernel.memory_bytes,
+        joins_chunks=kernel.joins_chunks,
+    )
 
 
 def _memory_of(byte_count: int) -> NDArray[np.float32]:

@@ -11,23 +11,27 @@ import numpy as np
 from raystream.core.hit_kinds import distance_type
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress, parallel_for, rising, thread_count
-from raystream.kernels.aligned import array_address
+from raystream.jit.constants import NULL
+from raystream.jit.threads import Progress, rising, thread_count
+from raystream.kernels.aligned import array_address, array_places
 from raystream.kernels.growing_buffers import GrowingBuffers
-from raystream.kernels.hits import (
-    HitAccumulator,
-    HitArrays,
-    HitBatch,
-    Sink,
-    allocate_hits,
+from raystream.kernels.hits import HitAccumulator, HitArrays, HitBatch, Sink, allocate_hits
+from raystream.kernels.point_queries import (
+    POINTS_PER_CALL,
+    NearestArrays,
+    PointBatch,
+    PointScene,
+    step_of,
+    work_bytes,
 )
 from raystream.kernels.queries import HitLimits, RayScene, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
-from raystream.machines.backend import Backend
-from raystream.machines.batch import batch_bytes, call_size, trace_batch
+from raystream.machines.backend import Backend, Capabilities
+from raystream.machines.batch import batch_bytes, run_calls, trace_batch
 from raystream.programs.run import run_on_hits
-from raystream.structures import Structure
+from raystream.structures import Structure, form_of
+from raystream.structures.base import RAYS_PER_CALL
 
 #: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
@@ -58,6 +62,8 @@ class Branching(Backend):
     ----------
     structure : Structure
     """
+
+    capabilities = Capabilities(points=True)
 
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
@@ -157,15 +163,8 @@ class Branching(Backend):
         structure = self.structure
         scene, kept = self._scene_of(query, rays, sink, frame)
         kernel, out = structure.queries.loops[query.kind], output_of(query, sink)
-        size = call_size(len(rays), structure.least_rays, structure.rays_per_call())
-        if len(rays) <= size and progress is None:  # small batches
-            kernel(0, len(rays), scene, out)
-            return
-
-        def body(begin: int, end: int) -> None:
-            kernel(begin, end, scene, out)
-
-        parallel_for(body, len(rays), size, progress)
+        most = structure.rays_per_call()
+        run_calls((kernel, (scene, out)), (0, len(rays)), structure.least_rays, most, progress)
         del kept  # the kernel reads it by address
 
     def _scene_of(
@@ -185,6 +184,25 @@ class Branching(Backend):
         )
         return scene, kept
 
+    def find_nearest(
+        self, batch: PointBatch, out: NearestArrays, progress: Progress | None = None
+    ) -> None:
+        """Find the triangles nearest to points; see `Backend.find_nearest`."""
+        structure, (points, limits, capacity) = self.structure, batch
+        kernel, to = form_of(structure.name, "nearest"), NearestArrays(*array_places(*out))
+        shared = *array_places(points, limits), step_of(limits), structure.frame, structure.arrays
+        scene = PointScene(*shared, np.uint64(capacity), NULL, None)
+        per_call, least = structure.rays_per_call(), structure.least_rays
+        # Fewer than the default: the structure is slow, and a point takes longer than a ray.
+        most = POINTS_PER_CALL if per_call >= RAYS_PER_CALL else max(per_call // 8, 1)
+        memory_bytes = work_bytes(min(len(points), most), capacity)
+
+        def find(begin: int, end: int, memory: int) -> None:
+            kernel(begin, end, scene.in_call(begin, end, memory), to)
+
+        items = 0, len(points)
+        run_calls((find, ()), items, least, most, progress, memory_bytes=memory_bytes)
+
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Pass all hits to the sink's visitor."""
         structure, visitor = self.structure, sink.visitor
@@ -203,6 +221,6 @@ class Branching(Backend):
             return int(reached)
 
         body = GrowingBuffers(partial(HitRows.of, kind), fill, FIRST_CAPACITY)
-        size = call_size(len(rays), structure.least_rays, structure.rays_per_call())
-        parallel_for(body, len(rays), size, progress)
+        calls, most = (body, ()), structure.rays_per_call()
+        run_calls(calls, (0, len(rays)), structure.least_rays, most, progress)
         del kept

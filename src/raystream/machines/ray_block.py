@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress, parallel_for
-from raystream.kernels.local_frame import (
-    LocalRays,
-    TTransform,
-    WorldRays,
-    to_local_rays,
-    to_world_t,
-)
+from raystream.jit.threads import Progress
+from raystream.kernels.local_frame import LocalRays, TTransform, to_local_rays, to_world_t
 from raystream.kernels.ray import SceneFrame
+from raystream.kernels.ray_source import RaySource
+from raystream.machines.batch import run_calls
 
 #: Rays of a block: bounds all memory but the results, at about 100 bytes per ray.
 RAYS_PER_BLOCK = 1 << 20
@@ -61,19 +56,11 @@ class RayBlock:
         count = rows.stop - rows.start
         self.rays = LocalRays.empty(count)
         self.t_transform = TTransform(np.empty(count), np.empty(count))
-        dtype = np.result_type(batch.origins, batch.directions)
-        world = WorldRays(
-            _given(batch.origins[rows], dtype),
-            _given(batch.directions[rows], dtype),
-            _given(batch.t_min[rows], np.float32),
-            _given(batch.t_max[rows], np.float32),
-        )
-        results = self.rays, self.t_transform, status[rows]
-
-        def to_local(begin: int, end: int) -> None:
-            to_local_rays(begin, end, world, frame, *results)
-
-        parallel_for(to_local, count, LIGHT_CHUNK)
+        limits = batch.t_min[rows], batch.t_max[rows]
+        source, kept = RaySource.of(batch.origins[rows], batch.directions[rows], limits)
+        calls = to_local_rays, (source, frame, self.rays, self.t_transform, status[rows])
+        run_calls(calls, (0, count), LIGHT_CHUNK, LIGHT_CHUNK)
+        del kept  # the kernel reads it by address
         self.progress: Progress | None = None
         if progress is not None:
             self.progress = lambda done, _: progress(rows.start + done, len(batch))
@@ -84,11 +71,8 @@ class RayBlock:
 
     def to_world(self, t: NDArray[np.float32], splits: NDArray[np.int64]) -> None:
         """Turn rows splits[i] to splits[i + 1] of t, which belong to ray i, to world distances."""
-
-        def convert(begin: int, end: int) -> None:
-            to_world_t(begin, end, splits, self.t_transform, t)
-
-        parallel_for(convert, len(splits) - 1, LIGHT_CHUNK)
+        calls = to_world_t, (splits, self.t_transform, t)
+        run_calls(calls, (0, len(splits) - 1), LIGHT_CHUNK, LIGHT_CHUNK)
 
 
 def blocks(
@@ -102,14 +86,3 @@ def blocks(
     for first in range(0, len(batch), RAYS_PER_BLOCK):
         rows = slice(first, min(first + RAYS_PER_BLOCK, len(batch)))
         yield make(batch, rows, frame, status, progress)
-
-
-def _given(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """The caller's rows as kernels take them: contiguous and read-only.
-
-    Numba compiles for each memory order, and for read-only and writable arrays: this leaves only
-    float32 and float64.
-    """
-    view = np.ascontiguousarray(array, dtype).view()
-    view.flags.writeable = False
-    return view

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for, part_of
-from raystream.kernels.winding import LANES, winding_numbers
-from raystream.kernels.winding_tree import order_bytes, tree_winding_numbers, winding_tree_of
+from raystream.jit.threads import Progress
+from raystream.kernels.aligned import array_places
+from raystream.kernels.point_order import PointOrder, order_bytes
+from raystream.kernels.winding import LANES, WindingScene, winding_numbers
+from raystream.kernels.winding_tree import (
+    TreeScene,
+    WindingTree,
+    tree_winding_numbers,
+    winding_tree_of,
+)
+from raystream.machines.batch import run_calls, run_in_turn
 
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
 _ANGLES_PER_CALL = 1 << 23
@@ -81,21 +92,19 @@ def _numbers(
     numbers = np.zeros(count)
     if len(triangles.prim_ids) < _LEAST_TRIANGLES or count < _LEAST_POINTS:
         openings = ()
-    left = np.arange(count)
-    for opening in openings:
-        found, errors = _by_tree(triangles, local[left], opening, _rest(progress, count, left))
+
+    def by_tree(opening: float, left: NDArray[np.int64], progress: Progress | None) -> Any:
+        found, errors = _by_tree(triangles, local[left], opening, progress)
         numbers[left] = found
         room = np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy
-        left = left[~(errors < room)]
-        if not len(left):
-            break
-    numbers[left] = _exact(triangles, local[left], _rest(progress, count, left))
+        return errors < room
+
+    def exactly(left: NDArray[np.int64], progress: Progress | None) -> Any:
+        numbers[left] = _exact(triangles, local[left], progress)
+        return np.ones(len(left), bool)
+
+    run_in_turn([*(partial(by_tree, one) for one in openings), exactly], count, progress)
     return numbers
-
-
-def _rest(progress: Progress | None, count: int, left: NDArray[np.int64]) -> Progress | None:
-    """Progress of the points that are left of `count`."""
-    return part_of(progress, count - len(left), count)
 
 
 def _by_tree(
@@ -105,14 +114,18 @@ def _by_tree(
     progress: Progress | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Winding numbers, and bounds of their errors."""
-    tree = winding_tree_of(triangles)
-    numbers, errors = np.empty(len(local)), np.empty(len(local))
+    tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
+    numbers, errors = np.empty(count), np.empty(count)
+    points, *places, to, bounds = array_places(local, *tree, numbers, errors)
+    shared = WindingTree(*places), np.uint64(len(tree.nodes)), np.uint64(len(tree.corners))
 
-    def body(begin: int, end: int) -> None:
-        work = np.empty(order_bytes(end - begin), np.uint8)
-        tree_winding_numbers(begin, end, local, tree, opening, work, numbers, errors)
+    def body(begin: int, end: int, memory: int) -> None:
+        order = PointOrder._make(map(np.uint64, (begin, end, memory)))
+        scene = TreeScene(points, order, *shared, opening)
+        tree_winding_numbers(begin, end, scene, (to, bounds))
 
-    parallel_for(body, len(local), _POINTS_PER_CALL, progress)
+    memory_bytes = order_bytes(min(count, most))
+    run_calls((body, ()), (0, count), most, most, progress, memory_bytes=memory_bytes)
     return numbers, errors
 
 
@@ -120,15 +133,10 @@ def _exact(
     triangles: Triangles, local: NDArray[np.float64], progress: Progress | None
 ) -> NDArray[np.float64]:
     """Winding numbers by the sum over all triangles."""
-    found = np.zeros(len(local))
-    corners, prim_ids = triangles.corners, np.ascontiguousarray(triangles.prim_ids)
-
-    def body(begin: int, end: int) -> None:
-        winding_numbers(begin, end, local, corners, prim_ids, found)
-
-    if len(prim_ids):
-        most = max(_ANGLES_PER_CALL // len(prim_ids) // LANES, 1) * LANES
-        parallel_for(body, len(local), most, progress)
-    elif progress:
-        progress(len(local), len(local))
+    found = np.empty(len(local))
+    prim_ids = np.ascontiguousarray(triangles.prim_ids)
+    *places, to = array_places(local, triangles.corners, prim_ids, found)
+    scene = WindingScene(*places, np.uint64(len(local)), np.uint64(len(prim_ids)))
+    most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
+    run_calls((winding_numbers, (scene, to)), (0, len(local)), most, most, progress)
     return found

@@ -1,13 +1,15 @@
-"""The results of a query as `Hits`: in the rays' shape, with their triangles and instances."""
+"""The results of a query in the rays' shape, hits with their triangles and instances."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from raystream.core.hit_kinds import hits_type, multi_hits_type
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import Primitives
+from raystream.core.query import Kind
 from raystream.instances import hit_ids
 from raystream.kernels.hits import Sink
 
@@ -24,17 +26,12 @@ def split_numbers(numbers: Any, triangles: Any) -> tuple[Any, Any]:
 def nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:
     """The results of `Kind.FIRST_HIT` for rays of a leading shape."""
     t, u, v, numbers = sink.hits
-    status, sectors = sink.status, sink.sectors
     prim_id, instance_id = split_numbers(numbers, triangles)
-    kind = hits_type(triangles)
-    if len(shape) == 1:
-        return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
-    columns: list[Any] = [
-        None if one is None else one.reshape(shape)
-        for one in (t, u, v, prim_id, status, sectors, instance_id)
-    ]
-    t, u, v, prim_id, status, sectors, instance_id = columns
-    return kind(t, u, v, prim_id, status, triangles, sectors, instance_id)
+    columns: Any = t, u, v, prim_id, sink.status, sink.sectors, instance_id
+    if len(shape) != 1:
+        columns = [None if one is None else one.reshape(shape) for one in columns]
+    *of_hits, sectors, instance_id = columns
+    return hits_type(triangles)(*of_hits, triangles, sectors, instance_id)
 
 
 def all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
@@ -44,3 +41,12 @@ def all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
     status = sink.status.reshape(shape)
     kind = multi_hits_type(triangles)
     return kind(sink.splits, t, u, v, prim_id, status, triangles, instance_id)
+
+
+#: The results by the kind of query: ``result(sink, shape, triangles)``.
+RESULTS: dict[Kind, Callable[..., Any]] = {
+    Kind.FIRST_HIT: nearest_hits,
+    Kind.ANY_HIT: lambda sink, shape, _: sink.seen.reshape(shape),
+    Kind.COUNT_HITS: lambda sink, shape, _: sink.counts.reshape(shape),
+    Kind.MULTI_HIT: all_hits,
+}

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.core.scene_checks import check_plain
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress
 from raystream.kernels.crossing_sides import net_exits
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.solids import open_edges, solids_of
+from raystream.machines.batch import run_calls
 from raystream.machines.winding import inside_by_winding
-
-if TYPE_CHECKING:
-    from raystream.tracer.point_queries import PointQueries
 
 #: Directions of the three rays: in no plane that people's models are likely to have.
 _DIRECTIONS = (
@@ -41,7 +39,7 @@ class InsideTest:
 
     Parameters
     ----------
-    tracer : PointQueries
+    tracer : Tracer
     method : {"rays", "winding"}
 
     Raises
@@ -50,7 +48,7 @@ class InsideTest:
         If the method is unknown, or the surface is not closed and the method needs that.
     """
 
-    def __init__(self, tracer: PointQueries, method: str) -> None:
+    def __init__(self, tracer: Any, method: str) -> None:
         if method not in ("rays", "winding"):
             raise ValueError(f"method: expected 'rays' or 'winding', got {method!r:.80}")
         check_plain("inside tests", tracer.structure.triangles)
@@ -124,11 +122,8 @@ class InsideTest:
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         corners, frame = self._triangles.corners, SceneFrame.of(self._triangles)
         exits = np.empty(len(points), np.int64)
-
-        def body(begin: int, end: int) -> None:
-            net_exits(begin, end, source, frame, corners, found.ray_splits, found.prim_id, exits)
-
-        parallel_for(body, len(points), _RAYS_PER_CALL)
+        calls = net_exits, (source, frame, corners, found.ray_splits, found.prim_id, exits)
+        run_calls(calls, (0, len(points)), _RAYS_PER_CALL, _RAYS_PER_CALL)
         del kept
         return exits
 

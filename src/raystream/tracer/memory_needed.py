@@ -29,12 +29,7 @@ ROW_BYTES = 32
 #: Queries that return hits.
 _ROWS = (Kind.FIRST_HIT, Kind.MULTI_HIT)
 
-_KINDS = {
-    "first_hit": Kind.FIRST_HIT,
-    "any_hit": Kind.ANY_HIT,
-    "count_hits": Kind.COUNT_HITS,
-    "multi_hit": Kind.MULTI_HIT,
-}
+_KINDS = {kind.name.lower(): kind for kind in _RESULT}
 
 
 class MemoryNeeded(NamedTuple):

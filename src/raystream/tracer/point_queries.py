@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import operator
-from abc import abstractmethod
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.closest_points import ClosestPoints
-from raystream.core.hits import MultiHits
 from raystream.core.memory import check_memory
-from raystream.core.rays import as_real_array
+from raystream.core.rays import as_real_array, as_vectors, flat_values
 from raystream.core.scene_checks import check_plain
-from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.point_queries import NearestArrays, PointSource, work_bytes
+from raystream.jit.threads import Progress, thread_count
+from raystream.kernels.point_queries import POINTS_PER_CALL, NearestArrays, PointBatch, work_bytes
 from raystream.machines.winding import winding_of
-from raystream.structures.base import RAYS_PER_CALL
-from raystream.structures.registry import form_of, names_with
+from raystream.structures.registry import names_with
 from raystream.tracer.inside import InsideTest, share_of
+from raystream.tracer.memory_needed import CHECKED_RAYS
 from raystream.tracer.ray_cast import RayCaster
-
-#: Most points of a call: sorted together, the more the nearer to each other.
-_POINTS_PER_CALL = 1 << 14
 
 #: A row of the result.
 _ROW_BYTES = 8 + 24 + 4 + 4 + 4
@@ -172,7 +167,7 @@ class PointQueries(RayCaster):
         test = InsideTest(self, method)  # first: it may refuse
         total = 5  # of the progress: the distance counts as one part, the inside as four
         nearest = self._nearest(points, None, max_distance, share_of(progress, 0, 1, total))
-        inside = test.inside(_points_of(points), share_of(progress, 1, 4, total))
+        inside = test.inside(as_vectors("points", points), share_of(progress, 1, 4, total))
         distance = nearest.distance.reshape(-1)
         distance[inside] *= -1.0
         distance[nearest.status.reshape(-1) != 0] = np.nan
@@ -235,7 +230,7 @@ class PointQueries(RayCaster):
         (1,)
         """
         test = InsideTest(self, method)
-        given = _points_of(points)
+        given = as_vectors("points", points)
         return test.inside(given, progress).reshape(given.shape[:-1])
 
     def winding_number(
@@ -291,54 +286,32 @@ class PointQueries(RayCaster):
         0.125
         """
         check_plain("winding numbers", self.structure.triangles)
-        given, most = _points_of(points), float(accuracy)
+        given, most = as_vectors("points", points), float(accuracy)
         if not most >= 0.0:
             raise ValueError(f"accuracy: expected a number >= 0, got {accuracy}")
         numbers = winding_of(self.structure.triangles, given.reshape(-1, 3), progress, most)
         return numbers.reshape(given.shape[:-1])
 
-    @abstractmethod
-    def count_hits(
-        self, origins: Any, directions: Any, *, crossings: Any = ..., progress: Any = None
-    ) -> NDArray[np.int64]:
-        """See `Tracer.count_hits`."""
-
-    @abstractmethod
-    def multi_hit(
-        self, origins: Any, directions: Any, *, crossings: Any = ..., progress: Any = None
-    ) -> MultiHits:
-        """See `Tracer.multi_hit`."""
-
     def _nearest(
         self, points: Any, k: int | None, max_distance: Any, progress: Progress | None
     ) -> ClosestPoints:
         """The nearest triangle of each point, or the nearest `k` in a further dimension."""
-        kernel = self._point_loop()
-        given = _points_of(points)
+        self._check_points()
+        given = as_vectors("points", points)
         shape = given.shape[:-1]
         limits = _limits_of(max_distance, shape)
         local = np.ascontiguousarray(given.reshape(-1, 3), np.float64)
         count, capacity = len(local), 1 if k is None else k
-        per_call = self._points_per_call(count)
         rows = count * capacity
-        check_memory(
-            rows * _ROW_BYTES + thread_count() * work_bytes(per_call, capacity),
-            f"{rows:,} nearest triangles would",
-            "give fewer points or a smaller k",
-        )
+        if rows >= CHECKED_RAYS:
+            working = thread_count() * work_bytes(min(count, POINTS_PER_CALL), capacity)
+            check_memory(
+                rows * _ROW_BYTES + working,
+                f"{rows:,} nearest triangles would",
+                "give fewer points or a smaller k",
+            )
         out = NearestArrays.empty(count, capacity)
-        structure = self.structure
-        if kernel is None:
-            self._backend.find_nearest(local, limits, capacity, out, progress)
-        else:
-            source, to = PointSource.of(local, limits), out.addresses
-            shared = source, structure.frame, structure.arrays, np.uint64(capacity)
-
-            def body(begin: int, end: int) -> None:
-                work = np.empty(work_bytes(end - begin, capacity), np.uint8)
-                kernel(begin, end, *shared, np.uint64(work.ctypes.data), to)
-
-            parallel_for(body, count, per_call, progress)
+        self._backend.find_nearest(PointBatch(local, limits, capacity), out, progress)
         wide = shape if k is None else (*shape, k)
         return ClosestPoints(
             out.distance.reshape(wide),
@@ -346,38 +319,20 @@ class PointQueries(RayCaster):
             (out.u.reshape(wide), out.v.reshape(wide)),
             out.prim_id.reshape(wide),
             out.status.reshape(shape),
-            structure.triangles,
+            self.structure.triangles,
         )
 
-    def _point_loop(self) -> Any:
-        """The structure's loop over points on the CPU, or None for the backend's own."""
+    def _check_points(self) -> None:
+        """Check that the structure and the backend find closest points."""
         check_plain("closest points", self.structure.triangles)
-        loop = form_of(self.structure.name, "nearest")
-        is_there = self.device == "cpu" or self._backend.capabilities.points
-        if loop is None or not is_there or self.machine != "branching":
-            names = " or ".join(f"structure={name!r}" for name in names_with("nearest"))
+        known = names_with("nearest")
+        if self.structure.name not in known or not self._backend.capabilities.points:
+            names = " or ".join(f"structure={name!r}" for name in known)
             raise ValueError(
                 f"closest points are not supported by structure={self.structure.name!r}, "
                 f"device={self.device!r}, machine={self.machine!r}; use {names} with "
                 "device='cpu' or 'cuda' and machine='branching'"
             )
-        return loop if self.device == "cpu" else None
-
-    def _points_per_call(self, count: int) -> int:
-        per_call = self.structure.rays_per_call()
-        # Fewer than the default: the structure is slow, and a point takes longer than a ray.
-        most = _POINTS_PER_CALL if per_call >= RAYS_PER_CALL else max(per_call // 8, 1)
-        return min(most, max(256, -(-count // (4 * thread_count()))))
-
-
-def _points_of(points: Any) -> NDArray[Any]:
-    """Points of shape (..., 3)."""
-    array = as_real_array("points", points)
-    if array.ndim == 1 and array.size == 0:
-        array = array.reshape(0, 3)
-    if array.ndim == 0 or array.shape[-1] != 3:
-        raise ValueError(f"points: expected shape (..., 3), got {array.shape}")
-    return array
 
 
 def _limits_of(max_distance: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -387,9 +342,4 @@ def _limits_of(max_distance: Any, shape: tuple[int, ...]) -> NDArray[np.float64]
         raise ValueError("max_distance: expected numbers >= 0, got a negative one or NaN")
     if array.ndim == 0:
         return array.reshape(1)
-    try:
-        return np.ascontiguousarray(np.broadcast_to(array, shape).reshape(-1))
-    except ValueError:
-        raise ValueError(
-            f"max_distance: shape {array.shape} does not broadcast to the points' shape {shape}"
-        ) from None
+    return np.ascontiguousarray(flat_values("max_distance", array, shape, "points"))

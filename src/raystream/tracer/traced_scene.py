@@ -17,7 +17,7 @@ from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.primitives import NOT_TRIANGLES, Primitives
 from raystream.core.query import Query
-from raystream.core.rays import RayArrays, RayBatch
+from raystream.core.rays import RayArrays, RayBatch, flat_values
 from raystream.core.scene_checks import check_plain
 from raystream.jit.threads import Progress
 from raystream.kernels.adjacent_rows import rows_of
@@ -48,13 +48,7 @@ def flat_ids(name: str, values: Any, count: int, shape: tuple[int, ...]) -> NDAr
         raise TypeError(f"{name}: expected integers, got {ids.dtype}")
     if ids.size and not (ids.min() >= -1 and ids.max() < count):
         raise ValueError(f"{name}: expected -1 to {count - 1:,}")
-    try:
-        ids = np.broadcast_to(ids, shape)
-    except ValueError:
-        raise ValueError(
-            f"{name}: shape {ids.shape} does not broadcast to the rays' {shape}"
-        ) from None
-    return np.ascontiguousarray(ids, np.int32).reshape(-1)
+    return np.ascontiguousarray(flat_values(name, ids, shape), np.int32)
 
 
 class TracedScene:
@@ -341,11 +335,9 @@ class TracedScene:
         """
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
-        tracer = cls.__new__(cls)
-        tracer._configure(None, device, machine, counters, options)
         structure = load_structure(path, None if scene is None else scene.triangles)
-        tracer._set(scene, structure)
-        return tracer
+        own: Any = {"machine": machine, "counters": counters, **options}
+        return cls.of_structure(structure, scene, device, **own)
 
     @classmethod
     def of_structure(

@@ -21,7 +21,7 @@ from raystream.programs.payloads import as_payload, as_records, returned_payload
 from raystream.programs.trace import Order, check_order
 from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
-from raystream.tracer.answers import all_hits, nearest_hits
+from raystream.tracer.answers import RESULTS
 from raystream.tracer.memory_needed import MemoryEstimator
 from raystream.tracer.point_queries import PointQueries
 from raystream.tracer.precision import triangles_of
@@ -193,12 +193,8 @@ class Tracer(MemoryEstimator, PointQueries):
         """
         rays = self._rays(origins, directions, t_min, t_max, near, worlds)
         query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
-        if isinstance(rays, RayArrays):
-            found: Hits = self._backend.answer_on_device(query, rays, progress)
-            return in_library(found, origins, directions)
-        sink = self._answer(query, rays, progress)
-        nearest = nearest_hits(sink, rays.shape, self.structure.triangles)
-        return in_library(nearest, origins, directions)
+        found: Hits = self._found(query, rays, progress)
+        return in_library(found, origins, directions)
 
     def any_hit(
         self,
@@ -233,10 +229,7 @@ class Tracer(MemoryEstimator, PointQueries):
         """
         rays = self._rays(origins, directions, t_min, t_max, near, worlds)
         query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
-        if isinstance(rays, RayArrays):
-            seen: NDArray[np.bool_] = self._backend.answer_on_device(query, rays, progress)
-        else:
-            seen = self._answer(query, rays, progress).seen.reshape(rays.shape)
+        seen: NDArray[np.bool_] = self._found(query, rays, progress)
         return in_library(seen, origins, directions)
 
     def count_hits(
@@ -276,10 +269,7 @@ class Tracer(MemoryEstimator, PointQueries):
         surfaces = counts_surfaces(crossings)
         rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
-        if isinstance(rays, RayArrays):
-            counts: NDArray[np.int64] = self._backend.answer_on_device(query, rays, progress)
-        else:
-            counts = self._answer(query, rays, progress).counts.reshape(rays.shape)
+        counts: NDArray[np.int64] = self._found(query, rays, progress)
         return in_library(counts, origins, directions)
 
     def multi_hit(
@@ -337,12 +327,8 @@ class Tracer(MemoryEstimator, PointQueries):
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
         rays = self._rays(origins, directions, t_min, t_max, worlds=worlds)
         query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
-        if isinstance(rays, RayArrays):
-            found: MultiHits = self._backend.answer_on_device(query, rays, progress)
-            return in_library(found, origins, directions)
-        sink = self._answer(query, rays, progress)
-        many = all_hits(sink, rays.shape, self.structure.triangles)
-        return in_library(many, origins, directions)
+        found: MultiHits = self._found(query, rays, progress)
+        return in_library(found, origins, directions)
 
     def trace(
         self,
@@ -486,6 +472,13 @@ class Tracer(MemoryEstimator, PointQueries):
             if limit:
                 self._check_programs()
         return Query(kind, surfaces, limit, on_hit=chosen)
+
+    def _found(self, query: Query, rays: RayBatch | RayArrays, progress: Progress | None) -> Any:
+        """The result of a query, where the rays are."""
+        if isinstance(rays, RayArrays):
+            return self._backend.answer_on_device(query, rays, progress)
+        sink = self._answer(query, rays, progress)
+        return RESULTS[query.kind](sink, rays.shape, self.structure.triangles)
 
     def _check_programs(self) -> None:
         if self._counts:

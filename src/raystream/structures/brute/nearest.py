@@ -7,9 +7,10 @@ import numpy as np
 from raystream.jit.constants import SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
+from raystream.kernels.answers import loop_of
 from raystream.kernels.leaf_block import TRIANGLE_BYTES
 from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest
-from raystream.kernels.point_queries import PointSearch, point_queries
+from raystream.kernels.point_queries import PointSearch, nearest_answer
 from raystream.kernels.point_triangle import squared_distance
 
 _STRIDE = np.int32(4)
@@ -32,4 +33,4 @@ def _find(tree, frame, point, search, stack):
 POINT_SEARCH = PointSearch(_find, 8)
 
 #: The loop over points.
-find_nearest = point_queries(POINT_SEARCH)
+find_nearest = loop_of(*nearest_answer(POINT_SEARCH))

@@ -31,9 +31,10 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.kernels.answers import loop_of
 from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.nearest import is_wanted, offer_nearest
-from raystream.kernels.point_queries import PointSearch, point_queries
+from raystream.kernels.point_queries import PointSearch, nearest_answer
 from raystream.kernels.point_triangle import squared_distance
 from raystream.structures.bvh.node_layout import Node
 from raystream.structures.bvh.steps import leaf_blocks
@@ -216,4 +217,4 @@ def _find(tree, frame, point, search, stack):
 
 
 #: The loop over points.
-find_nearest = point_queries(PointSearch(_find, STACK_BYTES))
+find_nearest = loop_of(*nearest_answer(PointSearch(_find, STACK_BYTES)))
