@@ -10,15 +10,9 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.aligned import array_places
-from raystream.kernels.point_order import PointOrder, order_bytes
-from raystream.kernels.winding import LANES, WindingScene, winding_numbers
-from raystream.kernels.winding_tree import (
-    TreeScene,
-    WindingTree,
-    tree_winding_numbers,
-    winding_tree_of,
-)
+from raystream.kernels.point_order import order_bytes
+from raystream.kernels.winding import LANES, winding_numbers
+from raystream.kernels.winding_tree import tree_winding_numbers, winding_tree_of
 from raystream.machines.batch import run_calls, run_in_turn
 
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
@@ -116,16 +110,9 @@ def _by_tree(
     """Winding numbers, and bounds of their errors."""
     tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
     numbers, errors = np.empty(count), np.empty(count)
-    points, *places, to, bounds = array_places(local, *tree, numbers, errors)
-    shared = WindingTree(*places), np.uint64(len(tree.nodes)), np.uint64(len(tree.corners))
-
-    def body(begin: int, end: int, memory: int) -> None:
-        order = PointOrder._make(map(np.uint64, (begin, end, memory)))
-        scene = TreeScene(points, order, *shared, opening)
-        tree_winding_numbers(begin, end, scene, (to, bounds))
-
+    calls = tree_winding_numbers, (local, tree, opening, numbers, errors)
     memory_bytes = order_bytes(min(count, most))
-    run_calls((body, ()), (0, count), most, most, progress, memory_bytes=memory_bytes)
+    run_calls(calls, (0, count), most, most, progress, memory_bytes=memory_bytes)
     return numbers, errors
 
 
@@ -135,8 +122,7 @@ def _exact(
     """Winding numbers by the sum over all triangles."""
     found = np.empty(len(local))
     prim_ids = np.ascontiguousarray(triangles.prim_ids)
-    *places, to = array_places(local, triangles.corners, prim_ids, found)
-    scene = WindingScene(*places, np.uint64(len(local)), np.uint64(len(prim_ids)))
+    calls = winding_numbers, (local, triangles.corners, prim_ids, found)
     most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
-    run_calls((winding_numbers, (scene, to)), (0, len(local)), most, most, progress)
+    run_calls(calls, (0, len(local)), most, most, progress)
     return found
