@@ -14,6 +14,7 @@ need("numba_cuda")
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import cube, icosphere
+from raystream.cuda.bvh.kernels import lay_out
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
 from raystream.structures import options_of
 from raystream.tracer.devices import build_on_cpu
@@ -114,7 +115,7 @@ def test_updates_place_instances_elsewhere(gpu, monkeypatch) -> None:
     scene, rays = case_of("mirrors_and_uneven_scales")
     tracer = rs.Tracer(scene, DEFAULT, "cuda")
     there = scene.placements.transforms + [0.0, 0.0, 0.0, 0.5]
-    own = sum(one.nbytes for one in tracer.structure.memory.values())
+    own = sum(one.nbytes for one in lay_out(tracer.structure).arrays.values())
     objects = sum(one.report.byte_count for one in tracer.structure.objects)
     assert objects > 1000
     monkeypatch.setattr(Gpu, "free_byte_count", lambda _: own)

@@ -67,3 +67,49 @@ def test_an_interrupted_call_gives_no_memory_back(spare, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         batch._call_kernel(kernel, (interrupted, ()), batch._NO_ORDER, (0, 1), None)
     assert spare == []
+
+
+def test_large_memory_is_not_kept(spare, monkeypatch):
+    monkeypatch.setattr(batch, "_MOST_SPARE_BYTES", 1024)
+    for byte_count in (1025, 1024):
+        batch.run_calls((lambda *_: None, ()), (0, 3), 1, 1, memory_bytes=byte_count)
+    assert {memory.nbytes for memory in spare} == {1024}
+
+
+@pytest.mark.parametrize("block", [1, 4])
+def test_calls_cover_all_items(block):
+    calls, steps = [], []
+
+    def call(begin, end, name):
+        assert name == "argument"
+        if begin < end:  # else it compiles
+            calls.append((begin, end))
+
+    for progress in (None, lambda done, count: steps.append((done, count))):
+        calls.clear()
+        batch.run_calls((call, ("argument",)), (3, 50), 8, 9, progress, block=block)
+        calls.sort()
+        assert [begin for begin, _ in calls] + [50] == [3] + [end for _, end in calls]
+        assert {end - begin for begin, end in calls[:-1]} <= {8, 9}
+    assert steps[-1] == (47, 47)
+    calls.clear()
+    batch.run_calls((call, ("argument",)), (5, 5), 8, 9)
+    batch.run_calls((call, ("argument",)), (5, 12), 8, 9)
+    assert calls == [(5, 12)]
+
+
+def test_kernels_run_in_turn_for_what_is_undecided():
+    asked, steps = [], []
+
+    def decides(divisor):
+        def run(items, progress):
+            asked.append(items.tolist())
+            progress(len(items), len(items))
+            return items % divisor == 0
+
+        return run
+
+    note = lambda done, count: steps.append((done, count))  # noqa: E731
+    batch.run_in_turn([decides(2), decides(3), decides(1), decides(1)], 8, note)
+    assert asked == [[0, 1, 2, 3, 4, 5, 6, 7], [1, 3, 5, 7], [1, 5, 7]]
+    assert steps == [(8, 8), (8, 8), (8, 8)]

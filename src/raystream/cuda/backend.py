@@ -29,11 +29,8 @@ from raystream.machines.backend import Backend, Capabilities
 from raystream.structures import Structure
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from raystream.cuda.rendering import CudaBands
-    from raystream.kernels.point_queries import NearestArrays
+    from raystream.kernels.point_queries import NearestArrays, PointBatch
     from raystream.rendering.integrator import RenderContext
 
 #: Most rays from the host that are on the device together.
@@ -142,18 +139,13 @@ class CudaBackend(Backend):
         return trace_on_device(self._scene, query, rays, progress, payload)
 
     def find_nearest(
-        self,
-        points: NDArray[np.float64],
-        limits: NDArray[np.float64],
-        capacity: int,
-        out: NearestArrays,
-        progress: Progress | None = None,
+        self, batch: PointBatch, out: NearestArrays, progress: Progress | None = None
     ) -> None:
         """Find the triangles nearest to points in host memory; see `Backend.find_nearest`."""
         if self._points is None:
             resident = self._scene.resident
             self._points = DevicePoints(self.gpu, self.structure, resident, self.rays_at_once)
-        self._points.find(points, limits, capacity, out, progress)
+        self._points.find(batch, out, progress)
 
     def bands_on_device(self, context: RenderContext) -> CudaBands | None:
         """Render samples of an image on the device; see `Tracer.bands_on_device`.

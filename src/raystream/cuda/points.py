@@ -6,7 +6,6 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import Gpu, RangeKernel
@@ -14,10 +13,9 @@ from raystream.jit.threads import Progress
 from raystream.kernels.answers import thread_of
 from raystream.kernels.nearest import ROW
 from raystream.kernels.point_queries import (
-    NearestAddresses,
     NearestArrays,
+    PointBatch,
     PointScene,
-    PointSource,
     nearest_answer,
     step_of,
 )
@@ -56,22 +54,16 @@ class DevicePoints:
         self._gpu, self._structure, self._at_once = gpu, structure, points_at_once
         self._resident = resident
 
-    def find(
-        self,
-        points: NDArray[np.float64],
-        limits: NDArray[np.float64],
-        capacity: int,
-        out: NearestArrays,
-        progress: Progress | None = None,
-    ) -> None:
+    def find(self, batch: PointBatch, out: NearestArrays, progress: Progress | None = None) -> None:
         """Find the nearest triangles; see `machines.backend.Backend.find_nearest`."""
+        points, limits, capacity = batch
         count = len(points)
         each = capacity * (ROW.itemsize + 44) + 40
         at_once = max(min(self._at_once, _MOST_BYTES // each), 1)
         for begin in range(0, count, at_once):
             end = min(begin + at_once, count)
             own = limits if len(limits) == 1 else limits[begin:end]
-            found = self._find_part(points[begin:end], own, capacity)
+            found = self._find_part(PointBatch(points[begin:end], own, capacity))
             for one, whole in zip(found, out, strict=True):
                 rows = len(whole) // count
                 whole[begin * rows : end * rows] = one.host()
@@ -80,18 +72,17 @@ class DevicePoints:
         if progress and not count:
             progress(0, 0)
 
-    def _find_part(
-        self, points: NDArray[np.float64], limits: NDArray[np.float64], capacity: int
-    ) -> Any:
+    def _find_part(self, batch: PointBatch) -> Any:
         """The answers of some points, as `NearestArrays` on the device."""
-        gpu, structure, count = self._gpu, self._structure, len(points)
+        gpu, structure, (points, limits, capacity) = self._gpu, self._structure, batch
+        count = len(points)
         given = gpu.upload("points", points)
         most = gpu.upload("limits", np.ascontiguousarray(limits))
         rows = gpu.empty("rows", count * capacity * ROW.itemsize, np.uint8)
         answers: Any = NearestArrays.empty(count, capacity, partial(gpu.empty, "closest points"))
-        source = PointSource(given.address, most.address, step_of(limits))
-        shared = source, structure.frame, self._resident.tree, np.uint64(capacity)
-        scene = PointScene(*shared, rows.address, None)
-        to = NearestAddresses(*(one.address for one in answers))
+        source = given.address, most.address, step_of(limits)
+        shared = structure.frame, self._resident.tree, np.uint64(capacity)
+        scene = PointScene(*source, *shared, rows.address, None)
+        to = NearestArrays(*(one.address for one in answers))
         nearest_kernel(structure.name).launch(gpu, count, (scene, to))
         return answers

@@ -18,7 +18,7 @@ from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.hits import HitAddresses
-from raystream.kernels.point_queries import NearestAddresses, PointScene, PointSource
+from raystream.kernels.point_queries import NearestArrays, PointScene
 from raystream.kernels.queries import CountAddresses, RayScene, RowAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.scene.scene import Scene
@@ -96,13 +96,12 @@ def scenes_of_kinds(scene: Scene) -> dict[str, Scene]:
 
 def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels that find closest points, by structure, with arguments of the right types."""
-    to = NearestAddresses(*[_AT] * 6)
+    to: Any = NearestArrays(*[_AT] * 6)
     made = {}
     for name in names_with("nearest search"):
         structure = build_structure(name, scene.triangles)
         tree = lay_out(structure).tree
-        source = PointSource(_AT, _AT, _AT)
-        points = PointScene(source, structure.frame, tree, _AT, _AT, None)
+        points = PointScene(_AT, _AT, _AT, structure.frame, tree, _AT, _AT, None)
         made[name] = nearest_kernel(name), (points, to)
     return made
 

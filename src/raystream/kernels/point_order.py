@@ -20,7 +20,7 @@ _DIGIT_BITS = np.uint64(11)
 _DIGITS = np.uint64(1 << 11)
 _DIGIT_MASK = np.uint64((1 << 11) - 1)
 
-#: uint32 that `_order_points` needs for each point, and besides.
+#: uint32 that `order_points` needs for each point, and besides.
 _WORDS_PER_POINT = 3
 _ORDER_WORDS = 2 * (1 << 11)
 
@@ -58,7 +58,7 @@ def begin_order(order, points, i):
     if order is None:
         return
     if i == order.first and order.memory != NULL:
-        _order_points(points, order.first, order.end, order.memory)
+        order_points(points, order.first, order.end, order.memory)
 
 
 @device
@@ -121,7 +121,7 @@ def _bounds(points, begin, end):
 
 
 @device
-def _order_points(points, begin, end, words):
+def order_points(points, begin, end, words):
     """Sort points begin to end by their cell, cells along a Morton curve.
 
     Parameters
@@ -130,8 +130,12 @@ def _order_points(points, begin, end, words):
         Address of three float64 a point.
     begin, end : uint64
     words : uint64
-        Address of `order_bytes` bytes. The last of three arrays of ``end - begin`` uint32 gets the
-        points less `begin`, in order.
+        Address of `order_bytes` bytes.
+
+    Returns
+    -------
+    uint64
+        Address of ``end - begin`` uint32, behind twice as many: the points less `begin`, in order.
     """
     count = end - begin
     keys, numbers = words, words + (count << SHIFT_32)
@@ -160,6 +164,7 @@ def _order_points(points, begin, end, words):
         number = load(np.uint32, numbers + (k << SHIFT_32))
         key = np.uint64(load(np.uint32, keys + (np.uint64(number) << SHIFT_32)))
         store(sorted_ + (_take(seconds, key >> _DIGIT_BITS) << SHIFT_32), number)
+    return sorted_
 
 
 @device

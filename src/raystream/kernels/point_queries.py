@@ -17,7 +17,6 @@ from raystream.core.rays import RayStatus
 from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, prefetch, store
-from raystream.kernels.aligned import array_places
 from raystream.kernels.nearest import (
     ROW,
     NearestRow,
@@ -62,47 +61,28 @@ _AHEAD = np.uint64(2)
 _SLACK, _TINY = 1.0 + 2.0**-48, 2.0**-1000
 
 
-class PointSource(NamedTuple):
-    """The points of a query, in world space.
+class PointBatch(NamedTuple):
+    """Points in world space, and what is asked of each.
 
     Attributes
     ----------
-    points : uint64
-        Address of three float64 a point.
-    limits : uint64
-        Address of the greatest distance, float64, of the first point or of all.
-    limit_step : uint64
-        Bytes from a point's limit to the next; 0 if all have the same.
+    points : ndarray of shape (N, 3), float64
+        C-contiguous.
+    limits : ndarray of shape (N,) or (1,), float64
+        Greatest distances: of each point, or of all.
+    capacity : int
+        Triangles to find for each.
     """
 
-    points: np.uint64
-    limits: np.uint64
-    limit_step: np.uint64
-
-    @classmethod
-    def of(cls, points: NDArray[np.float64], limits: NDArray[np.float64]) -> PointSource:
-        """The source of C-contiguous arrays of shape (N, 3), and (N,) or (1,); keep them."""
-        return cls(*array_places(points, limits), step_of(limits))
-
-
-class NearestAddresses(NamedTuple):
-    """Addresses of the arrays of `NearestArrays`."""
-
-    distance: np.uint64
-    positions: np.uint64
-    u: np.uint64
-    v: np.uint64
-    prim_id: np.uint64
-    status: np.uint64
-
-    @classmethod
-    def of(cls, arrays: NearestArrays) -> NearestAddresses:
-        """Addresses of arrays in host memory; keep the arrays."""
-        return cls(*array_places(*arrays))
+    points: NDArray[np.float64]
+    limits: NDArray[np.float64]
+    capacity: int
 
 
 class NearestArrays(NamedTuple):
     """The answers: `capacity` rows for each of N points, by distance, then prim_id.
+
+    Kernels take the addresses of these arrays, by the same names.
 
     Attributes
     ----------
@@ -143,7 +123,12 @@ class PointScene(NamedTuple):
 
     Attributes
     ----------
-    source : PointSource
+    points : uint64
+        Address of three float64 a point: world space.
+    limits : uint64
+        Address of the greatest distance, float64, of the first point or of all.
+    limit_step : uint64
+        Bytes from a point's limit to the next; 0 if all have the same.
     frame : SceneFrame
     arrays : NamedTuple
         The structure's arrays.
@@ -155,7 +140,9 @@ class PointScene(NamedTuple):
     order : PointOrder or None
     """
 
-    source: PointSource
+    points: np.uint64
+    limits: np.uint64
+    limit_step: np.uint64
     frame: SceneFrame
     arrays: Any
     capacity: np.uint64
@@ -223,9 +210,9 @@ def work_bytes(count: int, capacity: int) -> int:
 
 
 @device
-def _local(source, i, frame):
+def _local(points, i, frame):
     """Point i in the local frame, and its status."""
-    x, y, z = load_point(source.points, i)
+    x, y, z = load_point(points, i)
     world = max(max(abs(x), abs(y)), abs(z))
     is_number = abs(x) <= _FARTHEST and abs(y) <= _FARTHEST and abs(z) <= _FARTHEST
     x = (x - frame.center[0]) * frame.scale
@@ -254,16 +241,16 @@ def _length(p, q):
 
 
 @device
-def read_point(source, i, frame):
-    """Read point i of a `PointSource`; a `PointQuery`."""
-    limit = load(np.float64, source.limits + i * source.limit_step)
-    point, status = _local(source, i, frame)
-    moved, is_moved = _moved(point, frame)
+def _read_point(scene, i):
+    """Read point i of a `PointScene`; a `PointQuery`."""
+    limit = load(np.float64, scene.limits + i * scene.limit_step)
+    point, status = _local(scene.points, i, scene.frame)
+    moved, is_moved = _moved(point, scene.frame)
     return PointQuery(point, moved, is_moved, limit, status)
 
 
 @device
-def begin_point(query, frame, rows, capacity):
+def _begin_point(query, frame, rows, capacity):
     """Begin the search for a point's nearest triangles; see `kernels.nearest.begin_nearest`."""
     within = np.inf if query.is_moved else query.limit * frame.scale
     return begin_nearest(rows, capacity, within * within * _SLACK + _TINY)
@@ -271,7 +258,7 @@ def begin_point(query, frame, rows, capacity):
 
 @device
 def _write(out, row, distance, position, weights, prim_id):
-    """Write a row of `NearestAddresses`."""
+    """Write a row of `NearestArrays`."""
     store(out.distance + row * _DOUBLE, distance)
     at = out.positions + row * _VECTOR
     store(at, position[0])
@@ -293,7 +280,7 @@ def _write_found(out, row, found, query, least, frame):
 
     Parameters
     ----------
-    out : NearestAddresses
+    out : NearestArrays
     row : uint64
     found : NearestRow
     query : PointQuery
@@ -326,12 +313,12 @@ def _write_found(out, row, found, query, least, frame):
 
 
 @device
-def write_nearest(out, i, query, rows, found_count, capacity, frame):
+def _write_nearest(out, i, query, rows, found_count, capacity, frame):
     """Write the answer of point i.
 
     Parameters
     ----------
-    out : NearestAddresses
+    out : NearestArrays
     i : uint64
     query : PointQuery
     rows : uint64
@@ -373,26 +360,26 @@ def _keep_rows(order, memory, count):
 def nearest_answer(search: PointSearch) -> tuple[Callable[..., None], int]:
     """Make the query of a structure's search: an answer and its memory, see `kernels.answers`.
 
-    The answer takes a `PointScene` and writes `NearestAddresses`.
+    The answer takes a `PointScene` and writes `NearestArrays`.
     """
     find, stack_bytes = search
 
     @device
     def find_nearest(i, scene, out, memory):
-        source, frame, arrays, capacity, _, order = scene
-        begin_order(order, source.points, i)
+        frame, capacity, order = scene.frame, scene.capacity, scene.order
+        begin_order(order, scene.points, i)
         # Points that are sorted lie anywhere in memory. Numbers after the last are of no point.
-        prefetch(source.points + point_at(order, i + _AHEAD) * _VECTOR)
+        prefetch(scene.points + point_at(order, i + _AHEAD) * _VECTOR)
         number = point_at(order, i)
-        query = read_point(source, number, frame)
+        query = _read_point(scene, number)
         rows, others, known = _rows_of(order, i, scene, memory)
         found = ZERO_U64
         if query.status == _VALID:
-            nearest = begin_point(query, frame, rows, capacity)
+            nearest = _begin_point(query, frame, rows, capacity)
             nearest = offer_again(nearest, query.moved, others, known)
-            nearest = find(arrays, frame, query.moved, nearest, memory + _STATE_BYTES)
+            nearest = find(scene.arrays, frame, query.moved, nearest, memory + _STATE_BYTES)
             found = nearest.found_count
             _keep_rows(order, memory, found)
-        write_nearest(out, number, query, rows, found, capacity, frame)
+        _write_nearest(out, number, query, rows, found, capacity, frame)
 
     return find_nearest, int(_STATE_BYTES) + stack_bytes

@@ -16,16 +16,12 @@ References
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
-from raystream.jit.cpu import device
-from raystream.jit.intrinsics import corners_at
-from raystream.jit.simd import absolute, f64x8, load, select, square_root, store
-from raystream.kernels.answers import loop_of
-from raystream.kernels.point_order import load_point, point_at
+from raystream.jit.constants import ONE_U64, SHIFT_64
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import absolute, f64x8, load, scratch, select, square_root, store
 
 #: Points side by side.
 LANES = 8
@@ -96,90 +92,41 @@ def add_triangle(angle, corners, prim_id, point):
     return _turned(angle, _half_angle(a, b, c))
 
 
-@device
-def numbers_of(angle, memory):
-    """The winding numbers of eight sums; `memory` is the address of 128 bytes."""
-    store(memory + _X, angle[0])
-    # Adding zero turns -0 into 0: the argument of a negative number is pi.
-    store(memory + _Y, angle[1] + _0)
-    for k in range(_U8):
-        at = memory + (k << SHIFT_64)
-        part = math.atan2(load(np.float64, at + _Y), load(np.float64, at + _X))
-        store(at, part / (2.0 * math.pi))
-    return load(f64x8, memory) + angle[2]
-
-
-@device
-def load_eight(points, order, end, i, memory):
-    """The eight points that are answered from the i-th on, or fewer and the last one repeatedly.
+@kernel
+def winding_numbers(begin, end, points, corners, prim_ids, numbers):
+    """Compute the winding numbers of points begin to end.
 
     Parameters
     ----------
-    points : uint64
-        Address of three float64 a point.
-    order : PointOrder or None
-    end, i : uint64
-    memory : uint64
-        Address of 192 bytes.
+    begin, end : int
+    points : ndarray of shape (N, 3), float64
+        Local frame, finite.
+    corners : ndarray of shape (F, 3, 3), float32
+    prim_ids : ndarray of shape (A,), int32
+        The triangles that count.
+    numbers : ndarray of shape (N,), float64
+        Written.
     """
-    for k in range(_U8):
-        x, y, z = load_point(points, point_at(order, min(i + k, end - ONE_U64)))
-        at = memory + (k << SHIFT_64)
-        store(at + _X, x)
-        store(at + _Y, y)
-        store(at + _Z, z)
-    return load(f64x8, memory + _X), load(f64x8, memory + _Y), load(f64x8, memory + _Z)
-
-
-@device
-def store_eight(to, order, end, i, values, memory):
-    """Write the values of these points; `to` is the address of the first point's."""
-    store(memory, values)
-    for k in range(min(_U8, end - i)):
-        value = load(np.float64, memory + (k << SHIFT_64))
-        store(to + (point_at(order, i + k) << SHIFT_64), value)
-
-
-@device
-def is_first_of_eight(i):
-    """Whether the answer of a point is that of the next ones, too."""
-    return i & (_U8 - ONE_U64) == ZERO_U64
-
-
-class WindingScene(NamedTuple):
-    """What exact winding numbers are computed from.
-
-    Attributes
-    ----------
-    points : uint64
-        Address of three float64 a point, finite: the local frame.
-    point_count : uint64
-    corners : uint64
-        Address of the triangles' corners, float32.
-    prim_ids : uint64
-        Address of the triangles that count, int32.
-    triangle_count : uint64
-    """
-
-    points: np.uint64
-    point_count: np.uint64
-    corners: np.uint64
-    prim_ids: np.uint64
-    triangle_count: np.uint64
-
-
-@device
-def _answer(i, scene, numbers, memory):
-    """Write the winding numbers of eight points; see `kernels.answers`."""
-    if is_first_of_eight(i):
-        points, end, corners, prim_ids, triangle_count = scene
-        point = load_eight(points, None, end, i, memory)
+    lanes = scratch(192)
+    first, last = np.uint64(begin), np.uint64(end)
+    while first < last:
+        for k in range(_U8):
+            i = min(first + k, last - ONE_U64)
+            at = lanes + (k << SHIFT_64)
+            store(at + _X, points[i, 0])
+            store(at + _Y, points[i, 1])
+            store(at + _Z, points[i, 2])
+        point = load(f64x8, lanes + _X), load(f64x8, lanes + _Y), load(f64x8, lanes + _Z)
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
-        for k in range(triangle_count):
-            prim_id = load(np.int32, prim_ids + (k << SHIFT_32))
-            angle = add_triangle(angle, corners_at(corners), prim_id, point)
-        store_eight(numbers, None, end, i, numbers_of(angle, memory), memory)
-
-
-#: The loop of exact sums: calls begin at multiples of `LANES`.
-winding_numbers = loop_of(_answer, 192)
+        for k in range(np.uint64(len(prim_ids))):
+            angle = add_triangle(angle, corners, prim_ids[k], point)
+        store(lanes + _X, angle[0])
+        store(lanes + _Y, angle[1])
+        store(lanes + _Z, angle[2])
+        for k in range(min(_U8, last - first)):
+            at = lanes + (k << SHIFT_64)
+            # Adding zero turns -0 into 0: the argument of a negative number is pi.
+            imaginary = load(np.float64, at + _Y) + _0
+            part = math.atan2(imaginary, load(np.float64, at + _X)) / (2.0 * math.pi)
+            numbers[first + k] = part + load(np.float64, at + _Z)
+        first += _U8

@@ -27,27 +27,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
-from raystream.jit.intrinsics import corners_at
-from raystream.jit.simd import all_lanes, f64x8, square_root
+from raystream.jit.simd import address, all_lanes, f64x8, load, scratch, square_root, store
 from raystream.jit.threads import parallel_for
-from raystream.jit.views import view
-from raystream.kernels.answers import loop_of
-from raystream.kernels.point_order import PointOrder, begin_order
-from raystream.kernels.winding import (
-    add_triangle,
-    dot,
-    is_first_of_eight,
-    load_eight,
-    numbers_of,
-    store_eight,
-)
+from raystream.kernels.point_order import order_points
+from raystream.kernels.winding import LANES, add_triangle, dot
 
 #: Triangles of a leaf: at least half of it.
 _LEAF = 8
 
-#: Numbers of a node, see `WindingNode`.
+#: Numbers of a node: its centre, its radius about that, the integral of the third power of the
+#: distance from it and the area; the first three moments of the area vectors, of which only the
+#: symmetric parts count: 3, 6 and 10 numbers.
 _NUMBERS = 25
 
 #: Work of a call of the kernel that makes nodes, in triangles: some milliseconds.
@@ -61,24 +53,9 @@ _KEY_BITS = 21
 _ROUNDING = 2.0**-44
 _ROUNDING_EACH = 2.0**-50
 
+_U8 = np.uint64(LANES)
+_X, _Y, _Z, _E = np.uint64(0), np.uint64(64), np.uint64(128), np.uint64(192)
 _0, _1 = np.float64(0.0), np.float64(1.0)
-
-
-#: A node: its centre, its radius about that, the integral of the third power of the distance from
-#: it and the area; the first three moments of the area vectors, of which only the symmetric parts
-#: count. And its first triangle, that after its last one, and the node after its subtree.
-WindingNode = view(
-    [
-        ("center", "f8", 3),
-        ("radius", "f8"),
-        ("cubes", "f8"),
-        ("area", "f8"),
-        ("first", "f8", 3),
-        ("second", "f8", 6),
-        ("third", "f8", 10),
-    ]
-)
-WindingLink = view([("first", "i8"), ("end", "i8"), ("beyond", "i8")])
 
 
 class WindingTree(NamedTuple):
@@ -89,9 +66,8 @@ class WindingTree(NamedTuple):
     corners : ndarray of shape (A, 3, 3), float32
         The triangles that count, along a Morton curve; local frame.
     nodes : ndarray of shape (M, 25), float64
-        See `WindingNode`.
     links : ndarray of shape (M, 3), int64
-        See `WindingLink`; the node after a leaf is the next one.
+        First and after the last triangle, and the node after the subtree; a leaf's is the next one.
     """
 
     corners: NDArray[np.float32]
@@ -273,96 +249,90 @@ def _far(node, point, opening):
 
     Both are to be divided by 4 pi.
     """
-    center, radius = node.center, node.radius
-    d = center[0] - point[0], center[1] - point[1], center[2] - point[2]
+    d = node[0] - point[0], node[1] - point[1], node[2] - point[2]
     squared = dot(d, d)
     r = square_root(squared)
-    if not all_lanes(r * opening > radius):
+    if not all_lanes(r * opening > node[3]):
         return False, squared, squared
     inv = _1 / squared
     inv3 = inv / r
-    beyond = r - radius
-    error = node.cubes * (np.float64(4.0) * r - np.float64(3.0) * radius) * inv * inv
-    error = error / (beyond * beyond) + node.area * inv * np.float64(_ROUNDING)
+    beyond = r - node[3]
+    error = node[4] * (np.float64(4.0) * r - np.float64(3.0) * node[3]) * inv * inv
+    error = error / (beyond * beyond) + node[5] * inv * np.float64(_ROUNDING)
     x, y, z = d
-    a, b, c = node.first, node.second, node.third
-    first = a[0] * x + a[1] * y + a[2] * z
+    first = node[6] * x + node[7] * y + node[8] * z
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    trace = b[0] + b[1] + b[2]
-    second = b[0] * xx + b[1] * yy + b[2] * zz
-    second = second + np.float64(2.0) * (b[3] * xy + b[4] * xz + b[5] * yz)
-    third = c[0] * (xx * x) + c[1] * (yy * y) + c[2] * (zz * z)
-    mixed = c[3] * (xx * y) + c[4] * (xx * z) + c[5] * (yy * x)
-    mixed = mixed + c[6] * (yy * z) + c[7] * (zz * x) + c[8] * (zz * y)
-    third = third + np.float64(3.0) * mixed + np.float64(6.0) * c[9] * (xy * z)
-    along = (c[0] + c[5] + c[7]) * x + (c[3] + c[1] + c[8]) * y
-    along = along + (c[4] + c[6] + c[2]) * z
+    trace = node[9] + node[10] + node[11]
+    second = node[9] * xx + node[10] * yy + node[11] * zz
+    second = second + np.float64(2.0) * (node[12] * xy + node[13] * xz + node[14] * yz)
+    third = node[15] * (xx * x) + node[16] * (yy * y) + node[17] * (zz * z)
+    mixed = node[18] * (xx * y) + node[19] * (xx * z) + node[20] * (yy * x)
+    mixed = mixed + node[21] * (yy * z) + node[22] * (zz * x) + node[23] * (zz * y)
+    third = third + np.float64(3.0) * mixed + np.float64(6.0) * node[24] * (xy * z)
+    along = (node[15] + node[20] + node[22]) * x + (node[18] + node[16] + node[23]) * y
+    along = along + (node[19] + node[21] + node[17]) * z
     total = first + trace - np.float64(3.0) * inv * second
     total = total + inv * (np.float64(7.5) * inv * third - np.float64(4.5) * along)
     return True, total * inv3, error
 
 
-class TreeScene(NamedTuple):
-    """What winding numbers are computed from by a tree.
+@kernel
+def tree_winding_numbers(begin, end, points, tree, opening, numbers, errors, memory):
+    """Compute the winding numbers of points begin to end, and bounds of their errors.
 
-    Attributes
+    Parameters
     ----------
-    points : uint64
-        Address of three float64 a point, finite: the local frame.
-    order : PointOrder
-        Of the points of a call.
-    nodes, links, corners : uint64
-        Addresses of the arrays of a `WindingTree`.
-    node_count, triangle_count : uint64
+    begin, end : int
+    points : ndarray of shape (N, 3), float64
+        Local frame, finite.
+    tree : WindingTree
     opening : float64
         Below 1: a group whose radius is at most this much of its distance is expanded.
+    numbers, errors : ndarray of shape (N,), float64
+        Written.
+    memory : int
+        Address of `order_bytes` bytes.
     """
-
-    points: np.uint64
-    order: PointOrder
-    nodes: np.uint64
-    links: np.uint64
-    corners: np.uint64
-    node_count: np.uint64
-    triangle_count: np.uint64
-    opening: float
-
-
-class TreeNumbers(NamedTuple):
-    """Addresses of the first point's winding number and of the bound of its error, float64."""
-
-    numbers: np.uint64
-    errors: np.uint64
-
-
-@device
-def _answer(i, scene, out, memory):
-    """Write the winding numbers of eight points; see `kernels.answers`."""
-    points, order = scene.points, scene.order
-    begin_order(order, points, i)
-    if is_first_of_eight(i):
-        point = load_eight(points, order, order.end, i, memory)
+    lanes = scratch(256)
+    first, last = np.uint64(begin), np.uint64(end)
+    order = order_points(address(points), first, last, np.uint64(memory))
+    node_count = len(tree.nodes)
+    rounding = _ROUNDING_EACH * np.float64(len(tree.corners))
+    at = first
+    while at < last:
+        for k in range(_U8):
+            number = min(at + k, last - ONE_U64) - first
+            i = first + np.uint64(load(np.uint32, order + (number << SHIFT_32)))
+            to = lanes + (k << SHIFT_64)
+            store(to + _X, points[i, 0])
+            store(to + _Y, points[i, 1])
+            store(to + _Z, points[i, 2])
+        point = load(f64x8, lanes + _X), load(f64x8, lanes + _Y), load(f64x8, lanes + _Z)
         angle = f64x8(_1), f64x8(_0), f64x8(_0)
         total, error = f64x8(_0), f64x8(_0)
-        place = ZERO_U64
-        while place < scene.node_count:
-            node, link = WindingNode(scene.nodes, place), WindingLink(scene.links, place)
-            is_far, of_group, bound = _far(node, point, scene.opening)
+        place = 0
+        while place < node_count:
+            is_far, of_group, bound = _far(tree.nodes[place], point, opening)
+            beyond = tree.links[place, 2]
             if is_far:
                 total, error = total + of_group, error + bound
-                place = np.uint64(link.beyond)
+                place = beyond
                 continue
-            place += ONE_U64
-            if place == np.uint64(link.beyond):
-                for k in range(link.first, link.end):
-                    angle = add_triangle(angle, corners_at(scene.corners), k, point)
-        turns = angle[2] + total / np.float64(4.0 * math.pi)
-        found = numbers_of((angle[0], angle[1], turns), memory)
-        store_eight(out.numbers, order, order.end, i, found, memory)
-        rounding = _ROUNDING_EACH * np.float64(scene.triangle_count)
-        bound = error / np.float64(4.0 * math.pi) + rounding
-        store_eight(out.errors, order, order.end, i, bound, memory)
-
-
-#: The loop over points with a tree: calls begin at multiples of `LANES`.
-tree_winding_numbers = loop_of(_answer, 192)
+            place += 1
+            if place == beyond:
+                own = place - 1
+                for k in range(tree.links[own, 0], tree.links[own, 1]):
+                    angle = add_triangle(angle, tree.corners, k, point)
+        store(lanes + _X, angle[0])
+        store(lanes + _Y, angle[1])
+        store(lanes + _Z, angle[2] + total / np.float64(4.0 * math.pi))
+        store(lanes + _E, error / np.float64(4.0 * math.pi))
+        for k in range(min(_U8, last - at)):
+            i = first + np.uint64(load(np.uint32, order + ((at + k - first) << SHIFT_32)))
+            to = lanes + (k << SHIFT_64)
+            # Adding zero turns -0 into 0: the argument of a negative number is pi.
+            imaginary = load(np.float64, to + _Y) + _0
+            part = math.atan2(imaginary, load(np.float64, to + _X)) / (2.0 * math.pi)
+            numbers[i] = part + load(np.float64, to + _Z)
+            errors[i] = load(np.float64, to + _E) + rounding
+        at += _U8

@@ -16,9 +16,7 @@ from raystream.programs.run import run_on_hits
 from raystream.structures import Structure
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from raystream.kernels.point_queries import NearestArrays
+    from raystream.kernels.point_queries import NearestArrays, PointBatch
     from raystream.machines.passes import Passes
 
 #: Backends that copy rays take a block of at most this many at a time, see `ray_block`; and bytes
@@ -219,23 +217,15 @@ class Backend(ABC):
         raise NotImplementedError
 
     def find_nearest(
-        self,
-        points: NDArray[np.float64],
-        limits: NDArray[np.float64],
-        capacity: int,
-        out: NearestArrays,
-        progress: Progress | None = None,
+        self, batch: PointBatch, out: NearestArrays, progress: Progress | None = None
     ) -> None:
-        """Find the `capacity` triangles nearest to each point, for backends with `points`.
+        """Find the triangles nearest to points in host memory, for backends with `points`.
 
         Parameters
         ----------
-        points : ndarray of shape (N, 3), float64
-            World space.
-        limits : ndarray of shape (N,) or (1,), float64
-            Greatest distance of each point, or of all.
-        capacity : int
+        batch : PointBatch
         out : NearestArrays
+            On the host.
         progress : callable, optional
             Called with (points done, points).
         """

@@ -7,14 +7,14 @@ race of those that may be the fastest.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.kernels.aligned import ALIGNMENT, aligned_array
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
@@ -178,6 +178,29 @@ def run_calls(
             _spare.append(memory)
 
     parallel_for(body, count, size, progress, joins_chunks=joins_chunks)
+
+
+def run_in_turn(
+    kernels: Sequence[Callable[[NDArray[np.int64], Progress | None], NDArray[np.bool_]]],
+    count: int,
+    progress: Progress | None = None,
+) -> None:
+    """Run kernels one after another, each for what those before left undecided.
+
+    Parameters
+    ----------
+    kernels : sequence of callable
+        ``kernel(items, progress)`` takes the numbers of items, and returns which it has decided.
+    count : int
+        Items.
+    progress : callable, optional
+        Called with (items done, items).
+    """
+    left = np.arange(count)
+    for run in kernels:
+        if len(left):
+            decided = run(left, part_of(progress, count - len(left), count))
+            left = left[~decided]
 
 
 def _call_kernel(

@@ -7,21 +7,20 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.constants import NULL
 from raystream.jit.threads import Progress, rising, thread_count
-from raystream.kernels.aligned import array_address
+from raystream.kernels.aligned import array_address, array_places
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import HitAccumulator, HitArrays, HitBatch, Sink, allocate_hits
 from raystream.kernels.point_queries import (
     POINTS_PER_CALL,
-    NearestAddresses,
     NearestArrays,
+    PointBatch,
     PointScene,
-    PointSource,
+    step_of,
     work_bytes,
 )
 from raystream.kernels.queries import HitLimits, RayScene, output_of
@@ -185,30 +184,23 @@ class Branching(Backend):
         return scene, kept
 
     def find_nearest(
-        self,
-        points: NDArray[np.float64],
-        limits: NDArray[np.float64],
-        capacity: int,
-        out: NearestArrays,
-        progress: Progress | None = None,
+        self, batch: PointBatch, out: NearestArrays, progress: Progress | None = None
     ) -> None:
         """Find the triangles nearest to points; see `Backend.find_nearest`."""
-        structure, count = self.structure, len(points)
-        kernel = form_of(structure.name, "nearest")
-        rows, to = np.uint64(capacity), NearestAddresses.of(out)
-        shared = PointSource.of(points, limits), structure.frame, structure.arrays, rows
-        scene = PointScene(*shared, NULL, None)
-        per_call = structure.rays_per_call()
+        structure, (points, limits, capacity) = self.structure, batch
+        kernel, to = form_of(structure.name, "nearest"), NearestArrays(*array_places(*out))
+        shared = *array_places(points, limits), step_of(limits), structure.frame, structure.arrays
+        scene = PointScene(*shared, np.uint64(capacity), NULL, None)
+        per_call, least = structure.rays_per_call(), structure.least_rays
         # Fewer than the default: the structure is slow, and a point takes longer than a ray.
         most = POINTS_PER_CALL if per_call >= RAYS_PER_CALL else max(per_call // 8, 1)
+        memory_bytes = work_bytes(min(len(points), most), capacity)
 
         def find(begin: int, end: int, memory: int) -> None:
             kernel(begin, end, scene.in_call(begin, end, memory), to)
 
-        memory_bytes = work_bytes(min(count, most), capacity)
-        run_calls(
-            (find, ()), (0, count), structure.least_rays, most, progress, memory_bytes=memory_bytes
-        )
+        items = 0, len(points)
+        run_calls((find, ()), items, least, most, progress, memory_bytes=memory_bytes)
 
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Pass all hits to the sink's visitor."""

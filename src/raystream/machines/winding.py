@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, part_of
-from raystream.kernels.aligned import array_places
-from raystream.kernels.point_order import PointOrder, order_bytes
-from raystream.kernels.winding import LANES, WindingScene, winding_numbers
-from raystream.kernels.winding_tree import (
-    TreeNumbers,
-    TreeScene,
-    tree_winding_numbers,
-    winding_tree_of,
-)
-from raystream.machines.batch import run_calls
+from raystream.jit.threads import Progress
+from raystream.kernels.point_order import order_bytes
+from raystream.kernels.winding import LANES, winding_numbers
+from raystream.kernels.winding_tree import tree_winding_numbers, winding_tree_of
+from raystream.machines.batch import run_calls, run_in_turn
 
 #: Solid angles per call of the exact kernel: some 20 milliseconds.
 _ANGLES_PER_CALL = 1 << 23
@@ -89,21 +86,19 @@ def _numbers(
     numbers = np.zeros(count)
     if len(triangles.prim_ids) < _LEAST_TRIANGLES or count < _LEAST_POINTS:
         openings = ()
-    left = np.arange(count)
-    for opening in openings:
-        found, errors = _by_tree(triangles, local[left], opening, _rest(progress, count, left))
+
+    def by_tree(opening: float, left: NDArray[np.int64], progress: Progress | None) -> Any:
+        found, errors = _by_tree(triangles, local[left], opening, progress)
         numbers[left] = found
         room = np.abs(np.abs(found) - 0.5) if accuracy is None else accuracy
-        left = left[~(errors < room)]
-        if not len(left):
-            break
-    numbers[left] = _exact(triangles, local[left], _rest(progress, count, left))
+        return errors < room
+
+    def exactly(left: NDArray[np.int64], progress: Progress | None) -> Any:
+        numbers[left] = _exact(triangles, local[left], progress)
+        return np.ones(len(left), bool)
+
+    run_in_turn([*(partial(by_tree, one) for one in openings), exactly], count, progress)
     return numbers
-
-
-def _rest(progress: Progress | None, count: int, left: NDArray[np.int64]) -> Progress | None:
-    """Progress of the points that are left of `count`."""
-    return part_of(progress, count - len(left), count)
 
 
 def _by_tree(
@@ -115,17 +110,9 @@ def _by_tree(
     """Winding numbers, and bounds of their errors."""
     tree, count, most = winding_tree_of(triangles), len(local), _POINTS_PER_CALL
     numbers, errors = np.empty(count), np.empty(count)
-    points, nodes, links, corners = array_places(local, tree.nodes, tree.links, tree.corners)
-    sizes = np.uint64(len(tree.nodes)), np.uint64(len(tree.corners))
-    to = TreeNumbers(*array_places(numbers, errors))
-
-    def body(begin: int, end: int, memory: int) -> None:
-        order = PointOrder._make(map(np.uint64, (begin, end, memory)))
-        scene = TreeScene(points, order, nodes, links, corners, *sizes, opening)
-        tree_winding_numbers(begin, end, scene, to)
-
+    calls = tree_winding_numbers, (local, tree, opening, numbers, errors)
     memory_bytes = order_bytes(min(count, most))
-    run_calls((body, ()), (0, count), most, most, progress, memory_bytes=memory_bytes)
+    run_calls(calls, (0, count), most, most, progress, memory_bytes=memory_bytes)
     return numbers, errors
 
 
@@ -135,9 +122,7 @@ def _exact(
     """Winding numbers by the sum over all triangles."""
     found = np.empty(len(local))
     prim_ids = np.ascontiguousarray(triangles.prim_ids)
-    points, corners, ids, to = array_places(local, triangles.corners, prim_ids, found)
-    sizes = np.uint64(len(local)), np.uint64(len(prim_ids))
-    scene = WindingScene(points, sizes[0], corners, ids, sizes[1])
+    calls = winding_numbers, (local, triangles.corners, prim_ids, found)
     most = max(_ANGLES_PER_CALL // max(len(prim_ids), 1) // LANES, 1) * LANES
-    run_calls((winding_numbers, (scene, to)), (0, len(local)), most, most, progress)
+    run_calls(calls, (0, len(local)), most, most, progress)
     return found

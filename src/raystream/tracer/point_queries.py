@@ -13,7 +13,7 @@ from raystream.core.memory import check_memory
 from raystream.core.rays import as_real_array, as_vectors, broadcast
 from raystream.core.scene_kinds import check_support
 from raystream.jit.threads import Progress, thread_count
-from raystream.kernels.point_queries import POINTS_PER_CALL, NearestArrays, work_bytes
+from raystream.kernels.point_queries import POINTS_PER_CALL, NearestArrays, PointBatch, work_bytes
 from raystream.machines.winding import winding_of
 from raystream.structures.registry import names_with
 from raystream.tracer.inside import InsideTest, share_of
@@ -311,7 +311,7 @@ class PointQueries(RayCaster):
                 "give fewer points or a smaller k",
             )
         out = NearestArrays.empty(count, capacity)
-        self._backend.find_nearest(local, limits, capacity, out, progress)
+        self._backend.find_nearest(PointBatch(local, limits, capacity), out, progress)
         wide = shape if k is None else (*shape, k)
         return ClosestPoints(
             out.distance.reshape(wide),
