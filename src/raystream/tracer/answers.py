@@ -30,8 +30,8 @@ def nearest_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> Hits:
     columns: Any = t, u, v, prim_id, sink.status, sink.sectors, instance_id
     if len(shape) != 1:
         columns = [None if one is None else one.reshape(shape) for one in columns]
-    *of_hits, sectors, instance_id = columns
-    return hits_type(triangles)(*of_hits, triangles, sectors, instance_id)
+    t, u, v, prim_id, status, *rest = columns
+    return hits_type(triangles)(t, u, v, prim_id, status, triangles, *rest)
 
 
 def all_hits(sink: Sink, shape: tuple[int, ...], triangles: Any) -> MultiHits:
