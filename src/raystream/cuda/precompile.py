@@ -96,7 +96,7 @@ def scenes_of_kinds(scene: Scene) -> dict[str, Scene]:
 
 def point_kernels(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels that find closest points, by structure, with arguments of the right types."""
-    to: Any = NearestArrays(*[_AT] * 6)
+    to = NearestArrays(*[_AT] * 6)
     made = {}
     for name in names_with("nearest search"):
         structure = build_structure(name, scene.triangles)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -34,6 +33,6 @@ def array_address(array: NDArray[Any]) -> int:
         return array.ctypes.data
 
 
-def array_places(*arrays: NDArray[Any]) -> Iterator[np.uint64]:
+def array_places(*arrays: NDArray[Any]) -> Any:
     """The addresses of arrays as kernels take them; the caller keeps the arrays alive."""
     return map(np.uint64, map(array_address, arrays))

@@ -97,12 +97,12 @@ class NearestArrays(NamedTuple):
         A `RayStatus`.
     """
 
-    distance: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
-    prim_id: NDArray[np.int32]
-    status: NDArray[np.uint8]
+    distance: Any
+    positions: Any
+    u: Any
+    v: Any
+    prim_id: Any
+    status: Any
 
     @classmethod
     def empty(cls, count: int, capacity: int, make: Callable[..., Any] = np.empty) -> NearestArrays:

@@ -189,8 +189,9 @@ class Branching(Backend):
         """Find the triangles nearest to points; see `Backend.find_nearest`."""
         structure, (points, limits, capacity) = self.structure, batch
         kernel, to = form_of(structure.name, "nearest"), NearestArrays(*array_places(*out))
-        shared = *array_places(points, limits), step_of(limits), structure.frame, structure.arrays
-        scene = PointScene(*shared, np.uint64(capacity), NULL, None)
+        at, far = array_places(points, limits)
+        step, own = step_of(limits), (structure.frame, structure.arrays)
+        scene = PointScene(at, far, step, *own, np.uint64(capacity), NULL, None)
         per_call, least = structure.rays_per_call(), structure.least_rays
         # Fewer than the default: the structure is slow, and a point takes longer than a ray.
         most = POINTS_PER_CALL if per_call >= RAYS_PER_CALL else max(per_call // 8, 1)
