@@ -94,7 +94,7 @@ class Kind(NamedTuple):
     wants_any, filter
         See `kernels.best.Best`; the filter is a `PacketFilter` or None.
     collector : Collector or None
-        Takes all hits.
+        Takes all hits, or says that they are counted.
     """
 
     keep_lanes: Any
