@@ -36,7 +36,8 @@ InstanceHits, _InstanceHitsLanes = best_views(
 )
 
 #: The numbers of hits of a group's rays, which have no u.
-_COUNT = {"names": ["count"], "offsets": [GROUP.fields["u"][1]], "itemsize": GROUP.itemsize}
+_U_AT = GROUP.fields["u"][1]  # type: ignore[index]
+_COUNT = {"names": ["count"], "offsets": [_U_AT], "itemsize": GROUP.itemsize}
 Counts = view({**_COUNT, "formats": [("i4", 16)]})
 CountsLanes = view({**_COUNT, "formats": [("i4", (16, 1))]})
 
