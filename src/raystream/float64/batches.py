@@ -29,10 +29,14 @@ _FEW = 256
 
 
 def _source(bvh: Structure, batch: Batch) -> Float64Packets:
-    exact = batch.source
-    for name, limit in zip(("t_min", "t_max"), batch.rays.exact_limits, strict=True):
-        step = np.uint64(8 if len(limit) > 1 else 0)
-        exact = exact._replace(**{name: np.uint64(array_address(limit)), f"{name}_step": step})
+    # Positions are the batch's, whose copies are kept until the rays are traced.
+    low, high = batch.rays.exact_limits
+    exact = batch.source._replace(
+        t_min=np.uint64(array_address(low)),
+        t_min_step=np.uint64(8 if len(low) > 1 else 0),
+        t_max=np.uint64(array_address(high)),
+        t_max_step=np.uint64(8 if len(high) > 1 else 0),
+    )
     return Float64Packets(*batch.packets(bvh.frame), exact)
 
 

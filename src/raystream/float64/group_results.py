@@ -30,7 +30,8 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.kernels.queries import RayScene, SearchGoal
+from raystream.kernels.queries import RayScene
+from raystream.kernels.search import SearchGoal
 from raystream.structures.bvh.leaf_kinds import CountsLanes
 from raystream.structures.bvh.packet_rays import three
 

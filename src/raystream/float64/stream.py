@@ -63,7 +63,7 @@ BLOCK_PACKETS = BLOCK_RAYS // PACKET_RAYS
 _GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
 
 #: A group's limits: the ends of its rays' intervals.
-_LIMITS_AT = np.uint64(GROUP.fields["t"][1])
+_LIMITS_AT = np.uint64(GROUP.fields["t"][1])  # type: ignore[index]
 
 #: Bytes of memory of a call, of which most are never touched.
 WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * int(GROUP_BYTES) + 64
