@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.errors import RaystreamError
@@ -96,12 +97,11 @@ class CudaBackend(Backend):
     ) -> None:
         """Answer a query of rays in host memory; see `Backend.run`."""
         query = query._replace(on_hit=None)
-        if query.kind is not Kind.MULTI_HIT:
-            self._trace(query, rays, sink, progress)
-            return
-        filled, half = self.room_for_hits(query, rays, sink, progress)
-        self._trace(query, rays, filled, half)
-        sink.put(filled.splits, filled.hits)
+        trace = partial(self._trace, query, rays)
+        if query.kind is Kind.MULTI_HIT:
+            self.count_then_fill(query, rays, sink, progress, trace)
+        else:
+            trace(sink, progress)
 
     def run_program(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None

@@ -156,6 +156,13 @@ class DeviceQuery(ABC):
     def _shaped(self, array: DeviceArray) -> DeviceArray:
         return array.shaped(self.rays.rays.shape)
 
+    def _hits(self, hits: HitBlock, shape: tuple[int, ...]) -> tuple[Any, ...]:
+        """The arguments of results with hits, in order, besides the first one of several."""
+        t, u, v, numbers = hits.columns(shape)
+        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
+        status, triangles = self._shaped(self.status), self.scene.triangles
+        return t, u, v, prim_id, status, triangles, instance_id
+
     def _program(self) -> ProgramRounds | None:
         """The rounds of the filter, if the query has one."""
         if self.query.on_hit is None or self.query.limit == 0:
@@ -189,10 +196,7 @@ class FirstHit(DeviceQuery):
         return self.hits.block, self.status
 
     def result(self) -> DeviceHits:
-        t, u, v, numbers = self.hits.columns(self.rays.rays.shape)
-        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
-        status, triangles = self._shaped(self.status), self.scene.triangles
-        return DeviceHits(t, u, v, prim_id, status, triangles, instance_id)
+        return DeviceHits(*self._hits(self.hits, self.rays.rays.shape))
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         self.hits.copy_rows(copies[0], sink.hits.part(rows))
@@ -306,10 +310,7 @@ class MultiHit(DeviceQuery):
         return self.hits.block, self.splits, self.status
 
     def result(self) -> DeviceMultiHits:
-        t, u, v, numbers = self.hits.columns((self.hits.hit_count,))
-        prim_id, instance_id = self.scene.ids.split(self.scope, numbers)
-        status, triangles = self._shaped(self.status), self.scene.triangles
-        return DeviceMultiHits(self.splits, t, u, v, prim_id, status, triangles, instance_id)
+        return DeviceMultiHits(self.splits, *self._hits(self.hits, (self.hits.hit_count,)))
 
     def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
         if self._splits is not None:

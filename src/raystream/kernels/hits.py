@@ -120,7 +120,7 @@ class HitAddresses(NamedTuple):
         )
 
     @classmethod
-    def of_rows(cls, address: int, count: int, item_bytes: int = 4) -> HitAddresses:
+    def of_rows(cls, address: int | np.uint64, count: int, item_bytes: int = 4) -> HitAddresses:
         """Addresses of the rows of an array of shape (4, count)."""
         at, step = int(address), item_bytes * count
         rows = np.uint64(at), np.uint64(at + step), np.uint64(at + 2 * step)

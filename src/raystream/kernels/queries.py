@@ -208,7 +208,7 @@ class CountAddresses(NamedTuple):
     counts: np.uint64
 
     @classmethod
-    def of(cls, query: Query, counts: int) -> CountAddresses:
+    def of(cls, query: Query, counts: int | np.uint64) -> CountAddresses:
         """For a query, with the address of the counts."""
         return cls(query.surfaces, np.uint64(query.limit), np.uint64(counts))
 

@@ -145,18 +145,23 @@ class Backend(ABC):
             run_on_hits(self.run, query, rays, sink, self.structure.triangles, progress)
         return sink
 
-    def room_for_hits(
-        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
-    ) -> tuple[Sink, Progress | None]:
-        """Count the hits of `Kind.MULTI_HIT`, for backends that write them in a second search.
+    def count_then_fill(
+        self,
+        query: Query,
+        rays: RayBatch,
+        sink: Sink,
+        progress: Progress | None,
+        fill: Callable[[Sink, Progress | None], None],
+    ) -> None:
+        """Answer `Kind.MULTI_HIT` by two searches, of which the first counts the hits.
 
-        Returns
-        -------
-        filled : Sink
-            With `splits`, and uninitialised `hits`; shares status and tallies with `sink`, which
-            include both searches.
-        progress : callable or None
-            For the second search.
+        Parameters
+        ----------
+        query, rays, sink, progress
+            See `run`.
+        fill : callable
+            ``fill(filled, progress)`` writes the hits to a sink with `splits`, and uninitialised
+            `hits`. It shares status and tallies with `sink`, which include both searches.
         """
         count = len(rays)
         filled = Sink(sink.status, tallies=sink.tallies)
@@ -172,7 +177,8 @@ class Backend(ABC):
             np.cumsum(counted.counts, out=filled.splits[1:])
         kind = distance_type(self.structure.triangles)
         filled.hits = allocate_hits(int(filled.splits[-1]), kind)
-        return filled, part_of(progress, count, 2 * count)
+        fill(filled, part_of(progress, count, 2 * count))
+        sink.put(filled.splits, filled.hits)
 
     def working_bytes(self, kind: Kind, ray_count: int, hit_count: int) -> int:
         """Most bytes of the host's memory that `run` needs besides the results.
@@ -185,7 +191,7 @@ class Backend(ABC):
             The hits are those of `Kind.MULTI_HIT`.
         """
         del hit_count
-        counts = 16 * ray_count if kind is Kind.MULTI_HIT else 0  # see `room_for_hits`
+        counts = 16 * ray_count if kind is Kind.MULTI_HIT else 0  # see `count_then_fill`
         return counts + _BLOCK_BYTES * min(ray_count, _BLOCK_RAYS)
 
     def answer_on_device(

@@ -77,9 +77,8 @@ class Branching(Backend):
             if counts or not trace_batch(self.structure, query, rays, sink, progress):
                 self.trace_singly(query, rays, sink, progress)
         elif sink.tallies is not None or query.limit == 0:
-            filled, half = self.room_for_hits(query, rays, sink, progress)
-            self.trace_singly(query, rays, filled, half)
-            sink.put(filled.splits, filled.hits)
+            fill = partial(self.trace_singly, query, rays)
+            self.count_then_fill(query, rays, sink, progress, fill)
         elif sink.visitor is not None:
             self._visit(query, rays, sink, progress)
         else:

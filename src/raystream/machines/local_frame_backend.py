@@ -52,22 +52,17 @@ class LocalFrameBackend(Backend):
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> None:
         """Run a query; see `Backend.run`."""
-        if query.kind is Kind.MULTI_HIT:
-            self._count_and_fill(query, rays, sink, progress)
-            return
-        frame = self.structure.frame
-        for block in blocks(rays, frame, sink.status, progress, self.ray_block):
-            part = sink.part(block.rows)
-            self.run_local(query, block.rays, part, block.progress)
-            if query.kind is Kind.FIRST_HIT:
-                block.to_world(part.hits.t, np.arange(len(part.hits.t) + 1))
 
-    def _count_and_fill(
-        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
-    ) -> None:
-        filled, half = self.room_for_hits(query, rays, sink, progress)
-        splits, hits = filled.splits, filled.hits
-        for block in blocks(rays, self.structure.frame, sink.status, half, self.ray_block):
-            self.run_local(query, block.rays, filled.part(block.rows), block.progress)
-            block.to_world(hits.t, splits[block.rows.start : block.rows.stop + 1])
-        sink.put(splits, hits)
+        def trace(sink: Sink, progress: Progress | None) -> None:
+            for block in blocks(rays, self.structure.frame, sink.status, progress, self.ray_block):
+                part = sink.part(block.rows)
+                self.run_local(query, block.rays, part, block.progress)
+                if query.kind is Kind.FIRST_HIT:
+                    block.to_world(part.hits.t, np.arange(len(part.hits.t) + 1))
+                elif query.kind is Kind.MULTI_HIT:
+                    block.to_world(part.hits.t, part.splits)
+
+        if query.kind is Kind.MULTI_HIT:
+            self.count_then_fill(query, rays, sink, progress, trace)
+        else:
+            trace(sink, progress)
