@@ -18,7 +18,7 @@ from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.packet_multi_hit import count_all, counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels, count_all
 from raystream.structures.bvh.packet_queries import TREES, NearestWanted
 
 if TYPE_CHECKING:
@@ -79,9 +79,9 @@ _KERNELS = {
 }
 
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
-_VISITED = visiting_kernel(TREES, FLOAT64_ALL, _source)
+_VISITED, _COUNTED_BY_PACKETS = all_hits_kernels(TREES, FLOAT64_ALL, FLOAT64_COUNTS, _source)
 _COUNTED = {
-    "packet": counting_kernel(TREES, FLOAT64_COUNTS, _source),
+    "packet": _COUNTED_BY_PACKETS,
     "groups": _of_groups(partial(count_all, count_in_groups, _source)),
 }
 

@@ -169,7 +169,7 @@ def _count_alone(i, source, tree, surfaces):
 
 @device
 def store_counts(packet, g, rays, first, count, source, tree, wanted):
-    """Write numbers of hits, see `leaf_kinds.Counts`, for a `packet_queries.CountsWanted`."""
+    """Write numbers of hits, see `leaf_kinds.Counts`, for a `packet_multi_hit.RowsWanted`."""
     found, alone = CountsLanes(packet, g).count, rays_alone(rays, g)
     for k in range(count):
         if (alone >> k) & ONE_U64 != ZERO_U64:

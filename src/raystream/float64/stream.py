@@ -180,6 +180,6 @@ def _kernel(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any
 
 
 #: Kernels for a `Float64Packets`, in `WORKING_BYTES` bytes: the nearest or any hits for a
-#: `packet_queries.NearestWanted`, the numbers of hits for a `CountsWanted`.
+#: `packet_queries.NearestWanted`, the numbers of hits for a `packet_multi_hit.RowsWanted`.
 trace_groups = _kernel(nearest_kind, store_nearest)
 count_in_groups = _kernel(counting_kind, store_counts)

@@ -11,7 +11,7 @@ from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence
 from raystream.structures.bvh.kernel_choice import nearest_kernel
-from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels
 from raystream.structures.bvh.packet_queries import NEAREST, packet_kernel
 
 if TYPE_CHECKING:
@@ -48,12 +48,13 @@ def _suited_to_all(coherence: Coherence, count: int, byte_count: int) -> tuple[s
     return ("packet",) if coherence.narrow >= 0.5 else ("single",)
 
 
+_VISITED, _COUNTED = all_hits_kernels(INSTANCES)
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
 
 #: The kernels by the kind of query, for trees that are not empty.
 BATCH_KERNELS = {
     Kind.FIRST_HIT: _NEAREST,
     Kind.ANY_HIT: _NEAREST,
-    Kind.MULTI_HIT: BatchKernels({"packet": visiting_kernel(INSTANCES)}, _suited_to_all, _FEW),
-    Kind.COUNT_HITS: BatchKernels({"packet": counting_kernel(INSTANCES)}, _suited_to_all, _FEW),
+    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited_to_all, _FEW),
+    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited_to_all, _FEW),
 }

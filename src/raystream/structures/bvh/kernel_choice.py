@@ -12,7 +12,7 @@ from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.group_queries import trace_groups
 from raystream.structures.bvh.group_rays import BLOCK_PACKETS, MEMORY_BYTES
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels
 from raystream.structures.bvh.packet_queries import NEAREST, TREES, NearestWanted, packet_kernel
 from raystream.structures.bvh.wavefront import trace_wavefront
 
@@ -60,10 +60,12 @@ _NEAREST = {
 }
 _FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
 
+_VISITED, _COUNTED = all_hits_kernels(TREES)
+
 #: The kernels by the kind of query, for trees that are not empty.
 BATCH_KERNELS = {
     Kind.FIRST_HIT: _FIRST_OR_ANY,
     Kind.ANY_HIT: _FIRST_OR_ANY,
-    Kind.MULTI_HIT: BatchKernels({"packet": visiting_kernel(TREES)}, _suited, SMALL_BATCH),
-    Kind.COUNT_HITS: BatchKernels({"packet": counting_kernel(TREES)}, _suited, SMALL_BATCH),
+    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited, SMALL_BATCH),
+    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited, SMALL_BATCH),
 }

@@ -1,8 +1,8 @@
 """Kinds of leaves of triangles, for packets: what becomes of their hits.
 
-The nearest or any hits are kept, all hits are counted, or all are collected. A leaf is made for a
-scene without instances; `leaf_within` makes that of an instance's object, whose rays' hits are
-those of the scene's packet.
+The nearest or any hits are kept, or all are counted or collected. A leaf is made for a scene
+without instances; `leaf_within` makes that of an instance's object, whose rays' hits are those of
+the scene's packet.
 """
 
 from __future__ import annotations
@@ -88,21 +88,15 @@ def _keep_hits(leaf, packet, g, k, bits, found, prim_ids):
 
 
 @device
-def _count_lanes(leaf, packet, g, taken, t, u, v, prim_id):
-    best = leaf.lanes_best(leaf, packet, g)
-    taken, _, _ = reported_lanes(best, taken, t, prim_id)
-    counts = Counts(address_of(best.hit))
-    counts.count = select(taken, counts.count + np.int32(1), counts.count)
-    return False
-
-
-@device
-def _collect_lanes(leaf, packet, g, taken, t, u, v, prim_id):
-    best = leaf.lanes_best(leaf, packet, g)
+def _take_lanes(leaf, packet, g, taken, t, u, v, prim_id):
+    best, collector = leaf.lanes_best(leaf, packet, g), leaf.kind.collector
     taken, t, number = reported_lanes(best, taken, t, prim_id)
-    collector, to = leaf.kind.collector, scene_group(leaf.within, g)
+    if collector.is_counting != ZERO_U64:
+        counts = Counts(address_of(best.hit))
+        counts.count = select(taken, counts.count + np.int32(1), counts.count)
+        return False
     t = _collected(leaf.within, collector, t, Group(packet, g))
-    collect(collector, taken, t, u, v, i32x16(number), to)
+    collect(collector, taken, t, u, v, i32x16(number), scene_group(leaf.within, g))
     return False
 
 
@@ -122,26 +116,17 @@ def _collected_one(within, collector, t, t_scale):
 
 
 @device
-def _count_hits(leaf, packet, g, k, bits, found, prim_ids):
-    best = leaf.ray_best(leaf, packet, g, k)
-    counts = CountsLanes(address_of(best.hit)).count
-    while bits != ZERO_U64:
-        lane = count_trailing_zeros(bits)
-        bits &= bits - ONE_U64
-        taken, _, _ = reported_hit(best, k, found.t[lane], prim_ids[lane])
-        counts[k] = np.int32(counts[k] + np.int32(taken))
-    return False
-
-
-@device
-def _collect_hits(leaf, packet, g, k, bits, found, prim_ids):
+def _take_hits(leaf, packet, g, k, bits, found, prim_ids):
     best, collector = leaf.ray_best(leaf, packet, g, k), leaf.kind.collector
+    counts = CountsLanes(address_of(best.hit)).count
     to, lanes = scene_group(leaf.within, g), GroupLanes(packet, g)
     while bits != ZERO_U64:
         lane = count_trailing_zeros(bits)
         bits &= bits - ONE_U64
         taken, t, number = reported_hit(best, k, found.t[lane], prim_ids[lane])
-        if taken:
+        if collector.is_counting != ZERO_U64:
+            counts[k] = np.int32(counts[k] + np.int32(taken))
+        elif taken:
             t = _collected_one(leaf.within, collector, t, lanes.t_scale[k])
             collect_one(collector, t, found.u[lane], found.v[lane], number, to, k)
     return False
@@ -159,15 +144,9 @@ def nearest_leaf(wants_any, filter_):
 
 
 @device
-def counting_leaf(surfaces):
-    """Leaves whose hits are counted, see `Counts`."""
-    return _plain_leaf(Kind(_count_lanes, _count_hits, surfaces, False, None, None))
-
-
-@device
 def collecting_leaf(surfaces, collector):
-    """Leaves whose hits are all collected."""
-    return _plain_leaf(Kind(_collect_lanes, _collect_hits, surfaces, False, None, collector))
+    """Leaves whose hits are all collected; or counted, see `Counts`."""
+    return _plain_leaf(Kind(_take_lanes, _take_hits, surfaces, False, None, collector))
 
 
 @device

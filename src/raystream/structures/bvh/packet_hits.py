@@ -29,6 +29,7 @@ _COLLECTOR = np.dtype(
         ("buffers", "u8"),  # their address
         ("count", "u8"),  # hits
         ("capacity", "u8"),  # of the buffers
+        ("is_counting", "u8"),  # whether hits are counted only
         ("in_world", "u8"),  # whether to convert t to world direction lengths
         ("first_rays", "i4", (int(GROUPS), 1)),  # index of each group's first ray
     ]

@@ -94,7 +94,7 @@ class Kind(NamedTuple):
     wants_any, filter
         See `kernels.best.Best`; the filter is a `PacketFilter` or None.
     collector : Collector or None
-        Takes all hits.
+        Takes all hits, or says that they are counted.
     """
 
     keep_lanes: Any
@@ -243,9 +243,11 @@ def _test_triangle(leaf, packet, g, at, lane, rays, own):
         origin,
         (shear[_X], shear[_Y]),
     )
+    # Signs of edge functions first: most triangles of a leaf are missed by all 16 rays.
     candidates = signs_agree(sheared)
     if not any_lane(candidates):
         return False
+    # Hits count within the triangle's own padded box only, so that no structure decides them.
     near, far = planes.near, planes.far
     box = (
         near[_X, lane],
