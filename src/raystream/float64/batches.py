@@ -18,7 +18,7 @@ from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.packet_multi_hit import count_all, counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels, count_all
 from raystream.structures.bvh.packet_queries import TREES, NearestWanted
 
 if TYPE_CHECKING:
@@ -29,10 +29,14 @@ _FEW = 256
 
 
 def _source(bvh: Structure, batch: Batch) -> Float64Packets:
-    exact = batch.source
-    for name, limit in zip(("t_min", "t_max"), batch.rays.exact_limits, strict=True):
-        step = np.uint64(8 if len(limit) > 1 else 0)
-        exact = exact._replace(**{name: np.uint64(array_address(limit)), f"{name}_step": step})
+    # Positions are the batch's, whose copies are kept until the rays are traced.
+    low, high = batch.rays.exact_limits
+    exact = batch.source._replace(
+        t_min=np.uint64(array_address(low)),
+        t_min_step=np.uint64(8 if len(low) > 1 else 0),
+        t_max=np.uint64(array_address(high)),
+        t_max_step=np.uint64(8 if len(high) > 1 else 0),
+    )
     return Float64Packets(*batch.packets(bvh.frame), exact)
 
 
@@ -75,9 +79,9 @@ _KERNELS = {
 }
 
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
-_VISITED = visiting_kernel(TREES, FLOAT64_ALL, _source)
+_VISITED, _COUNTED_BY_PACKETS = all_hits_kernels(TREES, FLOAT64_ALL, FLOAT64_COUNTS, _source)
 _COUNTED = {
-    "packet": counting_kernel(TREES, FLOAT64_COUNTS, _source),
+    "packet": _COUNTED_BY_PACKETS,
     "groups": _of_groups(partial(count_all, count_in_groups, _source)),
 }
 

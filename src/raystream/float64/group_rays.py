@@ -163,7 +163,8 @@ def _sum(x):
 
 
 @device
-def _put_triple(rows, x):
+def put_triple(rows, x):
+    """Write three vectors to a field with one per axis."""
     rows[_X], rows[_Y], rows[_Z] = x
 
 
@@ -192,8 +193,8 @@ def _load_all(group, source, first):
     half = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
     inverse = bits_as_float(exponent << MANTISSA_BITS)
     dx, dy, dz = direction
-    _put_triple(group.origin, origin)
-    _put_triple(group.direction, without_least((dx * half, dy * half, dz * half)))
+    put_triple(group.origin, origin)
+    put_triple(group.direction, without_least((dx * half, dy * half, dz * half)))
     t_max = t_max * inverse
     group.t_min, group.t_max, group.far = t_min * inverse, t_max, t_max
     group.half, group.rest, group.is_alone = half, f64x16(_UNIT), i32x16(np.int32(0))

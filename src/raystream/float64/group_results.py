@@ -30,7 +30,8 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.kernels.queries import RayScene, SearchGoal
+from raystream.kernels.queries import RayScene
+from raystream.kernels.search import SearchGoal
 from raystream.structures.bvh.leaf_kinds import CountsLanes
 from raystream.structures.bvh.packet_rays import three
 
@@ -168,7 +169,7 @@ def _count_alone(i, source, tree, surfaces):
 
 @device
 def store_counts(packet, g, rays, first, count, source, tree, wanted):
-    """Write numbers of hits, see `leaf_kinds.Counts`, for a `packet_queries.CountsWanted`."""
+    """Write numbers of hits, see `leaf_kinds.Counts`, for a `packet_multi_hit.RowsWanted`."""
     found, alone = CountsLanes(packet, g).count, rays_alone(rays, g)
     for k in range(count):
         if (alone >> k) & ONE_U64 != ZERO_U64:

@@ -12,7 +12,7 @@ import numpy as np
 
 from raystream.float64.best import SPAN_BYTES
 from raystream.float64.block import BLOCK, PRIM_IDS, edges_of, leaf_end
-from raystream.float64.group_rays import GROUP_BYTES, Float64Lanes, exact_ray, load_rays
+from raystream.float64.group_rays import GROUP_BYTES, Float64Lanes, exact_ray, load_rays, put_triple
 from raystream.float64.group_results import rays_alone, store_counts, store_nearest
 from raystream.float64.leaf import (
     Float64Leaf,
@@ -70,18 +70,13 @@ _EdgesLanes = view([*((name, "f8", (3, 4, 1)) for name in "apqn"), ("h", "f8", (
 _RAYS_AT = np.uint64(-(-ROWS.byte_count // 64) * 64)
 _STATE_BYTES = int(_RAYS_AT) + int(GROUP_BYTES) * PACKET_RAYS // 16
 
-_LIMITS_AT = np.uint64(GROUP.fields["t_active"][1])
+_LIMITS_AT = np.uint64(GROUP.fields["t_active"][1])  # type: ignore[index]
 _BLOCK_LANES = np.uint64(4)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _UNIT = np.float64(1.0)
 
 
 # Leaves
-
-
-@device
-def _put(rows, x):
-    rows[_X], rows[_Y], rows[_Z] = x
 
 
 @device
@@ -126,10 +121,10 @@ def _visit_leaf(leaf, packet, child, leaves, box, rays, groups, own):
     end = leaf_end(block, child)
     while block != end:
         a, (p, q, n, edges.h) = edges_of(block)
-        _put(edges.a, a)
-        _put(edges.p, p)
-        _put(edges.q, q)
-        _put(edges.n, n)
+        put_triple(edges.a, a)
+        put_triple(edges.p, p)
+        put_triple(edges.q, q)
+        put_triple(edges.n, n)
         for g in range(groups.first, groups.last + ONE_U64):
             bits = entering_rays(packet, g, box, rays)
             if bits == ZERO_U64:

@@ -63,7 +63,7 @@ BLOCK_PACKETS = BLOCK_RAYS // PACKET_RAYS
 _GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
 
 #: A group's limits: the ends of its rays' intervals.
-_LIMITS_AT = np.uint64(GROUP.fields["t"][1])
+_LIMITS_AT = np.uint64(GROUP.fields["t"][1])  # type: ignore[index]
 
 #: Bytes of memory of a call, of which most are never touched.
 WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * int(GROUP_BYTES) + 64
@@ -180,6 +180,6 @@ def _kernel(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any
 
 
 #: Kernels for a `Float64Packets`, in `WORKING_BYTES` bytes: the nearest or any hits for a
-#: `packet_queries.NearestWanted`, the numbers of hits for a `CountsWanted`.
+#: `packet_queries.NearestWanted`, the numbers of hits for a `packet_multi_hit.RowsWanted`.
 trace_groups = _kernel(nearest_kind, store_nearest)
 count_in_groups = _kernel(counting_kind, store_counts)
