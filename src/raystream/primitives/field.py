@@ -34,7 +34,7 @@ from raystream.primitives.levels import BLOCK_CELLS
 from raystream.primitives.records import LevelRecord
 
 _NONE, _ONE, _TWO, _THREE, _FOUR, _FIVE = np.arange(6, dtype=np.uint64)
-_ZERO, _INF, _NAN = np.float32([0.0, np.inf, np.nan])
+_ZERO, _INF, _NAN = np.float32(0.0), np.float32(np.inf), np.float32(np.nan)
 _TURNED = np.int32(1)
 _CELLS = np.uint64(BLOCK_CELLS)
 _LANES = np.uint64(4)
