@@ -11,25 +11,15 @@ from raystream.instances.wavefront import trace_instance_wavefront
 from raystream.kernels.queries import output_of
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence
-from raystream.structures.bvh.kernel_choice import nearest_of_packets
-from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.kernel_choice import nearest_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels
 from raystream.structures.bvh.packet_queries import NEAREST, packet_kernel
 
 if TYPE_CHECKING:
     from raystream.instances.structure import InstancedStructure
 
-_trace_packets = packet_kernel(INSTANCES, NEAREST)
-
 #: Batches of at most this many rays are traced ray by ray: lists of few rays share few instances.
 _FEW = 2047
-
-
-def _groups(scene: InstancedStructure, batch: Batch) -> Calls:
-    return trace_instances, nearest_of_packets(scene, batch)
-
-
-def _packets(scene: InstancedStructure, batch: Batch) -> Calls:
-    return _trace_packets, nearest_of_packets(scene, batch)
 
 
 def _wavefront(scene: InstancedStructure, batch: Batch) -> Calls:
@@ -46,16 +36,10 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
 
 
 _KERNELS = {
-    "groups": BatchKernel(
-        _groups,
-        4,
-        64,
-        BLOCK_PACKETS,
-        is_tiled=True,
-        takes_filter=True,
-        memory_bytes=CALL_BYTES,
+    "groups": nearest_kernel(
+        trace_instances, block=BLOCK_PACKETS, is_tiled=True, memory_bytes=CALL_BYTES
     ),
-    "packet": BatchKernel(_packets, 4, 64, is_tiled=True, takes_filter=True),
+    "packet": nearest_kernel(packet_kernel(INSTANCES, NEAREST), is_tiled=True),
     "wavefront": BatchKernel(_wavefront, 4096, 4096, by_packets=False, takes_filter=True),
 }
 
@@ -65,12 +49,13 @@ def _suited_to_all(coherence: Coherence, count: int, byte_count: int) -> tuple[s
     return ("packet",) if coherence.narrow >= 0.5 else ("single",)
 
 
+_VISITED, _COUNTED = all_hits_kernels(INSTANCES)
 _NEAREST = BatchKernels(_KERNELS, _suited, _FEW)
 
 #: The kernels by the kind of query, for trees that are not empty.
 BATCH_KERNELS = {
     Kind.FIRST_HIT: _NEAREST,
     Kind.ANY_HIT: _NEAREST,
-    Kind.MULTI_HIT: BatchKernels({"packet": visiting_kernel(INSTANCES)}, _suited_to_all, _FEW),
-    Kind.COUNT_HITS: BatchKernels({"packet": counting_kernel(INSTANCES)}, _suited_to_all, _FEW),
+    Kind.MULTI_HIT: BatchKernels({"packet": _VISITED}, _suited_to_all, _FEW),
+    Kind.COUNT_HITS: BatchKernels({"packet": _COUNTED}, _suited_to_all, _FEW),
 }

@@ -35,10 +35,10 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.best import shorten_lanes
 from raystream.structures.bvh.layout import TreeAddresses
-from raystream.structures.bvh.leaf_kinds import InstanceHits, Within, leaf_within, scene_group
+from raystream.structures.bvh.leaf_kinds import InstanceHits, leaf_within, scene_group
 from raystream.structures.bvh.node_layout import prefetch_child
 from raystream.structures.bvh.packet import TRACE_BYTES, packet_walk
-from raystream.structures.bvh.packet_leaf import Kind, entering_rays
+from raystream.structures.bvh.packet_leaf import Kind, Within, entering_rays
 from raystream.structures.bvh.packet_load import load_packet, prepare_group, set_slow
 from raystream.structures.bvh.packet_queries import PacketScene
 from raystream.structures.bvh.packet_rays import (

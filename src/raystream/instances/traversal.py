@@ -104,7 +104,7 @@ class WorldRay(NamedTuple):
 
 
 class _InstanceContext(NamedTuple):
-    """The instances that one ray may hit, with the numbers of the ray.
+    """The instances that one ray may hit, with that ray in world space.
 
     Attributes
     ----------
@@ -229,12 +229,12 @@ def load_world_ray(source, i):
 
 
 @device
-def scene_ray(numbers, top, frame):
+def scene_ray(world_ray, top, frame):
     """A ray among the boxes of a scene's instances.
 
     Parameters
     ----------
-    numbers : tuple
+    world_ray : tuple
         Origin and direction, six float64 numbers in world space, and the limits, float32.
     top : TopAddresses
     frame : SceneFrame
@@ -248,7 +248,7 @@ def scene_ray(numbers, top, frame):
         For `prepare_ray`: the largest coordinate, and the boxes' additional padding.
     whole : WorldRay
     """
-    ox, oy, oz, dx, dy, dz, t_min, t_max = numbers
+    ox, oy, oz, dx, dy, dz, t_min, t_max = world_ray
     ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
     is_valid = ray.status == _VALID and is_scalable(dx, dy, dz)
     reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale

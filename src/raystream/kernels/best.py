@@ -227,6 +227,13 @@ def reported_lanes(best, taken, t, prim_id):
 
 
 @device
+def reported_hit(best, k, t, prim_id):
+    """The same for a hit of ray k, whose `Best` has a lane index."""
+    told = _told(best.first_id, best.ray, k, t)
+    return told <= best.hit.t[k], told, _number(best.first_id, prim_id)
+
+
+@device
 def offer_hits(best, k, bits, found, prim_ids):
     """Offer the hits of a ray with some triangles of a block; returns whether one is kept.
 

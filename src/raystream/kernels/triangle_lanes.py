@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import any_lane, fma, maximum, minimum, narrow, select, widen
 
@@ -202,7 +203,7 @@ def barycentrics(sheared, surfaces):
 
 
 @device
-def intersect_lanes(sheared, signs, box, limits, plane, surfaces):
+def intersect_lanes(sheared, signs, box, limits, plane, surfaces, then):
     """Intersect triangles with rays whose edge functions agree in sign.
 
     Parameters
@@ -218,24 +219,27 @@ def intersect_lanes(sheared, signs, box, limits, plane, surfaces):
         The tuple of a device function's arguments, and the function: the distance to the
         triangles' planes. (Numba warns of a tuple that begins with a function.)
     surfaces : bool
+    then : tuple
+        Likewise: ``function(hit, t, u, v, *arguments)`` takes the hits of the lanes of a mask, if
+        there may be any; returns a uint64.
 
     Returns
     -------
-    hit : mask
-    t, u, v : float32 vector
-        Of these lanes.
+    uint64
+        What `then` returns; 0 without a hit.
     """
-    (t_in, t_out), (t_min, t_far), (arguments, distance) = box, limits, plane
+    (t_in, t_out), (t_min, t_far) = box, limits
+    (of_plane, distance), (others, take) = plane, then
     hit = signs & (t_in <= t_out) & (t_in <= t_far) & (t_out >= t_min)
-    t = u = v = sheared.az
-    if any_lane(hit):
-        # The distance before the barycentrics, which a ray that leaves a surface does not need: it
-        # meets the surface's triangle behind its origin. (Single bounce, ambient occlusion and
-        # shadow rays on the bunny and conference, one thread of a Zen 5: 1.03 to 1.05 times as
-        # fast; primary rays: the same.)
-        t = minimum(maximum(distance(*arguments), t_in), t_out) + _ZERO
-        hit = hit & (t >= t_min) & (t <= t_far)
-        if any_lane(hit):
-            inside, u, v = barycentrics(sheared, surfaces)
-            hit = hit & inside
-    return hit, t, u, v
+    if not any_lane(hit):
+        return ZERO_U64
+    # The distance before the barycentrics, which a ray that leaves a surface does not need: it
+    # meets the surface's triangle behind its origin. (Single bounce, ambient occlusion and shadow
+    # rays on the bunny and conference, one thread of a Zen 5: 1.03 to 1.05 times as fast; primary
+    # rays: the same.)
+    t = minimum(maximum(distance(*of_plane), t_in), t_out) + _ZERO
+    hit = hit & (t >= t_min) & (t <= t_far)
+    if not any_lane(hit):
+        return ZERO_U64
+    inside, u, v = barycentrics(sheared, surfaces)
+    return take(hit & inside, t, u, v, *others)

@@ -11,18 +11,12 @@ from raystream.primitives.packets import PRIMITIVES
 from raystream.primitives.wavefront import PrimitiveTrees, trace_primitive_wavefront
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
-from raystream.structures.bvh.kernel_choice import CACHED_BYTES, SMALL_BATCH, nearest_of_packets
-from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.kernel_choice import CACHED_BYTES, SMALL_BATCH, nearest_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels
 from raystream.structures.bvh.packet_queries import NEAREST, packet_kernel
 
 if TYPE_CHECKING:
     from raystream.primitives.structure import PrimitiveBvh
-
-_trace_packets = packet_kernel(PRIMITIVES, NEAREST)
-
-
-def _packets(scene: PrimitiveBvh, batch: Batch) -> Calls:
-    return _trace_packets, nearest_of_packets(scene, batch)
 
 
 def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
@@ -34,9 +28,9 @@ def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
     return trace_primitive_wavefront, (*rays, batch.wants_any, True, filter_, out)
 
 
-_PACKET = BatchKernel(_packets, 4, 64, is_tiled=True)
+_PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST), is_tiled=True)
 _IN_FLIGHT = BatchKernel(_wavefront, 1024, 8192, by_packets=False)
-_VISITED, _COUNTED = visiting_kernel(PRIMITIVES), counting_kernel(PRIMITIVES)
+_VISITED, _COUNTED = all_hits_kernels(PRIMITIVES)
 
 
 def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:

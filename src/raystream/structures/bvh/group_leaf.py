@@ -15,8 +15,6 @@ from raystream.jit.simd import (
     f64x16,
     load,
     mask_bits,
-    maximum,
-    minimum,
     store,
 )
 from raystream.jit.views import address_of, view
@@ -44,6 +42,7 @@ from raystream.structures.bvh.group_rays import (
 )
 from raystream.structures.bvh.node_layout import LANE, leaf_address, leaf_end
 from raystream.structures.bvh.packet_filter import lanes_filter, ray_filter
+from raystream.structures.bvh.packet_leaf import extent
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, three
 
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -83,29 +82,20 @@ def _extent_of(corners, axis, lane):
 
 
 @device
-def _extent(block, axis):
-    """Low and high coordinates of four triangles along an axis."""
-    corners = block.corners
-    a, b, c = corners[_FIRST, axis], corners[_SECOND, axis], corners[_THIRD, axis]
-    return minimum(minimum(a, b), c), maximum(maximum(a, b), c)
-
-
-@device
 def _write_normals(block, small):
-    corners, normal = block.corners, small.normal
-    normal[_X], normal[_Y], normal[_Z] = plane_normal(
-        (corners[_FIRST, _X], corners[_FIRST, _Y], corners[_FIRST, _Z]),
-        (corners[_SECOND, _X], corners[_SECOND, _Y], corners[_SECOND, _Z]),
-        (corners[_THIRD, _X], corners[_THIRD, _Y], corners[_THIRD, _Z]),
-    )
+    normal = small.normal
+    normal[_X], normal[_Y], normal[_Z] = plane_normal(*_vertices(block.corners, _X, _Y, _Z))
 
 
 @device
-def _vertices(hot, block):
-    """The vertices of a block's four triangles, in the order of a ray's axes."""
+def _axes(hot):
     kx, ky, kz = hot.axes
-    x, y, z = np.uint64(kx), np.uint64(ky), np.uint64(kz)
-    corners = block.corners
+    return np.uint64(kx), np.uint64(ky), np.uint64(kz)
+
+
+@device
+def _vertices(corners, x, y, z):
+    """The vertices of a block's four triangles, with the axes in this order."""
     a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
     b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
     c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
@@ -115,14 +105,14 @@ def _vertices(hot, block):
 @device
 def _sheared(hot, cold, block):
     """The vertices of a block's four triangles in a ray's frame."""
-    return shear_vertices(*_vertices(hot, block), hot.origin, (hot.sx, cold.sy))
+    vertices = _vertices(block.corners, *_axes(hot))
+    return shear_vertices(*vertices, hot.origin, (hot.sx, cold.sy))
 
 
 @device
 def _distances(hot, cold, block, small):
     """Distances of a ray to the planes of four triangles."""
-    kx, ky, kz = hot.axes
-    x, y, z = np.uint64(kx), np.uint64(ky), np.uint64(kz)
+    x, y, z = _axes(hot)
     corners, normal = block.corners, small.normal
     a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
     n = normal[x], normal[y], normal[z]
@@ -151,23 +141,28 @@ class GroupLeaf(NamedTuple):
 
 
 @device
-def _keep_lanes(leaf, memory, g, taken, t, u, v, prim_id):
-    """Keep hits of a group with a triangle; returns whether there was a nearer one."""
+def _keep_lanes(taken, t, u, v, leaf, memory, g, prim_id):
+    """Keep hits of a group with a triangle; returns 1 if there was a nearer one, else 0."""
     bits = offer_lanes(leaf.lanes_best(leaf, memory, g), taken, t, u, v, prim_id)
-    has_hit, limits = bits != ZERO_U64, GroupLanes(memory, g).t
+    hit_count, limits = np.uint64(bits != ZERO_U64), GroupLanes(memory, g).t
     while bits != ZERO_U64:
         k = count_trailing_zeros(bits)
         bits &= bits - ONE_U64
         Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
-    return has_hit
+    return hit_count
 
 
 @device
-def _keep_hits(leaf, memory, number, block, bits, found):
-    """Keep the nearest of a ray's hit and those of some triangles of a block."""
-    g, k = number >> LANE_SHIFT, number & LAST_LANE
-    if offer_hits(leaf.ray_best(leaf, memory, g, k), k, bits, found, block.prim_ids):
+def _keep_hits(taken, t, u, v, leaf, memory, number, block, found):
+    """Keep the nearest of a ray's hit and those of some triangles; returns 1 if any is hit."""
+    bits = mask_bits(taken)
+    if bits == ZERO_U64:
+        return ZERO_U64
+    found.t, found.u, found.v = t, u, v
+    g, k, lanes = number >> LANE_SHIFT, number & LAST_LANE, HitLanes(address_of(found))
+    if offer_hits(leaf.ray_best(leaf, memory, g, k), k, bits, lanes, block.prim_ids):
         Hot(memory + HOT_AT, number).t = GroupLanes(memory, g).t[k]
+    return ONE_U64
 
 
 @device
@@ -185,7 +180,7 @@ def _group_distance(is_y, is_z, a, normal, lane, group):
 
 @device
 def _test_with_group(leaf, g, memory, block, lane, normal):
-    """Test a triangle against a group; returns whether a ray has a nearer hit."""
+    """Test a triangle against a group; returns 1 if a ray has a nearer hit, else 0."""
     group = Group(memory, g)
     is_y, is_z = axis_kinds(group)
     corners = block.corners
@@ -203,8 +198,8 @@ def _test_with_group(leaf, g, memory, block, lane, normal):
     inv, low, high = three(group.inv), three(group.near), three(group.far)
     box = interval(low_x, low_y, low_z, high_x, high_y, high_z, inv, low, high)
     limits, plane = (group.t_min, group.t), ((is_y, is_z, a, normal, lane, group), _group_distance)
-    hit, t, u, v = intersect_lanes(sheared, candidates, box, limits, plane, False)
-    return _keep_lanes(leaf, memory, g, hit, t, u, v, block.prim_ids[lane])
+    then = (leaf, memory, g, block.prim_ids[lane]), _keep_lanes
+    return intersect_lanes(sheared, candidates, box, limits, plane, False, then)
 
 
 @device
@@ -217,7 +212,7 @@ def _with_groups(leaf, at, groups, count, memory, small):
             break
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
-            hit_count += np.uint64(_test_with_group(leaf, g, memory, block, lane, normal))
+            hit_count += _test_with_group(leaf, g, memory, block, lane, normal)
     return hit_count
 
 
@@ -238,11 +233,10 @@ def _with_rays(leaf, block, rays, count, memory, small):
 
     # Step 2: test these exactly.
     hit_count = ZERO_U64
-    low_x, high_x = _extent(block, _X)
-    low_y, high_y = _extent(block, _Y)
-    low_z, high_z = _extent(block, _Z)
+    low_x, high_x = extent(block, _X)
+    low_y, high_y = extent(block, _Y)
+    low_z, high_z = extent(block, _Z)
     _write_normals(block, small)
-    found = small.hits
     for j in range(candidate_count):
         number = np.uint64(load(np.uint32, hits + j * LANE))
         hot, cold = Hot(hots, number), Cold(colds, number)
@@ -250,13 +244,8 @@ def _with_rays(leaf, block, rays, count, memory, small):
         sheared = _sheared(hot, cold, block)
         signs, limits = signs_agree(sheared), (hot.t_min, hot.t)
         plane = (hot, cold, block, small), _distances
-        hit, t, u, v = intersect_lanes(sheared, signs, box, limits, plane, False)
-        bits = mask_bits(hit)
-        if bits != ZERO_U64:
-            hit_count += ONE_U64
-            found.t, found.u, found.v = t, u, v
-            lanes = HitLanes(address_of(found))
-            _keep_hits(leaf, memory, number, block, bits, lanes)
+        then = (leaf, memory, number, block, small.hits), _keep_hits
+        hit_count += intersect_lanes(sheared, signs, box, limits, plane, False, then)
     return hit_count
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.query import Kind
@@ -11,15 +13,13 @@ from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
 from raystream.structures.bvh.group_queries import trace_groups
 from raystream.structures.bvh.group_rays import BLOCK_PACKETS, MEMORY_BYTES
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels
 from raystream.structures.bvh.packet_queries import NEAREST, TREES, NearestWanted, packet_kernel
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 if TYPE_CHECKING:
     from raystream.structures.base import Structure
     from raystream.structures.bvh.structure import BvhStructure
-
-_trace_packets = packet_kernel(TREES, NEAREST)
 
 #: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of groups of
 #: rays, in the order of the batch; one ray after another.
@@ -39,18 +39,14 @@ def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
     return trace_wavefront, (*rays, batch.wants_any, prefetching, filter_, out)
 
 
-def _packets(bvh: BvhStructure, batch: Batch) -> Calls:
-    return _trace_packets, nearest_of_packets(bvh, batch)
-
-
-def _groups(bvh: BvhStructure, batch: Batch) -> Calls:
-    return trace_groups, nearest_of_packets(bvh, batch)
-
-
-def nearest_of_packets(structure: Structure, batch: Batch) -> tuple[Any, ...]:
-    """The arguments of kernels that find the nearest or any hits of packets."""
+def _nearest_of(trace: Callable[..., object], structure: Structure, batch: Batch) -> Calls:
     wanted = NearestWanted(batch.wants_any, *output_of(batch.query, batch.sink))
-    return structure.arrays, batch.packets(structure.frame), wanted
+    return trace, (structure.arrays, batch.packets(structure.frame), wanted)
+
+
+def nearest_kernel(trace: Callable[..., object], **options: Any) -> BatchKernel:
+    """The kernel that finds the nearest or any hits, as a function for a `NearestWanted`."""
+    return BatchKernel(partial(_nearest_of, trace), 4, 64, takes_filter=True, **options)
 
 
 def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...]:
@@ -59,16 +55,14 @@ def _suited(coherence: Coherence, count: int, byte_count: int) -> tuple[str, ...
 
 
 _NEAREST = {
-    "packet": BatchKernel(_packets, 4, 64, is_tiled=True, takes_filter=True),
-    "groups": BatchKernel(
-        _groups, 4, 64, BLOCK_PACKETS, takes_filter=True, memory_bytes=MEMORY_BYTES
-    ),
+    "packet": nearest_kernel(packet_kernel(TREES, NEAREST), is_tiled=True),
+    "groups": nearest_kernel(trace_groups, block=BLOCK_PACKETS, memory_bytes=MEMORY_BYTES),
     # Fewer rays would not use all slots at the start and the end of a call.
     "wavefront": BatchKernel(_wavefront, 1024, 8192, by_packets=False, takes_filter=True),
 }
 _FIRST_OR_ANY = BatchKernels(_NEAREST, _suited, SMALL_BATCH, "wavefront")
-_VISITED = visiting_kernel(TREES)
-_COUNTED = counting_kernel(TREES)
+
+_VISITED, _COUNTED = all_hits_kernels(TREES)
 
 #: The kernels by the kind of query, for trees that are not empty.
 BATCH_KERNELS = {

@@ -1,48 +1,32 @@
 """Kinds of leaves of triangles, for packets: what becomes of their hits.
 
-The nearest or any hits are kept, all hits are counted, or all are collected. A leaf is made for a
-scene without instances; `leaf_within` makes that of an instance's object, whose rays' hits are
-those of the scene's packet.
+The nearest or any hits are kept, or all are counted or collected. A leaf is made for a scene
+without instances; `leaf_within` makes that of an instance's object, whose rays' hits are those of
+the scene's packet.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from raystream.jit.constants import ZERO_U64
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.simd import i32x16, load, select
+from raystream.jit.simd import count_trailing_zeros, i32x16, load, select
 from raystream.jit.views import address_of, view
-from raystream.kernels.best import Best, best_views, offer_hits, offer_lanes, reported_lanes
+from raystream.kernels.best import (
+    Best,
+    best_views,
+    offer_hits,
+    offer_lanes,
+    reported_hit,
+    reported_lanes,
+)
+from raystream.kernels.ray import world_t
 from raystream.structures.bvh.node_layout import prefetch_child
 from raystream.structures.bvh.packet_filter import all_slow, lanes_filter, ray_filter
-from raystream.structures.bvh.packet_hits import collect
+from raystream.structures.bvh.packet_hits import collect, collect_one
 from raystream.structures.bvh.packet_leaf import Kind, TriangleLeaf, visit_leaf
 from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, world_lanes
-
-#: Up to this many rays of a group are tested against four triangles each; more, all 16 at once
-#: against one triangle. (Camera and shadow rays on the bunny and in sibenik, one thread of a Zen 4:
-#: 1.02 to 1.12 times as fast as never; up to 2, 6 or 9 rays gain less.)
-FEW = np.uint64(4)
-
-
-class Within(NamedTuple):
-    """What the groups in an instance are of the scene's packet, which has their rays' hits.
-
-    Attributes
-    ----------
-    scene, groups : uint64
-        Addresses of the packet, and of the numbers of these groups there, a byte each.
-    first_id : int32
-        See `kernels.best.Best`.
-    """
-
-    scene: np.uint64
-    groups: np.uint64
-    first_id: np.int32
-
 
 #: A group's limits and hits, see `kernels.best`. Without instances, the nearest hit so far is the
 #: limit of its ray; with them, it is the reported one, in the scene's packet.
@@ -104,21 +88,15 @@ def _keep_hits(leaf, packet, g, k, bits, found, prim_ids):
 
 
 @device
-def _count_lanes(leaf, packet, g, taken, t, u, v, prim_id):
-    best = leaf.lanes_best(leaf, packet, g)
-    taken, _, _ = reported_lanes(best, taken, t, prim_id)
-    counts = Counts(address_of(best.hit))
-    counts.count = select(taken, counts.count + np.int32(1), counts.count)
-    return False
-
-
-@device
-def _collect_lanes(leaf, packet, g, taken, t, u, v, prim_id):
-    best = leaf.lanes_best(leaf, packet, g)
+def _take_lanes(leaf, packet, g, taken, t, u, v, prim_id):
+    best, collector = leaf.lanes_best(leaf, packet, g), leaf.kind.collector
     taken, t, number = reported_lanes(best, taken, t, prim_id)
-    collector, to = leaf.kind.collector, scene_group(leaf.within, g)
+    if collector.is_counting != ZERO_U64:
+        counts = Counts(address_of(best.hit))
+        counts.count = select(taken, counts.count + np.int32(1), counts.count)
+        return False
     t = _collected(leaf.within, collector, t, Group(packet, g))
-    collect(collector, taken, t, u, v, i32x16(number), to)
+    collect(collector, taken, t, u, v, i32x16(number), scene_group(leaf.within, g))
     return False
 
 
@@ -131,8 +109,27 @@ def _collected(within, collector, t, group):
 
 
 @device
-def _keep_none(leaf, packet, g, k, bits, found, prim_ids):
-    return False  # never called: all hits are of 16 rays
+def _collected_one(within, collector, t, t_scale):
+    if within is not None or collector.in_world == ZERO_U64:
+        return t
+    return world_t(t, np.float64(t_scale), np.float64(0.0))
+
+
+@device
+def _take_hits(leaf, packet, g, k, bits, found, prim_ids):
+    best, collector = leaf.ray_best(leaf, packet, g, k), leaf.kind.collector
+    counts = CountsLanes(address_of(best.hit)).count
+    to, lanes = scene_group(leaf.within, g), GroupLanes(packet, g)
+    while bits != ZERO_U64:
+        lane = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        taken, t, number = reported_hit(best, k, found.t[lane], prim_ids[lane])
+        if collector.is_counting != ZERO_U64:
+            counts[k] = np.int32(counts[k] + np.int32(taken))
+        elif taken:
+            t = _collected_one(leaf.within, collector, t, lanes.t_scale[k])
+            collect_one(collector, t, found.u[lane], found.v[lane], number, to, k)
+    return False
 
 
 @device
@@ -143,19 +140,13 @@ def no_prefetch(child, nodes, leaves):
 @device
 def nearest_leaf(wants_any, filter_):
     """Leaves whose nearest, or any, hits are kept."""
-    return _plain_leaf(Kind(_keep_lanes, _keep_hits, FEW, False, wants_any, filter_, None))
-
-
-@device
-def counting_leaf(surfaces):
-    """Leaves whose hits are counted, see `Counts`."""
-    return _plain_leaf(Kind(_count_lanes, _keep_none, ZERO_U64, surfaces, False, None, None))
+    return _plain_leaf(Kind(_keep_lanes, _keep_hits, False, wants_any, filter_, None))
 
 
 @device
 def collecting_leaf(surfaces, collector):
-    """Leaves whose hits are all collected."""
-    return _plain_leaf(Kind(_collect_lanes, _keep_none, ZERO_U64, surfaces, False, None, collector))
+    """Leaves whose hits are all collected; or counted, see `Counts`."""
+    return _plain_leaf(Kind(_take_lanes, _take_hits, surfaces, False, None, collector))
 
 
 @device

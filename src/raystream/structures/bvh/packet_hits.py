@@ -29,6 +29,7 @@ _COLLECTOR = np.dtype(
         ("buffers", "u8"),  # their address
         ("count", "u8"),  # hits
         ("capacity", "u8"),  # of the buffers
+        ("is_counting", "u8"),  # whether hits are counted only
         ("in_world", "u8"),  # whether to convert t to world direction lengths
         ("first_rays", "i4", (int(GROUPS), 1)),  # index of each group's first ray
     ]
@@ -76,6 +77,16 @@ def collect(hits, taken, t, u, v, prim_id, g):
         store(found.prim_id + at, prim_id)
         store(found.ray + at, compress(taken, lane_numbers(i32x16) + hits.first_rays[g]))
     hits.count += popcount(mask_bits(taken))
+
+
+@device
+def collect_one(hits, t, u, v, prim_id, g, k):
+    """The same for a hit of ray k of group g."""
+    if has_room(hits):
+        found = Buffers(hits.buffers).found
+        put_hit(found, hits.count, t, u, v, prim_id)
+        store(found.ray + hits.count * _LANE, hits.first_rays[g] + np.int32(k))
+    hits.count += ONE_U64
 
 
 @device

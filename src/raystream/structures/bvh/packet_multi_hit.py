@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
-from raystream.jit.constants import BYTES_64, ONE_U64, ZERO_U64
+from raystream.jit.constants import BYTES_64, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hits import HitArrays, HitBatch
 from raystream.kernels.ray import world_t
 from raystream.structures.batch_kernels import Batch, BatchKernel, Calls
-from raystream.structures.bvh.leaf_kinds import collecting_leaf
+from raystream.structures.bvh.leaf_kinds import CountsLanes, collecting_leaf
 from raystream.structures.bvh.packet_hits import (
     COLLECTOR_BYTES,
     ENDS_BYTES,
@@ -27,13 +27,7 @@ from raystream.structures.bvh.packet_hits import (
     has_room,
     sort_packet,
 )
-from raystream.structures.bvh.packet_queries import (
-    COUNTS,
-    CountsWanted,
-    PacketAnswer,
-    PacketScene,
-    packet_kernel,
-)
+from raystream.structures.bvh.packet_queries import PacketAnswer, PacketScene, packet_kernel
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
     PACKET_RAYS,
@@ -114,29 +108,39 @@ class RowsWanted(NamedTuple):
     Attributes
     ----------
     surfaces : bool
-        See `packet_leaf.TriangleLeaf`.
+        See `packet_leaf.Kind`.
+    counts : uint64
+        Address of the number of hits of each ray, int64; 0 if hits are collected.
     sorts : bool
+        Whether to sort these.
     buffers : uint64
         Address of `PacketBuffers.addresses`.
     """
 
     surfaces: bool
+    counts: np.uint64
     sorts: bool
     buffers: np.uint64
 
 
 @device
 def _begin_rows(packet, number, slow_groups, source, wanted, state):
-    hits, buffers = Collector(state), Buffers(wanted.buffers)
-    hits.buffers, hits.capacity = wanted.buffers, buffers.capacity
-    hits.count = ZERO_U64 if wanted.sorts else buffers.used
-    _number_rays(hits, number, source.order, not wanted.sorts and slow_groups == ZERO_U64)
+    hits = Collector(state)
+    hits.is_counting = np.uint64(wanted.counts != NULL)
+    if wanted.counts == NULL:
+        buffers, sorts = Buffers(wanted.buffers), wanted.sorts
+        hits.buffers, hits.capacity = wanted.buffers, buffers.capacity
+        hits.count = ZERO_U64 if sorts else buffers.used
+        _number_rays(hits, number, source.order, not sorts and slow_groups == ZERO_U64)
     return collecting_leaf(wanted.surfaces, hits)
 
 
 @device
 def _store_rows(packet, number, slow_groups, source, wanted, state):
     hits, buffers, order = Collector(state), Buffers(wanted.buffers), source.order
+    if wanted.counts != NULL:
+        _store_counts(packet, number, order, wanted.counts)
+        return True
     used, count, sorts = buffers.used, hits.count, wanted.sorts
     if not has_room(hits) or (sorts and used + count > buffers.capacity):
         return False
@@ -151,7 +155,16 @@ def _store_rows(packet, number, slow_groups, source, wanted, state):
     return True
 
 
-#: All hits, for a `RowsWanted`, until a packet's hits do not fit into the buffers.
+@device
+def _store_counts(packet, number, order, counts):
+    for g in range(GROUPS):
+        first, count = group_rows(order, number, g)
+        found = CountsLanes(packet, g).count
+        for lane in range(count):
+            store(counts + (first + lane) * BYTES_64, np.int64(found[lane]))
+
+
+#: All hits, or their numbers, for a `RowsWanted`, until those of a packet do not fit into buffers.
 ROWS = PacketAnswer(_begin_rows, _store_rows, int(_ENDS_AT) + ENDS_BYTES)
 
 
@@ -216,7 +229,8 @@ def _visit_all(trace: Callable[..., int], structure: Structure, batch: Batch) ->
     def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
         in_use = buffers.addresses[-2:]
         in_use[:] = 0
-        wanted = RowsWanted(query.surfaces, sorts, np.uint64(buffers.addresses.ctypes.data))
+        at = np.uint64(buffers.addresses.ctypes.data)
+        wanted = RowsWanted(query.surfaces, NULL, sorts, at)
         reached = trace(begin, end, scene, source, wanted)
         used, ray_count = in_use.tolist()
         if used:
@@ -227,17 +241,16 @@ def _visit_all(trace: Callable[..., int], structure: Structure, batch: Batch) ->
 
 
 def _count_all(trace: Callable[..., int], structure: Structure, batch: Batch) -> Calls:
-    wanted = CountsWanted(batch.query.surfaces, np.uint64(batch.sink.counts.ctypes.data))
+    counts = np.uint64(batch.sink.counts.ctypes.data)
+    wanted = RowsWanted(batch.query.surfaces, counts, False, NULL)
     return trace, (structure.arrays, batch.packets(structure.frame), wanted)
 
 
-def visiting_kernel(scenes: PacketScene) -> BatchKernel:
-    """The kernel that delivers all hits of packets to a visitor."""
-    bind = partial(_visit_all, packet_kernel(scenes, ROWS))
-    return BatchKernel(bind, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False)
-
-
-def counting_kernel(scenes: PacketScene) -> BatchKernel:
-    """The kernel that counts the hits of packets."""
-    bind = partial(_count_all, packet_kernel(scenes, COUNTS))
-    return BatchKernel(bind, 8, COUNTED_PER_CALL, is_tiled=True)
+def all_hits_kernels(scenes: PacketScene) -> tuple[BatchKernel, BatchKernel]:
+    """The kernels that deliver all hits of packets to a visitor, and that count them."""
+    trace = packet_kernel(scenes, ROWS)
+    visited, counted = partial(_visit_all, trace), partial(_count_all, trace)
+    return (
+        BatchKernel(visited, 8, PACKETS_PER_CALL, is_tiled=True, joins_chunks=False),
+        BatchKernel(counted, 8, COUNTED_PER_CALL, is_tiled=True),
+    )

@@ -6,16 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import BYTES_64
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import scratch, store
+from raystream.jit.simd import scratch
 from raystream.kernels.hit_filter import HitFilter
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.structures.bvh.leaf_kinds import CountsLanes, counting_leaf, nearest_leaf
+from raystream.structures.bvh.leaf_kinds import nearest_leaf
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_filter import packet_filter
 from raystream.structures.bvh.packet_load import load_packet
-from raystream.structures.bvh.packet_rays import GROUPS, PACKET_BYTES, group_rows, store_packet
+from raystream.structures.bvh.packet_rays import GROUPS, PACKET_BYTES, store_packet
 
 _LEAST_BYTES = 64
 
@@ -137,40 +136,3 @@ def _store_nearest(packet, number, slow_groups, source, wanted, state):
 
 #: The nearest or any hits, for a `NearestWanted`.
 NEAREST = PacketAnswer(_begin_nearest, _store_nearest, 0)
-
-
-# The numbers of hits
-
-
-class CountsWanted(NamedTuple):
-    """What is wanted by `COUNTS`.
-
-    Attributes
-    ----------
-    surfaces : bool
-        See `packet_leaf.TriangleLeaf`.
-    counts : uint64
-        Address of an int64 for each ray.
-    """
-
-    surfaces: bool
-    counts: np.uint64
-
-
-@device
-def _begin_counts(packet, number, slow_groups, source, wanted, state):
-    return counting_leaf(wanted.surfaces)
-
-
-@device
-def _store_counts(packet, number, slow_groups, source, wanted, state):
-    for g in range(GROUPS):
-        first, count = group_rows(source.order, number, g)
-        found = CountsLanes(packet, g).count
-        for lane in range(count):
-            store(wanted.counts + (first + lane) * BYTES_64, np.int64(found[lane]))
-    return True
-
-
-#: The numbers of hits, for a `CountsWanted`.
-COUNTS = PacketAnswer(_begin_counts, _store_counts, 0)
