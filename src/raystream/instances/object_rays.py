@@ -168,6 +168,7 @@ def load_in_object_space(group, world, instance, object_):
     """Load 16 rays in object space; see `kernels.ray.to_local`."""
     ax, ay, az = instance.linear[_X], instance.linear[_Y], instance.linear[_Z]
     shift, center, scale = instance.shift, object_.center, object_.scale
+    # Step 1: the products of a single ray, in the same order, so that the bits are the same.
     x, y, z = three(world.origin)
     dx, dy, dz = three(world.direction)
     wx = _product(ax, x, y, z) + shift[0]
@@ -176,7 +177,8 @@ def load_in_object_space(group, world, instance, object_):
     dx, dy, dz = _product(ax, dx, dy, dz), _product(ay, dx, dy, dz), _product(az, dx, dy, dz)
     ox, oy, oz = (wx - center[0]) * scale, (wy - center[1]) * scale, (wz - center[2]) * scale
 
-    # Limits of rays that are not advanced: exact, or left to `_load_singly`.
+    # Step 2: lengths in the local frame. Limits that are not exact there are left to
+    # `_load_singly`, except one that a hit has set: reported distances decide what is kept.
     t_min, best_t = world.t_min, world.best_t
     is_usual, power, t_scale, low, high = scale_lanes((dx, dy, dz), t_min, best_t, object_)
     dx, dy, dz = dx * power, dy * power, dz * power
@@ -186,7 +188,8 @@ def load_in_object_space(group, world, instance, object_):
     is_exact = widen(low) * t_scale == widen(t_min)
     is_exact = is_exact & (has_hit | (widen(high) * t_scale == widen(best_t)))
 
-    # Origins that are far outside are advanced.
+    # Step 3: advance origins that are far outside. A second step corrects the rounding error of
+    # the first; lines that miss the box take no further part.
     box_low, box_high = object_.low, object_.high
     far = FAR * np.float64(object_.max_coordinate)
     outside = maximum(
@@ -219,6 +222,7 @@ def load_in_object_space(group, world, instance, object_):
         ox, oy, oz = select(missed, zero, ox), select(missed, zero, oy), select(missed, zero, oz)
         t_offset = select(missed, zero, t_offset)
         low = select(missed, f32x16(_INF), low)
+    # A limit that lies too far is harmless, one that is too near is not.
     high = select(has_hit | advanced, far_limits(best_t, t_scale, t_offset), high)
     high = select(low == _INF, f32x16(-_INF), high)
 
@@ -227,6 +231,7 @@ def load_in_object_space(group, world, instance, object_):
     to[_X], to[_Y], to[_Z] = narrow(dx), narrow(dy), narrow(dz)
     group.t_min, group.t = low, high
     group.slow_t_scale, group.slow_t_offset = t_scale, t_offset
+    # Step 4: lanes with unusual numbers, one by one.
     bits = mask_bits(is_usual & is_exact) ^ _ALL
     lanes = GroupLanes(address_of(group))
     own = WorldLanes(address_of(world))

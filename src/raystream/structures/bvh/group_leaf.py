@@ -189,9 +189,10 @@ def _test_with_group(leaf, g, memory, block, lane, normal):
     c = _corner_in_frame(is_y, is_z, corners, _THIRD, lane)
     origin, shear = three(group.origin), group.shear
     sheared = shear_vertices(a, b, c, origin, (shear[_X], shear[_Y]))
+    # Signs of edge functions first: most triangles of a leaf are missed by all 16 rays.
     candidates = signs_agree(sheared)
     if not any_lane(candidates):
-        return False
+        return ZERO_U64
     low_x, high_x = _extent_of(corners, _X, lane)
     low_y, high_y = _extent_of(corners, _Y, lane)
     low_z, high_z = _extent_of(corners, _Z, lane)
@@ -231,7 +232,7 @@ def _with_rays(leaf, block, rays, count, memory, small):
     if candidate_count == ZERO_U64:
         return ZERO_U64
 
-    # Step 2: test these exactly.
+    # Step 2: test these exactly, with the normals of the block's planes, which all rays share.
     hit_count = ZERO_U64
     low_x, high_x = extent(block, _X)
     low_y, high_y = extent(block, _Y)

@@ -243,9 +243,11 @@ def _test_triangle(leaf, packet, g, at, lane, rays, own):
         origin,
         (shear[_X], shear[_Y]),
     )
+    # Signs of edge functions first: most triangles of a leaf are missed by all 16 rays.
     candidates = signs_agree(sheared)
     if not any_lane(candidates):
         return False
+    # Hits count within the triangle's own padded box only, so that no structure decides them.
     near, far = planes.near, planes.far
     box = (
         near[_X, lane],
