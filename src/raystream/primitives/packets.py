@@ -20,7 +20,7 @@ from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_direction, load_origin
 from raystream.kernels.triangle_lanes import slab_interval
-from raystream.primitives.field import FIELD_BYTES, STACK_BYTES, fill_row, node_box
+from raystream.primitives.field import PACKET_BYTES, STACK_BYTES, fill_row, node_box
 from raystream.primitives.levels import BLOCK_CELLS
 from raystream.primitives.records import (
     SPHERES_PER_BLOCK,
@@ -75,7 +75,7 @@ class PrimitiveLeaf(NamedTuple):
     hits : TriangleLeaf
         Takes the hits, and tests the triangles of cells.
     memory : uint64
-        Address of the packet's groups in float64, or of `field.STACK_BYTES` with a row of cells.
+        Address of the packet's groups in float64, or of `field.PACKET_BYTES`.
     frame : SceneFrame
     """
 
@@ -228,4 +228,4 @@ def _trace(packet, scene, frame, memory, leaf):
 
 
 #: Of the trees of `PrimitiveAddresses`.
-PRIMITIVES = PacketScene(_load, _trace, _EXACT_BYTES + FIELD_BYTES)
+PRIMITIVES = PacketScene(_load, _trace, _EXACT_BYTES + PACKET_BYTES)
