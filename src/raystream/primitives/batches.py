@@ -11,7 +11,7 @@ from raystream.primitives.wavefront import PrimitiveTrees, trace_primitive_wavef
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel
 from raystream.structures.bvh.kernel_choice import CACHED_BYTES, SMALL_BATCH, nearest_kernel
-from raystream.structures.bvh.packet_multi_hit import counting_kernel, visiting_kernel
+from raystream.structures.bvh.packet_multi_hit import all_hits_kernels
 from raystream.structures.bvh.packet_queries import NEAREST, packet_kernel
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
 
 _PACKET = nearest_kernel(packet_kernel(PRIMITIVES, NEAREST), is_tiled=True)
 _IN_FLIGHT = BatchKernel(_wavefront, 1024, 8192, by_packets=False)
-_VISITED, _COUNTED = visiting_kernel(PRIMITIVES), counting_kernel(PRIMITIVES)
+_VISITED, _COUNTED = all_hits_kernels(PRIMITIVES)
 
 
 def batch_kernels(sphere_bytes: int) -> dict[Kind, BatchKernels]:

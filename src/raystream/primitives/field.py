@@ -34,7 +34,7 @@ from raystream.primitives.levels import BLOCK_CELLS
 from raystream.primitives.records import LevelRecord
 
 _NONE, _ONE, _TWO, _THREE, _FOUR, _FIVE = np.arange(6, dtype=np.uint64)
-_ZERO, _INF, _NAN = np.float32([0.0, np.inf, np.nan])
+_ZERO, _INF, _NAN = np.float32(0.0), np.float32(np.inf), np.float32(np.nan)
 _TURNED = np.int32(1)
 _CELLS = np.uint64(BLOCK_CELLS)
 _LANES = np.uint64(4)
@@ -49,11 +49,11 @@ _STACK = np.uint64(STACK_BYTES)
 #: Lanes of the children in the second column, and in the second row.
 _SECOND_COLUMN, _SECOND_ROW = np.uint64(10), np.uint64(12)
 
-#: The triangles of a row of cells: two leaf blocks.
-ROW_BYTES = 2 * int(BLOCK)
+#: Memory of a traversal: also the four distances of a node's children, or a leaf block.
+FIELD_BYTES = STACK_BYTES + int(BLOCK)
 
-#: Memory of a traversal.
-FIELD_BYTES = STACK_BYTES + ROW_BYTES
+#: The same of a packet's: two leaf blocks.
+PACKET_BYTES = FIELD_BYTES + int(BLOCK)
 
 
 @device
@@ -251,27 +251,26 @@ def _store_corner(at, x, y, z, known):
 
 
 @device
-def _write_row(field, cells, row, column, blocks):
-    """Write the triangles a, b, c of four cells to a leaf block, and a, c, d to the next one."""
+def _write_triangles(field, cells, half, row, column, block):
+    """Write the triangles a, b, c of four cells to a leaf block; or, of half 1, a, c, d."""
     x, y, (a, b, c, d), known = cells
-    turns, numbers = field.turns == _TURNED, lane_numbers(i32x4)
-    first_id = np.int32(field.first_id + np.int32((row * field.columns + column) << _ONE))
-    for half in range(_TWO):
-        is_upper = half == _NONE
-        own = select(is_upper, known[0], known[1])
-        # The last two corners are exchanged where fronts would point down.
-        corner_c = blocks + (SECOND if turns == is_upper else THIRD)
-        other = blocks + (THIRD if turns == is_upper else SECOND)
-        _store_corner(blocks, x[0], y[0], a, own)
-        _store_corner(corner_c, x[1], y[1], c, own)
-        other_y = y[0] if is_upper else y[1]
-        _store_corner(other, select(is_upper, x[1], x[0]), other_y, select(is_upper, b, d), own)
-        store(blocks + PRIM_IDS, numbers + numbers + np.int32(first_id + np.int32(half)))
-        blocks += BLOCK
+    is_upper = half == _NONE
+    own = select(is_upper, known[0], known[1])
+    # The last two corners are exchanged where fronts would point down.
+    turns = field.turns == _TURNED
+    corner_c = block + (SECOND if turns == is_upper else THIRD)
+    other = block + (THIRD if turns == is_upper else SECOND)
+    _store_corner(block, x[0], y[0], a, own)
+    _store_corner(corner_c, x[1], y[1], c, own)
+    other_y = y[0] if is_upper else y[1]
+    _store_corner(other, select(is_upper, x[1], x[0]), other_y, select(is_upper, b, d), own)
+    first = np.int32((row * field.columns + column) << _ONE) + np.int32(half)
+    numbers = lane_numbers(i32x4)
+    store(block + PRIM_IDS, numbers + numbers + np.int32(field.first_id + first))
 
 
 @device
-def _search_row(field, row, column, ray, line, search, blocks):
+def _search_row(field, row, column, ray, line, search, block):
     """Test four cells of a row."""
     # Step 1: the cells' boxes, where all four corners are known.
     cells = _load_row(field, row, column)
@@ -292,9 +291,9 @@ def _search_row(field, row, column, ray, line, search, blocks):
 
     # Step 2: the triangles.
     add_to(search.counters, TESTS, _LANES + _LANES)
-    _write_row(field, cells, row, column, blocks)
     for half in range(_TWO):
-        search = intersect_block(blocks + half * BLOCK, line, search, search.t_min, _INF)
+        _write_triangles(field, cells, half, row, column, block)
+        search = intersect_block(block, line, search, search.t_min, _INF)
         if is_full(search):
             break
     return search
@@ -321,7 +320,8 @@ def node_box(field, level, column, row, back):
 def fill_row(field, row, column, back, blocks):
     """Write the triangles of four cells to two leaf blocks; returns their box, see `_box`."""
     cells = _load_row(field, row, column)
-    _write_row(field, cells, row, column, blocks)
+    for half in range(_TWO):
+        _write_triangles(field, cells, half, row, column, blocks + half * BLOCK)
     x = _plane(field.x, column), _plane(field.x, min(column + _LANES, field.columns))
     low, high = f32x4(_INF), f32x4(-_INF)
     for z in cells[2]:  # the second operand stays where the first one is NaN

@@ -20,7 +20,7 @@ from raystream.jit.views import view
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_direction, load_origin
 from raystream.kernels.triangle_lanes import slab_interval
-from raystream.primitives.field import FIELD_BYTES, STACK_BYTES, fill_row, node_box
+from raystream.primitives.field import PACKET_BYTES, STACK_BYTES, fill_row, node_box
 from raystream.primitives.levels import BLOCK_CELLS
 from raystream.primitives.records import (
     SPHERES_PER_BLOCK,
@@ -75,7 +75,7 @@ class PrimitiveLeaf(NamedTuple):
     hits : TriangleLeaf
         Takes the hits, and tests the triangles of cells.
     memory : uint64
-        Address of the packet's groups in float64, or of `field.STACK_BYTES` with a row of cells.
+        Address of the packet's groups in float64, or of `field.PACKET_BYTES`.
     frame : SceneFrame
     """
 
@@ -123,8 +123,9 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
         entering = group_range(packet, planes, rays.t_min, groups)
         for g in range(entering.first, entering.last + ONE_U64):
             group, exact = Group(packet, g), _Exact(leaf.memory, g)
-            slabs = three(group.inv), three(group.near), three(group.far)
-            interval, t_min, t_far = slab_interval(*planes, *slabs), group.t_min, group.t_active
+            inv, near, far = three(group.inv), three(group.near), three(group.far)
+            interval = slab_interval(*planes, inv, near, far)
+            t_min, t_far = group.t_min, group.t_active
             if not any_lane(maximum(interval[0], t_min) <= minimum(interval[1], t_far)):
                 continue
             origin, direction = three(exact.origin), three(exact.direction)
@@ -227,4 +228,4 @@ def _trace(packet, scene, frame, memory, leaf):
 
 
 #: Of the trees of `PrimitiveAddresses`.
-PRIMITIVES = PacketScene(_load, _trace, _EXACT_BYTES + FIELD_BYTES)
+PRIMITIVES = PacketScene(_load, _trace, _EXACT_BYTES + PACKET_BYTES)
