@@ -31,7 +31,7 @@ from raystream.scene.scene import Scene
 from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
-__all__ = ["MODES", "RENDERERS", "checked_renderer", "render"]
+__all__ = ["MODES", "RENDERERS", "render"]
 
 RENDERERS: dict[str, Integrator] = {
     renderer.name: renderer for renderer in (RAYCAST, VIS, SHADOW, WHITTED, XRAY, AO, KAJIYA, PATH)
