@@ -66,10 +66,11 @@ def modules(files):
 # ---- What is written several times.
 
 
-def is_there(files, trees, entry):
-    """Whether an entry of the list holds in a tree of files."""
+def is_there(files, trees, entry, moved=None):
+    """Whether an entry of the list holds in a tree of files, some of which were moved since."""
     at, unless = (entry["at"], entry["without"]) if isinstance(entry, dict) else (entry, None)
     path, name = at.split()
+    path = path if path in files else (moved or {}).get(path, path)
     if path not in files:
         return False
     if path.endswith(".wgsl"):
@@ -91,11 +92,12 @@ def is_named(node, name):
 
 def repeated(files, trees, kinds):
     """Each kind with its entries that hold in a tree, by how they were found."""
-    for kind in kinds.values():
+    moved = kinds.get("moved", {})
+    for kind in (kinds[name] for name in kinds if name != "moved"):
         yield (
             kind,
             {
-                how: [one for one in kind.get(how, ()) if is_there(files, trees, one)]
+                how: [one for one in kind.get(how, ()) if is_there(files, trees, one, moved)]
                 for how in ("listed", "found", "apart")
             },
         )

@@ -57,6 +57,13 @@ def test_entries_are_looked_up_in_the_syntax_tree(entry, expected):
     assert code_size.is_there(FILES, code_size.modules(FILES), entry) is expected
 
 
+def test_moved_files_are_found_at_both_places():
+    moved, trees = {"earlier/walk.py": "room/walk.py"}, code_size.modules(FILES)
+    assert code_size.is_there(FILES, trees, "earlier/walk.py make.walk", moved)
+    assert code_size.is_there(FILES, trees, "room/walk.py make.walk", moved)
+    assert not code_size.is_there(FILES, trees, "earlier/gone.py make.walk", moved)
+
+
 def test_entries_are_counted_by_how_they_were_found():
     kinds = {"walks": {"listed": ["room/walk.py make", "room/walk.py gone"], "found": [],
                        "apart": ["room/tree.wgsl search"]}}  # fmt: skip

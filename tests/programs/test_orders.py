@@ -8,7 +8,7 @@ from conftest import assert_same_bits
 from meshes import dented_sphere
 from programs.layers import layers_scene
 from raystream.machines import branching
-from raystream.structures.bvh import packet_multi_hit
+from raystream.structures.bvh.packets import multi_hit as packet_multi_hit
 
 RECORD = np.dtype([("hits", "i4"), ("ids", "i8"), ("rays", "i8"), ("near", "f4"), ("far", "f4")])
 

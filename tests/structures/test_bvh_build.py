@@ -9,8 +9,8 @@ from meshes import dented_sphere, grid_floor, lattice_soup, soup
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import parallel_for, thread_count
 from raystream.kernels.aligned import aligned_array
-from raystream.structures.bvh import parallel_split
 from raystream.structures.bvh.build import QUALITIES, build_arrays
+from raystream.structures.bvh.builder import parallel_split
 from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics

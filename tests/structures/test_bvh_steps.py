@@ -30,7 +30,7 @@ from raystream.structures.bvh.steps import (
     visit,
 )
 from raystream.structures.bvh.traversal import traverse
-from raystream.structures.bvh.walk import STACK_BYTES
+from raystream.structures.bvh.walks.single import STACK_BYTES
 
 _ONE = np.uint64(1)
 _NONE = np.uint64(0)

@@ -9,7 +9,7 @@ import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, probe, rivals
-from raystream.structures.bvh.packet_rays import PacketOrder
+from raystream.structures.bvh.packets.rays import PacketOrder
 
 
 @pytest.fixture(scope="module")

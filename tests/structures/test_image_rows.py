@@ -11,8 +11,14 @@ import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray_source import RaySource
-from raystream.structures.bvh.image_rows import BatchOrder, Cut, _extent, find_order, order_of
-from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
+from raystream.structures.bvh.packets.image_rows import (
+    BatchOrder,
+    Cut,
+    _extent,
+    find_order,
+    order_of,
+)
+from raystream.structures.bvh.packets.rays import GROUPS, PacketOrder, group_rows
 
 
 @kernel

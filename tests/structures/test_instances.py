@@ -18,7 +18,7 @@ from conftest import assert_same_bits
 from instanced import COLUMNS, moved, random_transforms
 from meshes import cube, icosphere, soup
 from raystream.core.instances import Instances
-from raystream.instances.hit_ids import split_numbers
+from raystream.geometry.instances.hit_ids import split_numbers
 from strategies import COORDINATES, meshes
 
 STRUCTURES = ("bvh", "brute")

@@ -10,8 +10,8 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, narrow, store
 from raystream.kernels.ray_source import RaySource
-from raystream.structures.bvh.packet_load import load_origins
-from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
+from raystream.structures.bvh.packets.load import load_origins
+from raystream.structures.bvh.packets.rays import GROUPS, PacketOrder, group_rows
 
 
 @kernel

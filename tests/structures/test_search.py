@@ -22,7 +22,7 @@ from raystream.machines import Branching
 from raystream.structures import STRUCTURES, build_structure
 from raystream.structures.brute.traversal import traverse as in_brute
 from raystream.structures.bvh.traversal import traverse as in_bvh
-from raystream.structures.bvh.walk import STACK_BYTES
+from raystream.structures.bvh.walks.single import STACK_BYTES
 from raystream.structures.graph.traversal import traverse as in_graph
 from raystream.structures.grid.traversal import traverse as in_grid
 from raystream.structures.kdtree.traversal import traverse as in_kdtree

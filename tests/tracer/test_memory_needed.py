@@ -12,7 +12,7 @@ import raystream as rs
 from conftest import TRACERS, every_tracer
 from meshes import soup
 from raystream.core import memory
-from raystream.instances.streams import CALL_BYTES
+from raystream.geometry.instances.groups import CALL_BYTES
 from raystream.machines import batch
 from raystream.tracer import memory_needed
 

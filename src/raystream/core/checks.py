@@ -9,14 +9,14 @@ from typing import Any
 
 
 def check_choice(name: str, value: object, choices: Collection[str]) -> None:
-    """Raise ValueError if a value is none of these names."""
+    """Raise ValueError if a value is not among these names."""
     if value not in choices:
         known = ", ".join(map(repr, choices))
         raise ValueError(f"{name}: expected one of {known}, got {value!r}")
 
 
 def check_least(name: str, value: Any, least: int) -> int:
-    """The value as an integer; ValueError if it is less than `least`, TypeError if it is none."""
+    """The value as an integer; ValueError if less than `least`, TypeError if not an integer."""
     number = operator.index(value)
     if number < least:
         raise ValueError(f"{name}: expected at least {least}, got {number}")

@@ -323,5 +323,4 @@ class InstancedTriangles(Store):
 
 def _product(matrices: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Products of matrices of shape (N, 3, 3) and vectors of shape (N, 3)."""
-    result: NDArray[np.float64] = np.einsum("kij,kj->ki", matrices, vectors)
-    return result
+    return np.einsum("kij,kj->ki", matrices, vectors)

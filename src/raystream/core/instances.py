@@ -212,8 +212,7 @@ def _inverse(matrix: NDArray[np.float64]) -> Any:
 
 def _norm(table: NDArray[np.float64]) -> NDArray[np.float64]:
     """Largest sum of a row's absolute numbers, of matrices of shape (3, 3, K)."""
-    norm: NDArray[np.float64] = np.abs(table).sum(axis=1).max(axis=0)
-    return norm
+    return np.abs(table).sum(axis=1).max(axis=0)
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -223,5 +222,4 @@ def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    product: NDArray[np.float64] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 
 class Library:
@@ -136,6 +135,5 @@ def as_index(index: Any) -> Any:
     if isinstance(index, tuple):
         return tuple(map(as_index, index))
     if hasattr(index, "__array__") and not isinstance(index, np.ndarray):
-        array: NDArray[Any] = np.asarray(index)
-        return array
+        return np.asarray(index)
     return index

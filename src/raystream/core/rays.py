@@ -315,8 +315,7 @@ def as_vector(name: str, values: Any) -> Sequence[float]:
     array = as_real_array(name, values)
     if array.shape != (3,):
         raise ValueError(f"{name}: expected shape (3,), got {array.shape}")
-    numbers: list[float] = array.tolist()
-    return numbers
+    return array.tolist()
 
 
 def as_number(name: str, value: Any) -> float:

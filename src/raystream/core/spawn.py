@@ -58,8 +58,7 @@ def plane_offset(
 
 def size_of(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """The longest side of triangles along an axis, from corners of shape (..., 3, 3)."""
-    size: NDArray[np.float64] = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
-    return size
+    return (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
 
 
 def side_of(normals: NDArray[Any], directions: NDArray[Any]) -> NDArray[np.float64]:

@@ -94,5 +94,4 @@ def directions_at(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
     folded_x = np.where(is_below, (1.0 - np.abs(y)) * np.copysign(1.0, x), x)
     folded_y = np.where(is_below, (1.0 - np.abs(x)) * np.copysign(1.0, y), y)
     points = np.stack([folded_x, folded_y, z], axis=-1)
-    unit: NDArray[np.float64] = points / np.linalg.norm(points, axis=-1, keepdims=True)
-    return unit
+    return points / np.linalg.norm(points, axis=-1, keepdims=True)

@@ -145,8 +145,7 @@ class Store:
         u, v = hits.u[..., None].astype(np.float64), hits.v[..., None].astype(np.float64)
         first = corners[..., 0, :]
         along_u, along_v = corners[..., 1, :] - first, corners[..., 2, :] - first
-        result: NDArray[np.float64] = first + u * along_u + v * along_v
-        return result
+        return first + u * along_u + v * along_v
 
     def local_normals(self, hits: HitColumns) -> NDArray[np.float64]:
         """Unit normals of hits, shape (..., 3), local frame; NaN for misses."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch, RayStatus
+from raystream.geometry.instances.traversal import MAX_LENGTH, MOST_FAR
 from raystream.graphics.packing import FAR, RayKind, packed_rays
-from raystream.instances.traversal import MAX_LENGTH, MOST_FAR
 from raystream.jit.threads import Progress
 from raystream.kernels.local_frame import LocalRays, TTransform
 from raystream.kernels.ray import SceneFrame

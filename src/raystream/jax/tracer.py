@@ -211,8 +211,7 @@ class JaxTracer:
         Array of the hits' shape + (3,), float
             World space, interpolated from the vertices; a miss has NaN.
         """
-        points: jax.Array = callbacks.points(self.tracer, hits, _joined(vertices))
-        return points
+        return callbacks.points(self.tracer, hits, _joined(vertices))
 
     def __repr__(self) -> str:
         return f"JaxTracer({self.tracer!r})"

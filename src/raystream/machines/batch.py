@@ -22,8 +22,8 @@ from raystream.machines.race import LEAST_RACE, Races, run_fastest
 from raystream.structures import Structure
 from raystream.structures.batch_kernels import Batch, BatchKernel, Calls
 from raystream.structures.bvh.coherence import probe
-from raystream.structures.bvh.image_rows import LEAST_RAYS, BatchOrder, find_order
-from raystream.structures.bvh.packet_rays import PacketOrder
+from raystream.structures.bvh.packets.image_rows import LEAST_RAYS, BatchOrder, find_order
+from raystream.structures.bvh.packets.rays import PacketOrder
 
 #: Most spare memories, and bytes of each: up to 40 MB, of which calls have written a small part.
 #: Those for very many nearest triangles of a point are not kept.

@@ -77,8 +77,7 @@ class RayCounters:
     @property
     def cells(self) -> NDArray[np.uint32]:
         """Cells of space visited: cells of a grid, sectors, or leaves of a tree."""
-        cells: NDArray[np.uint32] = getattr(self, STRUCTURES[self.structure].cell_counter)
-        return cells
+        return getattr(self, STRUCTURES[self.structure].cell_counter)
 
     @property
     def all_steps(self) -> NDArray[np.uint32]:

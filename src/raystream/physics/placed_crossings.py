@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.core.triangles import Triangles
-from raystream.instances.records import (
+from raystream.geometry.instances.records import (
     InstanceRecord,
     ObjectRecord,
     instance_records,
     object_records,
 )
-from raystream.instances.structure import InstancedStructure
-from raystream.instances.traversal import WorldRay, object_ray
+from raystream.geometry.instances.structure import InstancedStructure
+from raystream.geometry.instances.traversal import WorldRay, object_ray
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray import prepare_ray
 from raystream.kernels.ray_source import load_direction, load_limits, load_origin

@@ -15,7 +15,7 @@ from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
 from raystream.core.scene_kinds import check_support
 from raystream.core.triangles import Triangles
-from raystream.instances.structure import InstancedStructure
+from raystream.geometry.instances.structure import InstancedStructure
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource

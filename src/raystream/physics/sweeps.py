@@ -70,20 +70,17 @@ class LidarSweep(LidarReturns):
     @cached_property
     def time(self) -> NDArray[np.float64]:
         """Time at which the pulse of each return was fired, shape (K,), float64."""
-        times: NDArray[np.float64] = self.start + self.pattern.times[self.ray_id]
-        return times
+        return self.start + self.pattern.times[self.ray_id]
 
     @property
     def channel(self) -> NDArray[np.int32]:
         """Channel of each return, shape (K,), int32."""
-        channels: NDArray[np.int32] = self.pattern.channels[self.ray_id]
-        return channels
+        return self.pattern.channels[self.ray_id]
 
     @property
     def column(self) -> NDArray[np.int32]:
         """Column of each return, shape (K,), int32."""
-        columns: NDArray[np.int32] = self.pattern.columns[self.ray_id]
-        return columns
+        return self.pattern.columns[self.ray_id]
 
     @property
     def origins(self) -> NDArray[np.float64]:

@@ -28,8 +28,7 @@ from raystream.programs.rounds import FindHits, visit
 
 def _keep_all(hit: Any) -> bool:
     """The filter of a query that only skips triangles: it keeps every hit."""
-    exists: bool = hit.prim_id >= 0
-    return exists
+    return hit.prim_id >= 0
 
 
 class Bound(NamedTuple):

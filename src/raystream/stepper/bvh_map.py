@@ -51,8 +51,7 @@ class BvhMap(BlockMap):
 
     def _local_box(self, number: int) -> NDArray[np.float64]:
         if number == 0:
-            bounds: NDArray[np.float64] = self._bvh.triangles.bounds.astype(np.float64)
-            return bounds
+            return self._bvh.triangles.bounds.astype(np.float64)
         row, lane = divmod(int(self._slots[number]), WIDTH)
         planes = self._tree.nodes[row, : 6 * WIDTH].reshape(3, 2, WIDTH)[:, :, lane]
         return planes.T.astype(np.float64)

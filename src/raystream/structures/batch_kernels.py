@@ -12,7 +12,7 @@ from raystream.core.rays import RayBatch
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
+from raystream.structures.bvh.packets.rays import PacketOrder, PacketSource
 
 if TYPE_CHECKING:
     from raystream.structures.bvh.coherence import Coherence

@@ -113,8 +113,7 @@ def options_of(
 
 def structure_class(name: str) -> type[Structure]:
     """The class of a built structure."""
-    made: type[Structure] = _imported(STRUCTURES[name].structure)
-    return made
+    return _imported(STRUCTURES[name].structure)
 
 
 def form_of(name: str, form: str) -> Any:
@@ -161,8 +160,7 @@ def build_structure(
         See `options_of`.
     """
     chosen = options_of(structure, options)
-    built: Structure = structure_class(chosen.name)(triangles, chosen, progress=progress)
-    return built
+    return structure_class(chosen.name)(triangles, chosen, progress=progress)
 
 
 def _imported(place: Any) -> Any:

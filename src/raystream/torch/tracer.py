@@ -246,8 +246,7 @@ class TorchTracer:
     ) -> Tensor:
         """The hit triangles' corners, shape S + (3, 3), float64."""
         if given is None:
-            corners: Tensor = torch.ops.raystream.corners(self._number, prim_id)
-            return corners
+            return torch.ops.raystream.corners(self._number, prim_id)
         rows = torch.ops.raystream.vertex_ids(self._number, prim_id, checked)
         return given[rows].double()
 

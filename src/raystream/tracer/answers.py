@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from raystream.core.hits import Hits, MultiHits
-from raystream.instances import hit_ids
+from raystream.geometry.instances import hit_ids
 from raystream.kernels.hits import Sink
 
 

@@ -74,9 +74,9 @@ class Device(NamedTuple):
 #: Modules whose ``STRUCTURES`` build for other kinds of scene than triangles in float32. They are
 #: named, and imported when they are needed: few scenes are of these kinds.
 _STRUCTURES = {
-    "float64": "raystream.float64.structure",
-    "instances": "raystream.instances.structure",
-    "primitives": "raystream.primitives.structure",
+    "float64": "raystream.geometry.float64.structure",
+    "instances": "raystream.geometry.instances.structure",
+    "primitives": "raystream.geometry.primitives.structure",
 }
 
 
@@ -98,8 +98,7 @@ def build_on_cpu(
         return build_structure(structure, triangles, progress=progress)
     check_support(f"structure={structure.name!r}", triangles, ValueError)
     module = importlib.import_module(_STRUCTURES[triangles.kinds[0]])
-    built: Structure = module.STRUCTURES[structure.name](triangles, structure, progress=progress)
-    return built
+    return module.STRUCTURES[structure.name](triangles, structure, progress=progress)
 
 
 #: Devices by name: those in use, and those that were registered.

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from raystream.core.memory import check_memory
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.instances.hit_ids import split_bytes
+from raystream.geometry.instances.hit_ids import split_bytes
 from raystream.jit.threads import Progress
 from raystream.kernels.hits import Sink
 from raystream.tracer.ray_cast import RayCaster

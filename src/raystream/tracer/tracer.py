@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.checks import check_least
 from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.hits import Hits, MultiHits
 from raystream.core.library_hits import in_library
@@ -200,8 +200,7 @@ class Tracer(MemoryEstimator, PointQueries):
         At equal t, before it is rounded to float32, the lowest prim_id wins, in every structure.
         """
         rays, filter_ = (origins, directions, t_min, t_max, near, worlds), (on_hit, skip_prim_ids)
-        found: Hits = self._find(Kind.FIRST_HIT, rays, filter_, progress)
-        return found
+        return self._find(Kind.FIRST_HIT, rays, filter_, progress)
 
     def any_hit(
         self,
@@ -235,8 +234,7 @@ class Tracer(MemoryEstimator, PointQueries):
             See `first_hit`.
         """
         rays, filter_ = (origins, directions, t_min, t_max, near, worlds), (on_hit, skip_prim_ids)
-        seen: NDArray[np.bool_] = self._find(Kind.ANY_HIT, rays, filter_, progress)
-        return seen
+        return self._find(Kind.ANY_HIT, rays, filter_, progress)
 
     def count_hits(
         self,
@@ -273,9 +271,7 @@ class Tracer(MemoryEstimator, PointQueries):
             As `first_hit`, or if `crossings` is unknown.
         """
         rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
-        counts: NDArray[np.int64]
-        counts = self._find(Kind.COUNT_HITS, rays, filter_, progress, crossings)
-        return counts
+        return self._find(Kind.COUNT_HITS, rays, filter_, progress, crossings)
 
     def multi_hit(
         self,
@@ -326,12 +322,10 @@ class Tracer(MemoryEstimator, PointQueries):
         written. At equal t, before it is rounded to float32, the lower prim_id comes first. No hit
         is reported twice, and none is lost between two others, however close.
         """
-        limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
-        if limit < 0:
-            raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
+        most = UNLIMITED if max_hits is None else check_least("max_hits", max_hits, 0)
+        limit = min(most, UNLIMITED)
         rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
-        found: MultiHits = self._find(Kind.MULTI_HIT, rays, filter_, progress, crossings, limit)
-        return found
+        return self._find(Kind.MULTI_HIT, rays, filter_, progress, crossings, limit)
 
     def trace(
         self,

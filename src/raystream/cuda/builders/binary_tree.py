@@ -21,9 +21,9 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.simd import f32x8, load, maximum, scratch, store
-from raystream.structures.bvh.binary_tree import LINK_BYTES, Link
-from raystream.structures.bvh.collapse import COST_BYTES, leaf_costs, merge_costs
-from raystream.structures.bvh.prim_refs import COUNT_AT, REF_BYTES, write_ref
+from raystream.structures.bvh.builder.binary_tree import LINK_BYTES, Link
+from raystream.structures.bvh.builder.collapse import COST_BYTES, leaf_costs, merge_costs
+from raystream.structures.bvh.builder.prim_refs import COUNT_AT, REF_BYTES, write_ref
 
 #: Bits of a key per axis.
 _BITS = 16

@@ -26,7 +26,7 @@ from raystream.jit.cpu import kernel
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import f32x8, load, maximum, store
-from raystream.structures.bvh.prim_refs import FIRST_AT, REF_BYTES, half_area
+from raystream.structures.bvh.builder.prim_refs import FIRST_AT, REF_BYTES, half_area
 
 #: Search radius: how far before and after a cluster its match may be. With 16 and 32 the trees are
 #: no better, and take more rounds.

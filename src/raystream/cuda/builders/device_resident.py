@@ -29,8 +29,7 @@ class DeviceResident:
     @property
     def on_host(self) -> Structure:
         """The host's structure, copied on first use."""
-        made: Structure = self._on_host
-        return made
+        return self._on_host
 
     def __getattr__(self, name: str) -> Any:
         # Attributes that only queries and reports on the host need.
@@ -40,8 +39,7 @@ class DeviceResident:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles are structures of the host."""
-        reduced: tuple[Any, ...] = self._on_host.__reduce__()
-        return reduced
+        return self._on_host.__reduce__()
 
 
 class RebuiltOnDevice(DeviceResident):

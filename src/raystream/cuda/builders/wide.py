@@ -18,8 +18,10 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.leaf_block import BLOCK, BLOCK_FLOATS, clear_block, write_triangle
-from raystream.structures.bvh.binary_tree import Link
-from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
+from raystream.structures.bvh.builder.binary_tree import Link
+from raystream.structures.bvh.builder.collapse import LISTING_BYTES, is_leaf, list_children
+from raystream.structures.bvh.builder.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
+from raystream.structures.bvh.builder.write_wide import clear_node, set_lane
 from raystream.structures.bvh.layout import (
     MAX_BLOCKS,
     MAX_DEPTH,
@@ -27,8 +29,6 @@ from raystream.structures.bvh.layout import (
     NODE_FLOATS,
 )
 from raystream.structures.bvh.options import MAX_LEAF_SIZE
-from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
-from raystream.structures.bvh.write_wide import clear_node, set_lane
 
 _LANES_BYTES = 32
 _WALK_BYTES = 4 * (MAX_LEAF_SIZE + 1)

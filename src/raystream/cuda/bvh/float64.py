@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.bvh import binary
-from raystream.cuda.bvh.binary_traversal import binary_walk, one_tree
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
-from raystream.float64.queries import LANES_BYTES
-from raystream.float64.structure import Float64Bvh
-from raystream.float64.traversal import blocks_by, box_interval
+from raystream.cuda.bvh.walk import binary_walk, one_tree
+from raystream.geometry.float64.queries import LANES_BYTES
+from raystream.geometry.float64.structure import Float64Bvh
+from raystream.geometry.float64.traversal import blocks_by, box_interval
 from raystream.jit.cpu import device
 
 _ZERO = np.float64(0.0)

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.bvh import binary
-from raystream.cuda.bvh.binary_traversal import DONE, ENTRY, NEXT, ROOT, ray_traversal
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
 from raystream.cuda.bvh.triangles import search_triangles
-from raystream.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
-from raystream.instances.structure import InstancedBvh
-from raystream.instances.traversal import WorldRay, object_ray
+from raystream.cuda.bvh.walk import DONE, ENTRY, NEXT, ROOT, ray_traversal
+from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
+from raystream.geometry.instances.structure import InstancedBvh
+from raystream.geometry.instances.traversal import WorldRay, object_ray
 from raystream.jit.constants import NULL, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import store

@@ -70,8 +70,7 @@ def lay_out(structure: Structure, *, is_own: bool = False) -> LaidOut:
     layout = None if is_own else layout_of(traced_as(structure))
     if layout is None:
         return with_arrays(structure, {})
-    made: LaidOut = layout.lay_out(structure)
-    return made
+    return layout.lay_out(structure)
 
 
 def with_arrays(structure: Structure, arrays: Mapping[str, NDArray[Any]]) -> LaidOut:

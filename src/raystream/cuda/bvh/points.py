@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.bvh.binary import STACK_BYTES
-from raystream.cuda.bvh.binary_traversal import binary_walk, one_tree
 from raystream.cuda.bvh.triangles import TRIANGLE, TRIANGLE_ID, is_last
+from raystream.cuda.bvh.walk import binary_walk, one_tree
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 from raystream.kernels.nearest import corners_at, is_wanted, offer_nearest

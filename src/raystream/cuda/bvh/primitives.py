@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.bvh import binary, triangles
-from raystream.cuda.bvh.binary_traversal import one_tree, ray_traversal
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
+from raystream.cuda.bvh.walk import one_tree, ray_traversal
+from raystream.geometry.fields.cells import FIELD_BYTES
+from raystream.geometry.primitives.structure import PrimitiveBvh
+from raystream.geometry.primitives.traversal import search_spheres, trees_traversal
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full
-from raystream.primitives.field import FIELD_BYTES
-from raystream.primitives.structure import PrimitiveBvh
-from raystream.primitives.traversal import search_spheres, trees_traversal
 
 #: Memory of a traversal: of the trees in turn, then of height fields.
 stack_bytes = binary.STACK_BYTES + FIELD_BYTES

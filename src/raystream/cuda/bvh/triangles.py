@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.cuda.bvh.binary_traversal import one_tree, ray_traversal
+from raystream.cuda.bvh.walk import one_tree, ray_traversal
 from raystream.jit.constants import NULL, ONE_U64, SHIFT_32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.geometry.instances.structure import InstancedBvh, InstancedStructure
 from raystream.graphics.instanced_rays import placed_rays, power_of
 from raystream.graphics.structures.base import ShaderStructure, budget_for, numbers
 from raystream.graphics.structures.bvh import leaf_blocks, most_steps, stack_size
-from raystream.instances.structure import InstancedBvh, InstancedStructure
 from raystream.kernels.ray import SceneFrame
 from raystream.structures.bvh.layout import BvhArrays
 from raystream.structures.bvh.steps import stack_half

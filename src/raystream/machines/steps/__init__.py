@@ -22,5 +22,4 @@ def steps_of(structure: Structure) -> Steps:
         raise ValueError(
             f"machine: 'multipass' supports the structures {known}, not {structure.name!r}"
         )
-    steps: Steps = make(structure)
-    return steps
+    return make(structure)

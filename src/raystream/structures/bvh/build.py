@@ -9,10 +9,14 @@ from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import BLOCK_FLOATS
-from raystream.structures.bvh.binary_tree import HALVING_LEVELS, MAX_TREE_DEPTH, BuildSettings
-from raystream.structures.bvh.build_binary import Tree, grow_tree
+from raystream.structures.bvh.builder.binary_tree import (
+    HALVING_LEVELS,
+    MAX_TREE_DEPTH,
+    BuildSettings,
+)
+from raystream.structures.bvh.builder.build_binary import Tree, grow_tree
+from raystream.structures.bvh.builder.write_wide import Deferred, WideTrees, write_trees
 from raystream.structures.bvh.layout import MAX_BLOCKS, MAX_DEPTH, NODE_FLOATS, WIDTH, BvhArrays
-from raystream.structures.bvh.write_wide import Deferred, WideTrees, write_trees
 
 #: `min_split_size` and `plain_size` of `BuildSettings`.
 QUALITIES = {"fast": (4, 1024), "balanced": (2, 0)}

@@ -11,7 +11,7 @@ from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
-from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
+from raystream.structures.bvh.packets.rays import GROUPS, PacketOrder, group_rows
 
 #: Groups of 16 rays in a sample: about ten microseconds, for any batch.
 _SAMPLES = 24

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 from raystream.core.query import Kind
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel, rivals
-from raystream.structures.bvh.group_queries import trace_groups
-from raystream.structures.bvh.group_rays import BLOCK_PACKETS, MEMORY_BYTES
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.packet_multi_hit import all_hits_kernels
-from raystream.structures.bvh.packet_queries import NEAREST, TREES, NearestWanted, packet_kernel
-from raystream.structures.bvh.wavefront import trace_wavefront
+from raystream.structures.bvh.packets.multi_hit import all_hits_kernels
+from raystream.structures.bvh.packets.queries import NEAREST, TREES, NearestWanted, packet_kernel
+from raystream.structures.bvh.ray_groups.queries import trace_groups
+from raystream.structures.bvh.ray_groups.rays import BLOCK_PACKETS, MEMORY_BYTES
+from raystream.structures.bvh.walks.in_flight import trace_wavefront
 
 if TYPE_CHECKING:
     from raystream.structures.base import Structure

@@ -23,10 +23,10 @@ from raystream.kernels.best import (
 )
 from raystream.kernels.ray import world_t
 from raystream.structures.bvh.node_layout import prefetch_child
-from raystream.structures.bvh.packet_filter import all_slow, lanes_filter, ray_filter
-from raystream.structures.bvh.packet_hits import collect, collect_one
-from raystream.structures.bvh.packet_leaf import Kind, TriangleLeaf, visit_leaf
-from raystream.structures.bvh.packet_rays import GROUP, Group, GroupLanes, world_lanes
+from raystream.structures.bvh.packets.filters import all_slow, lanes_filter, ray_filter
+from raystream.structures.bvh.packets.hits import collect, collect_one
+from raystream.structures.bvh.packets.leaf import Kind, TriangleLeaf, visit_leaf
+from raystream.structures.bvh.packets.rays import GROUP, Group, GroupLanes, world_lanes
 
 #: A group's limits and hits, see `kernels.best`. Without instances, the nearest hit so far is the
 #: limit of its ray; with them, it is the reported one, in the scene's packet.

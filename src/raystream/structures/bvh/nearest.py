@@ -38,7 +38,7 @@ from raystream.kernels.point_queries import PointSearch, nearest_answer
 from raystream.kernels.point_triangle import squared_distance
 from raystream.structures.bvh.node_layout import Node
 from raystream.structures.bvh.steps import leaf_blocks
-from raystream.structures.bvh.walk import STACK_BYTES, tree_walk
+from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
 
 _STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
 _KEY_BITS = np.int32(~7)

@@ -21,7 +21,7 @@ from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import stack_half
 from raystream.structures.bvh.traversal import traverse
-from raystream.structures.bvh.walk import STACK_BYTES
+from raystream.structures.bvh.walks.single import STACK_BYTES
 
 
 class BvhStructure(Structure):

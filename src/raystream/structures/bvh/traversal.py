@@ -10,7 +10,7 @@ from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, tria
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.structures.bvh.steps import enter, leaf_blocks
-from raystream.structures.bvh.walk import tree_walk
+from raystream.structures.bvh.walks.single import tree_walk
 
 _INF = np.float32(np.inf)
 

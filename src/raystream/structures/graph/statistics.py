@@ -128,8 +128,7 @@ def _sum_areas(graph: GraphArrays, depth: int) -> NDArray[np.float64]:
         _add_up(begin, end, graph.rows, stack, parts[begin // _CHUNK])
 
     parallel_for(body, graph.sector_count, _CHUNK)
-    total: NDArray[np.float64] = parts.sum(axis=0)
-    return total
+    return parts.sum(axis=0)
 
 
 def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:

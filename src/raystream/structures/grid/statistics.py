@@ -72,5 +72,4 @@ def trace_cost(
 
 def _half_area(size: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y, z = size[..., 0], size[..., 1], size[..., 2]
-    area: NDArray[np.float64] = x * y + y * z + z * x
-    return area
+    return x * y + y * z + z * x

@@ -1,5 +1,5 @@
 // Brute force over instances: every triangle of each. Replaces brute_rows.wgsl. As
-// raystream/instances/traversal.py.
+// raystream/geometry/instances/traversal.py.
 
 struct Tree {
     // The row of `places` where objects begin.

@@ -1,5 +1,5 @@
 // Trees over instances, whose leaves continue the search in an object's tree. Replaces bvh_root.wgsl.
-// As raystream/instances/traversal.py.
+// As raystream/geometry/instances/traversal.py.
 //
 // All trees are in one array, and links are rows of it, so that one traversal serves both levels: the
 // object's is above what waits on the stack.

@@ -1,5 +1,5 @@
 // A world ray in the space of an instance's object: moved in float64, then made local, with the bits
-// that the CPU has. As raystream/instances/traversal.py and raystream/kernels/ray.py.
+// that the CPU has. As raystream/geometry/instances/traversal.py and raystream/kernels/ray.py.
 
 // Instances, world to object space, of INSTANCE_ROWS rows; then objects, of OBJECT_ROWS rows; then
 // roots of trees. As raystream/graphics/structures/instances.py.

@@ -1,0 +1,1 @@
+"""Height fields: their trees, and where rays meet their cells."""

@@ -1,0 +1,191 @@
+"""Streams of groups in float64: the kernel for many incoherent rays.
+
+Lists of groups of 16 rays descend the tree as in `structures.bvh.group_stream`; leaves test
+triangles in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from raystream.geometry.float64.best import SPAN_BYTES
+from raystream.geometry.float64.block import (
+    BLOCK,
+    PRIM_IDS,
+    SECOND,
+    THIRD,
+    edges_of,
+    leaf_end,
+    load_corner,
+    triangle_edges,
+)
+from raystream.geometry.float64.group_rays import GROUP_BYTES, load_rays
+from raystream.geometry.float64.group_results import store_counts, store_nearest
+from raystream.geometry.float64.leaf import (
+    Float64Leaf,
+    counting_kind,
+    nearest_kind,
+    test_group,
+    test_one,
+)
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    count_trailing_zeros,
+    load,
+    scratch,
+)
+from raystream.structures.bvh.leaf_kinds import no_prefetch
+from raystream.structures.bvh.node_layout import LANE, leaf_address
+from raystream.structures.bvh.packets.rays import (
+    GROUP,
+    GROUPS,
+    PACKET_RAYS,
+    GroupLanes,
+    group_rows,
+)
+from raystream.structures.bvh.ray_groups.leaf import SMALL_BYTES, Small
+from raystream.structures.bvh.ray_groups.queries import group_kernel
+from raystream.structures.bvh.ray_groups.rays import (
+    FLAGS_AT,
+    GROUP_SHIFT,
+    HOT_AT,
+    LANE_SHIFT,
+    LAST_LANE,
+    LISTS_AT,
+    MEMORY_BYTES,
+    Hot,
+    load_block,
+)
+from raystream.structures.bvh.walks.groups import STREAM_STACK_BYTES, trace_block
+
+#: Rays that descend the tree together.
+BLOCK_RAYS = 4096
+BLOCK_PACKETS = BLOCK_RAYS // PACKET_RAYS
+
+_GROUPS_AT = np.uint64(-(-MEMORY_BYTES // 64) * 64)
+
+#: A group's limits: the ends of its rays' intervals.
+_LIMITS_AT = np.uint64(GROUP.fields["t"][1])  # type: ignore[index]
+
+#: Bytes of memory of a call, of which most are never touched.
+WORKING_BYTES = int(_GROUPS_AT) + BLOCK_RAYS // 16 * int(GROUP_BYTES) + 64
+
+_BLOCK_LANES, _ALL = np.uint64(4), np.uint64(0xFFFF)
+
+
+@device
+def _load_rays(memory, source, first, last):
+    """Load the rays of packets in float64, after `load_block`."""
+    g = ZERO_U64
+    for packet in range(first, last):
+        for row in range(GROUPS):
+            ray, length = group_rows(source.order, packet, row)
+            if length == ZERO_U64:
+                continue
+            local = GroupLanes(memory, g)
+            is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
+            at = memory + _GROUPS_AT + g * GROUP_BYTES
+            load_rays(at, source, ray, length, is_slow, local)
+            if is_slow:  # some may have become inactive
+                _copy_limits(memory, g, _ALL)
+            g += ONE_U64
+
+
+@device
+def _copy_limits(memory, g, bits):
+    """Copy the limits of some rays of a group to their records."""
+    limits = GroupLanes(memory, g).t
+    while bits != ZERO_U64:
+        k = count_trailing_zeros(bits)
+        bits &= bits - ONE_U64
+        Hot(memory + HOT_AT, (g << LANE_SHIFT) | k).t = limits[k]
+
+
+@device
+def _test_groups(leaf, block, groups, count, memory):
+    """Test a block against the groups of a list; returns how many have a shorter search now."""
+    hit_count = ZERO_U64
+    for lane in range(_BLOCK_LANES):
+        prim_id = load(np.int32, block + PRIM_IDS + (lane << SHIFT_32))
+        if prim_id < np.int32(0):
+            break
+        triangle = block + (lane << SHIFT_64)
+        a = load_corner(triangle)
+        shape = a, triangle_edges(a, load_corner(triangle + SECOND), load_corner(triangle + THIRD))
+        for j in range(count):
+            g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
+            bits = test_group(leaf, memory, g, None, triangle, shape, prim_id)
+            hit_count += np.uint64(bits != ZERO_U64)
+            _copy_limits(memory, g, bits)
+    return hit_count
+
+
+@device
+def _test_rays(leaf, block, rays, count, memory):
+    """Test a block against the rays of a list; likewise."""
+    hit_count, triangles = ZERO_U64, edges_of(block)
+    for j in range(count):
+        number = np.uint64(load(np.uint32, rays + j * LANE))
+        g, k = number >> LANE_SHIFT, number & LAST_LANE
+        if test_one(leaf, memory, g, k, block, triangles):
+            hit_count += ONE_U64
+            _copy_limits(memory, g, ONE_U64 << k)
+    return hit_count
+
+
+@device
+def _visit_leaf(leaf, tree, child, rays, memory, small):
+    """Test a leaf in float64; see `ray_groups.leaf.visit_leaf`."""
+    hit_count = ZERO_U64
+    block = leaf_address(tree.leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
+        if rays.is_grouped:
+            hit_count += _test_groups(leaf, block, rays.at, rays.length, memory)
+        else:
+            hit_count += _test_rays(leaf, block, rays.at, rays.length, memory)
+        block += BLOCK
+    return hit_count
+
+
+# The kernels
+
+
+@device
+def _load(memory, source, first, last, scene, wanted):
+    count, ray_count, group_count = load_block(memory, source, first, last, False)
+    _load_rays(memory, source, first, last)
+    return count, ray_count, group_count
+
+
+def _kernel(kind_of: Callable[..., Any], store_group: Callable[..., Any]) -> Any:
+    """Make a kernel of functions for leaves, see `leaf`, and results, see `group_results`."""
+
+    @device
+    def trace(memory, count, ray_count, scene, source, wanted):
+        stack, small, groups = scratch(STREAM_STACK_BYTES), scratch(SMALL_BYTES), memory + LISTS_AT
+        kind, rays, spans = kind_of(wanted), memory + _GROUPS_AT, scratch(SPAN_BYTES)
+        leaf = Float64Leaf(_visit_leaf, no_prefetch, kind, rays, _LIMITS_AT, spans)
+        trace_block(memory, groups, count, ray_count, scene, stack, Small(small), leaf)
+
+    @device
+    def finish(memory, source, first, last, scene, group_count, wanted):
+        rays, g = memory + _GROUPS_AT, ZERO_U64
+        for packet in range(first, last):
+            for row in range(GROUPS):
+                ray, length = group_rows(source.order, packet, row)
+                if length != ZERO_U64:
+                    store_group(memory, g, rays, ray, length, source, scene, wanted)
+                    g += ONE_U64
+
+    return group_kernel(_load, trace, finish, BLOCK_PACKETS)
+
+
+#: Kernels for a `Float64Packets`, in `WORKING_BYTES` bytes: the nearest or any hits for a
+#: `packets.queries.NearestWanted`, the numbers of hits for a `packets.multi_hit.RowsWanted`.
+trace_groups = _kernel(nearest_kind, store_nearest)
+count_in_groups = _kernel(counting_kind, store_counts)

@@ -1,0 +1,163 @@
+"""The traversals of single rays in float64: of the wide tree, and of all triangles.
+
+They go from block to block; what happens there is up to the query, a function of the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.geometry.float64.block import BLOCK, leaf_end
+from raystream.geometry.float64.ray import widened_far, widened_near
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    f32x8,
+    f64x8,
+    float_as_bits,
+    fma,
+    i32x8,
+    lane_numbers,
+    load,
+    maximum,
+    minimum,
+    narrow,
+    widen,
+)
+from raystream.structures.bvh.node_layout import BOX_FLIP, leaf_address
+from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
+
+__all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
+
+_ZERO = np.float64(0.0)
+_ZERO32 = np.float32(0.0)
+_KEY_BITS = np.int32(~7)
+
+
+class Float64Tree(NamedTuple):
+    """The arrays of a structure, as addresses; the caller keeps the arrays alive.
+
+    Attributes
+    ----------
+    nodes : uint64
+        The first node of a wide tree, see `structures.bvh.layout`; 0 without one. A leaf's link
+        has twice the number of its first block.
+    leaves : uint64
+        The first block.
+    block_count : uint64
+    """
+
+    nodes: np.uint64
+    leaves: np.uint64
+    block_count: np.uint64
+
+
+@device
+def box_interval(first, last, ray):
+    """Distances at which a ray enters and leaves boxes.
+
+    Parameters
+    ----------
+    first, last : triple of float32 vectors or numbers
+        The planes that it enters and leaves by.
+    ray : Float64Ray
+    """
+    inv, near, far = ray.inv, ray.near, ray.far
+    x_in, x_out = fma(widen(first[0]), inv[0], near[0]), fma(widen(last[0]), inv[0], far[0])
+    y_in, y_out = fma(widen(first[1]), inv[1], near[1]), fma(widen(last[1]), inv[1], far[1])
+    z_in, z_out = fma(widen(first[2]), inv[2], near[2]), fma(widen(last[2]), inv[2], far[2])
+    return maximum(maximum(x_in, y_in), z_in), minimum(minimum(x_out, y_out), z_out)
+
+
+@device
+def _enter(node, line, search, t_min, t_far):
+    """Test the boxes of a node's children; see `structures.bvh.steps.enter`."""
+    ray, _ = line
+    at_x, at_y, at_z = node + ray.planes[0], node + ray.planes[1], node + ray.planes[2]
+    first = load(f32x8, at_x), load(f32x8, at_y), load(f32x8, at_z)
+    last = load(f32x8, at_x ^ BOX_FLIP), load(f32x8, at_y ^ BOX_FLIP), load(f32x8, at_z ^ BOX_FLIP)
+    t_in, t_out = box_interval(first, last, ray)
+    entered = maximum(t_in, f64x8(t_min)) <= minimum(t_out, f64x8(t_far))
+    # Rounding to float32 keeps the order, so that a key is at most that of a farther limit.
+    keys = float_as_bits(narrow(maximum(t_in, f64x8(_ZERO))))
+    return (keys & _KEY_BITS) | lane_numbers(i32x8), entered
+
+
+def blocks_by(make_walk: Callable[..., Any]) -> Callable[..., Any]:
+    """Make `tree_blocks` for trees of another layout; ``make_walk(interval, visit_leaf)``."""
+
+    def make_traversal(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
+        @device
+        def interval(line, search):
+            ray, _ = line
+            far = widened_far(far_of(ray, search))
+            # Adding zero turns -0 into 0.
+            return widened_near(ray.line.t_min), far, np.float32(far) + _ZERO32
+
+        @device
+        def visit_leaf(tree, child, line, search, stack):
+            ray, lanes = line
+            block = leaf_address(tree.leaves, child)
+            end = leaf_end(block, child)
+            while block != end:
+                search, is_over = visit(block, ray, search, lanes)
+                if is_over:
+                    return search, True
+                block += BLOCK
+            return search, False
+
+        walk_tree = make_walk(interval, visit_leaf)
+
+        @device
+        def walk(tree, ray, search, stack, lanes, wants_any):
+            return walk_tree(tree, (ray, lanes), search, stack, wants_any)
+
+        return walk
+
+    return make_traversal
+
+
+def _wide_walk(interval: Callable[..., Any], visit_leaf: Callable[..., Any]) -> Callable[..., Any]:
+    return tree_walk(interval, _enter, visit_leaf)
+
+
+def tree_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the traversal of a wide tree.
+
+    Parameters
+    ----------
+    visit : device function
+        ``visit(block, ray, search, lanes) -> (search, is_over)`` offers the triangles of a block;
+        `lanes` is the address of 64 bytes.
+    far_of : device function
+        ``far_of(ray, search)`` is the distance beyond which no hit is wanted.
+
+    Returns
+    -------
+    device function
+        ``walk(tree, ray, search, stack, lanes, wants_any) -> search``
+    """
+    return _of_wide_trees(visit, far_of)
+
+
+_of_wide_trees = blocks_by(_wide_walk)
+
+
+def all_blocks(visit: Callable[..., Any], far_of: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the traversal of all blocks; see `tree_blocks`."""
+
+    @device
+    def walk(tree, ray, search, stack, lanes, wants_any):
+        if not ray.line.t_min <= far_of(ray, search):
+            return search
+        block = tree.leaves
+        for _ in range(tree.block_count):
+            search, is_over = visit(block, ray, search, lanes)
+            if is_over:
+                return search
+            block += BLOCK
+        return search
+
+    return walk

@@ -1,0 +1,218 @@
+"""InstancedStructure: the structures of a scene's objects, and the tree over their instances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.instanced_triangles import InstancedTriangles
+from raystream.core.query import Query
+from raystream.core.rays import RayBatch
+from raystream.core.triangles import Triangles
+from raystream.geometry.instances.batches import BATCH_KERNELS
+from raystream.geometry.instances.records import (
+    INSTANCE_BYTES,
+    OBJECT_ADDRESSES,
+    TREE,
+    instance_records,
+    object_records,
+)
+from raystream.geometry.instances.top import (
+    FAR_UNIT,
+    TopTrees,
+    world_frame,
+)
+from raystream.geometry.instances.traversal import (
+    STACK_BYTES,
+    TopAddresses,
+    instance_searches,
+    traverse_all,
+    traverse_top,
+)
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.hits import Sink
+from raystream.kernels.ray import PAD, SceneFrame
+from raystream.structures.base import BuildReport, Nested, Structure
+from raystream.structures.brute.structure import BruteStructure
+from raystream.structures.bvh.layout import NODE_BYTES
+from raystream.structures.bvh.structure import BvhStructure
+from raystream.structures.registry import StructureOptions
+
+_NO_NODES = np.zeros((0, 64), np.float32)
+
+
+class InstancedStructure(Structure):
+    """The objects of a scene, each with a structure of its own, and its instances.
+
+    Parameters
+    ----------
+    triangles : InstancedTriangles
+    objects : sequence of Structure
+        One for each of the triangles' objects.
+    options : StructureOptions
+        Of the objects' structures.
+
+    Attributes
+    ----------
+    objects : tuple of Structure
+    trees : TopTrees
+        Over the instances.
+    """
+
+    make_searches = staticmethod(instance_searches)
+    triangles: InstancedTriangles  # type: ignore[assignment]
+    _kind: type[Structure]  # of the objects
+
+    def __init__(
+        self, triangles: InstancedTriangles, objects: Sequence[Structure], options: StructureOptions
+    ) -> None:
+        started = time.perf_counter()
+        self.triangles, self.objects, self.options = triangles, tuple(objects), options
+        boxes = world_frame(triangles)
+        self.frame = SceneFrame.of(boxes)
+        self.trees = trees = self._trees(boxes)
+        if len(trees.nodes) == 0:
+            self.batch_kernels = {}
+        order = trees.order
+        leaves = instance_records(triangles, order)
+        self._memory = {
+            "nodes": trees.nodes,
+            "leaves": leaves,
+            "objects": object_records(self.objects),
+            "trees": _tree_records(trees, leaves),
+        }
+        at = {n: np.uint64(a.ctypes.data if len(a) else 0) for n, a in self._memory.items()}
+        shared = at["trees"] + np.uint64((len(self._memory["trees"]) - 1) * TREE.itemsize)
+        worst = triangles.instances.conditions[order].max(initial=1.0)
+        far_unit = np.float64(FAR_UNIT * worst / float(PAD))
+        self._addresses = TopAddresses(
+            at["trees"],
+            shared,
+            at["leaves"],
+            at["objects"],
+            np.uint64(len(order)),
+            np.uint64(0),
+            far_unit,
+        )
+        self.report = BuildReport(
+            seconds=time.perf_counter() - started + sum(one.report.seconds for one in self.objects),
+            byte_count=sum(array.nbytes for array in self._memory.values())
+            + sum(one.report.byte_count for one in self.objects),
+        )
+
+    @classmethod
+    def build(
+        cls,
+        triangles: InstancedTriangles,
+        options: StructureOptions,
+        *,
+        progress: Progress | None = None,
+    ) -> InstancedStructure:
+        """Build the structures of a scene's objects, and the tree over their instances.
+
+        Parameters
+        ----------
+        triangles : InstancedTriangles
+        options : StructureOptions
+        progress : callable, optional
+            Called with (triangles placed, triangles).
+        """
+        objects = []
+        for one, first in zip(triangles.objects, triangles.first_prims, strict=False):
+            part = part_of(progress, int(first), len(triangles))
+            objects.append(cls._kind(one, options, progress=part))
+        return cls(triangles, objects, options)
+
+    def _trees(self, boxes: Triangles) -> TopTrees:
+        """The trees over the boxes."""
+        ends = np.array([[0, 0, 0], [0, len(boxes.prim_ids), len(boxes.prim_ids)]])
+        return TopTrees(_NO_NODES, boxes.prim_ids, *ends)
+
+    def arrays_for(
+        self,
+        query: Query,  # noqa: ARG002
+        rays: RayBatch,
+        sink: Sink,  # noqa: ARG002
+    ) -> TopAddresses:
+        """The view for rays that have worlds."""
+        if rays.worlds is None:
+            return self._addresses
+        return self._addresses._replace(worlds=np.uint64(rays.worlds.ctypes.data))
+
+    def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
+        """The same objects, with instances elsewhere."""
+        moved = type(self)(triangles, self.objects, self.options)
+        moved.kernel_times = self.kernel_times
+        return moved
+
+    @property
+    def arrays(self) -> TopAddresses:
+        """Addresses of the tree, the instances and the objects."""
+        return self._addresses
+
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Nodes of the tree, and records of instances and objects."""
+        return self._memory
+
+    @property
+    def nested(self) -> Nested:
+        """The objects' arrays, to which records point."""
+        objects = tuple(array for one in self.objects for array in one.memory.values())
+        fields = {"objects": OBJECT_ADDRESSES, "trees": TREE.names or ()}
+        return Nested(objects, fields, ("shared",))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the objects; addresses are those of the copy's own arrays."""
+        return type(self), (self.triangles, self.objects, self.options)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> InstancedStructure:
+        """A copy that shares the objects, which never change."""
+        return type(self)(self.triangles, self.objects, self.options)
+
+    def quality(self) -> dict[str, float]:
+        """Numbers of objects and instances."""
+        counts = len(self.objects), len(self.triangles.instances)
+        return dict(zip(("objects", "instances"), map(float, counts), strict=True))
+
+
+class InstancedBvh(InstancedStructure):
+    """A BVH over instances, and one for each object."""
+
+    _kind = BvhStructure
+    traverse = staticmethod(traverse_top)
+    stack_bytes = 2 * STACK_BYTES
+    batch_kernels = BATCH_KERNELS
+
+    def _trees(self, boxes: Triangles) -> TopTrees:
+        return TopTrees.of(boxes, self.triangles.instances)
+
+
+class InstancedBrute(InstancedStructure):
+    """Every instance, and every triangle of its object."""
+
+    _kind = BruteStructure
+    traverse = staticmethod(traverse_all)
+
+    def rays_per_call(self) -> int:
+        """Fewer rays on larger scenes, so that a call stays short."""
+        numbers = self.triangles.first_ids[-1] + len(self.triangles.instances)
+        return max(1, min(4096, (1 << 23) // max(1, int(numbers))))
+
+
+def _tree_records(trees: TopTrees, leaves: NDArray[np.void]) -> NDArray[np.void]:
+    """The record of each world's tree, and that of all worlds."""
+    records = np.zeros(len(trees.first_nodes) - 1, TREE)
+    has_nodes = np.diff(trees.first_nodes) > 0
+    records["nodes"] = trees.nodes.ctypes.data + NODE_BYTES * trees.first_nodes[:-1]
+    records["nodes"][~has_nodes] = 0
+    records["leaves"] = leaves.ctypes.data + INSTANCE_BYTES * trees.first_leaves[:-1]
+    return records
+
+
+#: What builds them, by name.
+STRUCTURES = {"bvh": InstancedBvh.build, "brute": InstancedBrute.build}

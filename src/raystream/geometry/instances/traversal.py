@@ -1,0 +1,315 @@
+"""Traversal of instances by a single ray: a leaf continues the search in an object's structure.
+
+The ray that an object is searched with is the world ray, moved to object space in float64 and then
+made local as any ray of any scene is. So the hits in an instance are, bit for bit, those that a
+tracer of the object alone finds for the moved ray. Distances need no conversion in world space,
+as the moved direction is not normalised.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.core.rays import RayStatus
+from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import load
+from raystream.kernels.queries import RaySearches, note_status, ray_filter, searches_of
+from raystream.kernels.ray import LocalRay, prepare_ray
+from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
+from raystream.kernels.search import (
+    InstanceRay,
+    begin_search,
+    enter_instance,
+    is_full,
+    leave_instance,
+)
+from raystream.kernels.tally import tally_of
+from raystream.structures.brute.traversal import traverse as traverse_brute
+from raystream.structures.bvh.traversal import traverse as traverse_bvh
+from raystream.structures.bvh.traversal import tree_traversal
+from raystream.structures.bvh.walks.single import STACK_BYTES
+
+__all__ = [
+    "MOST_FAR",
+    "STACK_BYTES",
+    "TopAddresses",
+    "WorldRay",
+    "instance_searches",
+    "is_scalable",
+    "load_world_ray",
+    "object_ray",
+    "scene_ray",
+    "traverse_all",
+    "traverse_top",
+]
+
+_STACK, _TREE = np.uint64(STACK_BYTES), np.uint64(TREE.itemsize)
+_NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)
+_LEAF_SHIFT = np.int32(3)
+_NO_ID = np.int32(0)
+_INF = np.float32(np.inf)
+_VALID, _INVALID = np.uint8(RayStatus.VALID), np.uint8(RayStatus.INVALID)
+
+#: Directions must not be longer than this, or shorter than its inverse: moved to object space they
+#: stay within float64.
+MAX_LENGTH = 2.0**500
+
+#: Padding of this many units of `kernels.ray.PAD` holds all of any local frame, whose coordinates
+#: are below 2**40; and slab distances stay finite.
+MOST_FAR = 2.0**60
+
+
+class TopAddresses(NamedTuple):
+    """The instances of a scene; the caller keeps the arrays alive.
+
+    Attributes
+    ----------
+    trees : uint64
+        Address of a `TreeRecord` for each world; at least one.
+    shared : uint64
+        Address of the tree of the instances in all worlds.
+    leaves, objects : uint64
+        Addresses of the first `InstanceRecord` and the first `ObjectRecord`.
+    instance_count : uint64
+        Instances that can be hit.
+    worlds : uint64
+        Address of the rays' worlds, int32; 0 if there are none.
+    far_unit : float64
+        The boxes' additional padding, as a fraction of the ray's largest world coordinate, in
+        units of `kernels.ray.PAD`.
+    """
+
+    trees: np.uint64
+    shared: np.uint64
+    leaves: np.uint64
+    objects: np.uint64
+    instance_count: np.uint64
+    worlds: np.uint64
+    far_unit: np.float64
+
+
+class WorldRay(NamedTuple):
+    """A ray in world space, and whether it is traced at all."""
+
+    ox: np.float64
+    oy: np.float64
+    oz: np.float64
+    dx: np.float64
+    dy: np.float64
+    dz: np.float64
+    t_min: np.float32
+    t_max: np.float32
+    is_valid: bool
+
+
+class _InstanceContext(NamedTuple):
+    """The instances that one ray may hit, with that ray in world space.
+
+    Attributes
+    ----------
+    top : TopAddresses
+    world : int32
+        Of the ray; -1 meets the instances in all worlds only.
+    ray : WorldRay
+    """
+
+    top: TopAddresses
+    world: np.int32
+    ray: WorldRay
+
+
+class _RayTree(NamedTuple):
+    """One of the trees that a ray traverses; by the names that `tree_traversal` reads."""
+
+    nodes: np.uint64
+    leaves: np.uint64
+    objects: np.uint64
+    ray: WorldRay
+
+
+@device
+def is_scalable(dx, dy, dz):
+    """Whether a direction's length is within bounds."""
+    return 1.0 / MAX_LENGTH <= max(abs(dx), abs(dy), abs(dz)) <= MAX_LENGTH
+
+
+@device
+def _product(row, x, y, z):
+    return row[0] * x + row[1] * y + row[2] * z
+
+
+@device
+def object_ray(instance, ray, object_):
+    """The ray in the local frame of an instance's object."""
+    ax = instance.linear[_NONE]
+    ay = instance.linear[_ONE]
+    az = instance.linear[_TWO]
+    shift = instance.shift
+    return local_ray(
+        _product(ax, ray.ox, ray.oy, ray.oz) + shift[0],
+        _product(ay, ray.ox, ray.oy, ray.oz) + shift[1],
+        _product(az, ray.ox, ray.oy, ray.oz) + shift[2],
+        _product(ax, ray.dx, ray.dy, ray.dz),
+        _product(ay, ray.dx, ray.dy, ray.dz),
+        _product(az, ray.dx, ray.dy, ray.dz),
+        ray.t_min,
+        ray.t_max,
+        object_,
+    )
+
+
+def _instance_search(traverse):
+    """Make the search in one instance, for objects with structures of one kind."""
+
+    def search_instance(tree, index, search, stack):
+        instance = InstanceRecord(tree.leaves, index)
+        object_ = ObjectRecord(tree.objects, np.uint64(instance.object_id))
+        ray = object_ray(instance, tree.ray, object_)
+        inner = enter_instance(search, ray, instance.first_id)
+        if not (inner.t_min <= inner.t_far):
+            return search
+        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, object_.max_coordinate)
+        return leave_instance(search, traverse(object_, local, inner, stack))
+
+    return search_instance
+
+
+_search_bvh = device_call(_instance_search(traverse_bvh))
+_search_brute = device_call(_instance_search(traverse_brute))
+
+
+@device
+def _search_leaf(tree, child, line, search, stack):  # noqa: ARG001
+    index = np.uint64(np.int32(~child) >> _LEAF_SHIFT)
+    return _search_bvh(tree, index, search, stack + _STACK)
+
+
+_traverse_tree = device(tree_traversal(_search_leaf))
+
+
+@device
+def traverse_top(scene, ray, search, stack):
+    """Search the instances of BVHs: those of the ray's world, then those of all worlds."""
+    top = scene.top
+    for k in range(_TWO):
+        if k == _NONE and scene.world < _NO_ID:
+            continue
+        at = top.trees + np.uint64(scene.world) * _TREE if k == _NONE else top.shared
+        tree = TreeRecord(at)
+        one = _RayTree(tree.nodes, tree.leaves, top.objects, scene.ray)
+        search = _traverse_tree(one, ray, search, stack)
+        if is_full(search):
+            break
+    return search
+
+
+@device
+def traverse_all(scene, ray, search, stack):  # noqa: ARG001
+    """Search all instances of the ray's world, without a tree, by brute force."""
+    if scene.ray.is_valid:
+        top = scene.top
+        tree = _RayTree(_NONE, top.leaves, top.objects, scene.ray)
+        for index in range(top.instance_count):
+            world = InstanceRecord(top.leaves, index).world
+            if world == scene.world or world < _NO_ID:
+                search = _search_brute(tree, index, search, stack)
+                if is_full(search):
+                    break
+    return search
+
+
+@device
+def load_world_ray(source, i):
+    """Ray i in world space, for `scene_ray`."""
+    ox, oy, oz = load_origin(source, i)
+    dx, dy, dz = load_direction(source, i)
+    t_min, t_max = load_limits(source, i)
+    return ox, oy, oz, dx, dy, dz, t_min, t_max
+
+
+@device
+def scene_ray(world_ray, top, frame):
+    """A ray among the boxes of a scene's instances.
+
+    Parameters
+    ----------
+    world_ray : tuple
+        Origin and direction, six float64 numbers in world space, and the limits, float32.
+    top : TopAddresses
+    frame : SceneFrame
+        Of the boxes.
+
+    Returns
+    -------
+    ray : LocalRay
+        With an empty interval if it is not valid.
+    most : float32
+        For `prepare_ray`: the largest coordinate, and the boxes' additional padding.
+    whole : WorldRay
+    """
+    ox, oy, oz, dx, dy, dz, t_min, t_max = world_ray
+    ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
+    is_valid = ray.status == _VALID and is_scalable(dx, dy, dz)
+    reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
+    far = np.float32(min(top.far_unit * reach, MOST_FAR))
+    whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
+    return _limited(ray, is_valid), frame.max_coordinate + far, whole
+
+
+@device
+def _limited(ray, is_valid):
+    """The ray with its status, and with an empty interval if it is not valid."""
+    return LocalRay(
+        ray.ox,
+        ray.oy,
+        ray.oz,
+        ray.dx,
+        ray.dy,
+        ray.dz,
+        ray.t_min,
+        ray.t_max if is_valid else -_INF,
+        ray.t_scale,
+        ray.t_offset,
+        _VALID if is_valid else _INVALID,
+    )
+
+
+def instance_searches(traverse) -> RaySearches:
+    """Make the searches of a ray with a traversal of instances; see `kernels.queries.searches`."""
+
+    @device
+    def search_ray(i, scene, goal, memory):
+        top, world = scene.arrays, _NO_ID
+        if top.worlds != _NONE:
+            world = load(np.int32, top.worlds + (i << _TWO))
+        ray, most, whole = scene_ray(load_world_ray(scene.source, i), top, scene.frame)
+        note_status(scene.status, i, ray.status)
+        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, most)
+        instance = InstanceRay(ray.t_scale, ray.t_offset, _NO_ID)
+        tally, filter_ = tally_of(scene.tallies, i), ray_filter(scene.filter, i, ray)
+        search = begin_search(ray.t_min, ray.t_max, goal, tally, filter_, instance)
+        found = traverse(_InstanceContext(top, world, whole), local, search, memory)
+        return found, _world_ray(ray)
+
+    return searches_of(search_ray)
+
+
+@device
+def _world_ray(ray):
+    """A ray whose distances are those of world space already."""
+    return LocalRay(
+        ray.ox,
+        ray.oy,
+        ray.oz,
+        ray.dx,
+        ray.dy,
+        ray.dz,
+        ray.t_min,
+        ray.t_max,
+        np.float64(1.0),
+        np.float64(0.0),
+        ray.status,
+    )

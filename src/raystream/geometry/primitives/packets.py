@@ -1,0 +1,231 @@
+"""Packets of 256 rays through triangles, height fields and spheres: the kernel for coherent rays.
+
+A packet is loaded once and walks three trees, one after another: what its rays have found in one
+shortens their intervals in the next. A sphere is tested against sixteen rays. Height fields are the
+leaves of a tree over all of them; in each, groups of the packet descend the field's own tree of
+blocks of cells, and the triangles of a row of cells are written as leaf blocks, once for all rays.
+All hits go where those of the leaves of triangles do.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.geometry.fields.cells import PACKET_BYTES, STACK_BYTES, fill_row, node_box
+from raystream.geometry.fields.levels import BLOCK_CELLS
+from raystream.geometry.primitives.records import (
+    SPHERES_PER_BLOCK,
+    FieldRecord,
+    LevelRecord,
+    SphereBlockLanes,
+)
+from raystream.geometry.spheres.sphere import HIT, ExactRay, exact_ray, intersect, own_box, place
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.cpu import device
+from raystream.jit.simd import any_lane, lanes_from_bits, mask16, maximum, minimum, scratch
+from raystream.jit.views import view
+from raystream.kernels.ray import SceneFrame
+from raystream.kernels.ray_source import load_direction, load_origin
+from raystream.kernels.triangle_lanes import slab_interval
+from raystream.structures.bvh.layout import TreeAddresses
+from raystream.structures.bvh.leaf_kinds import no_prefetch
+from raystream.structures.bvh.node_layout import leaf_address, prefetch_child
+from raystream.structures.bvh.packets.leaf import GroupRange, TriangleLeaf, group_range
+from raystream.structures.bvh.packets.load import load_packet
+from raystream.structures.bvh.packets.queries import PacketScene
+from raystream.structures.bvh.packets.rays import (
+    GROUPS,
+    Group,
+    GroupLanes,
+    group_rows,
+    t_transform,
+    three,
+)
+from raystream.structures.bvh.walks.packet import TRACE_BYTES, continue_packet, trace_packet
+
+_TWO, _THREE, _FOUR, _LANES = np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(16)
+_FIELD_SHIFT = np.int32(3)
+_CELLS, _SPHERES = np.uint64(BLOCK_CELLS), np.uint64(SPHERES_PER_BLOCK)
+
+#: Sixteen rays in float64, see `sphere.ExactRay`; and the same with a lane index.
+_EXACT = {"origin": (3, 16), "direction": (3, 16), "inv_square": (16,), "offset": (16,)}
+_Exact = view([(name, "f8", shape) for name, shape in _EXACT.items()])
+_ExactLanes = view([(name, "f8", (*shape, 1)) for name, shape in _EXACT.items()])
+_EXACT_BYTES = 16 * 8 * 8 * int(GROUPS)
+
+#: Hits of sixteen rays with a sphere.
+_Hits = view([(name, kind, 16) for name, kind in HIT])
+_HITS_BYTES = 16 * 40
+
+#: A node of a height field on the stack, and the groups that enter it.
+_Node = view([("level", "u4"), ("column", "u4"), ("row", "u4"), ("first", "u2"), ("last", "u2")])
+
+#: The link of a leaf of two blocks, of which the first one is the first of all.
+_TWO_BLOCKS = np.int32(~1)
+
+
+class PrimitiveLeaf(NamedTuple):
+    """Leaves of spheres, or of height fields; see `packet.trace_packet`.
+
+    Attributes
+    ----------
+    visit, prefetch : device function
+    hits : TriangleLeaf
+        Takes the hits, and tests the triangles of cells.
+    memory : uint64
+        Address of the packet's groups in float64, or of `field.PACKET_BYTES`.
+    frame : SceneFrame
+    """
+
+    visit: Any
+    prefetch: Any
+    hits: TriangleLeaf
+    memory: np.uint64
+    frame: SceneFrame
+
+
+# Spheres
+
+
+@device
+def _load_exact(exact, packet, number, source, slow_groups):
+    """Load a packet's rays in float64."""
+    rays = source.rays
+    for g in range(GROUPS):
+        first, count = group_rows(source.order, number, g)
+        is_slow = (slow_groups >> g) & ONE_U64 == ONE_U64
+        lanes, group = _ExactLanes(exact, g), GroupLanes(packet, g)
+        for k in range(_LANES if count != ZERO_U64 else ZERO_U64):
+            i = first + min(k, count - ONE_U64)
+            t_scale, t_offset = t_transform(group, k, is_slow)
+            origin, direction = load_origin(rays, i), load_direction(rays, i)
+            ray = exact_ray(origin, direction, t_offset / t_scale, source.frame)
+            for axis in range(_THREE):
+                lanes.origin[axis, k] = ray.origin[axis]
+                lanes.direction[axis, k] = ray.direction[axis]
+            lanes.inv_square[k], lanes.offset[k] = ray.inv_square, ray.offset
+
+
+@device
+def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: ARG001
+    """Test the spheres of a leaf against groups of a packet."""
+    block, hits = SphereBlockLanes(leaf_address(leaves, child)), _Hits(scratch(_HITS_BYTES))
+    back, frame = (rays.x.back, rays.y.back, rays.z.back), leaf.frame
+    to, has_hit = leaf.hits, False
+    for lane in range(_SPHERES):
+        number = block.numbers[lane]
+        if number < np.int32(0):
+            break
+        sphere = block.x[lane], block.y[lane], block.z[lane], block.radius[lane]
+        planes = own_box(sphere, frame, back)
+        entering = group_range(packet, planes, rays.t_min, groups)
+        for g in range(entering.first, entering.last + ONE_U64):
+            group, exact = Group(packet, g), _Exact(leaf.memory, g)
+            inv, near, far = three(group.inv), three(group.near), three(group.far)
+            interval = slab_interval(*planes, inv, near, far)
+            t_min, t_far = group.t_min, group.t_active
+            if not any_lane(maximum(interval[0], t_min) <= minimum(interval[1], t_far)):
+                continue
+            origin, direction = three(exact.origin), three(exact.direction)
+            inv_square, offset = exact.inv_square, exact.offset
+            ray = ExactRay(origin, direction, inv_square, offset, frame.center, frame.scale)
+            entered, left = intersect(sphere, interval, ray, t_min, t_far, hits)
+            for side in range(_TWO):
+                bits, t, step = entered, hits.near, -hits.half
+                if side == ONE_U64:
+                    bits, t, step = left, hits.far, hits.half
+                if bits == ZERO_U64:
+                    continue
+                u, v = place(hits.x, hits.y, hits.z, step, ray)
+                taken, own_number = lanes_from_bits(mask16, bits), np.int32(number + np.int32(side))
+                has_hit |= to.kind.keep_lanes(to, packet, g, taken, t, u, v, own_number)
+    return has_hit
+
+
+# Height fields
+
+
+@device
+def _push(stack, top, level, column, row, groups):
+    """Push a node, if a group enters it; returns the stack's height."""
+    node = _Node(stack, top)
+    node.level, node.column, node.row = np.uint32(level), np.uint32(column), np.uint32(row)
+    node.first, node.last = np.uint16(groups.first), np.uint16(groups.last)
+    return top + np.uint64(groups.first <= groups.last)
+
+
+@device
+def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: ARG001
+    """Search a height field with groups of a packet; see `field.traverse_field`."""
+    field = FieldRecord(leaves, np.uint64(np.int32(~child) >> _FIELD_SHIFT))
+    back = rays.x.back, rays.y.back, rays.z.back
+    turn_x = np.uint64(back[0] != (field.x_falls != np.int32(0)))
+    turn_y = np.uint64(back[1] != (field.y_falls != np.int32(0)))
+    turn, has_hit, stack = turn_x | (turn_y << ONE_U64), False, leaf.memory
+    top = _push(stack, ZERO_U64, field.level_count, ZERO_U64, ZERO_U64, groups)
+    while top != ZERO_U64:
+        top -= ONE_U64
+        node = _Node(stack, top)
+        number, column, row = np.uint64(node.level), np.uint64(node.column), np.uint64(node.row)
+        groups = GroupRange(np.uint64(node.first), np.uint64(node.last))
+        if number == ZERO_U64:
+            has_hit |= _visit_cells(leaf, packet, field, column, row, turn_y, rays, groups, own)
+            continue
+        number -= ONE_U64
+        level = LevelRecord(field.levels, number)
+        for k in range(_FOUR):  # the last one is visited first
+            lane = (_THREE - k) ^ turn
+            x, y = (column << ONE_U64) + (lane & ONE_U64), (row << ONE_U64) + (lane >> ONE_U64)
+            planes = node_box(field, level, x, y, back)
+            entering = group_range(packet, planes, rays.t_min, groups)
+            top = _push(stack, top, number, x, y, entering)
+    return has_hit
+
+
+@device
+def _visit_cells(leaf, packet, field, column, row, turn_y, rays, groups, own):
+    """Test the triangles of a node of the finest level, row by row."""
+    back, blocks = (rays.x.back, rays.y.back, rays.z.back), leaf.memory + np.uint64(STACK_BYTES)
+    to, has_hit = leaf.hits, False
+    for k in range(_CELLS):
+        at = row * _CELLS + (_CELLS - ONE_U64 - k if turn_y == ONE_U64 else k)
+        if at < field.rows:
+            planes = fill_row(field, at, column * _CELLS, back, blocks)
+            entering = group_range(packet, planes, rays.t_min, groups)
+            has_hit |= to.visit(to, packet, _TWO_BLOCKS, blocks, planes, rays, entering, own)
+    return has_hit
+
+
+# Scenes
+
+
+@device
+def _load(packet, number, source, scene, memory):
+    slow_groups = load_packet(packet, number, source)
+    if scene.sphere_nodes != NULL:
+        _load_exact(memory, packet, number, source, slow_groups)
+    return slow_groups, source.frame
+
+
+@device
+def _trace(packet, scene, frame, memory, leaf):
+    most, own = frame.max_coordinate, scratch(TRACE_BYTES)
+    if scene.nodes != NULL:
+        trace_packet(packet, GROUPS, TreeAddresses(scene.nodes, scene.leaves), most, own, leaf)
+        continue_packet(packet, GROUPS)
+    if scene.field_nodes != NULL:
+        tree = TreeAddresses(scene.field_nodes, scene.fields)
+        cells = memory + np.uint64(_EXACT_BYTES)
+        fields = PrimitiveLeaf(_visit_field, no_prefetch, leaf, cells, frame)
+        trace_packet(packet, GROUPS, tree, most, own, fields)
+        continue_packet(packet, GROUPS)
+    if scene.sphere_nodes != NULL:
+        tree = TreeAddresses(scene.sphere_nodes, scene.sphere_blocks)
+        spheres = PrimitiveLeaf(_visit_spheres, prefetch_child, leaf, memory, frame)
+        trace_packet(packet, GROUPS, tree, most, own, spheres)
+
+
+#: Of the trees of `PrimitiveAddresses`.
+PRIMITIVES = PacketScene(_load, _trace, _EXACT_BYTES + PACKET_BYTES)

@@ -1,0 +1,205 @@
+"""PrimitiveStructure: trees over the triangles, height fields and spheres of a scene."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.primitives import Primitives
+from raystream.core.triangles import Triangles
+from raystream.geometry.fields.levels import field_levels
+from raystream.geometry.primitives.batches import batch_kernels
+from raystream.geometry.primitives.records import (
+    FIELD_ADDRESSES,
+    SPHERES_PER_BLOCK,
+    PrimitiveAddresses,
+    field_records,
+    sphere_blocks,
+)
+from raystream.geometry.primitives.traversal import (
+    STACK_BYTES,
+    primitive_searches,
+    traverse_all,
+    traverse_trees,
+)
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.ray import SceneFrame
+from raystream.structures.base import RAYS_PER_CALL, BuildReport, Nested, Structure
+from raystream.structures.brute.structure import BruteStructure
+from raystream.structures.bvh.build import build_arrays
+from raystream.structures.bvh.structure import BvhStructure
+
+#: Tests per call of a compiled loop, by brute force: about 50 ms.
+_TESTS_PER_CALL = 1 << 23
+
+#: Boxes of the spheres' tree are grown by this part of (radius + centre's coordinate): twice
+#: `geometry.spheres.sphere.BOX_GROWTH`, so that they hold the spheres' own boxes
+#: however these round.
+_BOX_GROWTH = 2.0**-21
+
+
+class PrimitiveStructure(Structure):
+    """Triangles in a structure of their own, and all other primitives beside it.
+
+    Parameters
+    ----------
+    triangles : Primitives
+    options : StructureOptions
+    progress : callable, optional
+        Called with (triangles and spheres placed, triangles and spheres).
+    """
+
+    make_searches = staticmethod(primitive_searches)
+    triangles: Primitives  # type: ignore[assignment]
+    _kind: type[Structure]
+
+    def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
+        started = time.perf_counter()
+        self.triangles, self.options = triangles, options
+        self.frame = SceneFrame.of(triangles)
+        count = len(triangles.triangles)
+        total = count + len(triangles.spheres)
+        self._inner = self._kind(triangles.triangles, options, progress=part_of(progress, 0, total))
+        local = triangles.local_fields
+        self._levels = [field_levels(one) for one in local]
+        field_nodes, field_rows = self._tree_over(_field_boxes(triangles), 1, None)
+        fields = triangles.fields, local, self._levels, triangles.first_fields
+        sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total)
+        sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
+        first = int(triangles.first_fields[-1])
+        self._memory = {
+            **self._inner.memory,
+            "field_nodes": field_nodes,
+            "fields": field_records(*fields, field_rows[:, 0].tolist()),
+            "sphere_nodes": sphere_nodes,
+            "sphere_blocks": sphere_blocks(triangles.spheres, sphere_rows, first),
+        }
+        self._addresses = self._make_addresses()
+        field_bytes = sum(
+            a.byte_count + t.ranges.nbytes for a, t in zip(local, self._levels, strict=True)
+        )
+        self.report = BuildReport(
+            seconds=time.perf_counter() - started,
+            byte_count=sum(array.nbytes for array in self._memory.values()) + field_bytes,
+        )
+
+    def _make_addresses(self) -> PrimitiveAddresses:
+        inner = self._inner.arrays._asdict()
+        memory = self._memory
+        own = {n: np.uint64(memory[n].ctypes.data if len(memory[n]) else 0) for n in _OWN}
+        counts = {
+            "field_count": np.uint64(len(memory["fields"])),
+            "block_count": np.uint64(len(memory["sphere_blocks"])),
+        }
+        nothing = dict.fromkeys(PrimitiveAddresses._fields, np.uint64(0))
+        return PrimitiveAddresses(**{**nothing, **inner, **own, **counts})
+
+    def _tree_over(
+        self,
+        boxes: NDArray[np.float64],
+        leaf_size: int,
+        progress: Progress | None,  # noqa: ARG002
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Nodes over boxes of primitives, and the primitives of each leaf, -1 for unused lanes.
+
+        Boxes have shape (N, 2, 3), in the scene's local frame.
+        """
+        count = len(boxes)
+        rows = np.full(-(-count // leaf_size) * leaf_size, -1, np.int32)
+        rows[:count] = np.arange(count)
+        return np.zeros((0, 64), np.float32), rows.reshape(-1, leaf_size)
+
+    @property
+    def arrays(self) -> PrimitiveAddresses:
+        """Addresses of all primitives and trees."""
+        return self._addresses
+
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Trees and records."""
+        return self._memory
+
+    @property
+    def nested(self) -> Nested:
+        """The height fields' arrays, to which records point."""
+        fields = (array for one in self.triangles.local_fields for array in one)
+        levels = (array for one in self._levels for array in one)
+        return Nested((*fields, *levels), {"fields": FIELD_ADDRESSES})
+
+    def quality(self) -> dict[str, float]:
+        """Numbers of primitives."""
+        held = self.triangles
+        fields = held.first_fields[-1] - held.first_fields[0]
+        counts = len(held.triangles), fields, len(held.spheres)
+        names = "triangles of meshes", "triangles of height fields", "spheres"
+        return dict(zip(names, map(float, counts), strict=True))
+
+
+#: Arrays besides those of the triangles' structure.
+_OWN = ("field_nodes", "fields", "sphere_nodes", "sphere_blocks")
+
+
+class PrimitiveBvh(PrimitiveStructure):
+    """A BVH of the triangles, one of the spheres, and a tree over each height field."""
+
+    _kind = BvhStructure
+    traverse = staticmethod(traverse_trees)
+    stack_bytes = STACK_BYTES
+
+    def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
+        super().__init__(triangles, options, progress=progress)
+        own = self.memory["sphere_nodes"], self.memory["sphere_blocks"]
+        self.batch_kernels = batch_kernels(sum(one.nbytes for one in own))
+
+    def _tree_over(
+        self, boxes: NDArray[np.float64], leaf_size: int, progress: Progress | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        tree = build_arrays(_spanning(self.triangles, boxes), "balanced", leaf_size, progress)
+        return tree.nodes, np.ascontiguousarray(tree.prim_ids[:, :leaf_size])
+
+
+class PrimitiveBrute(PrimitiveStructure):
+    """Every primitive, one after another."""
+
+    _kind = BruteStructure
+    traverse = staticmethod(traverse_all)
+    stack_bytes = STACK_BYTES
+
+    def rays_per_call(self) -> int:
+        """Fewer rays on larger scenes, so that a call stays short."""
+        return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // max(1, len(self.triangles))))
+
+
+def _field_boxes(primitives: Primitives) -> NDArray[np.float64]:
+    bounds = np.array([one.bounds for one in primitives.fields]).reshape(-1, 2, 3)
+    return (bounds - primitives.center) * primitives.scale
+
+
+def _sphere_boxes(primitives: Primitives) -> NDArray[np.float64]:
+    spheres = primitives.spheres
+    centers = (spheres.centers - primitives.center) * primitives.scale
+    radii = (spheres.radii * primitives.scale)[:, None]
+    reach = radii + (np.abs(centers) + radii) * _BOX_GROWTH
+    return np.stack([centers - reach, centers + reach], axis=1)
+
+
+def _spanning(primitives: Primitives, boxes: NDArray[np.float64]) -> Triangles:
+    """Triangles that span boxes."""
+    corners = np.empty((len(boxes), 3, 3), np.float32)
+    corners[:, 0] = np.nextafter(boxes[:, 0].astype(np.float32), np.float32(-np.inf))
+    corners[:, 1] = np.nextafter(boxes[:, 1].astype(np.float32), np.float32(np.inf))
+    corners[:, 2] = corners[:, 0]
+    bounds = np.zeros((2, 3), np.float32)
+    if len(corners):
+        bounds[:] = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    splits, solid = np.array([0, len(corners)], np.int64), np.ones(len(corners), np.bool_)
+    return Triangles.from_solid(
+        corners, splits, primitives.center, primitives.scale, solid, 0, bounds
+    )
+
+
+#: By name.
+STRUCTURES = {"bvh": PrimitiveBvh, "brute": PrimitiveBrute}

@@ -1,0 +1,130 @@
+"""Rays through a scene of triangles, height fields and spheres: one search through all of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.geometry.fields.cells import FIELD_BYTES, traverse_all_cells, traverse_field
+from raystream.geometry.primitives.records import FieldRecord, PrimitiveAddresses, SphereBlock
+from raystream.geometry.spheres.sphere import ExactRay, exact_ray, intersect_spheres
+from raystream.jit.cpu import device
+from raystream.jit.views import address_of
+from raystream.kernels.leaf_block import block_ray
+from raystream.kernels.queries import RaySearches, note_status, searches_of
+from raystream.kernels.ray import Ray, prepare_ray
+from raystream.kernels.ray_source import load_direction, load_limits, load_origin, local_ray
+from raystream.kernels.search import begin_search, is_full
+from raystream.kernels.tally import tally_of
+from raystream.structures.brute.traversal import traverse as traverse_brute
+from raystream.structures.bvh.node_layout import leaf_address
+from raystream.structures.bvh.traversal import traverse as traverse_bvh
+from raystream.structures.bvh.traversal import tree_traversal
+from raystream.structures.bvh.walks.single import STACK_BYTES as TREE_BYTES
+
+_TREE = np.uint64(TREE_BYTES)
+
+#: Memory of a traversal: of the trees in turn, then of height fields.
+STACK_BYTES = TREE_BYTES + FIELD_BYTES
+
+
+class RayScene(NamedTuple):
+    """The primitives with the ray in float64."""
+
+    primitives: PrimitiveAddresses
+    exact: ExactRay
+
+
+class _SphereTree(NamedTuple):
+    """The spheres' tree with a ray; by the names that `tree_traversal` reads."""
+
+    nodes: np.uint64
+    leaves: np.uint64
+    ray: Ray
+    exact: ExactRay
+
+
+@device
+def search_spheres(tree, child, line, search, stack):  # noqa: ARG001
+    """Offer the hits of a leaf's spheres to a search."""
+    block = leaf_address(tree.leaves, child)
+    return intersect_spheres(block, tree.ray, tree.exact, search)
+
+
+_traverse_spheres = device(tree_traversal(search_spheres))
+
+
+def trees_traversal(search_triangles, search_spheres, tree_bytes):
+    """Make the traversal of the trees of triangles, of each height field and of spheres, in turn.
+
+    Parameters
+    ----------
+    search_triangles, search_spheres : device function
+        Traversals of a tree, see `kernels.queries.ray_queries`: of the primitives' own, and of one
+        with an `ExactRay`.
+    tree_bytes : uint64
+        Their memory, before that of height fields.
+    """
+
+    def traverse(scene, ray, search, stack):
+        held = scene.primitives
+        search = search_triangles(held, ray, search, stack)
+        line = block_ray(ray)
+        for k in range(held.field_count):
+            if is_full(search):
+                return search
+            field = FieldRecord(held.fields, k)
+            search = traverse_field(field, ray, line, search, stack + tree_bytes)
+        if is_full(search):
+            return search
+        tree = _SphereTree(held.sphere_nodes, held.sphere_blocks, ray, scene.exact)
+        return search_spheres(tree, ray, search, stack)
+
+    return traverse
+
+
+#: Search the trees of the processor's layout.
+traverse_trees = device(trees_traversal(traverse_bvh, _traverse_spheres, _TREE))
+
+
+@device
+def traverse_all(scene, ray, search, stack):
+    """Search all primitives, without trees."""
+    held = scene.primitives
+    if not (search.t_min <= search.t_far):
+        return search
+    search = traverse_brute(held, ray, search, stack)
+    line = block_ray(ray)
+    for k in range(held.field_count):
+        if is_full(search):
+            return search
+        field = FieldRecord(held.fields, k)
+        search = traverse_all_cells(field, ray, line, search, stack + _TREE)
+    for k in range(held.block_count):
+        if is_full(search):
+            return search
+        block = address_of(SphereBlock(held.sphere_blocks, k))
+        search = intersect_spheres(block, ray, scene.exact, search)
+    return search
+
+
+def primitive_searches(traverse) -> RaySearches:
+    """Make the searches of a ray with a traversal; see `kernels.queries.searches`."""
+
+    @device
+    def search_ray(i, scene, goal, memory):
+        ox, oy, oz = load_origin(scene.source, i)
+        dx, dy, dz = load_direction(scene.source, i)
+        t_min, t_max = load_limits(scene.source, i)
+        frame = scene.frame
+        ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
+        note_status(scene.status, i, ray.status)
+        exact = exact_ray((ox, oy, oz), (dx, dy, dz), ray.t_offset / ray.t_scale, frame)
+        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
+        tally = tally_of(scene.tallies, i)
+        search = begin_search(ray.t_min, ray.t_max, goal, tally, None, None)
+        found = traverse(RayScene(scene.arrays, exact), local, search, memory)
+        return found, ray
+
+    return searches_of(search_ray)

@@ -1,0 +1,1 @@
+"""Spheres: where rays meet them."""

@@ -1,0 +1,1 @@
+"""The builder: a binary tree, collapsed to eight children."""

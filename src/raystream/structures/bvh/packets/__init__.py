@@ -1,0 +1,1 @@
+"""Packets of 256 rays: loading them, their leaves and queries, and what they find."""

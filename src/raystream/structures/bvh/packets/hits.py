@@ -1,0 +1,159 @@
+"""All hits of a packet's rays: collected, then sorted by ray, t and prim_id.
+
+Hits are appended 16 lanes at a time, with the index of their ray. To sort them, that is the index
+in the packet: when the packet is done, hits are counted by ray, scattered to the ray's rows, and
+sorted there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
+from raystream.jit.views import view
+from raystream.kernels.search import get_hit, is_before, put_hit, sort_hits
+from raystream.structures.bvh.packets.rays import GROUPS, PACKET_RAYS
+
+#: Addresses of buffers: hits in the order of discovery, sorted hits, their rays and the ends of the
+#: rays' rows; then the capacity in hits, and what is in use: hits, and rays if hits are sorted.
+_FOUND = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8"), ("ray", "u8")])
+_ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
+_NUMBERS = "ray_ids", "splits", "capacity", "used", "ray_count"
+Buffers = view([("found", _FOUND), ("rows", _ROWS), *((name, "u8") for name in _NUMBERS)])
+
+_COLLECTOR = np.dtype(
+    [
+        ("buffers", "u8"),  # their address
+        ("count", "u8"),  # hits
+        ("capacity", "u8"),  # of the buffers
+        ("is_counting", "u8"),  # whether hits are counted only
+        ("in_world", "u8"),  # whether to convert t to world direction lengths
+        ("first_rays", "i4", (int(GROUPS), 1)),  # index of each group's first ray
+    ]
+)
+Collector = view(_COLLECTOR)
+COLLECTOR_BYTES = _COLLECTOR.itemsize
+
+#: The end of each ray's sorted rows.
+_ENDS = np.dtype([("ends", "u8", (PACKET_RAYS, 1))])
+Ends = view(_ENDS)
+ENDS_BYTES = _ENDS.itemsize
+
+_LANE = np.uint64(4)
+_LANES = np.uint64(16)
+_RAYS = np.uint64(PACKET_RAYS)
+
+#: Rays with more hits are sorted by a heap.
+_LONG = np.uint64(24)
+
+
+@device
+def number_at(column, row):
+    """Address of a row's t, u or v."""
+    return column + row * _LANE
+
+
+@device
+def has_room(hits):
+    """Whether all hits of the packet fit."""
+    return hits.count + _LANES <= hits.capacity
+
+
+@device
+def collect(hits, taken, t, u, v, prim_id, g):
+    """Append the hits of some lanes; those that do not fit are only counted.
+
+    Parameters
+    ----------
+    hits : Collector
+    taken : mask16
+    t, u, v : f32x16
+    prim_id : i32x16
+    g : uint64
+        The index of their group.
+    """
+    if has_room(hits):
+        row, found = hits.count, Buffers(hits.buffers).found
+        store(number_at(found.t, row), compress(taken, t))
+        store(number_at(found.u, row), compress(taken, u))
+        store(number_at(found.v, row), compress(taken, v))
+        at = row * _LANE
+        store(found.prim_id + at, prim_id)
+        store(found.ray + at, compress(taken, lane_numbers(i32x16) + hits.first_rays[g]))
+    hits.count += popcount(mask_bits(taken))
+
+
+@device
+def collect_one(hits, t, u, v, prim_id, g, k):
+    """The same for a hit of ray k of group g."""
+    if has_room(hits):
+        found = Buffers(hits.buffers).found
+        put_hit(found, hits.count, t, u, v, prim_id)
+        store(found.ray + hits.count * _LANE, hits.first_rays[g] + np.int32(k))
+    hits.count += ONE_U64
+
+
+@device
+def _insert(rows, first, row, t, u, v, prim_id):
+    """Insert a hit into the sorted rows first to row."""
+    while row > first:
+        other_t, other_u, other_v, other_id = get_hit(rows, row - ONE_U64)
+        if not is_before(t, prim_id, other_t, other_id):
+            break
+        put_hit(rows, row, other_t, other_u, other_v, other_id)
+        row -= ONE_U64
+    put_hit(rows, row, t, u, v, prim_id)
+
+
+@device_call
+def sort_packet(hits, ends, used):
+    """Sort a packet's hits by ray, t and prim_id.
+
+    Parameters
+    ----------
+    hits : Collector
+        With all hits of the packet.
+    ends : Ends
+        Written: the end of each ray's rows.
+    used : uint64
+        Rows in use before.
+
+    Returns
+    -------
+    uint64
+        Rows in use now.
+    """
+    no_inline()
+    buffers = Buffers(hits.buffers)
+    found, rows = buffers.found, buffers.rows
+    row_ends, count, rays = ends.ends, hits.count, found.ray
+    for ray in range(_RAYS):
+        row_ends[ray] = ZERO_U64
+    for k in range(count):
+        ray = np.uint64(load(np.int32, rays + k * _LANE))
+        row_ends[ray] = row_ends[ray] + ONE_U64
+    row = used
+    for ray in range(_RAYS):
+        ray_count = row_ends[ray]
+        row_ends[ray] = row
+        row += ray_count
+    for k in range(count):
+        ray = np.uint64(load(np.int32, rays + k * _LANE))
+        t, u, v, prim_id = get_hit(found, k)
+        row = row_ends[ray]
+        put_hit(rows, row, t, u, v, prim_id)
+        row_ends[ray] = row + ONE_U64
+    first = used
+    for ray in range(_RAYS):
+        ray_count = row_ends[ray] - first
+        if ray_count > _LONG:
+            sort_hits(rows, first, ray_count)
+        else:
+            for k in range(ONE_U64, ray_count):
+                t, u, v, prim_id = get_hit(rows, first + k)
+                _insert(rows, first, first + k, t, u, v, prim_id)
+        first += ray_count
+    return first
