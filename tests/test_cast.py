@@ -180,9 +180,9 @@ def test_copied_tracers_read_their_own_arrays(structure):
     """Addresses are of the copy's arrays, not of the original's, which may be gone."""
     tracer = rs.Tracer(rs.load("cornell"), structure)
     for other in (copy.deepcopy(tracer), pickle.loads(pickle.dumps(tracer))):
-        own = [one.ctypes.data for one in other.structure.memory.values() if one.size]
-        theirs = [one.ctypes.data for one in tracer.structure.memory.values() if one.size]
-        numbers = {int(one) for one in other.structure.arrays if isinstance(one, np.uint64)}
+        own = [one.ctypes.data for one in other.structure.arrays.values() if one.size]
+        theirs = [one.ctypes.data for one in tracer.structure.arrays.values() if one.size]
+        numbers = {int(one) for one in other.structure.view if isinstance(one, np.uint64)}
         assert not numbers & set(theirs)
         assert numbers & set(own)
         assert assert_same_as_first_hit(other, (278, 273, -800), (0, 0, 1)).prim_id == 30

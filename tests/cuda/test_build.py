@@ -337,8 +337,8 @@ def test_files_of_them_are_read_by_the_cpu(device, tmp_path):
 def test_no_triangles(device):
     empty = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
     for structure in ("bvh", "grid"):
-        assert built(empty, structure).structure.memory.keys() == {
-            *rs.Tracer(empty, structure).structure.memory
+        assert built(empty, structure).structure.arrays.keys() == {
+            *rs.Tracer(empty, structure).structure.arrays
         }
 
 

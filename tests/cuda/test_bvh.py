@@ -167,7 +167,7 @@ def test_blocks_of_spheres_and_of_float64_keep_their_links():
     exact = rs.Tracer(mesh, precision="float64").structure
     for structure, name in ((spheres, "sphere_nodes"), (exact, "nodes")):
         nodes = lay_out(structure).arrays[name]
-        expected = wide_links(structure.memory[name])
+        expected = wide_links(structure.arrays[name])
         assert np.array_equal(links_below(nodes, 0, len(nodes)), expected)
     check_layout(spheres._inner)
 
@@ -187,7 +187,7 @@ def test_trees_of_worlds_stay_apart():
     starts = [*map(int, starts), len(arrays["nodes"])]
     for world in range(4):
         found = links_below(arrays["nodes"], *starts[world : world + 2])
-        wide = structure.memory["nodes"][slice(*ends[world : world + 2])]
+        wide = structure.arrays["nodes"][slice(*ends[world : world + 2])]
         assert np.array_equal(found, wide_links(wide))
         assert len(found) == (20 if world == 3 else 60)
     (held,) = structure.objects

@@ -211,7 +211,7 @@ def test_what_does_not_fit_says_so(gpu, monkeypatch) -> None:
     """Objects count, too: each has more bytes than the tree over them."""
     scene = rs.Scene.instances(rs.Scene.from_arrays(*icosphere(3)), [np.eye(3, 4)])
     structure = build_on_cpu(options_of("bvh"), scene.triangles)
-    own = sum(one.nbytes for one in structure.memory.values())
+    own = sum(one.nbytes for one in structure.arrays.values())
     monkeypatch.setattr(Gpu, "free_byte_count", lambda _: own + 1000)
     with pytest.raises(CudaError, match=r"the scene takes [\d,]+ bytes"):
         rs.Tracer(scene, "bvh", "cuda")

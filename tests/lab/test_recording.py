@@ -109,7 +109,7 @@ def test_neighbouring_cells_follow_each_other():
 @pytest.mark.parametrize("name", [name for name in PLACED if name.startswith("kdtree")])
 def test_nodes_begin_at_the_root(name):
     walks = walks_of(name)
-    tree = walks.structure.arrays
+    tree = walks.structure.view
     looks = (RayState.TRAVERSING, RayState.AT_LEAF, RayState.BACKTRACKING)
     columns = [k for k, one in enumerate(walks.kernels) if one.state in looks]
     counts = np.diff(walks.visit_splits)

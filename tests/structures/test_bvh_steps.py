@@ -178,7 +178,7 @@ def run_fused(structure, rays, surfaces, keep, slots):
     counts, tallies = np.zeros(count, np.uint64), new_tallies(count)
     max_coordinate = structure.triangles.max_coordinate
     arguments = surfaces, slots, out, counts, tallies
-    fused(structure.arrays, max_coordinate, rays, *arguments)
+    fused(structure.view, max_coordinate, rays, *arguments)
     return counts, out, tallies
 
 
@@ -190,10 +190,10 @@ def run_steps(structure, rays, surfaces, keep, slots):
     half = need + _CANARY_BYTES
     stacks = np.full((count, 2, half), _CANARY, np.uint8)
     where = stacks, 2 * half, half
-    set_off(structure.arrays, rays, states, *where)
+    set_off(structure.view, rays, states, *where)
     constants = surfaces, slots, out, tallies
     max_coordinate = structure.triangles.max_coordinate
-    while run_pass(structure.arrays, max_coordinate, rays, states, *where, *constants):
+    while run_pass(structure.view, max_coordinate, rays, states, *where, *constants):
         pass
     assert (stacks[:, :, need:] == _CANARY).all()
     return states.count, out, tallies

@@ -129,7 +129,7 @@ def test_all_routes_lead_to_the_one_sector_that_holds_the_ray(name, rng):
         assert not at_home.step_counts.any()
         if t is not None:
             rows, holder_counts = np.empty(count, np.int64), np.empty(count, np.int64)
-            arguments = structure.arrays, graph.sector_count, max_coordinate, rays, t
+            arguments = structure.view, graph.sector_count, max_coordinate, rays, t
             holders(*arguments, rows, holder_counts)
             # Planes that a ray meets at the same distance: sectors between them hold no t.
             assert (holder_counts[is_active] >= 1).all()
@@ -160,7 +160,7 @@ def test_a_way_goes_on_and_ends(name, rng):
     longest = 0
     for i in range(len(rays.t_min)):
         max_coordinate = np.float32(structure.triangles.max_coordinate)
-        count = follow(structure.arrays, max_coordinate, rays, i, most, rows, ends)
+        count = follow(structure.view, max_coordinate, rays, i, most, rows, ends)
         assert count < most
         assert (np.diff(ends[:count]) >= 0).all()
         assert len(np.unique(rows[:count])) == count
@@ -315,7 +315,7 @@ def test_bins_are_used_only_where_no_sector_near_is_known(rng):
     kept = hits.is_hit
     rays = local_rays(structure, origins[kept], directions[kept])
     near = np.where(rng.random(kept.sum()) < 0.3, -1, hits.sectors[kept]).astype(np.int32)
-    graph = structure.arrays._replace(starts=np.uint64(near.ctypes.data))
+    graph = structure.view._replace(starts=np.uint64(near.ctypes.data))
     rows, last = np.empty(len(near), np.int64), np.ones((len(near), 2), np.uint64)
     begin_near(graph, np.float32(structure.triangles.max_coordinate), rays, last, rows)
     np.testing.assert_array_equal(rows, structure.start_sectors(rays).rows)

@@ -68,7 +68,7 @@ def test_bytes_are_reported(traversal, layout):
     if traversal == "backtrack":
         node_bytes += 32 * splits
     assert quality["bytes per node"] == node_bytes / quality["nodes"]
-    held = {id(array): array.nbytes for array in (*structure.tree, *structure.memory.values())}
+    held = {id(array): array.nbytes for array in (*structure.tree, *structure.arrays.values())}
     assert structure.report.byte_count == sum(held.values())
     assert structure.report.seconds > 0
     assert quality["cost"] > quality["splits per ray"] > 1
@@ -122,7 +122,7 @@ def recorded(structure, origins, directions, t_min=-np.inf, t_max=np.inf):
     leaves = np.zeros((count, int(structure.quality()["leaves"]) + 1, 4))
     counts = np.zeros((count, 4), np.int64)
     max_coordinate = structure.triangles.max_coordinate
-    record_leaves(0, count, structure.arrays, max_coordinate, rays, leaves, counts)
+    record_leaves(0, count, structure.view, max_coordinate, rays, leaves, counts)
     assert (counts[:, 1] < leaves.shape[1]).all(), "a ray sees no leaf twice"
     return leaves, counts
 

@@ -94,10 +94,10 @@ def case(request, rng):
     t_max = np.where(rng.random(count) < 0.8, np.inf, 0.5).astype(np.float32)
     batch = RayBatch(origins, directions.astype(np.float32), t_min, t_max)
     brute = build_structure("brute", triangles)
-    arrays = Views(*(part.arrays for part in parts))
+    arrays = Views(*(part.view for part in parts))
     together = SimpleNamespace(
         queries=QUERIES,
-        arrays_for=lambda *_: arrays,
+        view_for=lambda *_: arrays,
         frame=SceneFrame.of(triangles),
         rays_per_call=lambda: 100,
         least_rays=256,

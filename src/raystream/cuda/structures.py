@@ -47,7 +47,7 @@ class Resident(NamedTuple):
     Attributes
     ----------
     tree : NamedTuple
-        As `Structure.arrays`, with addresses on the device.
+        As `Structure.view`, with addresses on the device.
     arrays : tuple of DeviceArray
         The memory; keep it as long as the tree is used.
     nested : SharedAllocation or None

@@ -109,7 +109,7 @@ class Branching(Backend):
     def caster(self) -> Callable[..., Any]:
         """The structure's search of one ray; see `Backend.caster`."""
         structure = self.structure
-        return partial(structure.queries.cast, structure.frame, structure.arrays)
+        return partial(structure.queries.cast, structure.frame, structure.view)
 
     def run_program(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
@@ -176,7 +176,7 @@ class Branching(Backend):
         scene = RayScene(
             source,
             structure.frame if frame is None else frame,
-            structure.arrays_for(query, rays, sink),
+            structure.view_for(query, rays, sink),
             np.uint64(array_address(sink.status)),
             None if tallies is None else np.uint64(array_address(tallies)),
             query.on_hit if has_filter else None,
@@ -190,7 +190,7 @@ class Branching(Backend):
         structure, (points, limits, capacity) = self.structure, batch
         kernel, to = form_of(structure.name, "nearest"), NearestArrays(*array_places(*out))
         at, far = array_places(points, limits)
-        step, own = step_of(limits), (structure.frame, structure.arrays)
+        step, own = step_of(limits), (structure.frame, structure.view)
         scene = PointScene(at, far, step, *own, np.uint64(capacity), NULL, None)
         per_call, least = structure.rays_per_call(), structure.least_rays
         # Fewer than the default: the structure is slow, and a point takes longer than a ray.

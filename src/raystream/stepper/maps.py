@@ -171,7 +171,7 @@ class GraphMap(BlockMap):
     def __init__(self, graph: GraphStructure) -> None:
         self._block_rows, self._blocks = graph.graph.prim_ids, graph.blocks
         count, rows = graph.graph.sector_count, graph.graph.rows
-        self._row_at = int(graph.arrays.rows)
+        self._row_at = int(graph.view.rows)
         self._nodes = rows
         sectors = rows[: SECTOR_ROWS * count].reshape(count, 16)
         planes = np.ascontiguousarray(sectors).view(np.float32).astype(np.float64)

@@ -74,12 +74,12 @@ class Nested(NamedTuple):
     Attributes
     ----------
     arrays : tuple of ndarray
-        Arrays besides those of `Structure.memory`, which never change.
+        Arrays besides those of `Structure.arrays`, which never change.
     fields : mapping of str to tuple of str
         By name of arrays in the memory: their fields that are addresses in one of all these arrays,
         or 0.
     names : tuple of str
-        Such fields of `Structure.arrays`, besides the names of the memory.
+        Such fields of `Structure.view`, besides the names of the memory.
     """
 
     arrays: tuple[NDArray[Any], ...] = ()
@@ -91,7 +91,7 @@ class Structure(ABC):
     """Triangles arranged for tracing.
 
     A subclass provides `traverse` (see `kernels.queries.ray_queries`) and the `stack_bytes` that
-    it needs, and the `arrays` that the traversal reads. One that takes long to build also has
+    it needs, and the `view` that the traversal reads. One that takes long to build also has
     `saved_arrays` for a file, and `from_arrays`, which validates arrays from a file. Every
     structure returns the same bits as brute force.
 
@@ -101,6 +101,11 @@ class Structure(ABC):
     report : BuildReport
     options : StructureOptions
         Build and traversal options.
+    view : NamedTuple
+        What the traversal reads: numbers, and addresses of arrays.
+    arrays : dict of str to ndarray
+        The arrays at these addresses, by field name of `view`; and others of `nested`. The address
+        of an empty one may be 0; kernels never read it.
     make_searches : callable
         Makes the searches of a ray with `traverse`; see `kernels.queries.searches`.
     queries : RayQueries
@@ -129,6 +134,8 @@ class Structure(ABC):
     triangles: Triangles
     report: BuildReport
     options: StructureOptions
+    view: Any
+    arrays: dict[str, NDArray[Any]]
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -151,27 +158,14 @@ class Structure(ABC):
         """Itself; of a structure that is on a device, its copy in host memory."""
         return self
 
-    @property
-    @abstractmethod
-    def arrays(self) -> NamedTuple:
-        """The view that the traversal reads: numbers, and addresses of arrays."""
-
-    def arrays_for(
+    def view_for(
         self,
         query: Query,
         rays: RayBatch,
         sink: Sink,
     ) -> NamedTuple:
         """The view for a query that the branching machine answers ray by ray."""
-        return self.arrays
-
-    @property
-    @abstractmethod
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """The arrays at these addresses, by field name of `arrays`; and others of `nested`.
-
-        The address of an empty one may be 0; kernels never read it.
-        """
+        return self.view
 
     @property
     def nested(self) -> Nested:

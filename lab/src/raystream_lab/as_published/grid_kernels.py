@@ -199,7 +199,7 @@ def grid_steps(grid: GridStructure) -> Steps:
     """
     if grid.options.levels != 1:
         raise ValueError(f"levels: expected 1, got {grid.options.levels}")
-    own = grid.arrays
+    own = grid.view
     textures = Textures(
         own.low, own.high, own.size, own.counts, own.splits, own.references, own.corners
     )

@@ -295,7 +295,7 @@ def kdtree_steps(tree: KdTreeStructure) -> Steps:
             "structure: expected layout 'foley' and traversal 'backtrack', got "
             f"{options.layout!r} and {options.traversal!r}"
         )
-    own = tree.arrays
+    own = tree.view
     leaves = np.uint64(0) if own.leaves is None else own.leaves
     textures = Textures(own.nodes, leaves, own.extended, own.blocks, own.root, own.low, own.high)
     return Steps(_KERNELS, PACKED, textures)

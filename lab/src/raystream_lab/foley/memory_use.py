@@ -41,7 +41,7 @@ def _measured(runner: Runner, name: str, view: View) -> Found:
         compact = foley_tree(view.scene, runner.progress, layout="compact")
         return {
             "depth": packed.quality()["depth"],
-            "tree": sum(array.nbytes for array in packed.memory.values()),
+            "tree": sum(array.nbytes for array in packed.arrays.values()),
             "bits": node_bits(packed, compact),
             "bytes": {
                 traversal: ray_bytes(packed.with_traversal(traversal))
@@ -67,11 +67,11 @@ def node_bits(packed: KdTreeStructure, compact: KdTreeStructure) -> dict[str, fl
         ``node``, ``cpu_node``, ``extended``.
     """
     count = len(compact.tree.nodes)
-    own = packed.memory["nodes"].nbytes + packed.memory["leaves"].nbytes
-    extended = packed.memory["extended"]
+    own = packed.arrays["nodes"].nbytes + packed.arrays["leaves"].nbytes
+    extended = packed.arrays["extended"]
     return {
         "node": 8 * own / count,
-        "cpu_node": 8 * compact.memory["nodes"].nbytes / count,
+        "cpu_node": 8 * compact.arrays["nodes"].nbytes / count,
         "extended": 8 * extended.nbytes / len(extended),
     }
 

@@ -113,7 +113,7 @@ def start_walks(graph: GraphStructure, rays: Leaving) -> StartWalks:
     count = len(local.t_min)
     found, steps = np.empty(count, np.int64), np.empty(count, np.int32)
     max_coordinate, last = np.float32(graph.triangles.max_coordinate), np.zeros(2, np.uint64)
-    walk_in_turn(0, count, graph.arrays, max_coordinate, local, last, found, steps)
+    walk_in_turn(0, count, graph.view, max_coordinate, local, last, found, steps)
     rows = np.where(found < 0, -1, SECTOR_ROWS * found)
     if not (np.array_equal(rows, bins.rows) and np.array_equal(rows, displaced.rows)):
         raise RuntimeError("routes to a start sector end in different sectors")

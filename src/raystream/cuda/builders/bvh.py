@@ -43,7 +43,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
     Its options have ``quality="fast"``, which applies if the CPU rebuilds it.
     """
 
-    _host_names = ("tree", "_addresses")
+    _host_names = ("tree", "view", "arrays")
 
     def __init__(
         self,

@@ -35,7 +35,7 @@ class DeviceGrid(RebuiltOnDevice, GridStructure):
         When the build began, by `time.perf_counter`.
     """
 
-    _host_names = ("lists", "_kept", "_addresses")
+    _host_names = ("lists", "_kept", "view", "arrays")
 
     def __init__(
         self,

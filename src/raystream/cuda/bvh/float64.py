@@ -50,4 +50,4 @@ traverse = blocks_by(_walk)
 
 def lay_out(structure: Float64Bvh) -> LaidOut:
     """Convert the nodes; see `bvh.kernels.LAYOUTS`."""
-    return with_arrays(structure, {"nodes": binary.unfold(structure.memory["nodes"]).nodes})
+    return with_arrays(structure, {"nodes": binary.unfold(structure.arrays["nodes"]).nodes})

@@ -132,7 +132,7 @@ def traverse(scene, ray, search, stack):
 
 def lay_out(structure: InstancedBvh) -> LaidOut:
     """Convert the trees over the instances; see `bvh.kernels.LAYOUTS`."""
-    first, memory = structure.trees.first_nodes, structure.memory
+    first, memory = structure.trees.first_nodes, structure.arrays
     # The trees are a row of them: links become those of one tree, and back.
     nodes = memory["nodes"].copy()
     begins = np.repeat(first[:-1], np.diff(first))[:, None]

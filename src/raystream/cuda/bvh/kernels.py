@@ -33,7 +33,7 @@ class LaidOut(NamedTuple):
     Attributes
     ----------
     tree : NamedTuple
-        As `Structure.arrays`. Addresses; 0 for empty arrays.
+        As `Structure.view`. Addresses; 0 for empty arrays.
     arrays : mapping of str to ndarray
         The arrays at these addresses.
     nested : callable
@@ -75,11 +75,11 @@ def lay_out(structure: Structure, *, is_own: bool = False) -> LaidOut:
 
 def with_arrays(structure: Structure, arrays: Mapping[str, NDArray[Any]]) -> LaidOut:
     """A structure with other arrays in place of some of its own."""
-    held = structure.arrays
+    held = structure.view
     places = {
         name: np.uint64(one.ctypes.data if one.size else 0)
         for name, one in arrays.items()
         if name in held._fields
     }
-    every = {**structure.memory, **arrays}
+    every = {**structure.arrays, **arrays}
     return LaidOut(held._replace(**places), every, lambda: structure.nested.arrays)

@@ -33,7 +33,7 @@ traverse = device(
 
 def lay_out(structure: PrimitiveBvh) -> LaidOut:
     """Convert the trees; see `bvh.kernels.LAYOUTS`."""
-    memory = structure.memory
+    memory = structure.arrays
     made = binary.unfold(memory["nodes"], memory["leaves"])
     spheres = binary.unfold(memory["sphere_nodes"])
     arrays = {"nodes": made.nodes, "leaves": made.leaves, "sphere_nodes": spheres.nodes}

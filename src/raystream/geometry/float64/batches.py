@@ -52,7 +52,7 @@ def _arguments(bvh: Structure, batch: Batch) -> tuple[Any, ...]:
     else:
         at = HitAddresses.of(sink.hits)
         out = ResultAddresses(*at, ZERO_U64, np.uint64(sink.status.ctypes.data))
-    return bvh.arrays, _source(bvh, batch), NearestWanted(batch.wants_any, None, out)
+    return bvh.view, _source(bvh, batch), NearestWanted(batch.wants_any, None, out)
 
 
 def _packets(bvh: Structure, batch: Batch) -> Calls:

@@ -10,7 +10,8 @@ from raystream.jit.copies import Copies
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.search import get_hit, keep_hit, put_hit, sort_hits, t_of
-from raystream.structures.bvh import packet_hits, packet_multi_hit
+from raystream.structures.bvh.packets import hits as packet_hits
+from raystream.structures.bvh.packets import multi_hit as packet_multi_hit
 
 
 @device

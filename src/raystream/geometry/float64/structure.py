@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,25 +47,15 @@ class Float64Structure(Structure):
 
     def _set(self, nodes: NDArray[np.float32], prim_ids: NDArray[np.int32], started: float) -> None:
         blocks = _filled_blocks(self.triangles, prim_ids)
-        self._memory: dict[str, NDArray[Any]] = {"nodes": nodes, "leaves": blocks}
+        self.arrays = {"nodes": nodes, "leaves": blocks}
         at = [np.uint64(one.ctypes.data if len(one) else 0) for one in (nodes, blocks)]
-        self._addresses = Float64Tree(at[0], at[1], np.uint64(len(blocks)))
+        self.view = Float64Tree(at[0], at[1], np.uint64(len(blocks)))
         if len(nodes) == 0:
             self.batch_kernels = {}
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
-            byte_count=sum(array.nbytes for array in self._memory.values()),
+            byte_count=sum(array.nbytes for array in self.arrays.values()),
         )
-
-    @property
-    def arrays(self) -> Float64Tree:
-        """Addresses of the nodes and blocks."""
-        return self._addresses
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Nodes and blocks."""
-        return self._memory
 
 
 class Float64Bvh(Float64Structure):

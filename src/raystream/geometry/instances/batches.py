@@ -22,7 +22,7 @@ _FEW = 2047
 
 
 def _wavefront(scene: InstancedStructure, batch: Batch) -> Calls:
-    rays = scene.arrays, scene.frame, batch.source
+    rays = scene.view, scene.frame, batch.source
     shared = batch.wants_any, batch.query.on_hit, batch.results
     return trace_instance_wavefront, (*rays, *shared)
 

@@ -57,7 +57,7 @@ def object_records(structures: Sequence[Structure]) -> NDArray[np.void]:
     """The records of objects; the caller keeps the structures alive."""
     records = np.zeros(len(structures), _OBJECT)
     for record, structure in zip(records, structures, strict=True):
-        addresses = structure.arrays._asdict()
+        addresses = structure.view._asdict()
         for name in _TREES:
             record[name] = addresses.get(name, 0)
         for name, value in SceneFrame.of(structure.triangles)._asdict().items():

@@ -79,17 +79,17 @@ class InstancedStructure(Structure):
             self.batch_kernels = {}
         order = trees.order
         leaves = instance_records(triangles, order)
-        self._memory = {
+        self.arrays = {
             "nodes": trees.nodes,
             "leaves": leaves,
             "objects": object_records(self.objects),
             "trees": _tree_records(trees, leaves),
         }
-        at = {n: np.uint64(a.ctypes.data if len(a) else 0) for n, a in self._memory.items()}
-        shared = at["trees"] + np.uint64((len(self._memory["trees"]) - 1) * TREE.itemsize)
+        at = {n: np.uint64(a.ctypes.data if len(a) else 0) for n, a in self.arrays.items()}
+        shared = at["trees"] + np.uint64((len(self.arrays["trees"]) - 1) * TREE.itemsize)
         worst = triangles.instances.conditions[order].max(initial=1.0)
         far_unit = np.float64(FAR_UNIT * worst / float(PAD))
-        self._addresses = TopAddresses(
+        self.view = TopAddresses(
             at["trees"],
             shared,
             at["leaves"],
@@ -100,7 +100,7 @@ class InstancedStructure(Structure):
         )
         self.report = BuildReport(
             seconds=time.perf_counter() - started + sum(one.report.seconds for one in self.objects),
-            byte_count=sum(array.nbytes for array in self._memory.values())
+            byte_count=sum(array.nbytes for array in self.arrays.values())
             + sum(one.report.byte_count for one in self.objects),
         )
 
@@ -132,7 +132,7 @@ class InstancedStructure(Structure):
         ends = np.array([[0, 0, 0], [0, len(boxes.prim_ids), len(boxes.prim_ids)]])
         return TopTrees(_NO_NODES, boxes.prim_ids, *ends)
 
-    def arrays_for(
+    def view_for(
         self,
         query: Query,  # noqa: ARG002
         rays: RayBatch,
@@ -140,8 +140,8 @@ class InstancedStructure(Structure):
     ) -> TopAddresses:
         """The view for rays that have worlds."""
         if rays.worlds is None:
-            return self._addresses
-        return self._addresses._replace(worlds=np.uint64(rays.worlds.ctypes.data))
+            return self.view
+        return self.view._replace(worlds=np.uint64(rays.worlds.ctypes.data))
 
     def moved(self, triangles: InstancedTriangles) -> InstancedStructure:
         """The same objects, with instances elsewhere."""
@@ -150,19 +150,9 @@ class InstancedStructure(Structure):
         return moved
 
     @property
-    def arrays(self) -> TopAddresses:
-        """Addresses of the tree, the instances and the objects."""
-        return self._addresses
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Nodes of the tree, and records of instances and objects."""
-        return self._memory
-
-    @property
     def nested(self) -> Nested:
         """The objects' arrays, to which records point."""
-        objects = tuple(array for one in self.objects for array in one.memory.values())
+        objects = tuple(array for one in self.objects for array in one.arrays.values())
         fields = {"objects": OBJECT_ADDRESSES, "trees": TREE.names or ()}
         return Nested(objects, fields, ("shared",))
 

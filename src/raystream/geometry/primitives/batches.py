@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _wavefront(scene: PrimitiveBvh, batch: Batch) -> Calls:
-    held = scene.arrays
+    held = scene.view
     others = held._replace(sphere_nodes=ZERO_U64)
     trees = PrimitiveTrees(held.sphere_nodes, held.sphere_blocks, others)
     rays = trees, scene.frame, batch.source

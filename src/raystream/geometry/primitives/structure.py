@@ -70,25 +70,25 @@ class PrimitiveStructure(Structure):
         sphere_boxes, own = _sphere_boxes(triangles), part_of(progress, count, total)
         sphere_nodes, sphere_rows = self._tree_over(sphere_boxes, SPHERES_PER_BLOCK, own)
         first = int(triangles.first_fields[-1])
-        self._memory = {
-            **self._inner.memory,
+        self.arrays = {
+            **self._inner.arrays,
             "field_nodes": field_nodes,
             "fields": field_records(*fields, field_rows[:, 0].tolist()),
             "sphere_nodes": sphere_nodes,
             "sphere_blocks": sphere_blocks(triangles.spheres, sphere_rows, first),
         }
-        self._addresses = self._make_addresses()
+        self.view = self._make_addresses()
         field_bytes = sum(
             a.byte_count + t.ranges.nbytes for a, t in zip(local, self._levels, strict=True)
         )
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
-            byte_count=sum(array.nbytes for array in self._memory.values()) + field_bytes,
+            byte_count=sum(array.nbytes for array in self.arrays.values()) + field_bytes,
         )
 
     def _make_addresses(self) -> PrimitiveAddresses:
-        inner = self._inner.arrays._asdict()
-        memory = self._memory
+        inner = self._inner.view._asdict()
+        memory = self.arrays
         own = {n: np.uint64(memory[n].ctypes.data if len(memory[n]) else 0) for n in _OWN}
         counts = {
             "field_count": np.uint64(len(memory["fields"])),
@@ -111,16 +111,6 @@ class PrimitiveStructure(Structure):
         rows = np.full(-(-count // leaf_size) * leaf_size, -1, np.int32)
         rows[:count] = np.arange(count)
         return np.zeros((0, 64), np.float32), rows.reshape(-1, leaf_size)
-
-    @property
-    def arrays(self) -> PrimitiveAddresses:
-        """Addresses of all primitives and trees."""
-        return self._addresses
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Trees and records."""
-        return self._memory
 
     @property
     def nested(self) -> Nested:
@@ -151,7 +141,7 @@ class PrimitiveBvh(PrimitiveStructure):
 
     def __init__(self, triangles: Any, options: Any, *, progress: Progress | None = None) -> None:
         super().__init__(triangles, options, progress=progress)
-        own = self.memory["sphere_nodes"], self.memory["sphere_blocks"]
+        own = self.arrays["sphere_nodes"], self.arrays["sphere_blocks"]
         self.batch_kernels = batch_kernels(sum(one.nbytes for one in own))
 
     def _tree_over(

@@ -19,7 +19,7 @@ _MOST_PASSES = 3 * MAX_DEPTH
 
 def shader_structure(graph: GraphStructure) -> ShaderStructure:
     """Sectors and link nodes, leaf blocks, and bins."""
-    at, sector_count = graph.arrays, graph.graph.sector_count
+    at, sector_count = graph.view, graph.graph.sector_count
     tree = numbers(
         *(*at.low, sector_count, *at.high, _PAD, *at.bin_counts, _PAD),
         *(*at.bin_low, _PAD, *at.bin_scales, _PAD),

@@ -60,7 +60,7 @@ _INSTEAD = {
 def instanced_structure(structure: InstancedStructure) -> ShaderStructure:
     """The structures of the objects, and the tree over the instances, as shaders read them."""
     made = _trees(structure) if isinstance(structure, InstancedBvh) else _lists(structure)
-    return replace(made, rays=placed_rays(float(structure.arrays.far_unit)))
+    return replace(made, rays=placed_rays(float(structure.view.far_unit)))
 
 
 def _trees(bvh: InstancedBvh) -> ShaderStructure:
@@ -137,7 +137,7 @@ def _lists(brute: InstancedStructure) -> ShaderStructure:
 
 def _instances(structure: InstancedStructure) -> NDArray[np.void]:
     """The records of the instances, in the order of the tree's leaves."""
-    leaves = structure.memory["leaves"]
+    leaves = structure.arrays["leaves"]
     records = np.zeros(len(leaves), _INSTANCE)
     for name in ("linear", "shift", "object_id", "first_id", "world"):
         records[name] = leaves[name]

@@ -59,4 +59,4 @@ _KERNELS = with_shade(
 
 def steps(brute: BruteStructure) -> Steps:
     """The steps of brute force."""
-    return Steps(_KERNELS, PLACE, brute.arrays)
+    return Steps(_KERNELS, PLACE, brute.view)

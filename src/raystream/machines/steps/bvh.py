@@ -97,4 +97,4 @@ _KERNELS = traversal_kernels(set_up, traverse, intersect)
 def steps(bvh: BvhStructure) -> Steps:
     """The steps of a BVH's traversal, one ray at a time."""
     half = bvh.stack_half
-    return Steps(_KERNELS, PLACE, _Tree(*bvh.arrays, np.uint64(half)), 2 * half)
+    return Steps(_KERNELS, PLACE, _Tree(bvh.view.nodes, bvh.view.leaves, np.uint64(half)), 2 * half)

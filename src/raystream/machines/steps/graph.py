@@ -117,4 +117,4 @@ _KERNELS = traversal_kernels(set_up, traverse, intersect)
 
 def steps(graph: GraphStructure) -> Steps:
     """The steps of a traversal of a graph."""
-    return Steps(_KERNELS, PLACE, graph.arrays)
+    return Steps(_KERNELS, PLACE, graph.view)

@@ -207,4 +207,4 @@ _KERNELS = traversal_kernels(set_up, traverse, intersect)
 
 def steps(grid: GridStructure) -> Steps:
     """The steps of a traversal of a grid, of one level or two."""
-    return Steps(_KERNELS, PLACE, grid.arrays)
+    return Steps(_KERNELS, PLACE, grid.view)

@@ -185,5 +185,5 @@ _KERNELS = with_shade(
 
 def steps(tree: KdTreeStructure) -> Steps:
     """The steps of a kd-tree's own traversal, one of four."""
-    stack_bytes = _STACKS.get(int(tree.arrays.traversal), 0)
-    return Steps(_KERNELS, PLACE, tree.arrays, stack_bytes)
+    stack_bytes = _STACKS.get(int(tree.view.traversal), 0)
+    return Steps(_KERNELS, PLACE, tree.view, stack_bytes)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
@@ -38,25 +36,15 @@ class BruteStructure(Structure):
         self.triangles, self.options = triangles, options
         references = np.ascontiguousarray(triangles.prim_ids)
         corners = np.ascontiguousarray(triangles.corners)
-        self._memory = {"references": references, "corners": corners}
-        references_at, corners_at = (np.uint64(one.ctypes.data) for one in self._memory.values())
-        self._addresses = BruteAddresses(references_at, corners_at, np.uint64(len(references)))
+        self.arrays = {"references": references, "corners": corners}
+        references_at, corners_at = (np.uint64(one.ctypes.data) for one in self.arrays.values())
+        self.view = BruteAddresses(references_at, corners_at, np.uint64(len(references)))
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
-            byte_count=sum(array.nbytes for array in self._memory.values()),
+            byte_count=sum(array.nbytes for array in self.arrays.values()),
         )
         if progress:
             progress(len(triangles.prim_ids), len(triangles.prim_ids))
-
-    @property
-    def arrays(self) -> BruteAddresses:
-        """Addresses of the triangles, by prim_id."""
-        return self._addresses
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """The triangles' prim_ids and corners."""
-        return self._memory
 
     def quality(self) -> dict[str, float]:
         """The number of triangles that each ray is tested against."""

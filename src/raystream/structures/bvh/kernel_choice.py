@@ -32,14 +32,14 @@ CACHED_BYTES = 1 << 21
 
 
 def _wavefront(bvh: BvhStructure, batch: Batch) -> Calls:
-    rays = bvh.arrays, bvh.frame, batch.source
+    rays = bvh.view, bvh.frame, batch.source
     prefetching = bvh.report.byte_count > CACHED_BYTES
     return trace_wavefront, (*rays, batch.wants_any, prefetching, batch.query.on_hit, batch.results)
 
 
 def _nearest_of(trace: Callable[..., object], structure: Structure, batch: Batch) -> Calls:
     wanted = NearestWanted(batch.wants_any, batch.query.on_hit, batch.results)
-    return trace, (structure.arrays, batch.packets(structure.frame), wanted)
+    return trace, (structure.view, batch.packets(structure.frame), wanted)
 
 
 def nearest_kernel(trace: Callable[..., object], **options: Any) -> BatchKernel:

@@ -53,7 +53,8 @@ class BvhStructure(Structure):
         self.tree = tree
         self.options = options
         addresses = (one.ctypes.data if len(one) else 0 for one in tree)
-        self._addresses = TreeAddresses._make(map(np.uint64, addresses))
+        self.arrays = {"nodes": tree.nodes, "leaves": tree.leaves}
+        self.view = TreeAddresses._make(map(np.uint64, addresses))
         if len(tree.nodes) == 0:
             self.batch_kernels = {}
         held_ids = triangles.prim_ids
@@ -78,16 +79,6 @@ class BvhStructure(Structure):
         """The kernel that traces rays; see `Bvh`."""
         return self.options.kernel
 
-    @property
-    def arrays(self) -> TreeAddresses:
-        """Addresses of the tree, which the structure keeps alive."""
-        return self._addresses
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Nodes and leaf blocks."""
-        return {"nodes": self.tree.nodes, "leaves": self.tree.leaves}
-
     @cached_property
     def stack_half(self) -> int:
         """Bytes of half a search's stack; see `steps.begin`."""
@@ -99,7 +90,7 @@ class BvhStructure(Structure):
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The tree as it is traced."""
-        return {"nodes": self.tree.nodes, "leaves": self.tree.leaves}
+        return self.arrays
 
     @classmethod
     def from_arrays(

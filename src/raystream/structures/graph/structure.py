@@ -65,7 +65,8 @@ class GraphStructure(Structure):
         self._rows = aligned_array(len(graph.rows), 4).view(np.uint32)
         self._rows[:] = graph.rows
         _open_sides(self._rows[: SECTOR_ROWS * graph.sector_count])
-        self._addresses = self._make_addresses()
+        self.arrays = {"rows": self._rows, "blocks": self.blocks, "bins": graph.bins}
+        self.view = self._make_addresses()
         arrays = (self._rows, graph.prim_ids, graph.bins, self.blocks)
         seconds = time.perf_counter() - started
         self.report = BuildReport(seconds, sum(array.nbytes for array in arrays))
@@ -85,17 +86,7 @@ class GraphStructure(Structure):
         """The graph's rows as kernels read them: planes without a sector behind are at infinity."""
         return self._rows
 
-    @property
-    def arrays(self) -> GraphAddresses:
-        """Addresses of the graph, which the structure keeps alive."""
-        return self._addresses
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Sectors and links, leaf blocks, and bins."""
-        return {"rows": self._rows, "blocks": self.blocks, "bins": self.graph.bins}
-
-    def arrays_for(self, query: Query, rays: RayBatch, sink: Sink) -> GraphAddresses:
+    def view_for(self, query: Query, rays: RayBatch, sink: Sink) -> GraphAddresses:
         """The view for rays whose start is known, and whose hits keep their sectors."""
         starts = ends = np.uint64(0)
         if rays.near is not None and query.kind in (Kind.FIRST_HIT, Kind.ANY_HIT):
@@ -103,7 +94,7 @@ class GraphStructure(Structure):
         if query.kind is Kind.FIRST_HIT:
             sink.sectors = np.full(len(rays), -1, np.int32)
             ends = np.uint64(sink.sectors.ctypes.data)
-        return self._addresses._replace(starts=starts, ends=ends)
+        return self.view._replace(starts=starts, ends=ends)
 
     def start_sectors(
         self,
@@ -112,7 +103,7 @@ class GraphStructure(Structure):
         near: NDArray[np.int64] | None = None,
     ) -> StartSectors:
         """Find the sectors in which local rays are; see `locate.find_sectors`."""
-        return find_sectors(self.arrays, np.float32(self.triangles.max_coordinate), rays, t, near)
+        return find_sectors(self.view, np.float32(self.triangles.max_coordinate), rays, t, near)
 
     def dump(self, path: str | PathLike[str]) -> None:
         """Write the graph as text, one line per triangle, sector and link node.

@@ -100,7 +100,9 @@ class GridStructure(Structure):
             fine.records(),
             *fine.lists,
         )
-        self._addresses = _addresses(lattice, self._kept)
+        names = GridAddresses._fields[-len(self._kept) :]
+        self.arrays = dict(zip(names, self._kept, strict=True))
+        self.view = _addresses(lattice, self._kept)
         kept_bytes = sum(array.nbytes for array in self._kept)
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
@@ -125,17 +127,6 @@ class GridStructure(Structure):
     def cost_when_built(self) -> float:
         """Expected cost of a ray before triangles moved; see `UpdateReport`."""
         return trace_cost(self.lattice, self.lists, self.fine, self.triangles.bounds)
-
-    @property
-    def arrays(self) -> GridAddresses:
-        """Addresses of the grid, which the structure keeps alive."""
-        return self._addresses
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Lists of both levels, triangles, and fine lattices."""
-        names = GridAddresses._fields[-len(self._kept) :]
-        return dict(zip(names, self._kept, strict=True))
 
     def quality(self) -> dict[str, float]:
         """Numbers of cells and lengths of lists; see `statistics`."""

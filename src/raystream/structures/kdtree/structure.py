@@ -69,20 +69,20 @@ class KdTreeStructure(Structure):
         self.blocks = filled_blocks(tree.prim_ids, triangles.corners)
         self.packed: FoleyArrays | None = None
         self.extended: NDArray[np.float32] | None = None
-        self._memory: dict[str, NDArray[Any]] = {"blocks": self.blocks}
+        self.arrays = {"blocks": self.blocks}
         root = 0
         if len(tree.nodes):
             if options.layout == "foley":
                 self.packed = pack(tree.nodes)
-                self._memory |= {"nodes": self.packed.splits, "leaves": self.packed.leaves}
+                self.arrays |= {"nodes": self.packed.splits, "leaves": self.packed.leaves}
                 root = 1 << LEAF_BIT if len(tree.nodes) == 1 else 0
             else:
-                self._memory["nodes"] = tree.nodes
+                self.arrays["nodes"] = tree.nodes
             if options.traversal == "backtrack":
                 self.extended = extend(tree.nodes, self.packed is not None)
-                self._memory["extended"] = self.extended
+                self.arrays["extended"] = self.extended
         (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
-        self._addresses = KdAddresses(
+        self.view = KdAddresses(
             self._address_of("nodes"),
             None if self.packed is None else self._address_of("leaves"),
             self._address_of("extended"),
@@ -92,22 +92,12 @@ class KdTreeStructure(Structure):
             (low_x, low_y, low_z),
             (high_x, high_y, high_z),
         )
-        held = {id(array): array.nbytes for array in (*tree, *self._memory.values())}
+        held = {id(array): array.nbytes for array in (*tree, *self.arrays.values())}
         self.report = BuildReport(time.perf_counter() - started, sum(held.values()))
 
     def _address_of(self, name: str) -> np.uint64:
-        array = self._memory.get(name)
+        array = self.arrays.get(name)
         return np.uint64(0 if array is None else array.ctypes.data)
-
-    @property
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Nodes, leaf blocks, and the arrays of the layout and the traversal."""
-        return self._memory
-
-    @property
-    def arrays(self) -> KdAddresses:
-        """Addresses of the tree, which the structure keeps alive."""
-        return self._addresses
 
     def with_traversal(self, traversal: str) -> KdTreeStructure:
         """The same tree with another traversal, without a rebuild.
@@ -144,7 +134,7 @@ class KdTreeStructure(Structure):
         if node_count == 0:
             return dict.fromkeys(("nodes", "leaves", "empty leaves", "references", "depth"), 0.0)
         found = measure(self.tree.nodes, self.triangles.bounds)
-        node_bytes = sum(array.nbytes for name, array in self._memory.items() if name != "blocks")
+        node_bytes = sum(array.nbytes for name, array in self.arrays.items() if name != "blocks")
         cost = self.options.traversal_cost * found.splits_per_ray
         cost += self.options.intersection_cost * found.tests_per_ray
         return {

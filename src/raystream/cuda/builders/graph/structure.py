@@ -50,7 +50,7 @@ class DeviceGraph(RebuiltOnDevice, GraphStructure):
         When the build began, by `time.perf_counter`.
     """
 
-    _host_names = ("graph", "blocks", "_rows", "_addresses")
+    _host_names = ("graph", "blocks", "_rows", "view", "arrays")
 
     def __init__(
         self,

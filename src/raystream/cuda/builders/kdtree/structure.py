@@ -34,7 +34,7 @@ class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
         When the build began, by `time.perf_counter`.
     """
 
-    _host_names = ("tree", "blocks", "packed", "extended", "_memory", "_addresses")
+    _host_names = ("tree", "blocks", "packed", "extended", "view", "arrays")
 
     def __init__(
         self,

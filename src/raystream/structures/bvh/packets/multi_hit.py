@@ -257,7 +257,7 @@ def _visit_all(
     assert visitor is not None
     # Unsorted hits have 32-bit ray indices.
     sorts = query.is_ordered or len(batch.rays) >= 2**31
-    scene = structure.arrays
+    scene = structure.view
 
     def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
         in_use = buffers.addresses[-2:]
@@ -280,7 +280,7 @@ def count_all(
     """Count the hits of packets; see `BatchKernel.bind`."""
     counts = np.uint64(batch.sink.counts.ctypes.data)
     wanted = RowsWanted(batch.query.surfaces, counts, False, NULL)
-    return trace, (structure.arrays, source_of(structure, batch), wanted)
+    return trace, (structure.view, source_of(structure, batch), wanted)
 
 
 def all_hits_kernels(
