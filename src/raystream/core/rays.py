@@ -33,6 +33,10 @@ class RayStatus(enum.IntEnum):
     INVALID = 1
 
 
+#: The same for kernels.
+VALID, INVALID = np.uint8(RayStatus.VALID), np.uint8(RayStatus.INVALID)
+
+
 class RayArrays(NamedTuple):
     """Rays as the caller gave them, of which at least one array is on a GPU; nothing is checked.
 

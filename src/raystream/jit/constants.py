@@ -6,6 +6,7 @@ import numpy as np
 
 ZERO_U64, ONE_U64, TWO_U64, THREE_U64 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 ZERO_F32, ONE_F32, INF_F32 = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
+ZERO_F64, ONE_F64, INF_F64 = np.float64(0.0), np.float64(1.0), np.float64(np.inf)
 
 #: The address of an array that is absent.
 NULL = np.uint64(0)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
@@ -30,7 +30,6 @@ from raystream.kernels.hit_filter import RayFilter, keeps
 from raystream.kernels.ray import local_limit, world_t
 from raystream.kernels.search import is_before
 
-_INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)
 
 
@@ -134,7 +133,7 @@ def far_limits(told, t_scale, t_offset):
     slack = absolute(t) * 2.0**-22 + absolute(t_offset) * 2.0**-48 + 2.0**-147
     near = narrow((t + slack - t_offset) / t_scale)
     far = near + absolute(near) * np.float32(2.0**-22) + np.float32(2.0**-140)
-    return select(told >= _LARGEST, f32x16(_INF), far)
+    return select(told >= _LARGEST, f32x16(INF_F32), far)
 
 
 @device
@@ -142,7 +141,7 @@ def shorten_lanes(first_id, ray, taken, told, wants_any):
     """End the searches of some lanes at hits with a reported t; see `Best` for the rest."""
     limit = ray.limit
     if wants_any:
-        far = f32x16(-_INF)
+        far = f32x16(-INF_F32)
     elif first_id is None:
         far = told
     else:
@@ -154,7 +153,7 @@ def shorten_lanes(first_id, ray, taken, told, wants_any):
 def shorten_ray(first_id, ray, k, told, wants_any):
     """The same for ray k."""
     if wants_any:
-        ray.limit[k] = -_INF
+        ray.limit[k] = -INF_F32
     elif first_id is None:
         ray.limit[k] = told
     else:

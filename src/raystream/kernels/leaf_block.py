@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, TWO_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_32, TWO_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
@@ -76,7 +76,6 @@ TRIANGLE_BYTES = np.uint64(36)
 #: Blocks that one call of `_fill_blocks` writes.
 _CHUNK = 1 << 14
 
-_ZERO = np.float32(0.0)
 _NAN = np.float32(np.nan)
 _LANES = np.uint64(BLOCK_SIZE)
 
@@ -268,7 +267,7 @@ def test_block(block, ray, t_min, t_far, surfaces, lanes):
     low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
     low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
     low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
-    back_x, back_y, back_z = ray.inv[0] < _ZERO, ray.inv[1] < _ZERO, ray.inv[2] < _ZERO
+    back_x, back_y, back_z = ray.inv[0] < ZERO_F32, ray.inv[1] < ZERO_F32, ray.inv[2] < ZERO_F32
     box = slab_interval(
         select(back_x, high_x, low_x),
         select(back_y, high_y, low_y),

@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import kernel
 from raystream.kernels.ray import world_t
 from raystream.kernels.ray_source import load_ray
-
-_INF = np.float32(np.inf)
 
 
 class LocalRays(NamedTuple):
@@ -98,5 +97,5 @@ def to_world_t(begin, end, splits, to_world, t):
     """
     for i in range(np.uint64(begin), np.uint64(end)):
         for row in range(np.uint64(splits[i]), np.uint64(splits[i + np.uint64(1)])):
-            if t[row] < _INF:
+            if t[row] < INF_F32:
                 t[row] = world_t(t[row], to_world.scale[i], to_world.offset[i])

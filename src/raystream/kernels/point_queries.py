@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import RayStatus
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.core.rays import INVALID, VALID
+from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, prefetch, store
 from raystream.kernels.nearest import (
@@ -31,10 +31,7 @@ from raystream.kernels.ray import SceneFrame
 _FLOAT, _DOUBLE, _VECTOR = np.uint64(4), np.uint64(8), np.uint64(24)  # bytes
 _ROW_BYTES = np.uint64(ROW.itemsize)
 _STATE_BYTES = np.uint64(64)  # of an answer's memory, before the stack
-_VALID = np.uint8(RayStatus.VALID)
-_INVALID = np.uint8(RayStatus.INVALID)
 _MISS = np.int32(-1)
-_ZERO = np.float32(0.0)
 
 #: Points with a larger coordinate are invalid: in world space, as for rays, and in the local
 #: frame, where squares of squares must stay finite in float64.
@@ -220,7 +217,7 @@ def _local(points, i, frame):
     z = (z - frame.center[2]) * frame.scale
     local = max(max(abs(x), abs(y)), abs(z))
     is_valid = is_number and world <= _FARTHEST and local <= _FARTHEST_LOCAL
-    return (x, y, z), _VALID if is_valid else _INVALID
+    return (x, y, z), VALID if is_valid else INVALID
 
 
 @device
@@ -271,7 +268,7 @@ def _write(out, row, distance, position, weights, prim_id):
 
 @device
 def _write_missing(out, row):
-    _write(out, row, np.inf, (np.nan, np.nan, np.nan), (_ZERO, _ZERO), _MISS)
+    _write(out, row, np.inf, (np.nan, np.nan, np.nan), (ZERO_F32, ZERO_F32), _MISS)
 
 
 @device
@@ -374,7 +371,7 @@ def nearest_answer(search: PointSearch) -> tuple[Callable[..., None], int]:
         query = _read_point(scene, number)
         rows, others, known = _rows_of(order, i, scene, memory)
         found = ZERO_U64
-        if query.status == _VALID:
+        if query.status == VALID:
             nearest = _begin_point(query, frame, rows, capacity)
             nearest = offer_again(nearest, query.moved, others, known)
             nearest = find(scene.arrays, frame, query.moved, nearest, memory + _STATE_BYTES)

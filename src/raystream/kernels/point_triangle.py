@@ -18,14 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import INF_F64, ONE_F64, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import absolute, fma, minimum, select
 
-_ZERO = np.float64(0.0)
 _QUARTER = np.float64(0.25)
 _HALF = np.float64(0.5)
-_ONE = np.float64(1.0)
-_INF = np.float64(np.inf)
 
 
 class _Features(NamedTuple):
@@ -127,7 +125,7 @@ def _edge(to_p, to_q, edge):
     product, length = _dot(twice, edge), _dot(edge, edge)
     along = product / length
     off = twice[0] - along * edge[0], twice[1] - along * edge[1], twice[2] - along * edge[2]
-    return select(absolute(product) < length, _QUARTER * _dot(off, off), _INF), along
+    return select(absolute(product) < length, _QUARTER * _dot(off, off), INF_F64), along
 
 
 @device
@@ -152,8 +150,8 @@ def _features(point, a, b, c):
     )
     from_a, from_b = _cross(to_a, normal), _cross(to_b, normal)
     of_a, of_b, of_c = _dot(bc, from_b), _dot(ca, from_a), _dot(ab, from_a)
-    is_inside = (of_a > _ZERO) & (of_b > _ZERO) & (of_c > _ZERO)
-    face = select(is_inside, height * height / _dot(normal, normal), _INF)
+    is_inside = (of_a > ZERO_F64) & (of_b > ZERO_F64) & (of_c > ZERO_F64)
+    face = select(is_inside, height * height / _dot(normal, normal), INF_F64)
     return _Features(
         (at_a, at_b, at_c),
         (on_ab, on_bc, on_ca),
@@ -201,7 +199,7 @@ def _at(a, b, c, weights, squared):
 @device
 def _between(along):
     """Weights of an edge's ends at a place on it."""
-    return _HALF * (_ONE - along), _HALF * (_ONE + along)
+    return _HALF * (ONE_F64 - along), _HALF * (ONE_F64 + along)
 
 
 @device
@@ -220,19 +218,19 @@ def foot_on_triangle(point, a, b, c):
     at, on, _, along, areas = _features(point, a, b, c)
     least = squared_distance(point, a, b, c)
     if at[0] == least:
-        return _at(a, b, c, (_ONE, _ZERO, _ZERO), least)
+        return _at(a, b, c, (ONE_F64, ZERO_F64, ZERO_F64), least)
     if at[1] == least:
-        return _at(a, b, c, (_ZERO, _ONE, _ZERO), least)
+        return _at(a, b, c, (ZERO_F64, ONE_F64, ZERO_F64), least)
     if at[2] == least:
-        return _at(a, b, c, (_ZERO, _ZERO, _ONE), least)
+        return _at(a, b, c, (ZERO_F64, ZERO_F64, ONE_F64), least)
     if on[0] == least:
         p, q = _between(along[0])
-        return _at(a, b, c, (p, q, _ZERO), least)
+        return _at(a, b, c, (p, q, ZERO_F64), least)
     if on[1] == least:
         p, q = _between(along[1])
-        return _at(a, b, c, (_ZERO, p, q), least)
+        return _at(a, b, c, (ZERO_F64, p, q), least)
     if on[2] == least:
         p, q = _between(along[2])
-        return _at(a, b, c, (q, _ZERO, p), least)
+        return _at(a, b, c, (q, ZERO_F64, p), least)
     total = areas[0] + areas[1] + areas[2]
     return _at(a, b, c, (areas[0] / total, areas[1] / total, areas[2] / total), least)

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import DEFAULT_LIMITS, RayStatus
+from raystream.core.rays import DEFAULT_LIMITS, VALID
+from raystream.jit.constants import ZERO_F32
 from raystream.jit.cpu import device
 from raystream.jit.simd import bits_as_float, float_as_bits, load
 from raystream.kernels.adjacent_rows import adjacent_rows
@@ -28,8 +29,6 @@ from raystream.kernels.ray import (
     to_local,
 )
 
-_VALID = np.uint8(RayStatus.VALID)
-_ZERO = np.float32(0.0)
 _Y = np.uint64(4)
 _Z = np.uint64(8)
 
@@ -232,8 +231,8 @@ def local_ray(wx, wy, wz, dx, dy, dz, t_min, t_max, frame):
         t_scale = power * frame.inverse_scale
         inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
         # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
-        low = np.float32(np.float64(t_min) * inverse) + _ZERO
-        high = np.float32(np.float64(t_max) * inverse) + _ZERO
+        low = np.float32(np.float64(t_min) * inverse) + ZERO_F32
+        high = np.float32(np.float64(t_max) * inverse) + ZERO_F32
         if np.float64(low) * t_scale == t_min and np.float64(high) * t_scale == t_max:
             return LocalRay(
                 ox,
@@ -246,6 +245,6 @@ def local_ray(wx, wy, wz, dx, dy, dz, t_min, t_max, frame):
                 high,
                 t_scale,
                 np.float64(0.0),
-                _VALID,
+                VALID,
             )
     return to_local(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from raystream.jit.constants import ZERO_F32
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma
-
-_ZERO = np.float32(0.0)
 
 
 @device
@@ -29,11 +26,11 @@ def box_interval(ray, low_x, low_y, low_z, high_x, high_y, high_z):
     t_in, t_out : float32
         The ray is inside for t_in <= t <= t_out; it misses the box if t_in > t_out.
     """
-    if ray.inv_x < _ZERO:
+    if ray.inv_x < ZERO_F32:
         low_x, high_x = high_x, low_x
-    if ray.inv_y < _ZERO:
+    if ray.inv_y < ZERO_F32:
         low_y, high_y = high_y, low_y
-    if ray.inv_z < _ZERO:
+    if ray.inv_z < ZERO_F32:
         low_z, high_z = high_z, low_z
     t_in = max(
         fma(low_x, ray.inv_x, ray.near_x),

@@ -19,12 +19,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32, ZERO_F32
 from raystream.jit.cpu import device, device_call
 from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
-
-_ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
 
 
 @device
@@ -141,8 +139,8 @@ def _intersect(ray, a, b, c, in_frame, surfaces):
     U = _edge(cx, cy, bx, by)
     V = _edge(ax, ay, cx, cy)
     W = _edge(bx, by, ax, ay)
-    if min(U, V, W) < _ZERO and max(U, V, W) > _ZERO:
-        return False, _INF, _ZERO, _ZERO
+    if min(U, V, W) < ZERO_F32 and max(U, V, W) > ZERO_F32:
+        return False, INF_F32, ZERO_F32, ZERO_F32
 
     # Step 2: edge functions in float64. All have one sign, so their sum does not cancel.
     ax, ay, bx = np.float64(ax), np.float64(ay), np.float64(bx)
@@ -153,11 +151,11 @@ def _intersect(ray, a, b, c, in_frame, surfaces):
     low, high = min(U, V, W), max(U, V, W)
     if low <= 0.0 and high >= 0.0:
         if low < 0.0 and high > 0.0:
-            return False, _INF, _ZERO, _ZERO
+            return False, INF_F32, ZERO_F32, ZERO_F32
         if low == 0.0 and high == 0.0:  # seen edge-on
-            return False, _INF, _ZERO, _ZERO
+            return False, INF_F32, ZERO_F32, ZERO_F32
         if surfaces and not _owns_edge(ax, ay, bx, by, cx, cy, U, V, W):
-            return False, _INF, _ZERO, _ZERO
+            return False, INF_F32, ZERO_F32, ZERO_F32
     scale = 1.0 / (U + V + W)
 
     # Step 3: the distance to the plane, clamped. (Edge-on it is not finite; the clamp turns a NaN
@@ -165,5 +163,5 @@ def _intersect(ray, a, b, c, in_frame, surfaces):
     t = _plane_distance(ray, p, q, r)
     t_in, t_out = _own_interval(ray, a, b, c)
     t = t if t > t_in else t_in
-    t = (t if t < t_out else t_out) + _ZERO
-    return t_in <= t_out, t, np.float32(V * scale) + _ZERO, np.float32(W * scale) + _ZERO
+    t = (t if t < t_out else t_out) + ZERO_F32
+    return t_in <= t_out, t, np.float32(V * scale) + ZERO_F32, np.float32(W * scale) + ZERO_F32

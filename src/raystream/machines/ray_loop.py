@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.constants import ONE_U64
+from raystream.jit.constants import INF_F32, ONE_U64, ZERO_F32
 from raystream.jit.cpu import device
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import to_local, world_t
@@ -27,8 +27,6 @@ from raystream.machines.steps.base import StepKernel, Steps
 SPAN = np.dtype([("scale", np.float64), ("offset", np.float64)])
 
 _STARTING = np.uint8(RayState.STARTING)
-_ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
 _MISS = np.int32(-1)
 
 
@@ -111,9 +109,9 @@ def _start(new, ray, wanted, span, frame, hits):
     x, y, z = new.origin
     dx, dy, dz = new.direction
     local = to_local(
-        x, y, z, np.float64(dx), np.float64(dy), np.float64(dz), _ZERO, new.t_max, frame
+        x, y, z, np.float64(dx), np.float64(dy), np.float64(dz), ZERO_F32, new.t_max, frame
     )
-    put_hit(hits, new.row, _INF, _ZERO, _ZERO, _MISS)
+    put_hit(hits, new.row, INF_F32, ZERO_F32, ZERO_F32, _MISS)
     origin, direction = (local.ox, local.oy, local.oz), (local.dx, local.dy, local.dz)
     return (
         (origin, direction, local.t_min, local.t_max),

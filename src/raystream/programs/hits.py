@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.constants import BYTES_32, ONE_U64
+from raystream.jit.constants import BYTES_32, ONE_U64, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.hits import HitArrays
@@ -19,7 +19,6 @@ _ENDED = np.uint8(0)
 _LONG = np.uint64(8)
 _VECTOR = np.uint64(12)
 _TRIANGLE = np.uint64(36)
-_ZERO = np.float64(0.0)
 _NO_INSTANCE = np.int32(0)
 
 
@@ -293,4 +292,4 @@ def faces_front(at, direction):
     bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
     dx, dy, dz = direction
     along = dx * (by * cz - bz * cy) + dy * (bz * cx - bx * cz) + dz * (bx * cy - by * cx)
-    return along < _ZERO
+    return along < ZERO_F64

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from raystream.cuda.bvh import binary
 from raystream.cuda.bvh.kernels import LaidOut, with_arrays
 from raystream.cuda.bvh.walk import binary_walk, one_tree
 from raystream.geometry.float64.queries import LANES_BYTES
 from raystream.geometry.float64.structure import Float64Bvh
 from raystream.geometry.float64.traversal import blocks_by, box_interval
+from raystream.jit.constants import ZERO_F64
 from raystream.jit.cpu import device
-
-_ZERO = np.float64(0.0)
 
 #: Bytes of a search's memory: lanes of a block, and the stack.
 stack_bytes = LANES_BYTES + binary.STACK_BYTES
@@ -25,11 +22,11 @@ stack_bytes = LANES_BYTES + binary.STACK_BYTES
 def _enter(box, line, _search, near, far):
     ray, _ = line
     low_x, high_x, low_y, high_y, low_z, high_z = box
-    if ray.inv[0] < _ZERO:
+    if ray.inv[0] < ZERO_F64:
         low_x, high_x = high_x, low_x
-    if ray.inv[1] < _ZERO:
+    if ray.inv[1] < ZERO_F64:
         low_y, high_y = high_y, low_y
-    if ray.inv[2] < _ZERO:
+    if ray.inv[2] < ZERO_F64:
         low_z, high_z = high_z, low_z
     t_in, t_out = box_interval((low_x, low_y, low_z), (high_x, high_y, high_z), ray)
     return t_in, max(t_in, near) <= min(t_out, far)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
+from raystream.core.rays import VALID
 from raystream.jit.constants import NULL, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import RangeKernel
@@ -13,7 +13,6 @@ from raystream.kernels.ray_source import load_ray
 
 _OPEN = np.uint8(1)
 _MISS = np.int32(-1)
-_VALID = np.uint8(RayStatus.VALID)
 
 
 @kernel
@@ -49,7 +48,7 @@ def _is_hit(i, prim_ids, seen):
 @kernel
 def _note_invalid(i, source, frame, status):
     ray = load_ray(source, i, frame)
-    if ray.status != _VALID:
+    if ray.status != VALID:
         store(status + i, ray.status)
 
 

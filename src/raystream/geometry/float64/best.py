@@ -13,7 +13,7 @@ import numpy as np
 from raystream.geometry.float64.block import HIGH, PRIM_IDS, span_of
 from raystream.geometry.float64.group_rays import Float64Group, Float64Lanes, exact_ray, nearest_of
 from raystream.geometry.float64.search import exists, offer
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
+from raystream.jit.constants import INF_F32, INF_F64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
@@ -41,8 +41,6 @@ _LANES_HIGH = np.uint64(128)
 #: than a step of float32, as a part of a number, and near 0.
 _OFFSET_SLACK = 2.0**-50
 _STEPS, _LEAST_STEP = np.float32(2.0**-22), np.float32(2.0**-126)
-
-_INF, _INF32 = np.float64(np.inf), np.float32(np.inf)
 
 
 class Float64Best(NamedTuple):
@@ -81,7 +79,7 @@ def _offer_one(best, k, span, triangle, prim_id):
     if best.wants_any:
         if not exists(line, span, triangle, False):
             return False
-        lanes.prim_id[k], lanes.far[k], limits[k] = prim_id, -_INF, -_INF32
+        lanes.prim_id[k], lanes.far[k], limits[k] = prim_id, -INF_F64, -INF_F32
         return True
     old = nearest_of(lanes, k)
     new = offer(line, old, span, triangle, prim_id)
@@ -124,9 +122,9 @@ def offer_lanes(best, hits, triangle, prim_id):
     bits = mask_bits(taken)
     if bits != ZERO_U64:
         group.prim_id = select(taken, i32x16(prim_id), group.prim_id)
-        limit = f32x16(-_INF32)
+        limit = f32x16(-INF_F32)
         if best.wants_any:
-            group.far = select(taken, f64x16(-_INF), group.far)
+            group.far = select(taken, f64x16(-INF_F64), group.far)
         else:
             group.low = select(taken, hits.low, nearest)
             group.high = select(taken, hits.high, group.high)

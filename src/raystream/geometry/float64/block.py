@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.geometry.float64.ray import largest
-from raystream.jit.constants import ONE_U64, SHIFT_64, ZERO_U64
+from raystream.jit.constants import INF_F64, ONE_U64, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     absolute,
@@ -62,8 +62,6 @@ _RATIO_ERROR = np.float64(4.0 * _UNIT)
 #: The divisor is known well enough for a distance if it is this many times its bound.
 _CLEAR = np.float64(4.0)
 
-_ZERO = np.float64(0.0)
-_INF = np.float64(np.inf)
 _BLOCK_BITS = np.int32(7)
 
 
@@ -165,7 +163,7 @@ def test_lanes(a, edges, origin, direction, t_min, t_far, allowed):
     t, relative = _dot(corner, n) / base, h * h / absolute(base)
     size = absolute(t)
     slack = relative * (size * _BASE_ERROR + reach * _TOP_ERROR) + size * _RATIO_ERROR
-    least, most = select(is_clear, t - slack, -_INF), select(is_clear, t + slack, _INF)
+    least, most = select(is_clear, t - slack, -INF_F64), select(is_clear, t + slack, INF_F64)
     found = found & (least <= t_far) & (most >= t_min)
     # Step 3: the others' signs are equal for sure, or in doubt.
     return PossibleHits(found, is_clear & ((low > error) | (high < -error)), least, most)

@@ -23,6 +23,7 @@ from raystream.geometry.float64.double_numbers import (
 )
 from raystream.geometry.float64.expansions import determinant_value, rounded_ratio
 from raystream.geometry.float64.ray import largest
+from raystream.jit.constants import INF_F64, ONE_F64, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import absolute, maximum, minimum
@@ -38,10 +39,6 @@ _RATIO_ERROR = np.float64(2.0**-98)
 
 #: With a smaller sum of the weights, as a part of h (M + h), they are computed exactly.
 _LEAST_BASE = np.float64(2.0**-40)
-
-_ZERO = np.float64(0.0)
-_ONE = np.float64(1.0)
-_INF = np.float64(np.inf)
 
 
 @device
@@ -102,7 +99,7 @@ def estimate(a, b, c, origin, direction):
     is_sure = (least > size * _SIGN_ERROR) & (absolute(base[0]) > size * _LEAST_BASE)
     # Step 3: the distance, and whether its error leaves its last digit.
     t, rest = divide_double(top, base)
-    length, inverse = absolute(t), _ONE / base[0]
+    length, inverse = absolute(t), ONE_F64 / base[0]
     slack = h * h * (reach * _TOP_ERROR + length * _BASE_ERROR) * absolute(inverse)
     slack += length * _RATIO_ERROR
     is_rounded = (t + (rest + slack) == t) & (t + (rest - slack) == t)
@@ -113,13 +110,13 @@ def estimate(a, b, c, origin, direction):
 def barycentrics(weight_v, weight_w, inverse):
     """Weights u and v of a hit's vertices 1 and 2, from numbers in proportion to them."""
     u, v = absolute(weight_v * inverse), absolute(weight_w * inverse)
-    return minimum(u, _ONE), minimum(v, _ONE)
+    return minimum(u, ONE_F64), minimum(v, ONE_F64)
 
 
 @device
 def _alone(x):
     """A triple of float64 numbers as sums of two."""
-    return (x[0], _ZERO), (x[1], _ZERO), (x[2], _ZERO)
+    return (x[0], ZERO_F64), (x[1], ZERO_F64), (x[2], ZERO_F64)
 
 
 @device
@@ -131,9 +128,9 @@ def _pick(k, x):
 def _image_difference(edge, d, k, z):
     """An edge along axis k, in the frame whose z axis is the ray, times d[z]: the sign is exact."""
     # edge[k] * d[z] - edge[z] * d[k], as a determinant with a unit vector.
-    zero, one = (_ZERO, _ZERO), (_ONE, _ZERO)
+    zero, one = (ZERO_F64, ZERO_F64), (ONE_F64, ZERO_F64)
     first = _pick(k, edge), _pick(z, edge), zero
-    second = (_pick(k, d), _ZERO), (_pick(z, d), _ZERO), zero
+    second = (_pick(k, d), ZERO_F64), (_pick(z, d), ZERO_F64), zero
     return determinant_value(first, second, (zero, zero, one))
 
 
@@ -192,18 +189,18 @@ def solve_exactly(line, triangle, surfaces):
         weight_u = determinant_value(way, _differences(b, o), _differences(c, o))
         weight_v = determinant_value(q, corner, way)
         weight_w = -determinant_value(p, corner, way)
-        inverse = _ONE / determinant_value(way, p, q)
+        inverse = ONE_F64 / determinant_value(way, p, q)
     # A miss if two signs differ, or if the ray lies in the triangle's plane.
     low, high = min(weight_u, weight_v, weight_w), max(weight_u, weight_v, weight_w)
     if (low < 0.0 and high > 0.0) or (low == 0.0 and high == 0.0):
-        return False, _INF, _ZERO, _ZERO
+        return False, INF_F64, ZERO_F64, ZERO_F64
     # Through an edge or a vertex: of this surface's triangles, one is hit.
     if surfaces and (low == 0.0 or high == 0.0):
         sign_u = weight_u if weight_u != 0.0 else _moved_sign(_differences(c, b), d)
         sign_v = weight_v if weight_v != 0.0 else _moved_sign(_differences(a, c), d)
         sign_w = weight_w if weight_w != 0.0 else _moved_sign(p, d)
         if not (min(sign_u, sign_v, sign_w) > 0.0 or max(sign_u, sign_v, sign_w) < 0.0):
-            return False, _INF, _ZERO, _ZERO
+            return False, INF_F64, ZERO_F64, ZERO_F64
     if not is_rounded:
         t = rounded_ratio(corner, p, q, _alone(d))
     u, v = barycentrics(weight_v, weight_w, inverse)

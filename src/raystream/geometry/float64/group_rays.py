@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
+from raystream.core.rays import VALID
 from raystream.geometry.float64.ray import (
     LEAST_EXPONENT,
     MOST_COORDINATE,
@@ -24,7 +24,7 @@ from raystream.geometry.float64.ray import (
     without_least,
 )
 from raystream.geometry.float64.search import NO_PRIM, Nearest
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, INF_F64, ONE_U64, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -85,10 +85,8 @@ _FAR = 2.0**20
 
 _LANES = np.uint64(16)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
-_INF, _ZERO, _UNIT = np.float64(np.inf), np.float64(0.0), np.float64(1.0)
-_INF32 = np.float32(np.inf)
+_UNIT = np.float64(1.0)
 _NO_TRIANGLE, _SHIFT64 = np.int64(0), np.int64(3)
-_VALID = np.uint8(RayStatus.VALID)
 
 
 @device
@@ -146,8 +144,8 @@ def _load_one(lanes, k, source, i):
     lanes.t_min[k], lanes.t_max[k], lanes.far[k] = line.t_min, line.t_max, line.t_max
     lanes.half[k], lanes.rest[k], lanes.is_alone[k] = half, rest, np.int32(0)
     reach, most = largest(local_origin(line.origin, frame)), np.float64(frame.max_coordinate)
-    if status != _VALID or not reach <= _FAR * most:
-        lanes.is_alone[k], lanes.far[k] = np.int32(1), -_INF
+    if status != VALID or not reach <= _FAR * most:
+        lanes.is_alone[k], lanes.far[k] = np.int32(1), -INF_F64
 
 
 @device
@@ -181,7 +179,7 @@ def _load_all(group, source, first):
     is_usual = (
         (exponent >= LEAST_EXPONENT)
         & (exponent <= MOST_EXPONENT)
-        & (_sum(direction) < _INF)
+        & (_sum(direction) < INF_F64)
         & (_sum(given) <= MOST_COORDINATE)
         & (largest(local_origin(origin, frame)) <= _FAR * np.float64(frame.max_coordinate))
         & (t_min == t_min)
@@ -222,13 +220,13 @@ def load_rays(at, source, first, count, is_slow, local):
         for k in range(_LANES):
             _load_one(lanes, k, source, first + min(k, count - ONE_U64))
             if k >= count:
-                lanes.far[k] = -_INF
-    group.low, group.high = f64x16(_INF), f64x16(_INF)
+                lanes.far[k] = -INF_F64
+    group.low, group.high = f64x16(INF_F64), f64x16(INF_F64)
     group.triangle, group.prim_id = i64x16(_NO_TRIANGLE), i32x16(NO_PRIM)
     group.scale = f64x16(np.float64(source.frame.scale))
-    group.offset = f64x16(_ZERO)
+    group.offset = f64x16(ZERO_F64)
     if is_slow:
         for k in range(_LANES):
             lanes.offset[k] = local.slow_t_offset[k] / local.slow_t_scale[k]
-            if lanes.far[k] == -_INF:
-                local.t[k] = -_INF32
+            if lanes.far[k] == -INF_F64:
+                local.t[k] = -INF_F32

@@ -14,7 +14,7 @@ from raystream.geometry.float64.ray import prepare_float64, reported
 from raystream.geometry.float64.rows import keep_row, put_row, row_t, sort_rows
 from raystream.geometry.float64.search import exists, no_hit, offer
 from raystream.geometry.float64.traversal import STACK_BYTES, tree_blocks
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
+from raystream.jit.constants import INF_F64, ONE_U64, SHIFT_32, SHIFT_64, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import count_trailing_zeros, load, store
 from raystream.kernels.hits import HitAddresses
@@ -22,8 +22,6 @@ from raystream.kernels.queries import RaySearches, note_status
 from raystream.kernels.ray_source import load_direction, load_origin
 
 _MISS = np.int32(-1)
-_INF = np.float64(np.inf)
-_ZERO = np.float64(0.0)
 
 #: Bytes that `test_block` writes, and those of a search.
 LANES_BYTES = 64
@@ -46,7 +44,7 @@ def _load_ray(i, scene):
 def write_nearest(to, i, best, ray):
     """Write the nearest hit of a ray, or a miss, to row i; `to` has the names of `HitAddresses`."""
     if best.triangle == ZERO_U64:
-        put_row(to, i, _INF, _ZERO, _ZERO, _MISS)
+        put_row(to, i, INF_F64, ZERO_F64, ZERO_F64, _MISS)
         return
     _, t, u, v = solve_exactly(ray.line, best.triangle, False)
     put_row(to, i, reported(t, ray), u, v, best.prim_id)

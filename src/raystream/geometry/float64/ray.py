@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
-from raystream.jit.constants import ZERO_U64
+from raystream.core.rays import INVALID, VALID
+from raystream.jit.constants import INF_F64, ONE_F64, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -50,12 +50,7 @@ _SLACK = 2.0**-50
 LEAST_EXPONENT, MOST_EXPONENT = np.int64(1023 - 900), np.int64(1023 + 900)
 
 _LARGEST = np.float64(np.finfo(np.float64).max)
-_VALID = np.uint8(RayStatus.VALID)
-_INVALID = np.uint8(RayStatus.INVALID)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
-_ZERO = np.float64(0.0)
-_ONE = np.float64(1.0)
-_INF = np.float64(np.inf)
 
 #: An axis of `Float64Ray.inv`, `near` and `far`, and of a node's planes.
 _Triple = tuple[np.float64, np.float64, np.float64]
@@ -134,7 +129,7 @@ def widened_far(t):
 
 @device
 def _kept(x):
-    return select(absolute(x) >= LEAST, x, _ZERO)
+    return select(absolute(x) >= LEAST, x, ZERO_F64)
 
 
 @device
@@ -152,7 +147,7 @@ def largest(x):
 @device
 def _first_planes(axis, inv):
     """Offset of the planes of an axis that a ray enters by; see `node_layout.plane_offset`."""
-    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else ZERO_U64)
+    return axis * NODE_AXIS + (BOX_FLIP if inv < ZERO_F64 else ZERO_U64)
 
 
 @device
@@ -206,14 +201,14 @@ def make_line(origin, direction, t_min, t_max):
         See `Float64Ray`.
     status : uint8
     """
-    status = _VALID
+    status = VALID
     if not _is_valid(origin, direction, t_min, t_max):
-        status, t_min, t_max = _INVALID, _INF, -_INF
-        origin, direction = (_ZERO, _ZERO, _ZERO), (_ONE, _ONE, _ONE)
+        status, t_min, t_max = INVALID, INF_F64, -INF_F64
+        origin, direction = (ZERO_F64, ZERO_F64, ZERO_F64), (ONE_F64, ONE_F64, ONE_F64)
     dx, dy, dz = direction
     exponent = float_as_bits(largest(direction)) >> MANTISSA_BITS
     if exponent >= LEAST_EXPONENT and exponent <= MOST_EXPONENT:
-        half, rest = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS), _ONE
+        half, rest = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS), ONE_F64
         inverse = bits_as_float(exponent << MANTISSA_BITS)
         t_min, t_max = t_min * inverse, t_max * inverse
         dx, dy, dz = dx * half, dy * half, dz * half

@@ -11,14 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.geometry.float64.exact import solve_exactly
-from raystream.jit.constants import ZERO_U64
+from raystream.jit.constants import INF_F64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 
 #: prim_id of a ray without a hit: the greatest number.
 NO_PRIM = np.int32(2**31 - 1)
-
-_INF = np.float64(np.inf)
 
 
 class Nearest(NamedTuple):
@@ -42,7 +40,7 @@ class Nearest(NamedTuple):
 @device
 def no_hit():
     """No hit yet."""
-    return Nearest(_INF, _INF, ZERO_U64, NO_PRIM)
+    return Nearest(INF_F64, INF_F64, ZERO_U64, NO_PRIM)
 
 
 @device

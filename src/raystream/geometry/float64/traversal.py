@@ -12,6 +12,7 @@ import numpy as np
 
 from raystream.geometry.float64.block import BLOCK, leaf_end
 from raystream.geometry.float64.ray import widened_far, widened_near
+from raystream.jit.constants import ZERO_F32, ZERO_F64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     f32x8,
@@ -31,8 +32,6 @@ from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
 
 __all__ = ["STACK_BYTES", "Float64Tree", "all_blocks", "tree_blocks"]
 
-_ZERO = np.float64(0.0)
-_ZERO32 = np.float32(0.0)
 _KEY_BITS = np.int32(~7)
 
 
@@ -81,7 +80,7 @@ def _enter(node, line, search, t_min, t_far):
     t_in, t_out = box_interval(first, last, ray)
     entered = maximum(t_in, f64x8(t_min)) <= minimum(t_out, f64x8(t_far))
     # Rounding to float32 keeps the order, so that a key is at most that of a farther limit.
-    keys = float_as_bits(narrow(maximum(t_in, f64x8(_ZERO))))
+    keys = float_as_bits(narrow(maximum(t_in, f64x8(ZERO_F64))))
     return (keys & _KEY_BITS) | lane_numbers(i32x8), entered
 
 
@@ -94,7 +93,7 @@ def blocks_by(make_walk: Callable[..., Any]) -> Callable[..., Any]:
             ray, _ = line
             far = widened_far(far_of(ray, search))
             # Adding zero turns -0 into 0.
-            return widened_near(ray.line.t_min), far, np.float32(far) + _ZERO32
+            return widened_near(ray.line.t_min), far, np.float32(far) + ZERO_F32
 
         @device
         def visit_leaf(tree, child, line, search, stack):

@@ -16,7 +16,7 @@ from raystream.geometry.instances.merged_hits import InstanceList, Merged, merge
 from raystream.geometry.instances.object_rays import load_rays
 from raystream.geometry.instances.padding import drop_invalid, padded_source
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
-from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import f32x16, load, mask_bits, scratch, store
@@ -50,7 +50,6 @@ CALL_BYTES = 2 * -(-MEMORY_BYTES // 64) * 64
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
 _INSIDE_AT = np.uint64(CALL_BYTES // 2)
-_ZERO = np.float32(0.0)
 
 
 class _InstanceLeaf(NamedTuple):
@@ -161,7 +160,7 @@ def _finish(memory, source, first, last, top, group_count, wanted):
     # From now on, all distances are the reported ones.
     for g in range(group_count):
         group = Group(memory, g)
-        group.t, group.t_scale = Merged(memory, g).t + _ZERO, f32x16(np.float32(1.0))
+        group.t, group.t_scale = Merged(memory, g).t + ZERO_F32, f32x16(np.float32(1.0))
         set_slow(group)
     finish_nearest(memory, source, first, last, top, group_count, wanted)
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
+from raystream.core.rays import INVALID
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
 from raystream.geometry.instances.traversal import WorldRay, load_world_ray, object_ray, scene_ray
-from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     i32x8,
@@ -67,18 +67,16 @@ _HITS_BYTES = HITS.itemsize
 
 _WORD, _WORD_SHIFT = np.uint64(8), np.uint64(3)
 _LEAF_SHIFT = np.int32(3)
-_INF = np.float32(np.inf)
-_INVALID = np.uint8(RayStatus.INVALID)
 
 
 @device
 def _start(slot, keys, children, i, source, frame, top, status):
     """Put ray i into a slot, before the root of the tree over the instances."""
     ray, most, _ = scene_ray(load_world_ray(source, i), top, frame)
-    if ray.status == _INVALID:
-        store(status + i, _INVALID)
+    if ray.status == INVALID:
+        store(status + i, INVALID)
     start_ray(slot, keys, children, i, ray, most)
-    slot.best_t = _INF
+    slot.best_t = INF_F32
 
 
 @device

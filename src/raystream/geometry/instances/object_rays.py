@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.geometry.instances.merged_hits import Merged, MergedLanes, ray_index
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, INF_F64, ONE_U64, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -51,9 +51,6 @@ from raystream.structures.bvh.ray_groups.rays import (
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL = np.uint64(0xFFFF)
-_ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
-_INF64, _ZERO64 = np.float64(np.inf), np.float64(0.0)
 
 #: Origins beyond this are left to the function for single rays, which tells valid ones.
 _MAX_ORIGIN = np.float64(2.0**100)
@@ -108,11 +105,11 @@ def _crossing(o, d, low, high, margin):
     to_low = (np.float64(low) - margin) - o
     to_high = (np.float64(high) + margin) - o
     t_low, t_high = to_low / d, to_high / d
-    is_flat = d == _ZERO64
-    beside = is_flat & ((to_low > _ZERO64) | (to_high < _ZERO64))
-    t_in = select(is_flat, f64x16(-_INF64), minimum(t_low, t_high))
-    t_out = select(is_flat, f64x16(_INF64), maximum(t_low, t_high))
-    return select(beside, f64x16(_INF64), t_in), select(beside, f64x16(-_INF64), t_out)
+    is_flat = d == ZERO_F64
+    beside = is_flat & ((to_low > ZERO_F64) | (to_high < ZERO_F64))
+    t_in = select(is_flat, f64x16(-INF_F64), minimum(t_low, t_high))
+    t_out = select(is_flat, f64x16(INF_F64), maximum(t_low, t_high))
+    return select(beside, f64x16(INF_F64), t_in), select(beside, f64x16(-INF_F64), t_out)
 
 
 @device
@@ -125,7 +122,7 @@ def _entry(origin, direction, frame):
     in_z, out_z = _crossing(origin[2], direction[2], low[2], high[2], margin)
     t_in = maximum(maximum(in_x, in_y), in_z)
     t_out = minimum(minimum(out_x, out_y), out_z)
-    return select(t_in <= t_out, t_in, f64x16(_INF64))
+    return select(t_in <= t_out, t_in, f64x16(INF_F64))
 
 
 @device
@@ -197,7 +194,7 @@ def load_in_object_space(group, world, instance, object_):
         _outside_by(oz, box_low[2], box_high[2]),
     )
     advanced = is_usual & (outside > far)
-    t_offset = f64x16(_ZERO64)
+    t_offset = f64x16(ZERO_F64)
     if any_lane(advanced):
         direction = dx, dy, dz
         first = _entry((ox, oy, oz), direction, object_)
@@ -205,26 +202,26 @@ def load_in_object_space(group, world, instance, object_):
         second = _entry((px, py, pz), direction, object_)
         px, py, pz = px + second * dx, py + second * dy, pz + second * dz
         total = first + second
-        missed = (first == _INF64) | (second == _INF64)
+        missed = (first == INF_F64) | (second == INF_F64)
         offset = total * t_scale
         # A box behind the origin is not met, and a start of the interval before the box does not
         # matter.
         near_by = absolute(total) <= _MAX_STEPS * np.float64(object_.max_coordinate)
-        is_behind = near_by & (total < _ZERO64) & (widen(t_min) >= _ZERO64)
+        is_behind = near_by & (total < ZERO_F64) & (widen(t_min) >= ZERO_F64)
         begins_before = near_by & (offset >= widen(t_min))
         is_exact = _chosen(advanced, missed | is_behind | begins_before, is_exact)
         missed = missed | is_behind
         ox, oy, oz = select(advanced, px, ox), select(advanced, py, oy), select(advanced, pz, oz)
         t_offset = select(advanced, offset, t_offset)
-        low = select(advanced, f32x16(-_INF), low)
+        low = select(advanced, f32x16(-INF_F32), low)
         missed = missed & advanced
-        zero = f64x16(_ZERO64)  # there is no NaN in a group
+        zero = f64x16(ZERO_F64)  # there is no NaN in a group
         ox, oy, oz = select(missed, zero, ox), select(missed, zero, oy), select(missed, zero, oz)
         t_offset = select(missed, zero, t_offset)
-        low = select(missed, f32x16(_INF), low)
+        low = select(missed, f32x16(INF_F32), low)
     # A limit that lies too far is harmless, one that is too near is not.
     high = select(has_hit | advanced, far_limits(best_t, t_scale, t_offset), high)
-    high = select(low == _INF, f32x16(-_INF), high)
+    high = select(low == INF_F32, f32x16(-INF_F32), high)
 
     origin, to = group.origin, group.direction
     origin[_X], origin[_Y], origin[_Z] = narrow(ox), narrow(oy), narrow(oz)

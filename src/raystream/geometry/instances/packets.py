@@ -20,7 +20,7 @@ from raystream.geometry.instances.object_rays import (
 )
 from raystream.geometry.instances.padding import drop_invalid, padded_source
 from raystream.geometry.instances.records import InstanceRecord, ObjectRecord, TreeRecord
-from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, NULL, ONE_F32, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -52,8 +52,6 @@ from raystream.structures.bvh.walks.packet import TRACE_BYTES, packet_walk
 
 _LANES = np.uint64(16)
 _LEAF_SHIFT = np.int32(3)
-_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_INF = np.float32(np.inf)
 _WORLDS_BYTES = int(GROUPS) * WORLD_BYTES
 _NUMBERS_BYTES = int(GROUPS)
 
@@ -103,7 +101,7 @@ def _load_groups(inside, packet, box, rays, groups, instance, object_):
         world.best_t, world.best = hits.t, hits.prim_id
         load_in_object_space(group, world, instance, object_)
         enters = lanes_from_bits(mask16, bits)
-        group.t = select(enters, group.t, f32x16(-_INF))
+        group.t = select(enters, group.t, f32x16(-INF_F32))
         prepare_group(group, object_.max_coordinate)
         store(inside.groups + count, np.uint8(g))
         count += np.uint64(mask_bits(group.direction_class != NO_CLASS) != ZERO_U64)
@@ -152,7 +150,7 @@ def _read_rays(packet, number, worlds, slow_groups, source):
         if not is_slow:
             set_slow(Group(packet, g))
         hits, lanes = InstanceHits(packet, g), GroupLanes(packet, g)
-        hits.t = f32x16(_INF)
+        hits.t = f32x16(INF_F32)
         if count == ZERO_U64:
             continue
         for k in range(_LANES):
@@ -189,7 +187,7 @@ def _trace(packet, top, max_coordinate, worlds, leaf):
     # From now on, all distances are the reported ones.
     for g in range(GROUPS):
         group = Group(packet, g)
-        group.t, group.t_scale = InstanceHits(packet, g).t + _ZERO, f32x16(_ONE)
+        group.t, group.t_scale = InstanceHits(packet, g).t + ZERO_F32, f32x16(ONE_F32)
         set_slow(group)
 
 

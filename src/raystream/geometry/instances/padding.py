@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
+from raystream.core.rays import INVALID
 from raystream.geometry.instances.traversal import MOST_FAR, is_scalable
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import store
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import load_direction, load_origin
 from raystream.structures.bvh.packets.rays import GROUPS, NO_CLASS, PacketSource, group_rows
-
-_INF = np.float32(np.inf)
-_INVALID = np.uint8(RayStatus.INVALID)
 
 
 @device
@@ -83,5 +81,5 @@ def drop_invalid(lanes, first, count, source):
     for k in range(count):
         x, y, z = load_direction(source.rays, first + k)
         if not is_scalable(x, y, z):
-            store(source.status + first + k, _INVALID)
-            lanes.t[k], lanes.t_min[k], lanes.direction_class[k] = -_INF, _INF, NO_CLASS
+            store(source.status + first + k, INVALID)
+            lanes.t[k], lanes.t_min[k], lanes.direction_class[k] = -INF_F32, INF_F32, NO_CLASS

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
+from raystream.core.rays import INVALID, VALID
 from raystream.geometry.instances.records import TREE, InstanceRecord, ObjectRecord, TreeRecord
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.kernels.queries import RaySearches, note_status, ray_filter, searches_of
@@ -50,8 +51,6 @@ _STACK, _TREE = np.uint64(STACK_BYTES), np.uint64(TREE.itemsize)
 _NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)
 _LEAF_SHIFT = np.int32(3)
 _NO_ID = np.int32(0)
-_INF = np.float32(np.inf)
-_VALID, _INVALID = np.uint8(RayStatus.VALID), np.uint8(RayStatus.INVALID)
 
 #: Directions must not be longer than this, or shorter than its inverse: moved to object space they
 #: stay within float64.
@@ -252,7 +251,7 @@ def scene_ray(world_ray, top, frame):
     """
     ox, oy, oz, dx, dy, dz, t_min, t_max = world_ray
     ray = local_ray(ox, oy, oz, dx, dy, dz, t_min, t_max, frame)
-    is_valid = ray.status == _VALID and is_scalable(dx, dy, dz)
+    is_valid = ray.status == VALID and is_scalable(dx, dy, dz)
     reach = max(abs(ox), abs(oy), abs(oz)) * frame.scale
     far = np.float32(min(top.far_unit * reach, MOST_FAR))
     whole = WorldRay(ox, oy, oz, dx, dy, dz, t_min, t_max, is_valid)
@@ -270,10 +269,10 @@ def _limited(ray, is_valid):
         ray.dy,
         ray.dz,
         ray.t_min,
-        ray.t_max if is_valid else -_INF,
+        ray.t_max if is_valid else -INF_F32,
         ray.t_scale,
         ray.t_offset,
-        _VALID if is_valid else _INVALID,
+        VALID if is_valid else INVALID,
     )
 
 

@@ -22,7 +22,7 @@ from raystream.geometry.primitives.records import (
     SphereBlockLanes,
 )
 from raystream.geometry.spheres.sphere import HIT, ExactRay, exact_ray, intersect, own_box, place
-from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import any_lane, lanes_from_bits, mask16, maximum, minimum, scratch
 from raystream.jit.views import view
@@ -45,7 +45,7 @@ from raystream.structures.bvh.packets.rays import (
 )
 from raystream.structures.bvh.walks.packet import TRACE_BYTES, continue_packet, trace_packet
 
-_TWO, _THREE, _FOUR, _LANES = np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(16)
+_FOUR, _LANES = np.uint64(4), np.uint64(16)
 _FIELD_SHIFT = np.int32(3)
 _CELLS, _SPHERES = np.uint64(BLOCK_CELLS), np.uint64(SPHERES_PER_BLOCK)
 
@@ -102,7 +102,7 @@ def _load_exact(exact, packet, number, source, slow_groups):
             t_scale, t_offset = t_transform(group, k, is_slow)
             origin, direction = load_origin(rays, i), load_direction(rays, i)
             ray = exact_ray(origin, direction, t_offset / t_scale, source.frame)
-            for axis in range(_THREE):
+            for axis in range(THREE_U64):
                 lanes.origin[axis, k] = ray.origin[axis]
                 lanes.direction[axis, k] = ray.direction[axis]
             lanes.inv_square[k], lanes.offset[k] = ray.inv_square, ray.offset
@@ -132,7 +132,7 @@ def _visit_spheres(leaf, packet, child, leaves, box, rays, groups, own):  # noqa
             inv_square, offset = exact.inv_square, exact.offset
             ray = ExactRay(origin, direction, inv_square, offset, frame.center, frame.scale)
             entered, left = intersect(sphere, interval, ray, t_min, t_far, hits)
-            for side in range(_TWO):
+            for side in range(TWO_U64):
                 bits, t, step = entered, hits.near, -hits.half
                 if side == ONE_U64:
                     bits, t, step = left, hits.far, hits.half
@@ -176,7 +176,7 @@ def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: 
         number -= ONE_U64
         level = LevelRecord(field.levels, number)
         for k in range(_FOUR):  # the last one is visited first
-            lane = (_THREE - k) ^ turn
+            lane = (THREE_U64 - k) ^ turn
             x, y = (column << ONE_U64) + (lane & ONE_U64), (row << ONE_U64) + (lane >> ONE_U64)
             planes = node_box(field, level, x, y, back)
             entering = group_range(packet, planes, rays.t_min, groups)

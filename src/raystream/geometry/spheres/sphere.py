@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.geometry.primitives.records import SPHERES_PER_BLOCK, SphereBlock
+from raystream.jit.constants import ONE_F64, ZERO_F32, ZERO_F64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
@@ -46,9 +47,6 @@ from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle_lanes import slab_interval
 
 _NONE, _ONE, _TWO = np.arange(3, dtype=np.uint64)
-_ZERO = np.float32(0.0)
-_ZERO64 = np.float64(0.0)
-_ONE64 = np.float64(1.0)
 _HALF64 = np.float64(0.5)
 _LANES = np.uint64(SPHERES_PER_BLOCK)
 
@@ -127,7 +125,7 @@ def exact_ray(origin, direction, offset, frame):
     ExactRay
     """
     dx, dy, dz = _scaled(direction[0], direction[1], direction[2])
-    inv_square = _ONE64 / (dx * dx + dy * dy + dz * dz)
+    inv_square = ONE_F64 / (dx * dx + dy * dy + dz * dz)
     scale = np.float64(frame.scale)
     return ExactRay(origin, (dx, dy, dz), inv_square, offset, frame.center, scale)
 
@@ -198,23 +196,23 @@ def intersect(spheres, interval, exact, t_min, t_far, hits):
     middle = -((fx * dx + fy * dy + fz * dz) * inv_square)
     lx, ly, lz = fx + middle * dx, fy + middle * dy, fz + middle * dz
     rest = radius * radius - (lx * lx + ly * ly + lz * lz)
-    hit = rest >= _ZERO64
+    hit = rest >= ZERO_F64
     if not any_lane(hit):
         return _NONE, _NONE
 
     # Step 2: both distances, in local units; the one that would cancel from their product.
     half = square_root(rest * inv_square)
     product = (fx * fx + fy * fy + fz * fz - radius * radius) * inv_square
-    outer = select(middle >= _ZERO64, middle + half, middle - half)
-    inner = select(outer == _ZERO64, absolute(outer), product / outer)
+    outer = select(middle >= ZERO_F64, middle + half, middle - half)
+    inner = select(outer == ZERO_F64, absolute(outer), product / outer)
     near = narrow(minimum(inner, outer) - exact.offset)
     far = narrow(maximum(inner, outer) - exact.offset)
 
     # Step 3: clamped to the box. Adding zero turns -0 into 0.
     t_in, t_out = interval
     hit = hit & (t_in <= t_out)
-    near = minimum(maximum(near, t_in), t_out) + _ZERO
-    far = minimum(maximum(far, t_in), t_out) + _ZERO
+    near = minimum(maximum(near, t_in), t_out) + ZERO_F32
+    far = minimum(maximum(far, t_in), t_out) + ZERO_F32
     hits.near, hits.far, hits.half = near, far, half
     hits.x, hits.y, hits.z = lx, ly, lz
     return (
@@ -240,13 +238,13 @@ def place(x, y, z, step, exact):
     total = absolute(x) + absolute(y) + absolute(z)
     px, py = x / total, y / total
     # The lower half of the octahedron is folded over the sides of the upper one.
-    is_below = z < _ZERO64
-    u = select(is_below, copy_sign(_ONE64 - absolute(py), px), px)
-    v = select(is_below, copy_sign(_ONE64 - absolute(px), py), py)
-    is_center = total == _ZERO64
+    is_below = z < ZERO_F64
+    u = select(is_below, copy_sign(ONE_F64 - absolute(py), px), px)
+    v = select(is_below, copy_sign(ONE_F64 - absolute(px), py), py)
+    is_center = total == ZERO_F64
     return (
-        as_float32(select(is_center, _ZERO64, u) * _HALF64 + _HALF64),
-        as_float32(select(is_center, _ZERO64, v) * _HALF64 + _HALF64),
+        as_float32(select(is_center, ZERO_F64, u) * _HALF64 + _HALF64),
+        as_float32(select(is_center, ZERO_F64, v) * _HALF64 + _HALF64),
     )
 
 
@@ -289,7 +287,9 @@ def intersect_spheres(block, ray, exact, search):
     add_to(search.counters, TESTS, _LANES)
     held = SphereBlock(block)
     spheres = held.x, held.y, held.z, held.radius
-    box = own_box(spheres, exact, (ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO))
+    box = own_box(
+        spheres, exact, (ray.inv_x < ZERO_F32, ray.inv_y < ZERO_F32, ray.inv_z < ZERO_F32)
+    )
     interval = slab_interval(
         *box,
         (ray.inv_x, ray.inv_y, ray.inv_z),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full
 from raystream.kernels.tally import TESTS
@@ -23,8 +23,6 @@ from raystream.structures.brute.structure import BruteStructure
 #: The next triangle.
 PLACE = np.dtype([("row", np.uint32)])
 
-_INF = np.float32(np.inf)
-
 
 def set_up(ray, wanted, tree, query, kernel):
     """Begin with the first triangle."""
@@ -42,7 +40,7 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
     for _ in range(query.tests):
         count_step(query, wanted, kernel, TESTS, ONE_U64)
         search = intersect_list(
-            tree.references, tree.corners, row, row + ONE_U64, line, search, search.t_min, _INF
+            tree.references, tree.corners, row, row + ONE_U64, line, search, search.t_min, INF_F32
         )
         row += ONE_U64
         if row == tree.triangle_count or is_full(search):

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32, ONE_U64
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
@@ -27,8 +28,6 @@ from raystream.structures.bvh.structure import BvhStructure
 PLACE = np.dtype([("top", np.uint32), ("block", np.uint64), ("end", np.uint64)])
 
 _NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_INF = np.float32(np.inf)
 
 
 class _Tree(NamedTuple):
@@ -62,11 +61,11 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
             state = end_state(np.uint64(found.count), query)
             break
         if tree_steps.is_leaf(child):
-            count_step(query, wanted, kernel, LEAVES, _ONE)
+            count_step(query, wanted, kernel, LEAVES, ONE_U64)
             block, end = tree_steps.leaf_blocks(tree, child)
             state = INTERSECTING
             break
-        count_step(query, wanted, kernel, STEPS, _ONE)
+        count_step(query, wanted, kernel, STEPS, ONE_U64)
         top = tree_steps.visit(
             tree, child, line, ray.t_min, found.t_far, is_any, stack, tree.half, top
         )
@@ -80,7 +79,7 @@ def intersect(ray, wanted, found, place, query, kernel):
     block, state = place.block, INTERSECTING
     for _ in range(query.tests):
         count_step(query, wanted, kernel, TESTS, triangle_count(block))
-        search = intersect_block(block, line, search, search.t_min, _INF)
+        search = intersect_block(block, line, search, search.t_min, INF_F32)
         block += BLOCK
         if is_full(search):
             state = end_state(search.hit_count, query)

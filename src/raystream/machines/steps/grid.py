@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
@@ -57,7 +57,6 @@ PLACE = np.dtype(
     ]
 )
 
-_INF = np.float32(np.inf)
 _COARSE = np.int32(-1)
 
 
@@ -131,7 +130,7 @@ def _next_cell(tree, ray, place):
     walk = prepare_walk(coarse, ray)
     i, j, k = cell_numbers(tree, place.outer)
     state = step_walk(walk, state_at(coarse, walk, i, j, k))
-    return _Place(state, _COARSE, t_out, _INF, ZERO_U64, ZERO_U64)
+    return _Place(state, _COARSE, t_out, INF_F32, ZERO_U64, ZERO_U64)
 
 
 def set_up(ray, wanted, tree, query, kernel):
@@ -144,7 +143,7 @@ def set_up(ray, wanted, tree, query, kernel):
         t_in = t_far = np.float32(0.0)
     coarse = coarse_cells(tree)
     _, walk = begin_walk(coarse, line, t_in)
-    place = _Place(walk, _COARSE, t_in, _INF, ZERO_U64, ZERO_U64)
+    place = _Place(walk, _COARSE, t_in, INF_F32, ZERO_U64, ZERO_U64)
     state = TRAVERSING if is_active else end_state(ZERO_U64, query)
     return (np.uint32(0), t_far), _record(place), state
 
@@ -183,7 +182,7 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
     line = prepared_ray(ray, query)
     search = resume_search(query.hits, ray, wanted, found, query)
     references = _lattice(tree, at.outer).references
-    t_out = _INF if wants_any(search) else min(cell_end(at.walk), at.t_end)
+    t_out = INF_F32 if wants_any(search) else min(cell_end(at.walk), at.t_end)
     row, state = at.row, INTERSECTING
     for _ in range(query.tests):
         count_step(query, wanted, kernel, TESTS, ONE_U64)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
@@ -42,7 +43,6 @@ _BUMP = np.int32(ROLES.index("bump"))
 _COAT_NORMAL = np.int32(ROLES.index("clearcoat_normal"))
 
 _NULL, _HALF, _WHOLE = map(np.float32, (0.0, 0.5, 1.0))
-_INF = np.float32(np.inf)
 _0, _1, _2, _3 = map(np.int32, range(4))
 
 #: Numbers in a row of `TextureTables.normal_scales`; bytes of a row of tangents.
@@ -172,7 +172,7 @@ def mapped_normal(tables, prim, material, place, geometric, normal, is_front, ba
     )
     across = attribute_vector(tables.tangents, rows, weights[0], weights[1])
     across = _unit(added(across, normal, -dot(across, normal)))
-    is_mapped = _is_unit(across) & (absolute(s) < _INF) & (absolute(t) < _INF)
+    is_mapped = _is_unit(across) & (absolute(s) < INF_F32) & (absolute(t) < INF_F32)
     # The frame is the front's; the back has the opposite normal, since bumps are dents there.
     side = select(is_front, _WHOLE, s * _NULL - _WHOLE)
     hand = select(is_mirrored, -side, side)

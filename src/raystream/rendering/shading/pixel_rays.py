@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import BYTES_32, BYTES_64, ONE_U64, TWO_U64, ZERO_U64
+from raystream.jit.constants import BYTES_32, BYTES_64, INF_F32, ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import gather, load, store
 from raystream.kernels.hits import HitAddresses
@@ -53,7 +53,7 @@ PIXEL = np.dtype(
 )
 
 _3_X_32, _3_X_64 = np.uint64(12), np.uint64(24)
-_INF, _WHOLE = np.float32(np.inf), np.float32(1.0)
+_WHOLE = np.float32(1.0)
 _WHITE = (1.0, 1.0, 1.0)
 
 
@@ -136,7 +136,7 @@ def _next_ray(row, columns, at, t_max):
 @device
 def _path_ray(rows, number, half, k):
     row = _path_row(rows, number, half, k)
-    return _next_ray(row, rows.paths, row, _INF)
+    return _next_ray(row, rows.paths, row, INF_F32)
 
 
 @device
@@ -168,7 +168,7 @@ def begin_pixel(number, shading):
         shading.sample.number,
         paths,
     )
-    store(rows.paths.numbers + row * BYTES_32, _INF)
+    store(rows.paths.numbers + row * BYTES_32, INF_F32)
     for k in range(3):
         store(rows.paths.colors + row * _3_X_32 + np.uint64(k) * BYTES_32, _WHOLE)
     return _record(
@@ -203,7 +203,7 @@ def _next_of(number, pixel, rows, onward_count, path, shadow, shadow_count):
     """A pixel's record after a ray, and its next one."""
     bounce, half, path_count = pixel.bounce, np.uint64(pixel.half), np.uint64(pixel.path_count)
     row = _path_row(rows, number, half, ZERO_U64)
-    new = _next_ray(row, rows.paths, row, _INF)  # for its types
+    new = _next_ray(row, rows.paths, row, INF_F32)  # for its types
     is_active = True
     if path < path_count:
         new = _path_ray(rows, number, half, path)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import INF_F32, ONE_F32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, as_int32, f32x16, gather, load, narrow, select
 from raystream.rendering.shading.rows import vector_at
@@ -19,7 +20,6 @@ from raystream.rendering.shading.streams import (
 )
 from raystream.rendering.shading.surface_points import spawn_origin, world_position
 
-_ONE, _INF = np.float32(1.0), np.float32(np.inf)
 _CLEAR, _WHITE = np.uint8(0), (1.0, 1.0, 1.0)
 
 
@@ -68,10 +68,10 @@ def put_shadow_ray(rays, pixel, tables, point, found, light):
         Added to the pixel if nothing blocks the ray.
     """
     x, y, z = spawn_origin(tables, point, found.toward)
-    toward, t_max = found.toward, _INF
+    toward, t_max = found.toward, INF_F32
     if not found.is_far:
         px, py, pz = world_position(tables, found.target[0], found.target[1], found.target[2])
-        toward, t_max = (px - x, py - y, pz - z), _ONE
+        toward, t_max = (px - x, py - y, pz - z), ONE_F32
     return put_row(rays, pixel, (x, y, z), toward, light, t_max)
 
 
@@ -98,7 +98,7 @@ def put_shadow_rays(rays, mask, pixels, tables, point, found, light):
         select(found.is_far, found.toward[1], narrow(py - y)),
         select(found.is_far, found.toward[2], narrow(pz - z)),
     )
-    t_max = select(found.is_far, _INF, f32x16(_ONE))
+    t_max = select(found.is_far, INF_F32, f32x16(ONE_F32))
     return append_rows(rays, mask, pixels, (x, y, z), toward, light, t_max)
 
 

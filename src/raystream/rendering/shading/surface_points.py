@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
-from raystream.jit.constants import NULL
+from raystream.jit.constants import INF_F32, NULL
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
@@ -39,7 +39,7 @@ from raystream.rendering.shading.vertices import (
 
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
 _NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
-_INF, _NAN = np.float32(np.inf), np.float32(np.nan)
+_NAN = np.float32(np.nan)
 
 
 class Point(NamedTuple):
@@ -128,7 +128,7 @@ def _smooth_normal(tables, vertices, u, v, gx, gy, gz):
         return gx, gy, gz
     x, y, z = attribute_vector(tables.normals, vertices, u, v)
     length = square_root(x * x + y * y + z * z)
-    is_sound = (length > _NULL) & (length < _INF)
+    is_sound = (length > _NULL) & (length < INF_F32)
     scale = _WHOLE / select(x * gx + y * gy + z * gz < _NULL, -length, length)
     return (
         select(is_sound, x * scale, gx),

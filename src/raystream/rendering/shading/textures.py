@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
@@ -47,7 +48,6 @@ ROLES = (
 _NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
 
 _NULL, _HALF, _WHOLE, _TWO = map(np.float32, (0.0, 0.5, 1.0, 2.0))
-_INF = np.float32(np.inf)
 _ROLES = np.int32(len(ROLES))
 
 _0, _1, _2, _3, _4, _5, _6, _7, _8, _9, _PLACE = (np.int32(k) for k in range(11))
@@ -317,7 +317,7 @@ def _transformed(tables, texture, u, v, is_transformed):
     s = _coefficient(tables, texture, _4) * u + _coefficient(tables, texture, _5) * v
     t = _coefficient(tables, texture, _7) * u + _coefficient(tables, texture, _8) * v
     s, t = s + _coefficient(tables, texture, _6), t + _coefficient(tables, texture, _9)
-    is_known = (absolute(s) < _INF) & (absolute(t) < _INF)
+    is_known = (absolute(s) < INF_F32) & (absolute(t) < INF_F32)
     s, t = select(is_known, s, u * _NULL), select(is_known, t, v * _NULL)
     return select(is_transformed, s, u), select(is_transformed, t, v)
 
@@ -393,7 +393,7 @@ def texture_color(tables, texture, u, v, values):
     -------
     tuple of three float32, or f32x16
     """
-    is_known = (absolute(u) < _INF) & (absolute(v) < _INF)
+    is_known = (absolute(u) < INF_F32) & (absolute(v) < INF_F32)
     first, width, height, bits, left, top, across, down, _ = nearest_texels(
         tables, texture, select(is_known, u, _HALF), select(is_known, v, _HALF), _NULL
     )

@@ -6,11 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ZERO_U64
+from raystream.jit.constants import INF_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.kernels.triangle_list import intersect_list
-
-_INF = np.float32(np.inf)
 
 
 class BruteAddresses(NamedTuple):
@@ -42,6 +40,6 @@ def traverse(tree, ray, search, stack):
             ray,
             search,
             search.t_min,
-            _INF,
+            INF_F32,
         )
     return search

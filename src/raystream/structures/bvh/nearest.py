@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_F32, ZERO_F64, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -42,8 +42,6 @@ from raystream.structures.bvh.walks.single import STACK_BYTES, tree_walk
 
 _STRIDE = np.int32(16)  # `kernels.leaf_block.AXIS`
 _KEY_BITS = np.int32(~7)
-_ZERO = np.float32(0.0)
-_ZERO64 = np.float64(0.0)
 
 #: Below infinity, the distance of absent children.
 _MOST = np.float32(np.finfo(np.float32).max)
@@ -92,10 +90,10 @@ def near_distance(box, line):
     """
     low_x, high_x, low_y, high_y, low_z, high_z = box
     below, above = line.below, line.above
-    x = _gap(low_x, high_x, below[0], above[0], _ZERO)
-    y = _gap(low_y, high_y, below[1], above[1], _ZERO)
-    z = _gap(low_z, high_z, below[2], above[2], _ZERO)
-    return maximum(fma(x * x + y * y + z * z, _SHRINK, _LOSS), _ZERO)
+    x = _gap(low_x, high_x, below[0], above[0], ZERO_F32)
+    y = _gap(low_y, high_y, below[1], above[1], ZERO_F32)
+    z = _gap(low_z, high_z, below[2], above[2], ZERO_F32)
+    return maximum(fma(x * x + y * y + z * z, _SHRINK, _LOSS), ZERO_F32)
 
 
 @device
@@ -103,9 +101,9 @@ def far_distance(box, line):
     """The same in float64, for points from afar."""
     low_x, high_x, low_y, high_y, low_z, high_z = box
     x, y, z = line.point
-    x = _gap(widen(low_x), widen(high_x), x, x, _ZERO64)
-    y = _gap(widen(low_y), widen(high_y), y, y, _ZERO64)
-    z = _gap(widen(low_z), widen(high_z), z, z, _ZERO64)
+    x = _gap(widen(low_x), widen(high_x), x, x, ZERO_F64)
+    y = _gap(widen(low_y), widen(high_y), y, y, ZERO_F64)
+    z = _gap(widen(low_z), widen(high_z), z, z, ZERO_F64)
     return (x * x + y * y + z * z) * _SHRINK64
 
 
@@ -170,7 +168,7 @@ def line_of(point, frame):
 def interval(_line, search):
     """Distances of boxes up to the search's limit in float32, which is not below it."""
     far = min(_above(search.limit), _MOST)
-    return _ZERO, far, far
+    return ZERO_F32, far, far
 
 
 @device

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     float_as_bits,
@@ -39,7 +39,6 @@ LANE = np.uint64(4)
 KEY_LANES = np.int32(7)
 
 _LINE = np.uint64(64)
-_ZERO = np.float32(0.0)
 _NO_LIMIT = np.int32(2**31 - 1)
 _BLOCK_BITS = np.int32(7)
 _BLOCK_SHIFT = np.int32(3)
@@ -70,19 +69,19 @@ def prefetch_child(child, nodes, leaves):
 @device
 def plane_offset(axis, inv):
     """Byte offset of the planes of an axis that a ray with this reciprocal enters by."""
-    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else ZERO_U64)
+    return axis * NODE_AXIS + (BOX_FLIP if inv < ZERO_F32 else ZERO_U64)
 
 
 @device
 def plane_row(axis, inv):
     """Row of the planes of an axis that a ray with this reciprocal enters by; see `Node`."""
-    return (axis << ONE_U64) | (ONE_U64 if inv < _ZERO else ZERO_U64)
+    return (axis << ONE_U64) | (ONE_U64 if inv < ZERO_F32 else ZERO_U64)
 
 
 @device
 def t_key(t):
     """The largest sort key of a child within t, whatever its lane bits."""
-    return np.int32(float_as_bits(t) | KEY_LANES) if t >= _ZERO else _NO_LIMIT
+    return np.int32(float_as_bits(t) | KEY_LANES) if t >= ZERO_F32 else _NO_LIMIT
 
 
 # A sorting network of 8 lanes: 19 comparisons in 6 layers. In each layer pairs of lanes are

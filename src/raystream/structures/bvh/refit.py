@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
@@ -25,7 +26,6 @@ from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH, BvhA
 #: Nodes per call of `_refit_leaves`.
 _CHUNK = 1 << 9
 
-_INF = np.float32(np.inf)
 
 #: Stride of the axes in a node's planes, and offset from low to high planes.
 _AXIS_BYTES = 8 * WIDTH
@@ -90,7 +90,7 @@ def refit_leaves(node, corners, leaves, last_block):
             block += BLOCK
         block = leaves + np.uint64(~link >> np.int32(3)) * BLOCK
         for axis in range(np.uint64(3)):
-            low, high = f32x4(_INF), f32x4(-_INF)
+            low, high = f32x4(INF_F32), f32x4(-INF_F32)
             at = block + axis * np.uint64(16)
             while at < end_block:
                 # NaN, of unused lanes, has no effect: the second operand wins.

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import NULL, SHIFT_32, ZERO_U64
+from raystream.jit.constants import NULL, SHIFT_32, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     compress,
@@ -46,7 +46,6 @@ from raystream.structures.bvh.node_layout import (
     t_key,
 )
 
-_ZERO = np.float32(0.0)
 _ROOT = np.int32(0)
 _KEY_BITS = np.int32(~7)
 _NO_KEY = np.int32(-1)
@@ -164,7 +163,7 @@ def enter(node, line, t_min, t_far):
     )
     entered = maximum(t_in, t_min) <= minimum(t_out, t_far)
     # Only the bits of positive numbers are in the numbers' order.
-    keys = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
+    keys = (float_as_bits(maximum(t_in, ZERO_F32)) & _KEY_BITS) | lane_numbers(i32x8)
     return keys, entered
 
 

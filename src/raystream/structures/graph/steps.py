@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import BYTES_32, NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import BYTES_32, NULL, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load, next_float_up, store
 from raystream.kernels.leaf_block import BLOCK, blocks_end
@@ -33,7 +33,6 @@ from raystream.kernels.slab import box_interval
 #: Most sectors that a walk from a nearby sector leaves before it falls back to the bins.
 MAX_WALK = 16
 
-_ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 
 # Byte offsets of the words of a sector.
@@ -137,9 +136,9 @@ def sector_ray(ray):
     ``middle`` is the mean of the slab constants of both paddings: that of an unpadded plane, to
     within two roundings.
     """
-    high_x = _HIGH if ray.inv_x > _ZERO else ZERO_U64
-    high_y = _HIGH if ray.inv_y > _ZERO else ZERO_U64
-    high_z = _HIGH if ray.inv_z > _ZERO else ZERO_U64
+    high_x = _HIGH if ray.inv_x > ZERO_F32 else ZERO_U64
+    high_y = _HIGH if ray.inv_y > ZERO_F32 else ZERO_U64
+    high_z = _HIGH if ray.inv_z > ZERO_F32 else ZERO_U64
     return SectorRay(
         ray.inv_x,
         ray.inv_y,
@@ -231,7 +230,7 @@ def follow_link(graph, line, link, t):
         inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
         middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
         is_behind = fma(load(np.float32, node), inv, middle) <= t
-        link = _link(node, _ABOVE if is_behind == (inv > _ZERO) else _BELOW)
+        link = _link(node, _ABOVE if is_behind == (inv > ZERO_F32) else _BELOW)
         node_count += ONE_U64
     return graph.rows + (link << _ROW), node_count
 
@@ -260,7 +259,7 @@ def clip_to_scene(graph, ray, t_min, t_max):
 def _bin_number(position, low, scale, count):
     place = (position - low) * scale
     # Written so that a NaN becomes 0.
-    return np.uint64(min(place, count - np.float32(1.0))) if place > _ZERO else ZERO_U64
+    return np.uint64(min(place, count - np.float32(1.0))) if place > ZERO_F32 else ZERO_U64
 
 
 @device

@@ -16,14 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32, ONE_F32, ZERO_F32
 from raystream.jit.cpu import device
 from raystream.jit.simd import copy_sign, floor, fma
 from raystream.kernels.ray import component
 
-_ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
-_ONE = np.float32(1.0)
-_INF = np.float32(np.inf)
 
 
 class Walk(NamedTuple):
@@ -82,19 +80,19 @@ def _distance(number, low, size, inv, middle):
 @device
 def _start(t, o, d, inv, middle, low, size, count):
     """The cell of an axis in which a ray is at distance t, as a float32."""
-    step = copy_sign(_ONE, inv)
-    ahead = _ONE if step > _ZERO else _ZERO
-    first, last = _ZERO, count - _ONE
-    if step < _ZERO:
+    step = copy_sign(ONE_F32, inv)
+    ahead = ONE_F32 if step > ZERO_F32 else ZERO_F32
+    first, last = ZERO_F32, count - ONE_F32
+    if step < ZERO_F32:
         first, last = last, first
     # Step 1: a guess that is correct up to rounding. NaN, for a flat axis, becomes 0.
     guess = (fma(t, d, o) - low) / size
-    guess = guess if guess > _ZERO else _ZERO
-    cell = floor(min(guess, count - _ONE))
+    guess = guess if guess > ZERO_F32 else ZERO_F32
+    cell = floor(min(guess, count - ONE_F32))
     # Step 2: correct it by the rule above. One of the two loops does nothing.
     while cell != last and _distance(cell + ahead, low, size, inv, middle) <= t:
         cell += step
-    behind = _ONE - ahead
+    behind = ONE_F32 - ahead
     while cell != first and _distance(cell + behind, low, size, inv, middle) > t:
         cell -= step
     return cell
@@ -138,20 +136,20 @@ def prepare_walk(lattice, ray):
         _middle(ray.near_z, ray.far_z),
     )
     step = (
-        copy_sign(_ONE, inv[0]),
-        copy_sign(_ONE, inv[1]),
-        copy_sign(_ONE, inv[2]),
+        copy_sign(ONE_F32, inv[0]),
+        copy_sign(ONE_F32, inv[1]),
+        copy_sign(ONE_F32, inv[2]),
     )
     end = (
-        counts[0] if step[0] > _ZERO else _ZERO,
-        counts[1] if step[1] > _ZERO else _ZERO,
-        counts[2] if step[2] > _ZERO else _ZERO,
+        counts[0] if step[0] > ZERO_F32 else ZERO_F32,
+        counts[1] if step[1] > ZERO_F32 else ZERO_F32,
+        counts[2] if step[2] > ZERO_F32 else ZERO_F32,
     )
     row, layer = np.int64(counts[0]), np.int64(counts[0]) * np.int64(counts[1])
     stride = (
         np.int64(step[0]),
-        row if step[1] > _ZERO else -row,
-        layer if step[2] > _ZERO else -layer,
+        row if step[1] > ZERO_F32 else -row,
+        layer if step[2] > ZERO_F32 else -layer,
     )
     return Walk(low, size, inv, middle, end, step, stride)
 
@@ -188,9 +186,9 @@ def state_at(lattice, walk, i, j, k):
     cell = np.int64(i) + row * np.int64(j) + layer * np.int64(k)
     step = walk.step
     first = (
-        i + max(step[0], _ZERO),
-        j + max(step[1], _ZERO),
-        k + max(step[2], _ZERO),
+        i + max(step[0], ZERO_F32),
+        j + max(step[1], ZERO_F32),
+        k + max(step[2], ZERO_F32),
     )
     second = (first[0] + step[0], first[1] + step[1], first[2] + step[2])
     return WalkState(cell, _distances(walk, first), second, _distances(walk, second))
@@ -199,7 +197,7 @@ def state_at(lattice, walk, i, j, k):
 @device
 def _next(plane, end, low, size, inv, middle):
     """Distance of the next plane; inf for the last one."""
-    return _INF if plane == end else _distance(plane, low, size, inv, middle)
+    return INF_F32 if plane == end else _distance(plane, low, size, inv, middle)
 
 
 @device

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from raystream.jit.constants import NULL, ONE_U64
+from raystream.jit.constants import INF_F32, NULL, ONE_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.kernels.search import is_full, wants_any
@@ -13,8 +11,6 @@ from raystream.kernels.tally import LEAVES, STEPS, add_to
 from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
 from raystream.structures.grid.dda import begin_walk, cell_end, step_walk
-
-_INF = np.float32(np.inf)
 
 
 @device
@@ -33,7 +29,7 @@ def _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out):
     """Test the triangles of a cell; an any-hit search accepts hits beyond the cell, too."""
     if begin != end:
         add_to(search.counters, LEAVES, ONE_U64)
-    t_out = _INF if wants_any(search) else t_out
+    t_out = INF_F32 if wants_any(search) else t_out
     return intersect_list(cells.references, grid.corners, begin, end, ray, search, t_in, t_out)
 
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
@@ -46,8 +46,6 @@ _LAST_BIN = np.uint64(_BINS - 1)
 MOST_EXACT, BIN_COUNT = np.uint64(_EXACT), np.uint64(_BINS)
 _HALF_WORK = np.uint64(4 * _EXACT)
 BIN_SHARE = np.float32(1.0 / _BINS)
-_INF = np.float32(np.inf)
-_ZERO = np.float32(0.0)
 
 
 class Costs(NamedTuple):
@@ -121,14 +119,14 @@ def _sort(at, count):
 
 @device
 def _at(list_, place, count):
-    return load(np.float32, list_ + place * WORD) if place < count else _INF
+    return load(np.float32, list_ + place * WORD) if place < count else INF_F32
 
 
 @device_call
 def _find_exact(boxes, begin, end, cell, costs, work):
     """The best of all planes at which a box begins or ends: axis, position, cost."""
     count = end - begin
-    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    best_axis, best_position, best_cost = LEAF, ZERO_F32, np.inf
     starts, ends = work, work + _HALF_WORK
     for axis in range(np.uint64(3)):
         along = axis_of(cell, axis)
@@ -155,7 +153,7 @@ def _find_exact(boxes, begin, end, cell, costs, work):
 @device
 def bin_of(number, low, scale):
     """The bin of a number, clamped to the first and last one."""
-    return min(np.uint64(max((number - low) * scale, _ZERO)), _LAST_BIN)
+    return min(np.uint64(max((number - low) * scale, ZERO_F32)), _LAST_BIN)
 
 
 @device
@@ -183,7 +181,7 @@ def find_in_bins(along, width, starts, ends, ends_of, count, costs, best_cost):
     cost : float64
         `best_cost` if no plane is cheaper.
     """
-    best_position = _ZERO
+    best_position = ZERO_F32
     lowest, highest = ends_of
     begun, ended = ZERO_U64, ZERO_U64
     for k in range(BIN_COUNT):
@@ -214,18 +212,18 @@ def _count_one(at):
 def _find_binned(boxes, begin, end, cell, costs, work):
     """The best of the binned planes: axis, position, cost."""
     count = end - begin
-    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    best_axis, best_position, best_cost = LEAF, ZERO_F32, np.inf
     starts, ends = work, work + _HALF_WORK
     for axis in range(np.uint64(3)):
         along = axis_of(cell, axis)
         width = (along.high - along.low) * BIN_SHARE
         scale = np.float32(1.0) / width
-        if not (width > _ZERO and scale < _INF):
+        if not (width > ZERO_F32 and scale < INF_F32):
             continue
         for k in range(BIN_COUNT):
             store(starts + k * WORD, np.int32(0))
             store(ends + k * WORD, np.int32(0))
-        lowest, highest = _INF, -_INF
+        lowest, highest = INF_F32, -INF_F32
         for i in range(begin, end):
             box = boxes + i * BOX_BYTES + axis * WORD
             low, high = load(np.float32, box), load(np.float32, box + HIGH)

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import NULL, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, next_float_up
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
@@ -51,7 +51,6 @@ from raystream.structures.kdtree.traversals import continue_search, push, restar
 from raystream.structures.kdtree.traversals.backtrack import backtrack
 
 _LANES = np.uint64(4)
-_ZERO = np.float32(0.0)
 
 
 @device
@@ -59,7 +58,7 @@ def _distance(line, axis, position):
     """Distance of a plane along a ray, and whether the ray crosses it upward."""
     inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
     middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
-    return fma(position, inv, middle), inv > _ZERO
+    return fma(position, inv, middle), inv > ZERO_F32
 
 
 @device

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     f32x4,
@@ -70,8 +71,6 @@ _PENDING = np.dtype(
 )
 Pending = view(_PENDING)
 PENDING_STACK_BYTES = (MAX_TREE_DEPTH + 2) * _PENDING.itemsize
-
-_INF = np.float32(np.inf)
 
 
 class BinaryTree(NamedTuple):
@@ -136,7 +135,7 @@ def side_test(centroids, bin_count, axis, position):
     """The constants of `is_left` for a split: start and scale of the bins, and bounds."""
     start, scale = bin_frame(centroids, bin_count)
     on_axis = lanes_from_bits(mask4, np.uint64(1) << np.uint64(axis))
-    return start, scale, select(on_axis, f32x4(np.float32(position)), f32x4(-_INF))
+    return start, scale, select(on_axis, f32x4(np.float32(position)), f32x4(-INF_F32))
 
 
 @device
@@ -213,7 +212,7 @@ def bounds_of(refs, begin, end):
 def longest_axis(centroids):
     """The axis along which centroids differ most, -1 if all are equal."""
     _, scale = bin_frame(centroids, 2)
-    axis, least = np.int32(-1), _INF
+    axis, least = np.int32(-1), INF_F32
     for k in range(np.int32(3)):
         if np.float32(0.0) < lane(scale, k) < least:
             axis, least = k, lane(scale, k)

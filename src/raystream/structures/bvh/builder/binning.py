@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32, ZERO_F32
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     f32x4,
@@ -38,8 +39,6 @@ BINS_BYTES = 2 * _SET_BYTES
 #: Costs of `find_split`'s sweep from the right: for each bin one per axis, and one unused.
 SUMS_BYTES = BIN_COUNT * 16
 
-_INF = np.float32(np.inf)
-_ZERO = np.float32(0.0)
 _QUARTER = np.float32(0.25)
 
 #: Most references whose leaf blocks are counted; those of more are estimated.
@@ -63,9 +62,9 @@ def bin_frame(centroids, bin_count):
     # Slightly less than the count, so that the last centroid falls into the last bin. A
     # subnormal extent has no finite reciprocal: such an axis is not split.
     scale = f32x4(np.float32(0.9999) * np.float32(bin_count)) / extent
-    scale = select(extent > _ZERO, scale, f32x4(_ZERO))
-    scale = select(scale < _INF, scale, f32x4(_ZERO))
-    return select(three, f32x4(_ZERO) - low, one), scale
+    scale = select(extent > ZERO_F32, scale, f32x4(ZERO_F32))
+    scale = select(scale < INF_F32, scale, f32x4(ZERO_F32))
+    return select(three, f32x4(ZERO_F32) - low, one), scale
 
 
 @device
@@ -174,7 +173,7 @@ def find_split(bins, bin_count, sums):
         store(sums + k * np.uint64(16), _costs(x_side, y_side, z_side))
         k -= np.uint64(1)
     x_side, y_side, z_side = empty_bin(), empty_bin(), empty_bin()
-    best, position = f32x4(_INF), i32x4(np.int32(0))
+    best, position = f32x4(INF_F32), i32x4(np.int32(0))
     while k != np.uint64(bin_count - 1):
         at = k * np.uint64(REF_BYTES)
         x_side = union(x_side, load(f32x8, bins + at))
@@ -186,7 +185,7 @@ def find_split(bins, bin_count, sums):
         better = cost < best
         best = select(better, cost, best)
         position = select(better, i32x4(np.int32(k)), position)
-    best_axis, best_position, best_cost = np.int32(-1), np.int32(0), _INF
+    best_axis, best_position, best_cost = np.int32(-1), np.int32(0), INF_F32
     for axis in range(np.int32(3)):
         if lane(best, axis) < best_cost:
             best_axis, best_position, best_cost = axis, lane(position, axis), lane(best, axis)

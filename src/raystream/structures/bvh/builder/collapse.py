@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import (
     address,
@@ -44,7 +45,6 @@ _LISTED = np.dtype([("node", "i4"), ("lanes", "i4")])
 _Listed = view(_LISTED)
 LISTING_BYTES = _LISTED.itemsize * (WIDTH + 1)
 
-_INF = np.float32(np.inf)
 
 #: A decision: for n = 2 to 8 lanes the number that the left child gets, three bits at 3 (n - 2),
 #: 0 if one lane is as good; and whether a single lane is a leaf.
@@ -76,8 +76,8 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
         See `BuildSettings.costs`.
     """
     # best: lane i is the least cost in i + 1 lanes that the children share.
-    best, choice = f32x8(_INF), i32x8(np.int32(1))
-    not_first, nothing = lanes_from_bits(mask8, 254), f32x8(_INF)
+    best, choice = f32x8(INF_F32), i32x8(np.int32(1))
+    not_first, nothing = lanes_from_bits(mask8, 254), f32x8(INF_F32)
     moved = right
     for k in range(np.int32(1), np.int32(WIDTH)):
         moved = select(not_first, _up_a_lane(moved), nothing)
@@ -90,7 +90,7 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
     node_cost = lane(best, WIDTH - 1) + area * prices[0]
     count = load(np.int32, box + np.uint64(COUNT_AT))
     price = (area * prices[1] + prices[2]) * block_count(count)
-    leaf_cost = price if count <= max_leaf_size else _INF
+    leaf_cost = price if count <= max_leaf_size else INF_F32
     decision = np.int32(_IS_LEAF) if leaf_cost <= node_cost else np.int32(0)
     one = f32x8(min(leaf_cost, node_cost))
     # Eight lanes are always shared: that is a wide node.

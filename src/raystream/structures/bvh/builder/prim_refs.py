@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
@@ -32,7 +33,6 @@ REF_FLOATS = 8
 FIRST_AT = 12
 COUNT_AT = 28
 
-_INF = np.float32(np.inf)
 
 swap_halves = permutation(4, 5, 6, 7, 0, 1, 2, 3)
 low_half = permutation(0, 1, 2, 3)
@@ -42,13 +42,13 @@ high_half = permutation(4, 5, 6, 7)
 @device
 def empty_box():
     """The empty box."""
-    return f32x8(-_INF)
+    return f32x8(-INF_F32)
 
 
 @device
 def empty_bin():
     """The empty box, with a count of 0."""
-    return select(_not_last(), f32x8(-_INF), f32x8(np.float32(0.0)))
+    return select(_not_last(), f32x8(-INF_F32), f32x8(np.float32(0.0)))
 
 
 @device

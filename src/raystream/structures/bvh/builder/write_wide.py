@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.jit.constants import INF_F32
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, f32x8, i32x8, load, prefetch, scratch, store
 from raystream.jit.views import view
@@ -29,7 +30,6 @@ _PENDING_STACK_BYTES = (WIDTH * MAX_TREE_DEPTH + 1) * _PENDING.itemsize
 
 _CHILDREN_BYTES = 4 * WIDTH
 
-_INF = np.float32(np.inf)
 
 #: Distance in references at which corners are prefetched.
 READ_AHEAD = 8
@@ -91,8 +91,8 @@ class Deferred(NamedTuple):
 def clear_node(node):
     """Write a node without children."""
     for axis in range(np.uint64(3)):
-        store(node + axis * np.uint64(64), f32x8(_INF))
-        store(node + axis * np.uint64(64) + np.uint64(32), f32x8(-_INF))
+        store(node + axis * np.uint64(64), f32x8(INF_F32))
+        store(node + axis * np.uint64(64) + np.uint64(32), f32x8(-INF_F32))
     store(node + np.uint64(CHILDREN_AT), i32x8(np.int32(0)))
     store(node + np.uint64(CHILDREN_AT + 32), i32x8(np.int32(0)))
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -74,7 +74,6 @@ _SAMPLES = 16
 #: rays is 0.17 times as long as 256 rays in a row.)
 _WORTHWHILE = 0.7
 
-_INF = np.float32(np.inf)
 _TINY = np.float64(1e-30)
 _EIGHT, _LANES = np.uint64(8), np.uint64(16)
 _COUNT_BITS = np.uint64(5)
@@ -233,7 +232,7 @@ def _best_of(source, start, first, end, count, weights):
         inf if there is none.
     """
     above = _ray_at(source, start)
-    best, closeness, best_score = ZERO_U64, _INF, _INF
+    best, closeness, best_score = ZERO_U64, INF_F32, INF_F32
     at = max(first, ONE_U64)
     while at < end and at + _LANES <= count:
         rays = load_origins(source, at) + load_directions(source, at)
@@ -241,7 +240,7 @@ def _best_of(source, start, first, end, count, weights):
         near = narrow(_square_distance(rays, above, weights))
         far = narrow(_square_distance(rays, before, weights) + _TINY)
         ratio = near / far
-        ratio = select(ratio == ratio, ratio, f32x16(_INF))
+        ratio = select(ratio == ratio, ratio, f32x16(INF_F32))
         least = reduce_min(ratio)
         score = least * np.float32(at - start + _LANES)
         if score < best_score:
@@ -290,7 +289,7 @@ def find_starts(source, ray_count, frame, starts, most):
             return 0, 0
         if rows > _MANY_ROWS and start < rows * _SHORT_ROW:
             return 0, 0
-        found, closeness = ZERO_U64, _INF
+        found, closeness = ZERO_U64, INF_F32
         if length != ZERO_U64 and rows % _EIGHT != ZERO_U64:
             likely = start + length
             first = max(likely, _NEARBY * _LANES + start + ONE_U64) - _NEARBY * _LANES
@@ -307,7 +306,7 @@ def find_starts(source, ray_count, frame, starts, most):
             found, closeness = _best_of(source, start, first, end, count, weights)
         if closeness > _DOUBTFUL:
             doubtful += ONE_U64
-            if closeness == _INF or start + length + length // np.uint64(4) >= count:
+            if closeness == INF_F32 or start + length + length // np.uint64(4) >= count:
                 break  # this is the last row
         same = same + ONE_U64 if found - start == length and closeness <= _DOUBTFUL else ZERO_U64
         length = found - start

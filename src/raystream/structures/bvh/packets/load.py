@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
-from raystream.jit.constants import ONE_U64, ZERO_U64
+from raystream.core.rays import INVALID
+from raystream.jit.constants import INF_F32, INF_F64, ONE_F32, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -50,11 +50,6 @@ from raystream.structures.bvh.packets.rays import (
     three,
 )
 
-_ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
-_INF = np.float32(np.inf)
-_INF64 = np.float64(np.inf)
-_INVALID = np.uint8(RayStatus.INVALID)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
@@ -137,8 +132,8 @@ def _patch(lanes, lane, status, source, i, frame):
     direction[_X, lane], direction[_Y, lane], direction[_Z, lane] = ray.dx, ray.dy, ray.dz
     lanes.t_min[lane], lanes.t[lane] = ray.t_min, ray.t_max
     lanes.slow_t_scale[lane], lanes.slow_t_offset[lane] = ray.t_scale, ray.t_offset
-    if ray.status == _INVALID:
-        store(status + i, _INVALID)
+    if ray.status == INVALID:
+        store(status + i, INVALID)
 
 
 @device
@@ -157,11 +152,11 @@ def scale_lanes(direction, t_min, t_max, frame):
     """
     dx, dy, dz = absolute(direction[0]), absolute(direction[1]), absolute(direction[2])
     exponent = float_as_bits(maximum(maximum(dx, dy), dz)) >> MANTISSA_BITS
-    is_usual = (exponent >= LEAST_EXPONENT) & (exponent <= MOST_EXPONENT) & (dx + dy + dz < _INF64)
+    is_usual = (exponent >= LEAST_EXPONENT) & (exponent <= MOST_EXPONENT) & (dx + dy + dz < INF_F64)
     power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
     inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
     # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
-    low, high = narrow(widen(t_min) * inverse) + _ZERO, narrow(widen(t_max) * inverse) + _ZERO
+    low, high = narrow(widen(t_min) * inverse) + ZERO_F32, narrow(widen(t_max) * inverse) + ZERO_F32
     return is_usual, power, power * frame.inverse_scale, low, high
 
 
@@ -182,7 +177,7 @@ def _load_group(group, source, first, frame, status):
     near_by = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz)) <= reach
     is_fast = (
         is_usual
-        & (absolute(ox) + absolute(oy) + absolute(oz) < _INF)
+        & (absolute(ox) + absolute(oy) + absolute(oz) < INF_F32)
         & near_by
         & (widen(narrow(t_scale)) == t_scale)
         & (widen(low) * t_scale == widen(t_min))
@@ -213,7 +208,7 @@ def _load_few(lanes, source, first, count, frame, status):
     for lane in range(_LANES):
         _patch(lanes, lane, status, source, first + min(lane, count - ONE_U64), frame)
         if lane >= count:
-            lanes.t[lane], lanes.t_min[lane] = -_INF, _INF
+            lanes.t[lane], lanes.t_min[lane] = -INF_F32, INF_F32
 
 
 @device
@@ -229,7 +224,7 @@ def prepare_group(group, max_coordinate):
     tiny = largest * TINY_DIRECTION
     reach = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz))
     pad = (reach + max_coordinate) * PAD
-    one = f32x16(_ONE)
+    one = f32x16(ONE_F32)
     inv_x = copy_sign(one / maximum(ax, tiny), dx)
     inv_y = copy_sign(one / maximum(ay, tiny), dy)
     inv_z = copy_sign(one / maximum(az, tiny), dz)
@@ -257,7 +252,7 @@ def prepare_group(group, max_coordinate):
     axis = select(is_z, zero + np.int32(2), select(is_y, zero + np.int32(1), zero))
     can_hit = group.t_min <= group.t
     group.direction_class = select(can_hit, octant | axis, zero + NO_CLASS)
-    group.prim_id, group.u, group.v = i32x16(NO_PRIM), f32x16(_ZERO), f32x16(_ZERO)
+    group.prim_id, group.u, group.v = i32x16(NO_PRIM), f32x16(ZERO_F32), f32x16(ZERO_F32)
 
 
 @device
@@ -270,11 +265,11 @@ def load_group(group, first, count, source, frame, status):
     if count == _LANES:
         is_slow = _load_group(group, source, first, frame, status)
     elif count == ZERO_U64:
-        zero, one = f32x16(_ZERO), f32x16(_ONE)
+        zero, one = f32x16(ZERO_F32), f32x16(ONE_F32)
         origin, direction = group.origin, group.direction
         origin[_X], origin[_Y], origin[_Z] = zero, zero, zero
         direction[_X], direction[_Y], direction[_Z] = one, one, one
-        group.t_min, group.t = one, f32x16(-_INF)
+        group.t_min, group.t = one, f32x16(-INF_F32)
         is_slow = False
     else:
         _load_few(GroupLanes(address_of(group)), source, first, count, frame, status)
@@ -300,7 +295,7 @@ def _load_part(packet, g, first, count, source):
         set_slow(group)
     lanes = GroupLanes(packet, g)
     for lane in range(count, _LANES):
-        lanes.t[lane], lanes.t_min[lane] = -_INF, _INF
+        lanes.t[lane], lanes.t_min[lane] = -INF_F32, INF_F32
         lanes.direction_class[lane] = NO_CLASS
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
+from raystream.jit.constants import INF_F32, NULL, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
@@ -66,7 +66,6 @@ PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
 NO_PRIM = np.int32(2**31 - 1)
 NO_CLASS = np.int32(-1)
 
-_INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)
 _MISS = np.int32(-1)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -222,7 +221,7 @@ def three(rows):
 def _reported(group):
     """Reported distances of a group without slow-path rays; inf for a miss."""
     t = world_lanes(group.t, group.t_scale)
-    return select(group.prim_id == NO_PRIM, f32x16(_INF), t)
+    return select(group.prim_id == NO_PRIM, f32x16(INF_F32), t)
 
 
 @device
@@ -259,7 +258,7 @@ def _store_few(lanes, first, count, wants_any, out):
         if wants_any:
             store(out.seen + first + lane, np.uint8(prim_id != NO_PRIM))
             continue
-        t = _INF
+        t = INF_F32
         if prim_id == NO_PRIM:
             prim_id = _MISS
         else:

@@ -48,7 +48,6 @@ from raystream.structures.bvh.ray_groups.rays import (
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _BLOCK_LANES = np.uint64(4)
-_ZERO = np.float32(0.0)
 
 #: Children of a node and their lists; hits of a block; normals of its triangles.
 _ROWS: list[tuple[str, str, tuple[int, ...]]] = [

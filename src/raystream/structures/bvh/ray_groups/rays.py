@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, THREE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     bits_as_float,
@@ -44,9 +45,7 @@ RAY_BITS = np.uint64(0xFFFF)
 LANE_SHIFT = np.uint64(4)
 LAST_LANE = np.uint64(15)
 _PLACE_SHIFT = np.uint64(3)
-_U0, _U1, _U3 = np.uint64(0), np.uint64(1), np.uint64(3)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
-_ZERO = np.float32(0.0)
 
 #: A ray for nodes and the signs of a leaf; the origin and the shear are in the order of its frame.
 _HOT = np.dtype(
@@ -115,8 +114,8 @@ def arrange_group(group, memory, number):
     """
     is_y, is_z = axis_kinds(group)
     inv, near, far = group.inv, group.near, group.far
-    for axis in range(_U3):
-        back = inv[axis] < _ZERO
+    for axis in range(THREE_U64):
+        back = inv[axis] < ZERO_F32
         low, high = select(back, far[axis], near[axis]), select(back, near[axis], far[axis])
         near[axis], far[axis] = low, high
     origin, direction, shear = group.origin, group.direction, group.shear
@@ -145,12 +144,12 @@ def load_block(memory, source, first, last, has_filter):
     group_count : uint64
         All groups.
     """
-    groups, g, count, ray_count = memory + LISTS_AT, _U0, _U0, _U0
+    groups, g, count, ray_count = memory + LISTS_AT, ZERO_U64, ZERO_U64, ZERO_U64
     for packet in range(first, last):
         for row in range(GROUPS):
-            prefetch_group(packet + _U1, row, source)
+            prefetch_group(packet + ONE_U64, row, source)
             ray, length = group_rows(source.order, packet, row)
-            if length == _U0:
+            if length == ZERO_U64:
                 continue
             group = Group(memory, g)
             is_slow = load_group(group, ray, length, source.rays, source.frame, source.status)
@@ -162,24 +161,24 @@ def load_block(memory, source, first, last, has_filter):
             store(memory + FLAGS_AT + g, np.uint8(is_slow))
             bits = mask_bits(group.t_min <= group.t)
             store(groups + count * LANE, np.uint32((g << GROUP_SHIFT) | bits))
-            count += np.uint64(bits != _U0)
+            count += np.uint64(bits != ZERO_U64)
             ray_count += popcount(bits)
-            g += _U1
+            g += ONE_U64
     return count, ray_count, g
 
 
 @device
 def store_block(memory, order, first, last, wants_any, out):
     """Write the results of packets first to last."""
-    g = _U0
+    g = ZERO_U64
     for packet in range(first, last):
         for row in range(GROUPS):
             ray, length = group_rows(order, packet, row)
-            if length == _U0:
+            if length == ZERO_U64:
                 continue
             is_slow = load(np.uint8, memory + FLAGS_AT + g) != np.uint8(0)
             store_group(memory + g * _GROUP_BYTES, ray, length, is_slow, wants_any, out)
-            g += _U1
+            g += ONE_U64
 
 
 @device

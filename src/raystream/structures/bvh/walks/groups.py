@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32, ONE_U64, THREE_U64, TWO_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     compress,
@@ -65,10 +66,7 @@ from raystream.structures.bvh.ray_groups.rays import (
 
 #: Fewer rays than this per group, on average, continue as single rays.
 _FEW = np.uint64(10)
-_U0, _U1, _U2, _U3 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 _LANES, _WIDTH = np.uint64(16), np.uint64(8)
-_ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
 _KEY_BITS = np.int32(~7)
 _LEAST_KEY = np.int32(-(2**31))
 
@@ -94,8 +92,8 @@ STREAM_STACK_BYTES = _ENTRY.itemsize * (STACK_SIZE + 8)
 def _push(stack, top, node, small, lanes, room, hit_count, tree):
     """Push the children of a node that have a list, the farthest first; returns the height."""
     t_in = small.t_in
-    entered = t_in < _INF
-    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
+    entered = t_in < INF_F32
+    key = (float_as_bits(maximum(t_in, ZERO_F32)) & _KEY_BITS) | lane_numbers(i32x8)
     small.keys = sort_keys(select(entered, key, i32x8(_LEAST_KEY)))
     children = node.children
     for k in range(popcount(mask_bits(entered))):
@@ -109,7 +107,7 @@ def _push(stack, top, node, small, lanes, room, hit_count, tree):
         )
         entry.room, entry.t_in = room, lanes.t_in[lane]
         entry.hit_count, entry.ray_count = np.uint32(hit_count), lanes.ray_count[lane]
-        top += _U1
+        top += ONE_U64
     return top
 
 
@@ -119,16 +117,16 @@ def _visit_with_groups(node, groups, count, memory, small, lanes, room):
 
     Returns the end of the lists.
     """
-    small.t_in = f32x8(_INF)
+    small.t_in = f32x8(INF_F32)
     planes, children = node.planes, node.children
     for lane in range(_WIDTH):
         if children[lane] == np.int32(0):
             break
-        low_x, high_x = f32x16(planes[_U0, lane]), f32x16(planes[_U1, lane])
-        low_y, high_y = f32x16(planes[_U2, lane]), f32x16(planes[_U3, lane])
+        low_x, high_x = f32x16(planes[ZERO_U64, lane]), f32x16(planes[ONE_U64, lane])
+        low_y, high_y = f32x16(planes[TWO_U64, lane]), f32x16(planes[THREE_U64, lane])
         low_z, high_z = f32x16(planes[np.uint64(4), lane]), f32x16(planes[np.uint64(5), lane])
-        least = f32x16(_INF)
-        written, ray_count = _U0, _U0
+        least = f32x16(INF_F32)
+        written, ray_count = ZERO_U64, ZERO_U64
         for j in range(count):
             g = np.uint64(load(np.uint32, groups + j * LANE)) >> GROUP_SHIFT
             group = Group(memory, g)
@@ -147,7 +145,7 @@ def _visit_with_groups(node, groups, count, memory, small, lanes, room):
             least = select(entered, minimum(t_in, least), least)
             bits = mask_bits(entered)
             store(room + written * LANE, np.uint32((g << GROUP_SHIFT) | bits))
-            written += np.uint64(bits != _U0)
+            written += np.uint64(bits != ZERO_U64)
             ray_count += popcount(bits)
         lanes.list[lane], lanes.count[lane], lanes.ray_count[lane] = room, written, ray_count
         lanes.t_in[lane] = reduce_min(least)
@@ -159,11 +157,11 @@ def _visit_with_groups(node, groups, count, memory, small, lanes, room):
 def _visit_with_rays(node, rays, count, memory, small, lanes, hits, room):
     """The same with a list of rays."""
     planes = node.planes
-    low_x, high_x = planes[_U0], planes[_U1]
-    low_y, high_y = planes[_U2], planes[_U3]
+    low_x, high_x = planes[ZERO_U64], planes[ONE_U64]
+    low_y, high_y = planes[TWO_U64], planes[THREE_U64]
     low_z, high_z = planes[np.uint64(4)], planes[np.uint64(5)]
     is_used = node.children != np.int32(0)
-    least = f32x8(_INF)
+    least = f32x8(INF_F32)
     for j in range(count):
         ray = Hot(memory + HOT_AT, np.uint64(load(np.uint32, rays + j * LANE)))
         t_in, t_out = interval(
@@ -176,18 +174,18 @@ def _visit_with_rays(node, rays, count, memory, small, lanes, hits, room):
     store(hits + count * LANE, i32x16(np.int32(0)))
     small.t_in = least
     zero = i32x16(np.int32(0))
-    found = mask_bits(least < _INF)
-    while found != _U0:
+    found = mask_bits(least < INF_F32)
+    while found != ZERO_U64:
         lane = count_trailing_zeros(found)
-        found &= found - _U1
-        bit = i32x16(np.int32(_U1 << lane))
-        written = _U0
-        for j in range(_U0, count, _LANES):
+        found &= found - ONE_U64
+        bit = i32x16(np.int32(ONE_U64 << lane))
+        written = ZERO_U64
+        for j in range(ZERO_U64, count, _LANES):
             at = j * LANE
             enters = (load(i32x16, hits + at) & bit) != zero
             store(room + written * LANE, compress(enters, load(i32x16, rays + at)))
             written += popcount(mask_bits(enters))
-        lanes.list[lane], lanes.count[lane], lanes.ray_count[lane] = room, written, _U0
+        lanes.list[lane], lanes.count[lane], lanes.ray_count[lane] = room, written, ZERO_U64
         room += written * LANE
     return room
 
@@ -195,7 +193,7 @@ def _visit_with_rays(node, rays, count, memory, small, lanes, hits, room):
 @device
 def list_rays(groups, count, memory, t_in, rays):
     """List the rays of a list of groups without a hit before t_in; returns their number."""
-    kept = _U0
+    kept = ZERO_U64
     for j in range(count):
         packed = np.uint64(load(np.uint32, groups + j * LANE))
         g = packed >> GROUP_SHIFT
@@ -209,7 +207,7 @@ def list_rays(groups, count, memory, t_in, rays):
 @device
 def _still_wanted(rays, count, memory, t_in):
     """Remove the rays of a list with a hit before `t_in`; returns its new length."""
-    kept = _U0
+    kept = ZERO_U64
     for j in range(count):
         ray = load(np.uint32, rays + j * LANE)
         store(rays + kept * LANE, ray)
@@ -271,25 +269,25 @@ def group_walk():
         """
         lanes = SmallLanes(address_of(small))
         hits = memory + HITS_AT
-        hit_count = _U0
+        hit_count = ZERO_U64
         root = _Entry(stack)
         root.child, root.count, root.list = np.int32(0), np.uint32(count), groups
-        root.room, root.t_in = groups + (count + _LANES) * LANE, -_INF
+        root.room, root.t_in = groups + (count + _LANES) * LANE, -INF_F32
         root.hit_count, root.ray_count = np.uint32(0), ray_count
-        top = np.uint64(count != _U0)
-        while top != _U0:
-            top -= _U1
+        top = np.uint64(count != ZERO_U64)
+        while top != ZERO_U64:
+            top -= ONE_U64
             entry = _Entry(stack, top)
             child, at, length, room = entry.child, entry.list, np.uint64(entry.count), entry.room
             is_grouped = entry.ray_count >= length * _FEW
             if not is_grouped:
-                if entry.ray_count != _U0:
+                if entry.ray_count != ZERO_U64:
                     length = list_rays(at, length, memory, entry.t_in, room)
                     at = room
                     room += length * LANE
                 elif entry.hit_count != np.uint32(hit_count):
                     length = _still_wanted(at, length, memory, entry.t_in)
-                if length == _U0:
+                if length == ZERO_U64:
                     continue
             if child < np.int32(0):
                 rays = RayList(at, length, is_grouped, entry.t_in, room)

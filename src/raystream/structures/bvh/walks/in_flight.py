@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
-from raystream.jit.constants import BYTES_64, ONE_U64
+from raystream.core.rays import INVALID
+from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_F32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -50,11 +50,8 @@ from raystream.structures.bvh.node_layout import (
 IN_FLIGHT = np.uint64(32)
 
 _LINE = np.uint64(64)
-_ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
 _MISS = np.int32(-1)
 _KEY_BITS = np.int32(~7)
-_INVALID = np.uint8(RayStatus.INVALID)
 
 #: prim_id of a ray without a hit: the greatest number.
 NO_PRIM = np.int32(2**31 - 1)
@@ -127,7 +124,7 @@ def start_ray(slot, keys, children, i, ray, max_coordinate):
     slot.planes = plane_row(r.kx, inv_x), plane_row(r.ky, inv_y), plane_row(r.kz, inv_z)
     slot.axes = r.kx * AXIS, r.ky * AXIS, r.kz * AXIS
     slot.t_min, slot.t, slot.t_key = ray.t_min, ray.t_max, t_key(ray.t_max)
-    slot.prim_id, slot.u, slot.v = NO_PRIM, _ZERO, _ZERO
+    slot.prim_id, slot.u, slot.v = NO_PRIM, ZERO_F32, ZERO_F32
     slot.child, slot.top = np.int32(0), LANE
     slot.ray, slot.t_scale, slot.t_offset = np.int64(i), ray.t_scale, ray.t_offset
     store(keys, _BOTTOM_KEY)
@@ -143,7 +140,7 @@ def finish_ray(slot, wants_any, out):
     if wants_any:
         store(out.seen + i, np.uint8(prim_id != NO_PRIM))
         return
-    t = _INF
+    t = INF_F32
     if prim_id == NO_PRIM:
         prim_id = _MISS
     else:
@@ -174,7 +171,7 @@ def visit_node(slot, node, keys, children, numbers):
     entered = maximum(t_in, slot.t_min) <= minimum(t_out, slot.t)
     # Keys: entry distance with the lane in the lowest bits, at least 0 since only the bits of
     # positive numbers are in the numbers' order. Boxes that are missed sink to the end.
-    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | numbers
+    key = (float_as_bits(maximum(t_in, ZERO_F32)) & _KEY_BITS) | numbers
     key = sort_keys(select(entered, key, i32x8(_BOTTOM_KEY)))
     top = slot.top
     store(keys + top, key)
@@ -317,8 +314,8 @@ def wavefront_kernel(visit_leaf, complete=_complete):
                 slot.ray = NO_RAY
                 if ray_next < ray_end:
                     ray = load_ray(source, ray_next, frame)
-                    if ray.status == _INVALID:
-                        store(out.status + ray_next, _INVALID)
+                    if ray.status == INVALID:
+                        store(out.status + ray_next, INVALID)
                     start_ray(
                         slot,
                         all_keys + k * STACK,

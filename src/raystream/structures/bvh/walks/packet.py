@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.jit.constants import INF_F32, ONE_U64, TWO_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     count_trailing_zeros,
@@ -47,10 +48,7 @@ from raystream.structures.bvh.packets.leaf import (
 )
 from raystream.structures.bvh.packets.rays import NO_CLASS, Group, GroupLanes
 
-_ZERO = np.float32(0.0)
 _TWO = np.float32(2.0)
-_INF = np.float32(np.inf)
-_U0, _U1, _U2 = np.uint64(0), np.uint64(1), np.uint64(2)
 _NO_LIMIT = np.int32(2**31 - 1)
 
 #: Minus a direction class: of rays that have been traced.
@@ -130,8 +128,8 @@ class RayClass(NamedTuple):
 @device
 def _extremes(packet, count, direction_class, axis):
     """Bounds of the rays of a class along an axis."""
-    least_inv, most_inv = f32x16(_INF), f32x16(-_INF)
-    least_o, most_o = f32x16(_INF), f32x16(-_INF)
+    least_inv, most_inv = f32x16(INF_F32), f32x16(-INF_F32)
+    least_o, most_o = f32x16(INF_F32), f32x16(-INF_F32)
     for g in range(count):
         group = Group(packet, g)
         mine = group.direction_class == direction_class
@@ -148,16 +146,16 @@ def _extremes(packet, count, direction_class, axis):
 @device
 def _slab_bounds(axis, low, high, origin_low, origin_high, pad):
     """Constants of the interval ray; twice the rays' padding covers its own rounding."""
-    near = axis << _U1
-    back = high < _ZERO
+    near = axis << ONE_U64
+    back = high < ZERO_F32
     if back:
-        near |= _U1
+        near |= ONE_U64
         from_near, from_far = origin_low - pad, origin_high + pad
     else:
         from_near, from_far = origin_high + pad, origin_low - pad
     return AxisBounds(
         near,
-        near ^ _U1,
+        near ^ ONE_U64,
         low,
         high,
         -(from_near * low),
@@ -183,24 +181,24 @@ def _far_of(node, b):
 @device
 def _ray_class(packet, count, direction_class, max_coordinate):
     """Begin the pass of a class: activate its rays; returns their `RayClass`."""
-    lx, hx, olx, ohx = _extremes(packet, count, direction_class, _U0)
-    ly, hy, oly, ohy = _extremes(packet, count, direction_class, _U1)
-    lz, hz, olz, ohz = _extremes(packet, count, direction_class, _U2)
+    lx, hx, olx, ohx = _extremes(packet, count, direction_class, ZERO_U64)
+    ly, hy, oly, ohy = _extremes(packet, count, direction_class, ONE_U64)
+    lz, hz, olz, ohz = _extremes(packet, count, direction_class, TWO_U64)
     reach = max(abs(olx), abs(ohx), abs(oly), abs(ohy), abs(olz), abs(ohz))
     pad = _TWO * PAD * (max_coordinate + reach)
     kz = np.uint64(direction_class & np.int32(3))
-    kx = kz + _U1 if kz < _U2 else _U0
-    ky = kx + _U1 if kx < _U2 else _U0
-    t_min = f32x16(_INF)
+    kx = kz + ONE_U64 if kz < TWO_U64 else ZERO_U64
+    ky = kx + ONE_U64 if kx < TWO_U64 else ZERO_U64
+    t_min = f32x16(INF_F32)
     for g in range(count):
         group = Group(packet, g)
         mine = group.direction_class == direction_class
-        group.t_active = select(mine, group.t, f32x16(-_INF))
+        group.t_active = select(mine, group.t, f32x16(-INF_F32))
         t_min = select(mine, minimum(group.t_min, t_min), t_min)
     return RayClass(
-        _slab_bounds(_U0, lx, hx, olx, ohx, pad),
-        _slab_bounds(_U1, ly, hy, oly, ohy, pad),
-        _slab_bounds(_U2, lz, hz, olz, ohz, pad),
+        _slab_bounds(ZERO_U64, lx, hx, olx, ohx, pad),
+        _slab_bounds(ONE_U64, ly, hy, oly, ohy, pad),
+        _slab_bounds(TWO_U64, lz, hz, olz, ohz, pad),
         kx,
         ky,
         kz,
@@ -228,8 +226,8 @@ def _enters(node, rays, t_max):
 @device
 def _farthest(packet, count):
     """The farthest t that an active ray of the packet searches; -inf if none is active."""
-    t = Group(packet, _U0).t_active
-    for g in range(_U1, count):
+    t = Group(packet, ZERO_U64).t_active
+    for g in range(ONE_U64, count):
         t = maximum(Group(packet, g).t_active, t)
     return reduce_max(t)
 
@@ -238,14 +236,14 @@ def _farthest(packet, count):
 def _push(stack, base, top, child, key, groups, node, lane):
     """Push a child below the nearer ones of its node; returns the stack's height."""
     at = top
-    while at != base and _Entry(stack, at - _U1).key < key:
-        _EntryWords(stack, at).words = _EntryWords(stack, at - _U1).words
-        at -= _U1
+    while at != base and _Entry(stack, at - ONE_U64).key < key:
+        _EntryWords(stack, at).words = _EntryWords(stack, at - ONE_U64).words
+        at -= ONE_U64
     entry = _Entry(stack, at)
     entry.child, entry.key = child, key
     entry.first, entry.last = np.uint16(groups.first), np.uint16(groups.last)
     entry.node, entry.lane = node, np.uint32(lane)
-    return top + _U1
+    return top + ONE_U64
 
 
 @device
@@ -253,7 +251,7 @@ def _next_class(packet, count):
     """The class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(count):
         bits = mask_bits(Group(packet, g).direction_class > NO_CLASS)
-        if bits != _U0:
+        if bits != ZERO_U64:
             return GroupLanes(packet, g).direction_class[count_trailing_zeros(bits)]
     return NO_CLASS
 
@@ -281,13 +279,13 @@ def packet_walk():
         """Push a node's children that a ray enters; returns the stack's height."""
         t_in, entered = _enters(Node(node), rays, farthest)
         bits = mask_bits(entered)
-        if bits != _U0:
-            memory.keys = float_as_bits(maximum(t_in, _ZERO))
+        if bits != ZERO_U64:
+            memory.keys = float_as_bits(maximum(t_in, ZERO_F32))
             keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
             stack, base = address_of(memory) + _MEMORY_BYTES, top
-            while bits != _U0:
+            while bits != ZERO_U64:
                 lane = count_trailing_zeros(bits)
-                bits &= bits - _U1
+                bits &= bits - ONE_U64
                 leaf.prefetch(children[lane], tree.nodes, tree.leaves)
                 planes = box_planes(node, lane, rays)
                 entering = group_range(packet, planes, rays.t_min, groups)
@@ -300,11 +298,11 @@ def packet_walk():
         """Trace the rays of one class: a pass of a packet."""
         rays = _ray_class(packet, count, direction_class, max_coordinate)
         farthest = _farthest(packet, count)
-        limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
+        limit = float_as_bits(farthest) if farthest >= ZERO_F32 else _NO_LIMIT
 
         stack, memory = memory + _MEMORY_BYTES, _Memory(memory)
-        top, child, node, lane = _U0, np.int32(0), _U0, _U0
-        groups = GroupRange(_U0, count - _U1)
+        top, child, node, lane = ZERO_U64, np.int32(0), ZERO_U64, ZERO_U64
+        groups = GroupRange(ZERO_U64, count - ONE_U64)
         while True:
             if child >= np.int32(0):
                 node = tree.nodes + np.uint64(child) * NODE
@@ -313,15 +311,15 @@ def packet_walk():
                 box, own = box_planes(node, lane, rays), memory.leaf
                 if leaf.visit(leaf, packet, child, tree.leaves, box, rays, groups, own):
                     farthest = _farthest(packet, count)
-                    if farthest == -_INF:
+                    if farthest == -INF_F32:
                         break
-                    limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
+                    limit = float_as_bits(farthest) if farthest >= ZERO_F32 else _NO_LIMIT
             # Pop the nearest child within the search interval.
-            while top != _U0 and _Entry(stack, top - _U1).key > limit:
-                top -= _U1
-            if top == _U0:
+            while top != ZERO_U64 and _Entry(stack, top - ONE_U64).key > limit:
+                top -= ONE_U64
+            if top == ZERO_U64:
                 break
-            top -= _U1
+            top -= ONE_U64
             entry = _Entry(stack, top)
             child, groups = entry.child, GroupRange(np.uint64(entry.first), np.uint64(entry.last))
             node, lane = entry.node, np.uint64(entry.lane)

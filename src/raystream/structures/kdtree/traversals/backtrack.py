@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.constants import ZERO_U64
+from raystream.jit.constants import ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load
 from raystream.structures.kdtree.nodes import parent_of
 from raystream.structures.kdtree.state import KdState
-
-_ZERO = np.float32(0.0)
 
 # Byte offsets in an extended split: second and third coordinate of a corner, and the high corner.
 _Y = np.uint64(4)
@@ -46,9 +44,9 @@ def backtrack(tree, line, state):
     """
     node, low = parent_of(tree, state.node)
     high = low + _HIGH
-    x = load(np.float32, high if line.inv_x > _ZERO else low)
-    y = load(np.float32, (high if line.inv_y > _ZERO else low) + _Y)
-    z = load(np.float32, (high if line.inv_z > _ZERO else low) + _Z)
+    x = load(np.float32, high if line.inv_x > ZERO_F32 else low)
+    y = load(np.float32, (high if line.inv_y > ZERO_F32 else low) + _Y)
+    z = load(np.float32, (high if line.inv_z > ZERO_F32 else low) + _Z)
     t_out = min(
         fma(x, line.inv_x, line.middle_x),
         fma(y, line.inv_y, line.middle_y),
