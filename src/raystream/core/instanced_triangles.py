@@ -20,7 +20,7 @@ class InstancedTriangles(Store):
 
     ``prim_id`` counts the triangles of the objects, however often they are placed. Kernels count
     those of all instances, one instance after another: `split_ids` converts, and for many hits
-    `instances.hit_ids`.
+    `geometry.instances.hit_ids`.
 
     Parameters
     ----------

@@ -19,8 +19,7 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "without them, if it fits into memory",
         "worlds": "not supported in a scene whose instances are in worlds; make a scene of the "
         "instances of one world",
-        "primitives": "not supported in a scene with spheres or height fields; first_hit, any_hit, "
-        "multi_hit, count_hits, cast, render, lidar_returns and visibility are",
+        "primitives": "not supported in a scene with spheres or height fields",
         "float64": "not supported with precision='float64'",
     }
 )

@@ -55,7 +55,7 @@ def _split(i, instances, numbers, instance_ids):
 
 @kernel
 def _halve(i, first, numbers):
-    """Replace a number by its prim_id, from `first` on two numbers each; see `prim_ids_of`."""
+    """Replace a number by its prim_id, from `first` on two numbers each; see `split_ids`."""
     at = numbers + (i << SHIFT_32)
     number = load(np.int32, at)
     if number >= first:

@@ -33,7 +33,7 @@ class StructureOptions(Options):
         The column of `raystream.machines.RayCounters` that counts the cells a ray visits.
     forms : mapping of str to callable or str
         Other ways to trace or build it, each an object or its ``"module:name"``:
-        ``"nearest"``, its loop over points (`kernels.point_queries.nearest_answer`), and
+        ``"nearest"``, its loop over points (of `kernels.point_queries.nearest_answer`), and
         ``"nearest search"``, the search that loops on other devices run (`PointSearch` there);
         ``"multipass"``, its steps (`raystream.machines.steps.base.Steps`); ``"graphics"`` and
         ``"graphics multipass"``, its shaders; ``"cuda build"``, its builder on the device; and

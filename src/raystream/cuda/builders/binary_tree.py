@@ -1,7 +1,7 @@
 """Binary BVHs on the device: their rows, and leaves sorted by Morton keys.
 
-Nodes are rows, as in `structures.bvh.binary_tree`: first the leaves in key order, then the inner
-nodes. A leaf's row has its prim_id where an inner node would have its first record.
+Nodes are rows, as in `structures.bvh.builder.binary_tree`: first the leaves in key order, then the
+inner nodes. A leaf's row has its prim_id where an inner node would have its first record.
 
 References
 ----------
@@ -41,7 +41,7 @@ class NodesAt(NamedTuple):
     Attributes
     ----------
     boxes, links, costs : uint64
-        See `structures.bvh.binary_tree` and `structures.bvh.collapse`.
+        See `structures.bvh.builder.binary_tree` and `structures.bvh.builder.collapse`.
     max_leaf_size : int64
     """
 

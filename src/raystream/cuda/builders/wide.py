@@ -1,6 +1,7 @@
 """Collapse of a binary tree on the device to the wide tree that rays traverse, level by level.
 
-Which binary nodes become wide ones was decided when they were written (`structures.bvh.collapse`).
+Which binary nodes become wide ones was decided when they were written
+(`structures.bvh.builder.collapse`).
 Here the wide nodes get rows, level after level, so that children follow their parents and a level
 can be refitted in one launch.
 """

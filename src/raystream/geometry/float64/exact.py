@@ -28,7 +28,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import absolute, maximum, minimum
 
-#: Errors of weights, as parts of h (M + h), see `float64.block`: 2**-96 with a margin.
+#: Errors of weights, as parts of h (M + h), see `geometry.float64.block`: 2**-96 with a margin.
 _SIGN_ERROR = np.float64(2.0**-94)
 
 #: Errors of the numerator of a distance, as a part of M h h, of its denominator, as a part of
@@ -88,7 +88,7 @@ def estimate(a, b, c, origin, direction):
     corner = _differences(a, origin)
     p, q = _differences(b, a), _differences(c, a)
     reach, h = _largest(corner), maximum(_largest(p), _largest(q))
-    # Step 1: the weights, as in `float64.block`.
+    # Step 1: the weights, as in `geometry.float64.block`.
     moment, normal = cross_with(corner, direction), cross_double(p, q)
     v, w = dot_double(q, moment), negate_double(dot_double(p, moment))
     base, top = dot_with(normal, direction), dot_double(corner, normal)

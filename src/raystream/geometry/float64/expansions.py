@@ -3,7 +3,8 @@
 An expansion is in memory, at an address, as a number of components by increasing magnitude that
 do not overlap; zeros are left out, so its sign is that of the last one, and none are 0.
 
-Exact while no product underflows or overflows: see `float64.ray` for the numbers that are allowed.
+Exact while no product underflows or overflows: see `geometry.float64.ray` for the numbers that are
+allowed.
 
 References
 ----------

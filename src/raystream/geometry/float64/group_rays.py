@@ -1,6 +1,6 @@
 """Sixteen rays in float64, a vector for each number.
 
-Beside the groups of `structures.bvh.packet_rays`, whose boxes' tests are in float32 with their
+Beside the groups of `structures.bvh.packets.rays`, whose boxes' tests are in float32 with their
 padding: it exceeds the rounding of the rays, and the boxes hold the triangles for sure. Each ray
 has the interval of its nearest hit's distance; its upper end, rounded up to float32, is what boxes
 are compared to.

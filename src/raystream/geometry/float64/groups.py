@@ -1,6 +1,6 @@
 """Streams of groups in float64: the kernel for many incoherent rays.
 
-Lists of groups of 16 rays descend the tree as in `structures.bvh.group_stream`; leaves test
+Lists of groups of 16 rays descend the tree as in `structures.bvh.walks.groups`; leaves test
 triangles in float64.
 """
 

@@ -1,6 +1,6 @@
 """Queries of packets of 256 rays in float64: the kernels for coherent rays.
 
-Packets descend the tree as in `structures.bvh.packet`; leaves test triangles in float64.
+Packets descend the tree as in `structures.bvh.walks.packet`; leaves test triangles in float64.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def write_nearest(to, i, best, ray):
 
 
 def _visit_with(take: Callable[..., Any], far_of: Callable[..., Any]) -> tuple[Any, Any]:
-    """Make the arguments of a traversal, see `float64.traversal`, of what is done with each hit.
+    """Make the arguments of `geometry.float64.traversal` of what is done with each hit.
 
     ``take(search, ray, span, triangle, prim_id)`` offers a triangle that may be hit, with its
     distance's interval as of `span_of`.
@@ -148,7 +148,7 @@ class LineSearches(NamedTuple):
 
 @cache
 def _line_searches(blocks: Callable[..., Any]) -> LineSearches:
-    """Make the searches of a traversal; see `float64.traversal`."""
+    """Make the searches of a traversal; see `geometry.float64.traversal`."""
     walk_nearest = blocks(*_visit_with(_take_nearest, _far_of_nearest))
     walk_count = blocks(*_visit_with(_take_count, _far_of_all))
     walk_keep = blocks(*_visit_with(_take_kept, _far_of_kept))
@@ -186,7 +186,7 @@ def _parts(memory):
 
 
 def float64_searches(blocks: Callable[..., Any]) -> RaySearches:
-    """Make the `RaySearches` of a traversal; see `float64.traversal`."""
+    """Make the `RaySearches` of a traversal; see `geometry.float64.traversal`."""
     nearest_of, count_of, keep_of = _line_searches(blocks)
 
     @device

@@ -70,6 +70,6 @@ keep_row = _of_float64(keep_hit)
 #: Sort rows by t, then prim_id: `kernels.search.sort_hits`.
 sort_rows = _of_float64(sort_hits)
 
-#: Append hits of 16 rays, or of one: see `structures.bvh.packet_hits`.
+#: Append hits of 16 rays, or of one: see `structures.bvh.packets.hits`.
 collect = _of_float64(packet_hits.collect)
 collect_one = _of_float64(packet_hits.collect_one)

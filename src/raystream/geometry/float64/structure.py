@@ -33,9 +33,9 @@ _PRIM_IDS_AT = 36
 
 
 class Float64Structure(Structure):
-    """Triangles in blocks of float64 numbers; see `float64.block`.
+    """Triangles in blocks of float64 numbers; see `geometry.float64.block`.
 
-    `traverse` makes traversals; see `float64.traversal`.
+    `traverse` makes traversals; see `geometry.float64.traversal`.
     """
 
     precision = "float64"

@@ -1,6 +1,6 @@
 """Streams of groups through instances: the kernel for many rays that start near each other.
 
-A list of groups descends the tree over the instances, as in `structures.bvh.group_stream`. At an
+A list of groups descends the tree over the instances, as in `structures.bvh.walks.groups`. At an
 instance the rays of the list are moved to object space, 16 at a time, and descend the object's
 tree as full groups; then their hits are merged with those from other instances. No ray waits for
 others: what is kept of its hits depends on their distance and number only.

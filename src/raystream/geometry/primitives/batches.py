@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from raystream.core.query import Kind
+from raystream.geometry.primitives.in_flight import PrimitiveTrees, trace_primitive_wavefront
 from raystream.geometry.primitives.packets import PRIMITIVES
-from raystream.geometry.primitives.wavefront import PrimitiveTrees, trace_primitive_wavefront
 from raystream.jit.constants import ZERO_U64
 from raystream.structures.batch_kernels import Batch, BatchKernel, BatchKernels, Calls
 from raystream.structures.bvh.coherence import Coherence, choose_kernel

@@ -1,4 +1,4 @@
-"""Many single rays in flight through a tree of spheres; see `structures.bvh.wavefront`.
+"""Many single rays in flight through a tree of spheres; see `structures.bvh.walks.in_flight`.
 
 Before its result is written, a ray is searched for triangles and height fields, by itself: a field
 is too small a tree to wait for memory often.
