@@ -1,8 +1,8 @@
 """Many single rays in flight through instances: the kernel for incoherent rays.
 
 As `structures.bvh.walks.in_flight`, which hides that a ray waits for memory at every node. A ray
-has two slots with a stack each: one in the tree over the instances, and one in the tree of the object that
-it is in. What it needs next, in either, decides in which queue it waits.
+has two slots with a stack each: one in the tree over the instances, and one in the tree of the
+object that it is in. What it needs next, in either, decides in which queue it waits.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Packets of 256 rays through instances: the kernel for coherent rays.
 
 A packet traverses the tree over the instances, as in `structures.bvh.walks.packet`. At an instance,
-the groups with a ray that enters its box are moved to object space and traverse the object's tree as a
-packet of their own; then their hits are merged with those from other instances.
+the groups with a ray that enters its box are moved to object space and traverse the object's tree
+as a packet of their own; then their hits are merged with those from other instances.
 """
 
 from __future__ import annotations
