@@ -345,8 +345,8 @@ def ray_queries(
     ----------
     traverse : device function
         ``traverse(view, ray, search, stack)`` offers the hits of `ray` with the triangles of
-        `view`, the structure's `arrays`, to the search (`kernels.search`), and returns it. It
-        offers no hit twice, and may leave out those that cannot change the result. The search may
+        `view`, the structure's, to the search (`kernels.search`), and returns it. It offers no hit
+        twice, and may leave out those that cannot change the result. The search may
         have hits from elsewhere, but is not full; traversal returns as soon as it `is_full`. Steps
         and tests are added to ``search.counters`` (`kernels.tally`).
     stack_bytes : int
@@ -392,8 +392,8 @@ def ray_queries(
         store(low, number(numbers[6]))
         store(high, number(numbers[7]))
         store(status, _VALID)
-        one = ZERO_U64
-        source = RaySource(at, one, True, direction, one, True, low, one, high, one)
+        step = ZERO_U64  # there is one ray
+        source = RaySource(at, step, True, direction, step, True, low, step, high, step)
         scene = RayScene(source, frame, arrays, status, None, None)
         hit = HitAddresses(at + _T, at + _U, at + _V, at + _PRIM_ID)
         nearest(ZERO_U64, scene, hit, memory)

@@ -25,7 +25,8 @@ from raystream.structures.bvh.coherence import probe
 from raystream.structures.bvh.packets.image_rows import LEAST_RAYS, BatchOrder, find_order
 from raystream.structures.bvh.packets.rays import PacketOrder
 
-#: Most spare memories, and bytes of each: up to 40 MB, of which calls have written a small part.
+#: Most spare memories, and bytes of each: up to 42 MB for instances, of which calls have written a
+#: small part.
 #: Those for very many nearest triangles of a point are not kept.
 _MOST_SPARE, _MOST_SPARE_BYTES = 4, 1 << 26
 
@@ -164,9 +165,6 @@ def run_calls(
     first, end = items
     count = end - first
     size = call_size(count, least, most, share, block)
-    if 0 < count <= size and not memory_bytes and progress is None:  # small batches
-        trace(first, end, *arguments)
-        return
 
     def body(low: int, high: int) -> None:
         if not memory_bytes:

@@ -69,17 +69,17 @@ class UpdateReport:
 
 
 class Nested(NamedTuple):
-    """Addresses in a structure's memory, for copies of it elsewhere.
+    """Addresses in a structure's arrays, for copies of it elsewhere.
 
     Attributes
     ----------
     arrays : tuple of ndarray
         Arrays besides those of `Structure.arrays`, which never change.
     fields : mapping of str to tuple of str
-        By name of arrays in the memory: their fields that are addresses in one of all these arrays,
+        By name of arrays: their fields that are addresses in one of all these arrays,
         or 0.
     names : tuple of str
-        Such fields of `Structure.view`, besides the names of the memory.
+        Such fields of `Structure.view`, besides the names of its arrays.
     """
 
     arrays: tuple[NDArray[Any], ...] = ()
@@ -169,7 +169,7 @@ class Structure(ABC):
 
     @property
     def nested(self) -> Nested:
-        """The addresses that are in the memory, and the arrays there."""
+        """The addresses that are in the arrays, and the arrays there."""
         return Nested()
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:

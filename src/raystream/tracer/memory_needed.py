@@ -84,8 +84,8 @@ class MemoryEstimator(RayCaster):
         float32 or float64 (others are copied); the arrays themselves do not count. `results` is
         exact unless rays have fewer hits. On the CPU the total is at most twice the memory used,
         plus 0.3 MB per thread; where ``structure="bvh"`` chooses the kernel by the rays, it allows
-        for the one that needs most, 21 MB per thread. GPU memory does not count: rays are traced
-        there in parts that fit.
+        for the one that needs most, 21 MB per thread, or 42 with instances. GPU memory does not
+        count: rays are traced there in parts that fit.
 
         Queries of a million rays or more check that this much memory is free, and raise
         MemoryError with both numbers if it is not; `multi_hit` checks again before it stores hits.

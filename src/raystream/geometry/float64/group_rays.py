@@ -86,7 +86,7 @@ _FAR = 2.0**20
 _LANES = np.uint64(16)
 _X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _UNIT = np.float64(1.0)
-_NO_TRIANGLE, _SHIFT64 = np.int64(0), np.int64(3)
+_NO_TRIANGLE = np.int64(0)
 
 
 @device

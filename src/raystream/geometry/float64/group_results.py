@@ -133,7 +133,7 @@ def store_nearest(packet, g, rays, first, count, source, tree, wanted):
     first, count : uint64
     source : Float64Packets
     tree : Float64Tree
-    wanted : packet_queries.NearestWanted
+    wanted : packets.queries.NearestWanted
         Its hits are of float64.
     """
     group, lanes, out = Float64Group(rays, g), Float64Lanes(rays, g), wanted.out

@@ -49,7 +49,7 @@ _LOCAL_BYTES = np.uint64(GROUP.itemsize)
 
 
 class Float64Leaf(NamedTuple):
-    """Leaves of triangles in float64; see `packet.trace_packet` and `walks.groups.trace_block`.
+    """Leaves of triangles in float64, for `walks.packet.trace_packet` and `groups.trace_block`.
 
     Attributes
     ----------

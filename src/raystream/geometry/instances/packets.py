@@ -57,7 +57,7 @@ _NUMBERS_BYTES = int(GROUPS)
 
 
 class _InstanceLeaf(NamedTuple):
-    """Leaves of the tree over instances, see `packet.trace_packet`; and what their visit needs.
+    """Leaves of the tree over instances, see `walks.packet.trace_packet`; what their visit needs.
 
     Attributes
     ----------

@@ -67,7 +67,7 @@ _TWO_BLOCKS = np.int32(~1)
 
 
 class PrimitiveLeaf(NamedTuple):
-    """Leaves of spheres, or of height fields; see `packet.trace_packet`.
+    """Leaves of spheres, or of height fields; see `walks.packet.trace_packet`.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class PrimitiveLeaf(NamedTuple):
     hits : TriangleLeaf
         Takes the hits, and tests the triangles of cells.
     memory : uint64
-        Address of the packet's groups in float64, or of `field.PACKET_BYTES`.
+        Address of the packet's groups in float64, or of `fields.cells.PACKET_BYTES`.
     frame : SceneFrame
     """
 
@@ -158,7 +158,7 @@ def _push(stack, top, level, column, row, groups):
 
 @device
 def _visit_field(leaf, packet, child, leaves, box, rays, groups, own):  # noqa: ARG001
-    """Search a height field with groups of a packet; see `field.traverse_field`."""
+    """Search a height field with groups of a packet; see `fields.cells.traverse_field`."""
     field = FieldRecord(leaves, np.uint64(np.int32(~child) >> _FIELD_SHIFT))
     back = rays.x.back, rays.y.back, rays.z.back
     turn_x = np.uint64(back[0] != (field.x_falls != np.int32(0)))

@@ -135,7 +135,7 @@ def _take_hits(leaf, packet, g, k, bits, found, prim_ids):
 
 @device
 def no_prefetch(child, nodes, leaves):
-    """The `prefetch` of leaves of trees that fit into the cache; see `packet.trace_packet`."""
+    """The `prefetch` of leaves of trees in the cache; see `walks.packet.trace_packet`."""
 
 
 @device

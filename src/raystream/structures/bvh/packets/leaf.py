@@ -106,7 +106,7 @@ class Kind(NamedTuple):
 
 
 class TriangleLeaf(NamedTuple):
-    """Leaves of triangles, see `packet.trace_packet`.
+    """Leaves of triangles, see `walks.packet.trace_packet`.
 
     Attributes
     ----------

@@ -80,5 +80,5 @@ def finish_nearest(memory, source, first, last, scene, group_count, wanted):
 
 
 #: The nearest or any hits of one tree, `TreeAddresses`, which is not empty, for a
-#: `packets.queries.NearestWanted`; in `group_rays.MEMORY_BYTES` bytes.
+#: `packets.queries.NearestWanted`; in `ray_groups.rays.MEMORY_BYTES` bytes.
 trace_groups = group_kernel(_load, _trace, finish_nearest, BLOCK_PACKETS)
