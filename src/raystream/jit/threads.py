@@ -161,9 +161,7 @@ def parallel_for(
     if count <= 0:
         return
     if count <= chunk and progress is None:  # fast path of small loops
-        around = getattr(_current, "loop", None)
-        if around is not None and around.is_stopped():
-            raise _StoppedError
+        check_stopped()
         body(0, count)
         return
     around = getattr(_current, "loop", None)
@@ -230,6 +228,13 @@ def parallel_for(
 
 #: The loop whose body runs on this thread.
 _current = threading.local()
+
+
+def check_stopped() -> None:
+    """End the body of a loop that was stopped; for small loops within, which call no other."""
+    around = getattr(_current, "loop", None)
+    if around is not None and around.is_stopped():
+        raise _StoppedError
 
 
 class _StoppedError(Exception):

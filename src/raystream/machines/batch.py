@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
+from raystream.jit.threads import Progress, check_stopped, parallel_for, part_of, thread_count
 from raystream.kernels.aligned import ALIGNMENT, aligned_array
 from raystream.kernels.hits import Sink
 from raystream.kernels.ray_source import RaySource
@@ -165,6 +165,10 @@ def run_calls(
     first, end = items
     count = end - first
     size = call_size(count, least, most, share, block)
+    if count <= size and not memory_bytes and progress is None:  # small batches
+        check_stopped()
+        trace(first, end, *arguments)
+        return
 
     def body(low: int, high: int) -> None:
         if not memory_bytes:
@@ -210,6 +214,10 @@ def _call_kernel(
 ) -> None:
     """Trace the rays between two cuts of an order."""
     begin, end = (order.cut(ray).packet for ray in rays) if kernel.by_packets else rays
+    if end - begin <= kernel.least and not kernel.memory_bytes and progress is None:
+        check_stopped()
+        calls[0](begin, end, *calls[1])  # at once: a ray alone takes 17 us
+        return
 
     def report(done: int, count: int) -> object:
         assert progress is not None

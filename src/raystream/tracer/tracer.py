@@ -199,8 +199,9 @@ class Tracer(MemoryEstimator, PointQueries):
         -----
         At equal t, before it is rounded to float32, the lowest prim_id wins, in every structure.
         """
-        rays, filter_ = (origins, directions, t_min, t_max, near, worlds), (on_hit, skip_prim_ids)
-        return self._find(Kind.FIRST_HIT, rays, filter_, progress)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
+        query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
+        return in_library(self._found(query, rays, progress), origins, directions)
 
     def any_hit(
         self,
@@ -233,8 +234,9 @@ class Tracer(MemoryEstimator, PointQueries):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        rays, filter_ = (origins, directions, t_min, t_max, near, worlds), (on_hit, skip_prim_ids)
-        return self._find(Kind.ANY_HIT, rays, filter_, progress)
+        rays = self._rays(origins, directions, t_min, t_max, near, worlds)
+        query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
+        return in_library(self._found(query, rays, progress), origins, directions)
 
     def count_hits(
         self,
@@ -270,8 +272,10 @@ class Tracer(MemoryEstimator, PointQueries):
         ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown.
         """
-        rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
-        return self._find(Kind.COUNT_HITS, rays, filter_, progress, crossings)
+        rays = self._rays(origins, directions, t_min, t_max, None, worlds)
+        surfaces = counts_surfaces(crossings)
+        query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
+        return in_library(self._found(query, rays, progress), origins, directions)
 
     def multi_hit(
         self,
@@ -323,9 +327,10 @@ class Tracer(MemoryEstimator, PointQueries):
         is reported twice, and none is lost between two others, however close.
         """
         most = UNLIMITED if max_hits is None else check_least("max_hits", max_hits, 0)
-        limit = min(most, UNLIMITED)
-        rays, filter_ = (origins, directions, t_min, t_max, None, worlds), (on_hit, skip_prim_ids)
-        return self._find(Kind.MULTI_HIT, rays, filter_, progress, crossings, limit)
+        limit, surfaces = min(most, UNLIMITED), counts_surfaces(crossings)
+        rays = self._rays(origins, directions, t_min, t_max, None, worlds)
+        query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
+        return in_library(self._found(query, rays, progress), origins, directions)
 
     def trace(
         self,
@@ -447,25 +452,12 @@ class Tracer(MemoryEstimator, PointQueries):
         queries = type(self).first_hit, type(self).any_hit
         return self._counts or queries != (Tracer.first_hit, Tracer.any_hit)
 
-    def _find(
-        self,
-        kind: Kind,
-        given: tuple[Any, ...],
-        filter_: tuple[Any, Any],
-        progress: Progress | None,
-        crossings: str = "triangles",
-        limit: int = UNLIMITED,
-    ) -> Any:
-        """Answer a query of rays, the arguments of `_rays`, in arrays of their library."""
-        surfaces = crossings != "triangles" and counts_surfaces(crossings)
-        rays = self._rays(*given)
-        query = self._query(kind, rays, *filter_, surfaces, limit)
+    def _found(self, query: Query, rays: RayBatch | RayArrays, progress: Progress | None) -> Any:
+        """The result of a query, where the rays are."""
         if isinstance(rays, RayArrays):
-            found = self._backend.answer_on_device(query, rays, progress)
-        else:
-            sink = self._answer(query, rays, progress)
-            found = RESULTS[kind](sink, rays.shape, self.structure.triangles)
-        return in_library(found, given[0], given[1])
+            return self._backend.answer_on_device(query, rays, progress)
+        sink = self._answer(query, rays, progress)
+        return RESULTS[query.kind](sink, rays.shape, self.structure.triangles)
 
     def _query(
         self,
