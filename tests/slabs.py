@@ -95,30 +95,20 @@ class SlabStructure(Structure):
             for slab in np.split(triangles.corners[prim_ids], splits[1:-1].astype(np.int64))
             if len(slab)
         ]
-        self._memory = {
+        self.arrays = {
             "prim_ids": np.ascontiguousarray(prim_ids),
             "corners": np.ascontiguousarray(triangles.corners),
             "splits": splits,
             "boxes": np.array(boxes, np.float32),
         }
-        addresses = (np.uint64(array.ctypes.data) for array in self._memory.values())
-        self._addresses = SlabAddresses(*addresses, np.uint64(len(boxes)))
-        byte_count = sum(array.nbytes for array in self._memory.values())
+        addresses = (np.uint64(array.ctypes.data) for array in self.arrays.values())
+        self.view = SlabAddresses(*addresses, np.uint64(len(boxes)))
+        byte_count = sum(array.nbytes for array in self.arrays.values())
         self.report = BuildReport(time.perf_counter() - started, byte_count)
-
-    @property
-    def arrays(self):
-        """Addresses of the arrays."""
-        return self._addresses
-
-    @property
-    def memory(self):
-        """The arrays."""
-        return self._memory
 
     def saved_arrays(self):
         """The order of the triangles, and where slabs begin."""
-        return {name: self._memory[name] for name in ("prim_ids", "splits")}
+        return {name: self.arrays[name] for name in ("prim_ids", "splits")}
 
     @classmethod
     def from_arrays(cls, triangles, arrays, options):
@@ -137,7 +127,7 @@ class SlabStructure(Structure):
 
     def quality(self):
         """Figures to display."""
-        return {"slabs": float(self._addresses.slab_count)}
+        return {"slabs": float(self.view.slab_count)}
 
 
 @dataclass(frozen=True, kw_only=True)
