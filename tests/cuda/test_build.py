@@ -369,7 +369,6 @@ def test_progress_is_reported(device):
 
 #: The longest, and those with shared memory and atomics; the others are for .ci/nightly.
 _USUAL = (
-    "climb",
     "fill_pairs",
     "merge",
     "write_node",
