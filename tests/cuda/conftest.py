@@ -55,9 +55,11 @@ def loop(count, arguments):
 
 
 def _launch(kernel, _gpu, count, arguments, stream=None):
+    from raystream.jit.cuda.arguments import with_addresses
+
     if count:
         loop = compile_loop(_LOOP, kernel.function, {}, __name__)
-        loop(np.uint64(count), arguments)
+        loop(np.uint64(count), with_addresses(arguments))
 
 
 def _scan(_scan, values, count, out, dtype):

@@ -115,15 +115,15 @@ def bytes_of(resident):
 def test_binary_nodes_are_those_of_the_copy_on_the_host(device, name):
     structure = built(case_of(name).scene, "bvh").structure
     expected = unfold(*structure.tree)[:2]
-    assert bytes_of(structure.binary) == [one.tobytes() for one in expected]
+    assert bytes_of(structure.laid_out) == [one.tobytes() for one in expected]
 
 
 def test_binary_nodes_follow_an_update(device):
     case = case_of("closed_mesh")
     tracer = built(case.scene, "bvh")
-    before = bytes_of(tracer.structure.binary)
+    before = bytes_of(tracer.structure.laid_out)
     assert not tracer.update(case.vertices * 1.05).rebuilt
-    after = bytes_of(tracer.structure.binary)
+    after = bytes_of(tracer.structure.laid_out)
     assert after != before
     assert after == [one.tobytes() for one in unfold(*tracer.structure.tree)[:2]]
 
@@ -412,9 +412,9 @@ _KERNELS = (
     ],
 )
 def test_every_kernel_compiles(name):
-    from raystream.cuda.builders.precompile import block_kernels, build_kernels
+    from raystream.cuda.precompile import block_kernels, shared_kernels
 
-    ranges, blocks = build_kernels(), block_kernels()
+    ranges, blocks = shared_kernels("builds"), block_kernels()
     assert {*ranges, *blocks} == {*_KERNELS}
     if name in blocks:
         ptx = blocks[name].compiled(CAPABILITIES[0]).ptx

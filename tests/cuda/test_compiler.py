@@ -21,12 +21,11 @@ if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
 from raystream.cuda.precompile import (
-    ARRAY_KERNELS,
     point_kernels,
     scenes_of_kinds,
+    shared_kernels,
     structure_kernels,
 )
-from raystream.cuda.rendering.precompile import rendering_kernels
 from raystream.structures import STRUCTURES
 
 QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
@@ -123,9 +122,9 @@ def test_every_kernel_of_points_compiles(scene, name):
     assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
 
 
-@pytest.mark.parametrize("name", ARRAY_KERNELS)
+@pytest.mark.parametrize("name", shared_kernels("arrays"))
 def test_every_kernel_over_arrays_compiles(name):
-    made, arguments = ARRAY_KERNELS[name]
+    made, arguments = shared_kernels("arrays")[name]
     compiled = made.compiled(arguments, CAPABILITIES[0])
     assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
 
@@ -134,29 +133,29 @@ def test_every_kernel_over_arrays_compiles(name):
     "name",
     [
         "compact",
-        "add unblocked",
+        "add_unblocked",
         *(
             pytest.param(name, marks=pytest.mark.exhaustive)
             for name in (
-                "generate camera rays",
-                "shade paths",
-                "shade unshadowed",
-                "shade facing ratio",
-                "sample all lights",
-                "spawn AO rays",
+                "generate_camera_rays",
+                "shade_paths",
+                "shade_unshadowed",
+                "shade_facing_ratio",
+                "sample_all_lights",
+                "spawn_ao_rays",
             )
         ),
     ],
 )
-def test_every_kernel_of_renderers_compiles(scene, name):
-    made, arguments = rendering_kernels(scene)[name]
+def test_every_kernel_of_renderers_compiles(name):
+    made, arguments = shared_kernels("rendering")[name]
     compiled = made.compiled(arguments, CAPABILITIES[0])
     assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
     assert ".extern .func" not in compiled.ptx
     assert "fma.rn.f32" not in compiled.ptx
     # NVIDIA's sines, arcs and powers have float64 fused on purpose, and begin with a guess.
     ours = compiled.ptx
-    if name not in ("generate camera rays", "spawn AO rays", "compact", "add unblocked"):
+    if name not in ("generate_camera_rays", "spawn_ao_rays", "compact", "add_unblocked"):
         ours = re.sub(r"rcp\.approx\.ftz\.f64|fma\.rn\.f64", "", ours)
     assert not re.search(r"\.(ftz|approx|full)\b|fma\.rn\.f64", ours)
     # One path per thread: local memory holds a few lanes, not 16 of everything.

@@ -13,7 +13,6 @@ from extras import need
 
 need("numba_cuda")
 
-import raystream as rs
 from raystream.jit.cuda import CAPABILITIES, is_simulated
 from raystream.jit.cuda.arguments import flat
 from raystream.streams import device
@@ -21,9 +20,9 @@ from raystream.streams import device
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
+from raystream.cuda.precompile import program_kernels, shared_kernels
 from raystream.cuda.programs import reason_against
 from raystream.cuda.programs.device_program import DeviceProgram
-from raystream.cuda.programs.precompile import program_kernels
 from raystream.cuda.programs.records import aligned_dtype, is_aligned
 
 PACKED = np.dtype([("flag", "i1"), ("at", "f4", (3,)), ("last", [("t", "f8"), ("mesh", "i2")])])
@@ -172,13 +171,13 @@ def test_functions_have_files_of_their_own(tmp_path, monkeypatch):
     assert len(texts) == len(list(tmp_path.iterdir())) == 2
 
 
-KERNELS = program_kernels(rs.load("cornell").triangles)
+KERNELS = program_kernels() | shared_kernels("programs")
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(one, marks=[pytest.mark.exhaustive] * (one not in ("trace", "want")))
+        pytest.param(one, marks=[pytest.mark.exhaustive] * (one not in ("trace", "want_room")))
         for one in KERNELS
     ],
 )

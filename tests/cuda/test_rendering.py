@@ -14,9 +14,10 @@ from conftest import assert_same_bits
 from dark_views import DARK_VIEWS
 from meshes import cube, icosphere
 from raystream.core.errors import RaystreamError
-from raystream.cuda.rendering.tables import TableMemory, plain
+from raystream.cuda.rendering.tables import TableMemory
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
+from raystream.jit.cuda.arguments import flat, kind_of
 from raystream.rendering.integrator import make_context
 from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
@@ -274,7 +275,7 @@ def test_tables_point_to_copies(gpu):
     # Within one array.
     apart = placed.mirrored_tangents - placed.tangents
     assert apart == tables.mirrored_tangents - tables.tangents > 0
-    assert type(placed.kinds) is np.int64
+    assert placed.kinds == tables.kinds
     assert placed.kinds == tables.kinds
 
 
@@ -309,12 +310,14 @@ def test_a_scene_too_large_for_the_memory(gpu, monkeypatch):
     assert issubclass(CudaError, RaystreamError)
 
 
-def test_numbers_become_numpy_s():
-    sampler = plain(Sampler.of("sobol", 7, 2))
-    assert type(sampler) is Sampler
-    assert [type(one) for one in sampler] == [np.int64] * 3
-    assert plain((True, 1.5, (2,))) == (True, 1.5, (2,))
-    assert type(plain((True,))[0]) is bool
+def test_numbers_are_passed_as_numpy_s(gpu):
+    """Sizes of a launch's values are those of the types that a kernel is compiled for."""
+    given = Sampler.of("sobol", 7, 2), (True, 1.5, (2**63, gpu.empty("one", 1, np.int8)), None)
+    types = [np.int64] * 3 + [np.uint8, np.float64, np.uint64, np.uint64, np.uint64]
+    assert [type(one) for one in flat(given)] == types
+    signed, (_, _, unsigned, _) = kind_of(given)[1], kind_of(given)[2][1:]
+    assert signed == (Sampler, *[np.int64] * 3)
+    assert unsigned == (tuple, np.uint64, np.uint64)
 
 
 def test_other_tracers_shade_on_the_host(gpu):

@@ -9,8 +9,7 @@ import numpy as np
 
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.constants import SHIFT_32, SHIFT_64
-from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
+from raystream.jit.cuda import DeviceArray, Gpu, StreamScope, range_kernel
 from raystream.jit.simd import load, store
 from raystream.programs.hits import interval_of
 
@@ -18,27 +17,27 @@ _MISS = np.int32(-1)
 
 
 class InstanceIds(NamedTuple):
-    """Addresses of a table of instances.
+    """A table of instances.
 
     Attributes
     ----------
-    first_ids : uint64
-        Of `InstancedTriangles.first_ids`, int64.
-    shifts : uint64
-        Of an int64 per instance: what prim_ids are beyond the numbers.
+    first_ids : DeviceArray of int64
+        `InstancedTriangles.first_ids`.
+    shifts : DeviceArray of int64
+        For each instance, what prim_ids are beyond the numbers.
     instance_count, halvings : uint64
         Instances, and the steps of the binary search for one.
     """
 
-    first_ids: np.uint64
-    shifts: np.uint64
+    first_ids: DeviceArray
+    shifts: DeviceArray
     instance_count: np.uint64
     halvings: np.uint64
 
 
-@kernel
-def _split(i, instances, numbers, instance_ids):
-    """Replace a number by its prim_id, and write its instance; see `split_ids`."""
+@range_kernel(instances=InstanceIds)
+def split_ids(i, instances, numbers, instance_ids):
+    """Replace a number by its prim_id, and write its instance; see `HitIds.split`."""
     at = i << SHIFT_32
     number = load(np.int32, numbers + at)
     if number < np.int32(0):
@@ -53,17 +52,13 @@ def _split(i, instances, numbers, instance_ids):
     store(instance_ids + at, np.int32(found))
 
 
-@kernel
-def _halve(i, first, numbers):
-    """Replace a number by its prim_id, from `first` on two numbers each; see `split_ids`."""
+@range_kernel(first=np.int32)
+def halve_ids(i, first, numbers):
+    """Replace a number by its prim_id, from `first` on two numbers each; see `HitIds.split`."""
     at = numbers + (i << SHIFT_32)
     number = load(np.int32, at)
     if number >= first:
         store(at, np.int32(first + np.int32(np.int32(number - first) >> np.int32(1))))
-
-
-#: Kernels for hits in instances, and of spheres.
-SPLIT, HALVE = RangeKernel(_split), RangeKernel(_halve)
 
 
 class HitIds:
@@ -79,7 +74,7 @@ class HitIds:
     def __init__(self, gpu: Gpu, triangles: Any) -> None:
         self._gpu, self._triangles = gpu, triangles
         self._lock = threading.Lock()
-        self._table: tuple[DeviceArray, DeviceArray] | None = None
+        self._table: InstanceIds | None = None
 
     def split(
         self, scope: StreamScope, numbers: DeviceArray
@@ -94,12 +89,11 @@ class HitIds:
         held = self._triangles
         if "primitives" in held.kinds and len(held.spheres):
             first = np.int32(held.first_fields[-1])
-            scope.launch(HALVE, numbers.size, (first, numbers.address))
+            scope.launch(halve_ids, numbers.size, (first, numbers))
         if held.instances is None:
             return numbers, None
         instance_ids = scope.empty("instance_ids", numbers.shape, np.int32)
-        arguments = self._instances(held), numbers.address, instance_ids.address
-        scope.launch(SPLIT, numbers.size, arguments)
+        scope.launch(split_ids, numbers.size, (self._instances(held), numbers, instance_ids))
         return numbers, instance_ids
 
     def _instances(self, held: InstancedTriangles) -> InstanceIds:
@@ -107,11 +101,12 @@ class HitIds:
             if self._table is None:
                 starts = held.first_ids[:-1]
                 beyond = held.first_prims[held.instances.object_ids] - starts
-                given = {"first ids": starts, "shifts": beyond.astype(np.int64)}
-                first_ids, shifts = (self._gpu.upload(*one) for one in given.items())
-                self._table = first_ids, shifts
+                count = len(starts)
+                self._table = InstanceIds(
+                    self._gpu.upload("first ids", starts),
+                    self._gpu.upload("shifts", beyond.astype(np.int64)),
+                    np.uint64(count),
+                    np.uint64(max(count - 1, 0).bit_length()),
+                )
                 self._gpu.wait()  # other streams do not
-        count = len(held.instances)
-        first_ids, shifts = self._table
-        sizes = np.uint64(count), np.uint64(max(count - 1, 0).bit_length())
-        return InstanceIds(first_ids.address, shifts.address, *sizes)
+            return self._table

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.cuda.builders.device_resident import Resident
 from raystream.cuda.hit_ids import HitIds
 from raystream.cuda.rays import DeviceRays, moved
-from raystream.cuda.structures import Resident
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope
 from raystream.kernels.queries import RayAnswers, RayScene

@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 
 from raystream.jit.constants import BYTES_64
-from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceView, RangeKernel, StreamScope
+from raystream.jit.cuda import DeviceView, StreamScope, range_kernel
 from raystream.jit.simd import load, store
 
 #: Most dimensions of an array after adjacent ones have been merged.
 DIRECTIONS = 4
 
 
-@kernel
-def _pack(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
+_Sizes = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+
+
+@range_kernel(lengths=_Sizes, strides=_Sizes)
+def pack_row(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
+    """Copy one row for `pack`."""
     rest = i
     for k in range(DIRECTIONS):  # from the innermost
         at += rest % lengths[k] * strides[k]
@@ -30,10 +33,6 @@ def _pack(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
             store(to, np.float32(x))
         at += last
         to += kept_bytes
-
-
-#: Copies one row for `pack`.
-PACK = RangeKernel(_pack)
 
 
 def pack(
@@ -88,7 +87,7 @@ def pack(
         np.uint64(last % 2**64),
         np.uint64(view.dtype.itemsize),
         np.uint64(dtype.itemsize),
-        made.address,
+        made,
     )
-    scope.launch(PACK, row_count if count else 0, arguments)
+    scope.launch(pack_row, row_count if count else 0, arguments)
     return made.address, np.uint64(width * dtype.itemsize if runs else 0)

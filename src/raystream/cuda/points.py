@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.structures import Resident
+from raystream.cuda.builders.device_resident import Resident
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.jit.threads import Progress
 from raystream.kernels.answers import thread_of

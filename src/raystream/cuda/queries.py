@@ -21,7 +21,7 @@ from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
 from raystream.cuda.launch import DeviceScene, RayLauncher, Steps, resume
 from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.rounds import ProgramRounds
-from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
+from raystream.cuda.programs.steps import note_hits, note_invalid
 from raystream.cuda.rays import place_device_rays
 from raystream.cuda.scan import prefix_sum
 from raystream.jit.cuda import CudaError, DeviceArray, StreamScope, stream_of
@@ -218,8 +218,8 @@ class AnyHit(DeviceQuery):
         yield from nearest.launch()
         self.status = nearest.status
         self.seen = self.scope.empty("answers", len(self.rays), np.bool_)
-        to_seen = nearest.hits.addresses.prim_id, self.seen.address
-        self.scope.launch(IS_HIT, len(self.rays), to_seen)
+        to_seen = nearest.hits.addresses.prim_id, self.seen
+        self.scope.launch(note_hits, len(self.rays), to_seen)
 
     @property
     def outputs(self) -> tuple[DeviceArray, ...]:
@@ -275,8 +275,8 @@ class MultiHit(DeviceQuery):
             if limit == 0:
                 self.scope.gpu.clear(counts, self.scope.stream)
         else:
-            arguments = self.rays.rays.source, self.scene.frame, self.status.address
-            self.scope.launch(NOTE_INVALID, len(self.rays), arguments)
+            arguments = self.rays.rays.source, self.scene.frame, self.status
+            self.scope.launch(note_invalid, len(self.rays), arguments)
             counts = yield from program.count_kept(limit)
         self.splits = prefix_sum(self.scope, counts)
         (total,) = yield (self.splits.part(len(self.rays), 1),)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
+from typing import Any
 
+from raystream.cuda.builders.device_resident import DeviceResident, Resident
 from raystream.cuda.bvh.kernels import Traced, lay_out, layout_of, traced_as
 from raystream.cuda.nested import AddressMap, SharedAllocation
 from raystream.cuda.query_kernels import make_kernels
-from raystream.jit.cuda import CudaError, DeviceArray, Gpu
+from raystream.jit.cuda import CudaError, Gpu
 from raystream.kernels.queries import RayAnswers
 from raystream.structures import STRUCTURES, Structure, structure_class
 
@@ -41,38 +42,6 @@ def _made(made: Traced, is_own: bool) -> RayAnswers:
     return make_kernels(traced.traverse, traced.stack_bytes, held.make_searches)
 
 
-class Resident(NamedTuple):
-    """A structure in GPU memory.
-
-    Attributes
-    ----------
-    tree : NamedTuple
-        As `Structure.view`, with addresses on the device.
-    arrays : tuple of DeviceArray
-        The memory; keep it as long as the tree is used.
-    nested : SharedAllocation or None
-        And that of `Structure.nested`.
-    """
-
-    tree: Any
-    arrays: tuple[DeviceArray, ...]
-    nested: SharedAllocation | None = None
-
-
-@runtime_checkable
-class BuiltOnDevice(Protocol):
-    """A structure that was built in GPU memory.
-
-    Attributes
-    ----------
-    gpu : Gpu
-    resident : Resident
-    """
-
-    gpu: Gpu
-    resident: Resident
-
-
 def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
     """Copy the arrays of a structure's traversal to a device, or return those built there.
 
@@ -89,9 +58,8 @@ def place(structure: Structure, gpu: Gpu, *, is_own: bool = False) -> Resident:
         If there is not enough memory; nothing has been copied then.
     """
     is_own = is_own or layout_of(traced_as(structure)) is None
-    if isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number:
-        built: Any = structure
-        return cast("Resident", built.resident if is_own else built.binary)
+    if isinstance(structure, DeviceResident) and structure.gpu.number == gpu.number:
+        return structure.resident if is_own else structure.laid_out
     tree, given, make_nested = lay_out(structure, is_own=is_own)
     nested = structure.nested
     # Address 0 marks arrays that are absent.

@@ -17,8 +17,8 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.jit.constants import SHIFT_32, SHIFT_64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.simd import f32x8, load, maximum, scratch, store
 from raystream.structures.bvh.builder.binary_tree import LINK_BYTES, Link
@@ -35,37 +35,25 @@ _COSTS = (np.float32(1.0), np.float32(1.0), np.float32(0.0))
 _AXES = np.uint64(3)
 
 
-class NodesAt(NamedTuple):
-    """Addresses of a binary tree's rows.
+class Nodes(NamedTuple):
+    """The rows of a binary tree of N leaves on a device: rows N to 2 N - 2 are inner nodes.
 
     Attributes
     ----------
-    boxes, links, costs : uint64
+    boxes, links, costs : DeviceArray of shape (2 N, ...), uint8
         See `structures.bvh.builder.binary_tree` and `structures.bvh.builder.collapse`.
     max_leaf_size : int64
     """
 
-    boxes: np.uint64
-    links: np.uint64
-    costs: np.uint64
+    boxes: DeviceArray
+    links: DeviceArray
+    costs: DeviceArray
     max_leaf_size: np.int64
 
-
-class Nodes(NamedTuple):
-    """A binary tree on a device.
-
-    Attributes
-    ----------
-    at : NodesAt
-    leaf_count : int
-        N: rows N to 2 N - 2 are inner nodes.
-    arrays : tuple of DeviceArray
-        The memory at these addresses.
-    """
-
-    at: NodesAt
-    leaf_count: int
-    arrays: tuple[DeviceArray, ...]
+    @property
+    def leaf_count(self) -> int:
+        """N."""
+        return len(self.boxes) // 2
 
     @classmethod
     def allocate(cls, gpu: Gpu, count: int, max_leaf_size: int) -> Nodes:
@@ -77,12 +65,12 @@ class Nodes(NamedTuple):
             If device memory runs out: it takes 80 bytes per node.
         """
         rows = 2 * count
-        boxes = gpu.empty("boxes", (rows, REF_BYTES), np.uint8)
-        links = gpu.empty("links", (rows, LINK_BYTES), np.uint8)
-        costs = gpu.empty("costs", (rows, COST_BYTES), np.uint8)
-        addresses = boxes.address, links.address, costs.address
-        at = NodesAt(*addresses, np.int64(max_leaf_size))
-        return cls(at, count, (boxes, links, costs))
+        return cls(
+            gpu.empty("boxes", (rows, REF_BYTES), np.uint8),
+            gpu.empty("links", (rows, LINK_BYTES), np.uint8),
+            gpu.empty("costs", (rows, COST_BYTES), np.uint8),
+            np.int64(max_leaf_size),
+        )
 
 
 class KeyFrame(NamedTuple):
@@ -126,8 +114,7 @@ def _spread_bits(number):
     return (number | (number << np.uint64(2))) & np.uint64(0x1249249249249249)
 
 
-@RangeKernel
-@kernel
+@range_kernel(frame=KeyFrame)
 def make_key(i, corners, prim_ids, frame, keys, values):
     """Write the key of the triangle in row i of `prim_ids`, and its prim_id."""
     prim_id = load(np.int32, prim_ids + (i << SHIFT_32))
@@ -142,8 +129,7 @@ def make_key(i, corners, prim_ids, frame, keys, values):
     store(values + (i << SHIFT_32), np.uint32(prim_id))
 
 
-@RangeKernel
-@kernel
+@range_kernel(nodes=Nodes)
 def make_leaf(i, corners, values, nodes):
     """Write row i of the tree: a leaf of one triangle."""
     box = nodes.boxes + i * np.uint64(REF_BYTES)
@@ -192,8 +178,7 @@ def make_leaves(gpu: Gpu, triangles: Triangles, corners: DeviceArray, nodes: Nod
     prim_ids = gpu.upload("prim_ids", triangles.prim_ids)
     keys = gpu.empty("keys", nodes.leaf_count, np.uint64)
     values = gpu.empty("triangles by key", nodes.leaf_count, np.uint32)
-    frame = KeyFrame.of(triangles)
-    to = keys.address, values.address
-    make_key.launch(gpu, nodes.leaf_count, (corners.address, prim_ids.address, frame, *to))
+    given = corners, prim_ids, KeyFrame.of(triangles), keys, values
+    make_key.launch(gpu, nodes.leaf_count, given)
     _, values = sort_pairs(gpu, keys, values, 3 * _BITS)
-    make_leaf.launch(gpu, nodes.leaf_count, (corners.address, values.address, nodes.at))
+    make_leaf.launch(gpu, nodes.leaf_count, (corners, values, nodes))

@@ -12,11 +12,10 @@ import numpy as np
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.binary_tree import Nodes, make_leaves
 from raystream.cuda.builders.clusters import merge_clusters
-from raystream.cuda.builders.device_resident import DeviceResident, finish
+from raystream.cuda.builders.device_resident import DeviceResident, Resident
 from raystream.cuda.builders.refit import cost_of, refit
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
 from raystream.cuda.bvh.binary import unfold_on_device
-from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
@@ -29,51 +28,34 @@ from raystream.structures.bvh.structure import BvhStructure, hittable_corners
 class DeviceBvh(DeviceResident, BvhStructure):
     """A BVH in device memory, copied to the host when first needed there.
 
+    Its options have ``quality="fast"``, which applies if the CPU rebuilds it.
+
     Parameters
     ----------
-    triangles : Triangles
-    gpu : Gpu
+    gpu, triangles, options, started
+        See `DeviceResident`.
     wide : WideTree
-    options : Bvh
-    started : float
-        When the build began, by `time.perf_counter`.
-
-    Notes
-    -----
-    Its options have ``quality="fast"``, which applies if the CPU rebuilds it.
     """
 
+    _host_class = BvhStructure
     _host_names = ("tree", "view", "arrays")
 
     def __init__(
-        self,
-        triangles: Triangles,
-        gpu: Gpu,
-        wide: WideTree,
-        options: Bvh,
-        started: float,
+        self, gpu: Gpu, triangles: Triangles, options: Bvh, wide: WideTree, started: float
     ) -> None:
-        self.triangles, self.gpu, self.wide = triangles, gpu, wide
-        self.options = options
-        self.resident = Resident(TreeAddresses(wide.nodes.address, wide.leaves.address), wide[:2])
-        self._held_ids = triangles.prim_ids
-        byte_count = sum(4 * one.shape[0] * one.shape[1] for one in wide[:2])
-        self.report = finish(gpu, byte_count, started)
+        tree = TreeAddresses(wide.nodes.address, wide.leaves.address)
+        super().__init__(gpu, triangles, options, Resident(tree, wide[:2]), started)
+        self.wide, self._held_ids = wide, triangles.prim_ids
 
     @property
-    def binary(self) -> Resident:
+    def laid_out(self) -> Resident:
         """New binary nodes of the tree as it is now."""
         nodes, leaves, levels = self.wide
         arrays = unfold_on_device(self.gpu, nodes, leaves, len(levels) - 1)
         return Resident(TreeAddresses(*(one.address for one in arrays)), arrays)
 
-    @cached_property
-    def _on_host(self) -> BvhStructure:
-        """The same tree with its arrays in host memory."""
-        made = BvhStructure.__new__(BvhStructure)
-        tree = BvhArrays(*(_aligned(one) for one in self.wide[:2]))
-        made._set(self.triangles, tree, self.options, 0.0)
-        return made
+    def _host_arguments(self) -> tuple[BvhArrays]:
+        return (BvhArrays(*(_aligned(one) for one in self.wide[:2])),)
 
     @cached_property
     def cost_when_built(self) -> float:
@@ -94,7 +76,7 @@ class DeviceBvh(DeviceResident, BvhStructure):
                 self._refit(self.triangles)
                 raise
             if cost <= max_cost_growth * old_cost:
-                moved = DeviceBvh(triangles, self.gpu, self.wide, self.options, started)
+                moved = DeviceBvh(self.gpu, triangles, self.options, self.wide, started)
                 moved._held_ids, moved.cost_when_built = self._held_ids, old_cost
                 self.is_outdated = True
                 return moved, UpdateReport(False, moved.report.seconds, cost, old_cost)
@@ -150,4 +132,4 @@ def build_bvh(gpu: Gpu, triangles: Triangles, options: Bvh) -> BvhStructure:
         wide = make_wide(gpu, nodes, merge_clusters(gpu, nodes), corners)
     except TooDeepError:
         return BvhStructure(triangles, options)
-    return DeviceBvh(triangles, gpu, wide, options, started)
+    return DeviceBvh(gpu, triangles, options, wide, started)

@@ -22,8 +22,7 @@ from raystream.jit.constants import (
     SHIFT_64,
     ZERO_U64,
 )
-from raystream.jit.cpu import kernel
-from raystream.jit.cuda import Gpu, RangeKernel
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import f32x8, load, maximum, store
 from raystream.structures.bvh.builder.prim_refs import FIRST_AT, REF_BYTES, half_area
@@ -38,22 +37,21 @@ _ROUNDS, _LEAST_SHARE = 4, 0.25
 
 
 class ClusterList(NamedTuple):
-    """Addresses of clusters on a device.
+    """Clusters on a device.
 
     Attributes
     ----------
-    boxes : uint64
+    boxes : DeviceArray of uint8
         Their boxes and tree rows, as in `bvh.prim_refs`.
-    cluster_count : uint64
-        Their number, uint64.
+    cluster_count : DeviceArray of shape (1,), uint64
+        Their number.
     """
 
-    boxes: np.uint64
-    cluster_count: np.uint64
+    boxes: DeviceArray
+    cluster_count: DeviceArray
 
 
-@RangeKernel
-@kernel
+@range_kernel(nodes=Nodes)
 def begin_cluster(i, nodes, boxes):
     """Make a cluster of leaf i."""
     at = boxes + i * np.uint64(REF_BYTES)
@@ -61,8 +59,7 @@ def begin_cluster(i, nodes, boxes):
     store(at + np.uint64(FIRST_AT), np.int32(i))
 
 
-@RangeKernel
-@kernel
+@range_kernel(clusters=ClusterList, by_place=bool)
 def find_match(i, clusters, radius, by_place, matches):
     """Find the cluster near cluster i whose common box with it is smallest.
 
@@ -89,8 +86,7 @@ def find_match(i, clusters, radius, by_place, matches):
     store(matches + (i << SHIFT_32), np.uint32(match))
 
 
-@RangeKernel
-@kernel
+@range_kernel(clusters=ClusterList)
 def count_places(i, clusters, matches, places):
     """Count 1 if cluster i remains, and 2**32 if it makes a node, as the first of a pair."""
     place = ZERO_U64
@@ -104,8 +100,7 @@ def count_places(i, clusters, matches, places):
     store(places + (i << SHIFT_64), place)
 
 
-@RangeKernel
-@kernel
+@range_kernel(clusters=ClusterList, nodes=Nodes, to=ClusterList)
 def merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
     """Write cluster i, or the node that merges it with its match, at its offset in the scan."""
     count = load(np.uint64, clusters.cluster_count)
@@ -155,29 +150,28 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
         If device memory runs out: it takes 80 bytes per leaf.
     """
     bound = nodes.leaf_count
-    boxes = [gpu.empty("clusters", (bound, REF_BYTES), np.uint8) for _ in range(2)]
-    counts = [gpu.upload("number of clusters", np.array([bound], np.uint64)) for _ in range(2)]
+    clusters, to = (
+        ClusterList(
+            gpu.empty("clusters", (bound, REF_BYTES), np.uint8),
+            gpu.upload("number of clusters", np.array([bound], np.uint64)),
+        )
+        for _ in range(2)
+    )
     matches = gpu.empty("matches", bound, np.uint32)
     places = gpu.empty("places", bound + 1, np.uint64)
     leaf_count, scan = np.uint64(bound), Scan(gpu, bound)
-    begin_cluster.launch(gpu, bound, (nodes.at, boxes[0].address))
+    begin_cluster.launch(gpu, bound, (nodes, clusters.boxes))
     by_place = False
     while bound > 1:
         for _ in range(_ROUNDS):
-            clusters, to = (
-                ClusterList(box.address, count.address)
-                for box, count in zip(boxes, counts, strict=True)
-            )
-            given = clusters, np.uint64(radius), by_place, matches.address
-            find_match.launch(gpu, bound, given)
-            count_places.launch(gpu, bound, (clusters, matches.address, places.address))
+            find_match.launch(gpu, bound, (clusters, np.uint64(radius), by_place, matches))
+            count_places.launch(gpu, bound, (clusters, matches, places))
             scan.run(places.address, bound, places.address, np.uint64)
-            found = np.uint64(bound), matches.address, places.address
-            merge.launch(gpu, bound, (clusters, *found, nodes.at, leaf_count, to))
-            boxes.reverse()
-            counts.reverse()
+            found = np.uint64(bound), matches, places
+            merge.launch(gpu, bound, (clusters, *found, nodes, leaf_count, to))
+            clusters, to = to, clusters
             by_place = False
-        left = int(counts[0].host()[0])
+        left = int(clusters.cluster_count.host()[0])
         by_place = left > (1.0 - _LEAST_SHARE) * bound
         bound = left
     return max(0, 2 * nodes.leaf_count - 2)

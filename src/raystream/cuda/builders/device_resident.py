@@ -3,33 +3,94 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, ClassVar
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from raystream.core.triangles import Triangles
-from raystream.jit.cuda import Gpu
+from raystream.cuda.nested import SharedAllocation
+from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
 from raystream.structures.base import BuildReport, Structure, UpdateReport
 from raystream.structures.registry import form_of
 
 
+class Resident(NamedTuple):
+    """A structure in GPU memory.
+
+    Attributes
+    ----------
+    tree : NamedTuple
+        As `Structure.view`, with addresses on the device.
+    arrays : tuple of DeviceArray
+        The memory; keep it as long as the tree is used.
+    nested : SharedAllocation or None
+        And that of `Structure.nested`.
+    """
+
+    tree: Any
+    arrays: tuple[DeviceArray, ...]
+    nested: SharedAllocation | None = None
+
+
 class DeviceResident:
     """A structure with arrays on a device, copied to the host on first use.
 
-    A subclass lists the attributes of the host's structure in ``_host_names`` and makes that
-    structure in ``_on_host``.
+    A subclass lists the attributes of the host's structure in ``_host_names``, and its class in
+    ``_host_class``.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    triangles : Triangles
+    options : StructureOptions
+    resident : Resident
+    started : float
+        When the build began, by `time.perf_counter`.
+
+    Raises
+    ------
+    CudaError
+        If the build failed: it waits for its end.
     """
 
+    _host_class: ClassVar[Any]
     _host_names: ClassVar[tuple[str, ...]]
 
-    if TYPE_CHECKING:  # subclasses define it
-        _on_host: Any
+    def __init__(
+        self, gpu: Gpu, triangles: Triangles, options: Any, resident: Resident, started: float
+    ) -> None:
+        self.gpu, self.resident = gpu, resident
+        self.triangles: Any = triangles
+        self.options: Any = options
+        gpu.wait()
+        self.report = BuildReport(time.perf_counter() - started, self._byte_count)
+
+    @property
+    def _byte_count(self) -> int:
+        return sum(one.nbytes for one in self.resident.arrays)
+
+    @property
+    def laid_out(self) -> Resident:
+        """As the device's kernels read it."""
+        return self.resident
+
+    def _host_arguments(self) -> tuple[Any, ...]:
+        """What ``_set`` of the host's class takes between triangles and options."""
+        raise NotImplementedError
+
+    @cached_property
+    def _on_host(self) -> Any:
+        made = self._host_class.__new__(self._host_class)
+        made._set(self.triangles, *self._host_arguments(), self.options, 0.0)
+        return made
 
     @property
     def on_host(self) -> Structure:
         """The host's structure, copied on first use."""
-        return self._on_host
+        held: Structure = self._on_host
+        return held
 
     def __getattr__(self, name: str) -> Any:
         # Attributes that only queries and reports on the host need.
@@ -53,15 +114,3 @@ class RebuiltOnDevice(DeviceResident):
         own: Any = self
         rebuilt: Structure = form_of(own.name, "cuda build")(own.gpu, triangles, own.options)
         return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
-
-
-def finish(gpu: Gpu, byte_count: int, started: float) -> BuildReport:
-    """Wait for a build to end, and report it; `started` is when it began (`time.perf_counter`).
-
-    Raises
-    ------
-    CudaError
-        If the build failed.
-    """
-    gpu.wait()
-    return BuildReport(time.perf_counter() - started, byte_count)

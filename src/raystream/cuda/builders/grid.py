@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from functools import cached_property
 
 import numpy as np
 
 from raystream.core.triangles import Triangles
-from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
+from raystream.cuda.builders.device_resident import RebuiltOnDevice, Resident
 from raystream.cuda.builders.lists import DeviceLists, build_lists
-from raystream.cuda.structures import Resident
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.structures.grid.build import choose_and_build
@@ -21,54 +19,31 @@ from raystream.structures.grid.structure import GridStructure
 
 
 class DeviceGrid(RebuiltOnDevice, GridStructure):
-    """A grid in device memory, copied to the host when first needed there.
+    """A grid of one level in device memory, copied to the host when first needed there."""
 
-    Parameters
-    ----------
-    triangles : Triangles
-    gpu : Gpu
-    lattice : Lattice
-    lists : DeviceLists
-    corners : DeviceArray of shape (F, 3, 3), float32
-    options : Grid
-    started : float
-        When the build began, by `time.perf_counter`.
-    """
-
+    _host_class = GridStructure
     _host_names = ("lists", "_kept", "view", "arrays")
+    lattice: Lattice
+    fine = FineArrays.none()
 
-    def __init__(
-        self,
-        triangles: Triangles,
-        gpu: Gpu,
-        lattice: Lattice,
-        lists: DeviceLists,
-        corners: DeviceArray,
-        options: Grid,
-        started: float,
-    ) -> None:
-        self.triangles, self.lattice, self.options = triangles, lattice, options
-        self.gpu = gpu
-        self.fine = FineArrays.none()
-        low, high, size, counts = (
-            (np.float32(x), np.float32(y), np.float32(z))
-            for x, y, z in (lattice.low, lattice.high, lattice.size, lattice.counts)
-        )
-        arrays = lists.splits, lists.references, corners
-        addresses = [one.address for one in arrays]
-        tree = GridAddresses(low, high, size, counts, *addresses, *[NULL] * 4)
-        self.resident = Resident(tree, arrays)
-        byte_count = 4 * (lists.splits.shape[0] + lists.references.shape[0])
-        self.report = finish(gpu, byte_count, started)
-
-    @cached_property
-    def _on_host(self) -> GridStructure:
-        """The same grid with its arrays in host memory."""
+    @property
+    def _byte_count(self) -> int:
+        """Of the lists; triangles are not counted."""
         splits, references, _ = self.resident.arrays
-        made = GridStructure.__new__(GridStructure)
-        lists = GridArrays(splits.host(), references.host())
-        made._set(self.triangles, self.lattice, lists, self.fine, self.options, 0.0)
-        return made
+        return splits.nbytes + references.nbytes
+
+    def _host_arguments(self) -> tuple[Lattice, GridArrays, FineArrays]:
+        splits, references, _ = self.resident.arrays
+        return self.lattice, GridArrays(splits.host(), references.host()), self.fine
+
+
+def _addresses(lattice: Lattice, arrays: tuple[DeviceArray, ...]) -> GridAddresses:
+    low, high, size, counts = (
+        (np.float32(x), np.float32(y), np.float32(z))
+        for x, y, z in (lattice.low, lattice.high, lattice.size, lattice.counts)
+    )
+    addresses = [one.address for one in arrays]
+    return GridAddresses(low, high, size, counts, *addresses, *[NULL] * 4)
 
 
 def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:
@@ -106,4 +81,8 @@ def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:
     lattice, lists = choose_and_build(
         triangles, options.counts, options.min_resolution, options.levels, options.is_exact, make
     )
-    return DeviceGrid(triangles, gpu, lattice, lists, corners, options, started)
+    arrays = *lists, corners
+    resident = Resident(_addresses(lattice, arrays), arrays)
+    made = DeviceGrid(gpu, triangles, options, resident, started)
+    made.lattice = lattice
+    return made

@@ -12,14 +12,14 @@ Graphics 2009.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.intrinsics import corners_at
@@ -71,24 +71,21 @@ def _prim_id(prim_ids, i):
     return np.uint64(load(np.int32, prim_ids + (i << SHIFT_32)))
 
 
-@RangeKernel
-@kernel
+@range_kernel(lattice=Lattice)
 def count_cells(i, lattice, corners, prim_ids, counts):
     """Count the cells of the triangle in row i of `prim_ids`."""
     total = _visit(lattice, corners, _prim_id(prim_ids, i), _pass, ZERO_U64)
     store(counts + (i << SHIFT_64), np.uint64(total))
 
 
-@RangeKernel
-@kernel
+@range_kernel(lattice=Lattice)
 def fill_pairs(i, lattice, corners, prim_ids, begins, cells, ids):
     """Write the cells of the triangle in row i of `prim_ids`, starting at begins[i]."""
     begin = load(np.uint64, begins + (i << SHIFT_64))
     _visit(lattice, corners, _prim_id(prim_ids, i), _note, (begin, cells, ids))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def find_split(i, cells, count, splits):
     """Find the first of the sorted `cells` that is not below i."""
     low, high = ZERO_U64, count
@@ -135,30 +132,17 @@ def build_lists(
     """
     prim_ids = gpu.upload("prim_ids", triangles.prim_ids)
     (count,) = prim_ids.shape
-    typed = as_numbers(lattice)
     begins = gpu.empty("places of references", count + 1, np.uint64)
-    shared = typed, corners.address, prim_ids.address
-    count_cells.launch(gpu, count, (*shared, begins.address))
+    shared = lattice, corners, prim_ids, begins
+    count_cells.launch(gpu, count, shared)
     total = scan_in_place(gpu, begins)
     if total > most:
         raise TooManyError
     cells = gpu.empty("cells of references", total, np.uint32)
     ids = gpu.empty("references", total, np.int32)
-    fill_pairs.launch(gpu, count, (*shared, begins.address, cells.address, ids.address))
+    fill_pairs.launch(gpu, count, (*shared, cells, ids))
     bits = (lattice.cell_count - 1).bit_length()
     cells, ids = sort_pairs(gpu, cells, ids, bits)
     splits = gpu.empty("splits", lattice.cell_count + 1, np.uint32)
-    wanted = cells.address, np.uint64(total), splits.address
-    find_split.launch(gpu, lattice.cell_count + 1, wanted)
+    find_split.launch(gpu, len(splits), (cells, np.uint64(total), splits))
     return DeviceLists(splits, ids)
-
-
-def as_numbers(lattice: Lattice) -> Lattice:
-    """A lattice of NumPy scalars, as kernel arguments."""
-    low, high, size = (
-        (np.float64(x), np.float64(y), np.float64(z))
-        for x, y, z in (lattice.low, lattice.high, lattice.size)
-    )
-    counts: Any = tuple(map(np.int64, lattice.counts))
-    is_exact: Any = np.bool_(lattice.is_exact)
-    return Lattice(low, high, size, counts, np.float64(lattice.growth), is_exact)

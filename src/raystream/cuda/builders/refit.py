@@ -6,8 +6,8 @@ import numpy as np
 
 from raystream.cuda.builders.wide import WideTree
 from raystream.jit.constants import SHIFT_32, SHIFT_64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.simd import load, store
 from raystream.kernels.leaf_block import BLOCK
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
@@ -20,16 +20,14 @@ _AXIS_BYTES = np.uint64(64)
 _HIGH = np.uint64(32)
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def move_leaves(row, nodes, leaves, block_count, corners):
     """Update the leaves of a node and their boxes."""
     last_block = leaves + block_count * BLOCK
     refit_leaves(nodes + row * np.uint64(NODE_BYTES), corners, leaves, last_block)
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def move_nodes(i, first, nodes):
     """Update the boxes of the inner children of node first + i."""
     refit_node(nodes + (first + i) * np.uint64(NODE_BYTES), nodes)
@@ -41,8 +39,7 @@ def _extent(node, lane, axis):
     return np.float64(load(np.float32, at + _HIGH)) - np.float64(load(np.float32, at))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def add_costs(i, thread_count, node_count, nodes, costs):
     """Sum the areas of the children of every `thread_count`-th node; a leaf counts per block."""
     total = 0.0
@@ -79,10 +76,9 @@ def refit(gpu: Gpu, tree: WideTree, corners: DeviceArray) -> None:
     """
     nodes, leaves, levels = tree
     block_count = np.uint64(leaves.shape[0])
-    moved = nodes.address, leaves.address, block_count, corners.address
-    move_leaves.launch(gpu, nodes.shape[0], moved)
+    move_leaves.launch(gpu, nodes.shape[0], (nodes, leaves, block_count, corners))
     for first, end in zip(levels[-2::-1], levels[:0:-1], strict=True):
-        move_nodes.launch(gpu, end - first, (np.uint64(first), nodes.address))
+        move_nodes.launch(gpu, end - first, (np.uint64(first), nodes))
 
 
 def cost_of(gpu: Gpu, tree: WideTree) -> float:
@@ -94,7 +90,7 @@ def cost_of(gpu: Gpu, tree: WideTree) -> float:
     thread_count = min(_ADDING_THREADS, nodes.shape[0])
     costs = gpu.empty("costs", thread_count, np.float64)
     counted = np.uint64(thread_count), np.uint64(nodes.shape[0])
-    add_costs.launch(gpu, thread_count, (*counted, nodes.address, costs.address))
+    add_costs.launch(gpu, thread_count, (*counted, nodes, costs))
     root = nodes.part(0, nodes.shape[1]).host().reshape(-1, WIDTH)
     low, high = root[0:6:2].min(axis=1), root[1:6:2].max(axis=1)
     x, y, z = (high.astype(np.float64) - low).tolist()

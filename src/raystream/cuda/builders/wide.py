@@ -14,8 +14,8 @@ import numpy as np
 
 from raystream.cuda.builders.binary_tree import Nodes
 from raystream.jit.constants import BITS_32, LOW_32, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.leaf_block import BLOCK, BLOCK_FLOATS, clear_block, write_triangle
@@ -78,8 +78,7 @@ def _lane(lanes, k):
     return load(np.int32, lanes + (k << SHIFT_32))
 
 
-@RangeKernel
-@kernel
+@range_kernel(nodes=Nodes)
 def count_lanes(i, first, nodes, roots, counts):
     """Count the inner children of wide node first + i (1 each) and its leaf blocks (2**32 each)."""
     row = first + i
@@ -95,8 +94,7 @@ def count_lanes(i, first, nodes, roots, counts):
     store(counts + (i << SHIFT_64), found)
 
 
-@RangeKernel
-@kernel
+@range_kernel(nodes=Nodes)
 def give_rows(i, first, level_end, first_block, nodes, counts, roots, first_children, blocks):
     """Assign rows to the children of wide node first + i, and write their binary nodes."""
     row = first + i
@@ -143,8 +141,7 @@ def _write_leaf(nodes, root, corners, leaf):
             top += np.uint64(8)
 
 
-@RangeKernel
-@kernel
+@range_kernel(nodes=Nodes)
 def write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves):
     """Write a wide node and its leaves."""
     to = wide + row * np.uint64(NODE_BYTES)
@@ -198,6 +195,7 @@ def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTr
     roots, first_children, blocks = (
         gpu.empty(name, room, np.uint32) for name in ("roots", "first children", "first blocks")
     )
+    placed = roots, first_children, blocks
     counts = gpu.empty("children of a level", room + 1, np.uint64)
     scan = Scan(gpu, room)
     roots.part(0, 1).fill(np.array([root], np.uint32))
@@ -206,12 +204,10 @@ def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTr
         if len(levels) > MAX_DEPTH + 1:
             raise TooDeepError
         first, end = levels[-2:]
-        shared = nodes.at, roots.address
-        count_lanes.launch(gpu, end - first, (np.uint64(first), *shared, counts.address))
+        count_lanes.launch(gpu, end - first, (np.uint64(first), nodes, roots, counts))
         scan.run(counts.address, end - first, counts.address, np.uint64)
         begins = np.uint64(first), np.uint64(end), np.uint64(block_total)
-        to = roots.address, first_children.address, blocks.address
-        give_rows.launch(gpu, end - first, (*begins, nodes.at, counts.address, *to))
+        give_rows.launch(gpu, end - first, (*begins, nodes, counts, *placed))
         found = int(counts.part(end - first, 1).host()[0])
         levels.append(end + (found & 0xFFFFFFFF))
         block_total += found >> 32
@@ -220,7 +216,5 @@ def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTr
     levels.pop()
     wide = gpu.empty("nodes", (levels[-1], NODE_FLOATS), np.float32)
     leaves = gpu.empty("leaves", (block_total, BLOCK_FLOATS), np.float32)
-    placed = roots.address, first_children.address, blocks.address
-    written = corners.address, wide.address, leaves.address
-    write_node.launch(gpu, levels[-1], (nodes.at, *placed, *written))
+    write_node.launch(gpu, levels[-1], (nodes, *placed, corners, wide, leaves))
     return WideTree(wide, leaves, tuple(levels))

@@ -104,7 +104,7 @@ def unfold_on_device(
     triangle_count, node_count = divmod(scan_in_place(gpu, firsts), 1 << 32)
     nodes = gpu.empty("binary nodes", (node_count, NODE_FLOATS), np.float32)
     triangles = gpu.empty("triangles", (triangle_count, TRIANGLE_FLOATS), np.float32)
-    to = depth > ANY_SHAPE_DEPTH, nodes.address, triangles.address
+    to = depth > ANY_SHAPE_DEPTH, nodes, triangles
     WRITE.launch(gpu, count, (given, to))
     gpu.wait()  # `firsts` is freed
     return nodes, triangles

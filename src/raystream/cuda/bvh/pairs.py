@@ -181,4 +181,8 @@ def write_row(row, wide, out, children):
 
 #: Loops over wide nodes with their `WideAt`, and threads of them.
 count_rows, write_rows = (loop_of(one, _CHILDREN_BYTES) for one in (count_row, write_row))
-COUNT, WRITE = (RangeKernel(thread_of(one, _CHILDREN_BYTES)) for one in (count_row, write_row))
+COUNT = RangeKernel(thread_of(count_row, _CHILDREN_BYTES), {"shared": WideAt, "out": type(None)})
+WRITE = RangeKernel(
+    thread_of(write_row, _CHILDREN_BYTES),
+    {"shared": WideAt, "out": tuple[bool, np.uint64, np.uint64]},
+)

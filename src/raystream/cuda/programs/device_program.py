@@ -9,6 +9,7 @@ import numpy as np
 
 from raystream.cuda.programs.records import is_aligned
 from raystream.jit.cuda import Compiled, Gpu, UserKernel
+from raystream.jit.cuda.arguments import example_of
 from raystream.jit.fingerprint import fingerprint
 from raystream.jit.from_source import kernel_from_source
 from raystream.jit.intrinsics import record_at
@@ -28,9 +29,9 @@ _AT = np.uint64(0)
 #: Arguments of each goal with the right types only.
 _GOALS: dict[str, tuple[Any, ...]] = {
     "trace": (_AT,),
-    "first": (HitAddresses(_AT, _AT, _AT, _AT),),
+    "first": (example_of(HitAddresses),),
     "count": (_AT,),
-    "keep": (_AT, np.int64(0), _AT, HitAddresses(_AT, _AT, _AT, _AT)),
+    "keep": (_AT, np.int64(0), _AT, example_of(HitAddresses)),
 }
 
 #: Most kernels kept in memory; the oldest are dropped.
@@ -78,7 +79,7 @@ class DeviceProgram:
         self.name = check_function(function, goal, constants is not None)
         self._goal, self._skips, self._record = goal, skips, record
         self._has_host_addresses = False
-        self._constants = () if constants is None else (_numbers(constants),)
+        self._constants = () if constants is None else (constants,)
         names, lines = loop_source(
             goal,
             skips,
@@ -156,14 +157,3 @@ def _kernel(
             names["record_of"] = record_at(*record)
         _MADE[place] = UserKernel(kernel_from_source(text, names, __name__), function)
     return _MADE[place]
-
-
-def _numbers(constants: Any) -> Any:
-    """Convert integers to NumPy's types, as kernels take them, in the same tuples."""
-    if isinstance(constants, tuple):
-        parts = map(_numbers, constants)
-        fields = hasattr(constants, "_fields")
-        return type(constants)(*parts) if fields else tuple(parts)
-    if isinstance(constants, int) and not isinstance(constants, bool):
-        return np.int64(constants) if constants < 2**63 else np.uint64(constants)
-    return constants

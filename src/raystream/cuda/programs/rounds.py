@@ -16,7 +16,7 @@ from raystream.core.query import Query
 from raystream.cuda.launch import RayLauncher, Steps
 from raystream.cuda.programs.device_program import DeviceProgram, Record
 from raystream.cuda.programs.skip_prim_ids import place_skips
-from raystream.cuda.programs.steps import CLEAR_IGNORED, OPEN, WANT
+from raystream.cuda.programs.steps import clear_ignored, open_all, want_room
 from raystream.cuda.rays import HITS_AT_ONCE, moved, split_rows
 from raystream.cuda.scan import prefix_sum
 from raystream.jit.constants import NULL
@@ -85,7 +85,7 @@ class ProgramRounds(NamedTuple):
         open_rays, goal = self._opened(), (_moved_hits(nearest, -self.launcher.first),)
         rows = RowsAt(*nearest, NULL, NULL, NULL)
         self._visit(rows, slice(0, count), open_rays, goal)
-        self.launcher.scope.launch(CLEAR_IGNORED, count, (open_rays.address, nearest))
+        self.launcher.scope.launch(clear_ignored, count, (open_rays, nearest))
         yield from self._rounds(open_rays, goal, delivered=1)
 
     def count_into(self, counts: DeviceArray) -> Steps[None]:
@@ -113,7 +113,7 @@ class ProgramRounds(NamedTuple):
 
     def _opened(self) -> DeviceArray:
         open_rays = self.launcher.scope.ready("open rays", len(self.launcher), np.uint8)
-        self.launcher.scope.launch(OPEN, len(self.launcher), (open_rays.address,))
+        self.launcher.scope.launch(open_all, len(self.launcher), (open_rays,))
         return open_rays
 
     def _rounds(
@@ -128,7 +128,7 @@ class ProgramRounds(NamedTuple):
             with scope.nested() as inner:
                 wanted = inner.empty("room", count, np.int64)
                 rooms = np.int64(latest), np.int64(room)
-                inner.launch(WANT, count, (open_rays.address, found, *rooms, wanted.address))
+                inner.launch(want_room, count, (open_rays, found, *rooms, wanted))
                 splits = prefix_sum(inner, wanted)
                 (total,) = yield (splits.part(count, 1),)
                 if not total[0]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from raystream.core.rays import is_on_gpu
-from raystream.cuda.programs.steps import NARROW
+from raystream.cuda.programs.steps import narrow_ids
 from raystream.jit.cuda import DeviceView, StreamScope, view_of
 from raystream.programs.rows import SkipsAt, as_skips
 
@@ -57,7 +57,7 @@ def place_skips(
     address = np.uint64(view.address)
     if view.dtype.itemsize == 8:
         narrowed = scope.empty("skip_prim_ids", count, np.int32)
-        scope.launch(NARROW, count, (address, narrowed.address))
+        scope.launch(narrow_ids, count, (address, narrowed))
         address = narrowed.address
     return SkipsAt(address, np.uint64(1 if view.shape == shape else view.shape[-1]))
 

@@ -6,22 +6,24 @@ import numpy as np
 
 from raystream.core.rays import VALID
 from raystream.jit.constants import NULL, SHIFT_32, SHIFT_64
-from raystream.jit.cpu import kernel
-from raystream.jit.cuda import RangeKernel
+from raystream.jit.cuda import range_kernel
 from raystream.jit.simd import load, store
-from raystream.kernels.ray_source import load_ray
+from raystream.kernels.hits import HitAddresses
+from raystream.kernels.ray import SceneFrame
+from raystream.kernels.ray_source import RaySource, load_ray
 
 _OPEN = np.uint8(1)
 _MISS = np.int32(-1)
 
 
-@kernel
-def _open(i, open_rays):
+@range_kernel()
+def open_all(i, open_rays):
+    """Mark a ray as open."""
     store(open_rays + i, _OPEN)
 
 
-@kernel
-def _want(i, open_rays, found, latest, room, wanted):
+@range_kernel(latest=np.int64, room=np.int64)
+def want_room(i, open_rays, found, latest, room, wanted):
     """Request room for a ray that is open and has filled its last room."""
     wants = load(np.uint8, open_rays + i) == _OPEN
     if found != NULL:
@@ -29,8 +31,8 @@ def _want(i, open_rays, found, latest, room, wanted):
     store(wanted + (i << SHIFT_64), room if wants else np.int64(0))
 
 
-@kernel
-def _clear_ignored(i, open_rays, out):
+@range_kernel(out=HitAddresses)
+def clear_ignored(i, open_rays, out):
     """Reset the hit of a ray that is still open to a miss."""
     if load(np.uint8, open_rays + i) == _OPEN:
         at = i << SHIFT_32
@@ -40,29 +42,23 @@ def _clear_ignored(i, open_rays, out):
         store(out.prim_id + at, _MISS)
 
 
-@kernel
-def _is_hit(i, prim_ids, seen):
+@range_kernel()
+def note_hits(i, prim_ids, seen):
+    """Write whether a ray has a hit."""
     store(seen + i, np.uint8(load(np.int32, prim_ids + (i << SHIFT_32)) != _MISS))
 
 
-@kernel
-def _note_invalid(i, source, frame, status):
+@range_kernel(source=RaySource, frame=SceneFrame)
+def note_invalid(i, source, frame, status):
+    """Write the status of a ray that is not valid."""
     ray = load_ray(source, i, frame)
     if ray.status != VALID:
         store(status + i, ray.status)
 
 
-@kernel
-def _narrow(i, given, narrowed):
+@range_kernel()
+def narrow_ids(i, given, narrowed):
     """Convert int64 to int32; values outside its range become -1, which matches no triangle."""
     value = load(np.int64, given + (i << SHIFT_64))
     short = np.int32(value)
     store(narrowed + (i << SHIFT_32), short if np.int64(short) == value else _MISS)
-
-
-OPEN = RangeKernel(_open)
-WANT = RangeKernel(_want)
-CLEAR_IGNORED = RangeKernel(_clear_ignored)
-IS_HIT = RangeKernel(_is_hit)
-NOTE_INVALID = RangeKernel(_note_invalid)
-NARROW = RangeKernel(_narrow)

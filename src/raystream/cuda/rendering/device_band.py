@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from raystream.cuda.rays import usual_limits
 from raystream.cuda.rendering.columns import HitColumns, StreamColumns
-from raystream.cuda.rendering.kernels import GENERATE_CAMERA_RAYS
+from raystream.cuda.rendering.kernels import generate_camera_rays
 from raystream.cuda.rendering.slots import Slots
-from raystream.cuda.rendering.tables import TableMemory, plain
+from raystream.cuda.rendering.tables import TableMemory
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.queries import RayScene
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.integrator import RenderContext
 from raystream.rendering.sampling.sampler import PixelSample
-from raystream.rendering.shading.camera_rays import view_of
+from raystream.rendering.shading.camera_rays import View, view_of
 from raystream.rendering.shading.streams import ShadingBatch
 
 if TYPE_CHECKING:
@@ -45,10 +45,10 @@ class RenderScene:
 
     def __init__(self, queries: DeviceScene, context: RenderContext) -> None:
         self.queries, self.gpu, self.context = queries, queries.gpu, context
-        self.sampler: Any = plain(context.sampler)
-        self.view: Any = None
+        self.sampler = context.sampler
+        self.view: View | None = None
         if context.camera.projection == "perspective":
-            self.view = plain(view_of(context.camera, context.width, context.height))
+            self.view = view_of(context.camera, context.width, context.height)
         self._memory = TableMemory(self.gpu, context.kept)
         self._placed: dict[str, Any] = {}
         self._lock = threading.Lock()
@@ -139,8 +139,7 @@ class DeviceBand:
         self.scene, self._staging, self._rows = scene, staging, rows
         width = scene.context.width
         self.count = len(rows) * width
-        self.sample: Any = np.int64(sample)  # typed as kernels take it
-        self.first_pixel: Any = np.int64(rows.start * width)
+        self.sample, self.first_pixel = sample, rows.start * width
         self._radiance = staging.cleared("light", (self.count, 3), np.float32)
         self.radiance = self._radiance.address
         self.empty = staging.empty
@@ -168,9 +167,8 @@ class DeviceBand:
     def batch(self, stream: DeviceStream) -> ShadingBatch:
         """The paths with their hits, for shading kernels."""
         assert stream.hits is not None
-        count: Any = np.int64(stream.count)
         places = stream.paths.addresses, stream.hits.addresses
-        return ShadingBatch(count, *places, self.first_pixel, self.radiance)
+        return ShadingBatch(stream.count, *places, self.first_pixel, self.radiance)
 
     def run(self, kernel: RangeKernel, count: int, *arguments: Any) -> None:
         """Launch a kernel asynchronously."""
@@ -194,13 +192,11 @@ class DeviceBand:
         scene, context = self.scene, self.scene.context
         if scene.view is None:
             size = context.width, context.height
-            paths = camera_paths(
-                context.camera, size, context.sampler, self._rows, int(self.sample)
-            )
+            paths = camera_paths(context.camera, size, context.sampler, self._rows, self.sample)
             return DeviceStream(StreamColumns.copied(self._staging.upload, paths), self.count)
         columns = StreamColumns(self.empty, self.count)
-        first_row, sample = np.int64(self._rows.start), PixelSample(scene.sampler, self.sample)
-        self.run(GENERATE_CAMERA_RAYS, self.count, scene.view, first_row, sample, columns.addresses)
+        given = self._rows.start, PixelSample(scene.sampler, self.sample), columns.addresses
+        self.run(generate_camera_rays, self.count, scene.view, *given)
         return DeviceStream(columns, self.count)
 
     def read(self) -> NDArray[np.float32]:

@@ -11,9 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.constants import BYTES_32, BYTES_64, INF_F32, ONE_F32, ONE_U64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import range_kernel
 from raystream.jit.simd import load, store
+from raystream.rendering.sampling.sampler import PixelSample
+from raystream.rendering.shading.ambient_occlusion import OcclusionOptions
+from raystream.rendering.shading.camera_rays import View
+from raystream.rendering.shading.light_tables import LightTables
+from raystream.rendering.shading.paths import PathOptions
+from raystream.rendering.shading.punctual_lights import PunctualLights
 from raystream.rendering.shading.shadow_rays import add_if_unblocked
 from raystream.rendering.shading.single_lanes import (
     ambient_rays,
@@ -22,7 +28,8 @@ from raystream.rendering.shading.single_lanes import (
     shade_path,
     unshadowed,
 )
-from raystream.rendering.shading.streams import StreamAddresses, StreamCursor
+from raystream.rendering.shading.streams import ShadingBatch, StreamAddresses, StreamCursor
+from raystream.rendering.shading.tables import SceneTables
 from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted_path
 
 #: Bytes of three numbers.
@@ -56,8 +63,9 @@ def _end_slots(slots, i, end):
     store(slots.counts + i * BYTES_32, np.uint32(end.row - i * slots.per_thread))
 
 
-@kernel
-def _generate_camera_rays(i, view, first_row, sample, paths):
+@range_kernel(view=View, first_row=np.int64, sample=PixelSample, paths=StreamAddresses)
+def generate_camera_rays(i, view, first_row, sample, paths):
+    """Begin path i of a band."""
     width = np.uint64(view.width)
     row, column = np.int64(i // width), np.int64(i % width)
     camera_ray(view, first_row, row, column, sample.sampler, sample.number, paths)
@@ -66,26 +74,39 @@ def _generate_camera_rays(i, view, first_row, sample, paths):
         store(paths.colors + i * _3_X_32 + np.uint64(k) * BYTES_32, ONE_F32)
 
 
-@kernel
-def _shade_paths(i, batch, tables, lights, sample, bounce, options, onward, rays):
+@range_kernel(
+    batch=ShadingBatch,
+    tables=SceneTables,
+    lights=LightTables,
+    sample=PixelSample,
+    bounce=np.int64,
+    options=PathOptions,
+    onward=SlotAddresses,
+    rays=SlotAddresses,
+)
+def shade_paths(i, batch, tables, lights, sample, bounce, options, onward, rays):
+    """Shade path i, see `shade_path_block`."""
     starts = _begin_slots(onward, i), _begin_slots(rays, i)
     path_end, ray_end = shade_path(i, batch, tables, lights, sample, bounce, options, *starts)
     _end_slots(onward, i, path_end)
     _end_slots(rays, i, ray_end)
 
 
-@kernel
-def _shade_unshadowed(i, batch, tables, lights):
+@range_kernel(batch=ShadingBatch, tables=SceneTables, lights=PunctualLights)
+def shade_unshadowed(i, batch, tables, lights):
+    """Shade the hit of path i by all lights without shadows."""
     unshadowed(i, batch, tables, lights)
 
 
-@kernel
-def _shade_facing_ratio(i, batch, tables, lights):
+@range_kernel(batch=ShadingBatch, tables=SceneTables, lights=PunctualLights)
+def shade_facing_ratio(i, batch, tables, lights):
+    """Shade the hit of path i by its facing ratio."""
     facing_ratio(i, batch, tables, lights)
 
 
-@kernel
-def _sample_all_lights(i, batch, tables, lights, rays):
+@range_kernel(batch=ShadingBatch, tables=SceneTables, lights=PunctualLights, rays=SlotAddresses)
+def sample_all_lights(i, batch, tables, lights, rays):
+    """Shade the hit of path i by all lights, and write shadow rays."""
     none = StreamCursor(batch.paths, ZERO_U64)
     start = _begin_slots(rays, i)
     options = WhittedOptions(False, 0.0, True)
@@ -93,8 +114,15 @@ def _sample_all_lights(i, batch, tables, lights, rays):
     _end_slots(rays, i, ray_end)
 
 
-@kernel
-def _spawn_ao_rays(i, batch, tables, sample, options, rays):
+@range_kernel(
+    batch=ShadingBatch,
+    tables=SceneTables,
+    sample=PixelSample,
+    options=OcclusionOptions,
+    rays=SlotAddresses,
+)
+def spawn_ao_rays(i, batch, tables, sample, options, rays):
+    """Spawn ambient occlusion rays from the hit of path i."""
     _end_slots(rays, i, ambient_rays(i, batch, tables, sample, options, _begin_slots(rays, i)))
 
 
@@ -110,8 +138,9 @@ def _copy_three(source, to):
         store(to + at, load(np.float32, source + at))
 
 
-@kernel
-def _compact(slot, slots, to):
+@range_kernel(slots=SlotAddresses, to=StreamAddresses)
+def compact(slot, slots, to):
+    """Move the row of a slot to a stream; `slots.counts` are the scanned counts."""
     i = slot // slots.per_thread
     row = _row(slots.counts, i) + slot - i * slots.per_thread
     if row >= _row(slots.counts, i + ONE_U64):
@@ -127,30 +156,8 @@ def _compact(slot, slots, to):
     store(to.numbers + row * BYTES_32, load(np.float32, given.numbers + slot * BYTES_32))
 
 
-@kernel
-def _add_unblocked(i, rows, rays, blocked, first_pixel, radiance):
+@range_kernel(rays=StreamAddresses, first_pixel=np.int64)
+def add_unblocked(i, rows, rays, blocked, first_pixel, radiance):
+    """Add the light of path i's unblocked shadow rays, in order."""
     for row in range(_row(rows, i), _row(rows, i + ONE_U64)):
         add_if_unblocked(row, rays, blocked, first_pixel, radiance)
-
-
-#: Begins path i of a band: ``(view, first_row, sample, paths)``.
-GENERATE_CAMERA_RAYS = RangeKernel(_generate_camera_rays)
-
-#: Shades path i, see `shade_path_block`; writes to two `SlotAddresses`.
-SHADE_PATHS = RangeKernel(_shade_paths)
-
-#: Shade the hit of path i, by all lights without shadows, or by its facing ratio.
-SHADE_UNSHADOWED = RangeKernel(_shade_unshadowed)
-SHADE_FACING_RATIO = RangeKernel(_shade_facing_ratio)
-
-#: Shades the hit of path i by all lights; writes shadow rays to `SlotAddresses`.
-SAMPLE_ALL_LIGHTS = RangeKernel(_sample_all_lights)
-
-#: Spawns ambient occlusion rays from the hit of path i, to `SlotAddresses`.
-SPAWN_AO_RAYS = RangeKernel(_spawn_ao_rays)
-
-#: Moves the row of a slot to a stream; ``slots.counts`` are the scanned counts.
-COMPACT = RangeKernel(_compact)
-
-#: Adds the light of path i's unblocked shadow rays, in order.
-ADD_UNBLOCKED = RangeKernel(_add_unblocked)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from raystream.cuda.rendering.columns import StreamColumns
-from raystream.cuda.rendering.kernels import COMPACT, SlotAddresses
+from raystream.cuda.rendering.kernels import SlotAddresses, compact
 from raystream.jit.cuda import Gpu
 from raystream.jit.cuda.scan import Scan
 
@@ -69,6 +69,6 @@ class Slots:
         stream, slots = self._staging.stream.native, self.addresses
         self._scan.run(slots.counts, thread_count, slots.counts, np.uint32, stream)
         slot_count = thread_count * int(slots.per_thread)
-        COMPACT.launch(self._gpu, slot_count, (slots, to.addresses), stream)
+        compact.launch(self._gpu, slot_count, (slots, to.addresses), stream)
         total = self._staging.download(self._counts.part(thread_count, 1))
         return lambda: int(total[0])

@@ -12,18 +12,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from raystream.cuda.rendering import kernels
 from raystream.cuda.rendering.columns import StreamColumns
 from raystream.cuda.rendering.device_band import DeviceBand, DeviceStream, ShadowStream
-from raystream.cuda.rendering.kernels import (
-    ADD_UNBLOCKED,
-    SAMPLE_ALL_LIGHTS,
-    SHADE_FACING_RATIO,
-    SHADE_PATHS,
-    SHADE_UNSHADOWED,
-    SPAWN_AO_RAYS,
-)
 from raystream.cuda.rendering.slots import Slots
-from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
 from raystream.rendering.ao import distance_of, sampler_of, spawn_ambient_rays
 from raystream.rendering.integrator import PathStage, find_surfaces, trace_shadow_rays
@@ -46,16 +38,16 @@ def _find_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
 
 def _shade_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     """Add emitted light, sample lights, and scatter the paths."""
-    scene, options = band.scene, plain(band.scene.context.options["rules"])
+    scene, options = band.scene, band.scene.context.options["rules"]
     onward, (slots, rays) = band.onward, band.shadow_rays(1)
     band.run(
-        SHADE_PATHS,
+        kernels.shade_paths,
         stream.count,
         band.batch(stream),
         scene.table("tables"),
         scene.table("lights"),
         PixelSample(scene.sampler, band.sample),
-        np.int64(stream.bounce),
+        stream.bounce,
         options,
         onward.addresses,
         slots.addresses,
@@ -84,7 +76,7 @@ def _sample_all_lights(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     """Send shadow rays from first surfaces to all lights; the paths end."""
     slots, rays = band.shadow_rays(lights_per_pixel(band.scene.context))
     tables = band.scene.table("tables"), band.scene.table("punctual")
-    band.run(SAMPLE_ALL_LIGHTS, stream.count, band.batch(stream), *tables, slots.addresses)
+    band.run(kernels.sample_all_lights, stream.count, band.batch(stream), *tables, slots.addresses)
     return _only_shadow_rays(stream, band, slots, rays)
 
 
@@ -93,10 +85,10 @@ def _spawn_ambient_rays(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     context = band.scene.context
     ray_count = int(context.options["rays"])
     slots, rays = band.shadow_rays(ray_count)
-    sample = PixelSample(plain(sampler_of(context)), band.sample)
-    options = plain(OcclusionOptions(ray_count, distance_of(context)))
+    sample = PixelSample(sampler_of(context), band.sample)
+    options = OcclusionOptions(ray_count, distance_of(context))
     shared = band.batch(stream), band.scene.table("tables"), sample, options
-    band.run(SPAWN_AO_RAYS, stream.count, *shared, slots.addresses)
+    band.run(kernels.spawn_ao_rays, stream.count, *shared, slots.addresses)
     return _only_shadow_rays(stream, band, slots, rays)
 
 
@@ -119,7 +111,7 @@ def _trace_shadow_rays(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
         any_hit = band.scene.queries.kernels.any_hit
         band.trace(any_hit, rays, shadows.ray_count, True, blocked.address)
         to = rays.addresses, blocked.address, band.first_pixel, band.radiance
-        band.run(ADD_UNBLOCKED, shadows.thread_count, counts, *to)
+        band.run(kernels.add_unblocked, shadows.thread_count, counts, *to)
     return replace(stream, shadows=None)
 
 
@@ -128,8 +120,8 @@ STAGES: MappingProxyType[PathStage, DeviceStage] = MappingProxyType(
     {
         find_surfaces: _find_surfaces,
         shade_surfaces: _shade_surfaces,
-        shade_by_lights: _local_stage(SHADE_UNSHADOWED),
-        shade_by_facing_ratio: _local_stage(SHADE_FACING_RATIO),
+        shade_by_lights: _local_stage(kernels.shade_unshadowed),
+        shade_by_facing_ratio: _local_stage(kernels.shade_facing_ratio),
         sample_all_lights: _sample_all_lights,
         spawn_ambient_rays: _spawn_ambient_rays,
         trace_shadow_rays: _trace_shadow_rays,

@@ -51,7 +51,7 @@ class TableMemory:
                 self._regions.append(_Region(array.ctypes.data, array, places))
 
     def placed(self, tables: Any) -> Any:
-        """Replace the addresses in a named tuple of tables, and convert its integers to int64.
+        """Replace the addresses in a named tuple of tables.
 
         Fields of type uint64 are addresses, or 0, unless their names end in ``_count``.
 
@@ -69,7 +69,7 @@ class TableMemory:
     def _value(self, name: str, value: Any) -> Any:
         if isinstance(value, np.uint64) and not name.endswith(_COUNT):
             return self._address(name, int(value))
-        return self.placed(value) if hasattr(value, "_fields") else plain(value)
+        return self.placed(value) if hasattr(value, "_fields") else value
 
     def _address(self, name: str, address: int) -> np.uint64:
         if address == 0:
@@ -95,13 +95,3 @@ class TableMemory:
                 )
             self.arrays[region.begin] = self._gpu.upload(f"the scene's {name}", array)
         return self.arrays[region.begin].address
-
-
-def plain(value: Any) -> Any:
-    """Convert Python integers in nested (named) tuples to int64, as kernels expect."""
-    if isinstance(value, tuple):
-        kind: Any = type(value)
-        made = map(plain, value)
-        return kind._make(made) if hasattr(kind, "_fields") else kind(made)
-    is_whole = isinstance(value, int) and not isinstance(value, bool)
-    return np.int64(value) if is_whole else value

@@ -1,24 +1,41 @@
-"""Kernel arguments: their types, and their flattening for a launch."""
+"""Kernel arguments: numbers, and tuples of them; arrays on a device stand for their addresses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numba
 import numpy as np
 
+from raystream.jit.cuda.device_array import DeviceArray
+
+#: Integers from here on are uint64, others int64.
+_LEAST_UNSIGNED = 2**63
+
 
 def type_of(arguments: Any) -> Any:
     """The Numba type of kernel arguments."""
-    return numba.typeof(arguments)
+    return numba.typeof(with_addresses(arguments))
+
+
+def with_addresses(arguments: Any) -> Any:
+    """Arguments with the addresses of arrays in place of these."""
+    if isinstance(arguments, tuple):
+        kind: Any = type(arguments)
+        made = map(with_addresses, arguments)
+        return kind._make(made) if hasattr(kind, "_fields") else kind(made)
+    return arguments.address if type(arguments) is DeviceArray else arguments
 
 
 def kind_of(arguments: Any) -> Any:
     """A key that determines `type_of`, found in a tenth of its time."""
+    kind = type(arguments)
     if isinstance(arguments, tuple):
-        return type(arguments), *map(kind_of, arguments)
-    return type(arguments)
+        return kind, *map(kind_of, arguments)
+    if kind is int:
+        return np.int64 if arguments < _LEAST_UNSIGNED else np.uint64
+    return np.uint64 if kind is DeviceArray else kind
 
 
 def flat(arguments: Any) -> Iterator[Any]:
@@ -35,5 +52,20 @@ def flat(arguments: Any) -> Iterator[Any]:
             yield np.uint8(one)
         elif type(one) is float:
             yield np.float64(one)
+        elif type(one) is int:
+            yield kind_of(one)(one)
+        elif type(one) is DeviceArray:
+            yield one.address
         else:
             yield one
+
+
+def example_of(kind: Any) -> Any:
+    """An argument of a type: a number, or a tuple of them by its fields' annotations."""
+    if hasattr(kind, "_fields"):
+        return kind._make(map(example_of, get_type_hints(kind).values()))
+    if get_origin(kind) is tuple:
+        return tuple(map(example_of, get_args(kind)))
+    if kind is type(None):
+        return None
+    return np.uint64(0) if kind is DeviceArray else kind(0)

@@ -136,6 +136,18 @@ class Gpu:
             address = int(owner.__cuda_array_interface__["data"][0])
         return DeviceArray(self, name, owner, address, shape, dtype, self._legacy)
 
+    def zeros(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
+        """Allocate an array of zeros.
+
+        Raises
+        ------
+        CudaError
+            If there is no memory for it.
+        """
+        made = self.empty(name, shape, dtype)
+        self.clear(made, made.stream)
+        return made
+
     def pooled(
         self, name: str, shape: Any, dtype: Any, stream: CudaStream | None = None
     ) -> DeviceArray:

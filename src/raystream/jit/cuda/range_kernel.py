@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Mapping
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 import numpy as np
 from numba import cuda
 
-from raystream.jit.cuda.arguments import flat, kind_of, type_of
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda.arguments import example_of, flat, kind_of, type_of, with_addresses
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.simulation import is_simulated, simulating
@@ -36,8 +39,10 @@ class RangeKernel:
     ----------
     function : callable
         Compiled by `jit.cpu.kernel` or `device`: ``function(i, *arguments)``, without a result.
-        `i` is a uint64; arguments are NumPy numbers, including addresses, None, and (named)
-        tuples of these.
+        `i` is a uint64; arguments are numbers, addresses, None, and (named) tuples of these.
+        Arrays on the device are passed as their addresses, integers as int64.
+    types : mapping of str to type
+        Those of parameters that are not uint64; see `example`.
 
     Attributes
     ----------
@@ -49,8 +54,10 @@ class RangeKernel:
     In the simulator the function runs as compiled for the CPU, with the host's addresses.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self.function = function
+    def __init__(
+        self, function: Callable[..., Any], types: Mapping[str, Any] = MappingProxyType({})
+    ) -> None:
+        self.function, self._types = function, types
         self._run = _over_range(function)
         self._loaded: dict[Any, Any] = {}
 
@@ -58,6 +65,11 @@ class RangeKernel:
     def name(self) -> str:
         """Name of the function."""
         return self._run.__name__
+
+    def example(self) -> tuple[Any, ...]:
+        """Arguments that have the right types only, to compile it without a device."""
+        _, *names = inspect.signature(getattr(self.function, "py_func", self.function)).parameters
+        return tuple(example_of(self._types.get(name, np.uint64)) for name in names)
 
     def compiled(self, arguments: tuple[Any, ...], capability: Capability) -> Compiled:
         """PTX for the types of example arguments; needs no device.
@@ -94,7 +106,8 @@ class RangeKernel:
             block_size = min(count, _BLOCK_SIZE)
             block_count = -(-count // block_size)
             with simulating:
-                cuda.jit(self._run)[block_count, block_size](np.uint64(count), arguments)
+                run = cuda.jit(self._run)[block_count, block_size]
+                run(np.uint64(count), with_addresses(arguments))
             return
         key = gpu.number, kind_of(arguments)
         if key not in self._loaded:
@@ -103,3 +116,20 @@ class RangeKernel:
             self._loaded[key] = gpu.load(compiled)
         values = [np.uint64(count), *flat(arguments)]
         gpu.launch(self._loaded[key], -(-count // _BLOCK_SIZE), _BLOCK_SIZE, values, stream)
+
+
+def range_kernel(**types: Any) -> Callable[[Callable[..., Any]], RangeKernel]:
+    """Make a decorator that compiles a function by `jit.cpu.kernel`, and makes a kernel of it.
+
+    Parameters
+    ----------
+    **types
+        See `RangeKernel`.
+    """
+    return lambda function: RangeKernel(kernel(function), types)
+
+
+def kernels_in(*modules: ModuleType) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
+    """The kernels among the globals of modules, by name, each with its `example`."""
+    held = [one for module in modules for one in vars(module).values()]
+    return {one.name: (one, one.example()) for one in held if isinstance(one, RangeKernel)}

@@ -209,10 +209,8 @@ class Scan:
         scan_tiles.launch(self.gpu, tiles, values, count, sums, out, stream=stream)
 
 
-def scan_in_place(
-    gpu: Gpu, counts: DeviceArray, empty: Callable[..., DeviceArray] | None = None
-) -> int:
-    """Scan an array of counts, whose last number becomes their sum, and wait for that; returns it.
+def scan(gpu: Gpu, counts: DeviceArray, empty: Callable[..., DeviceArray] | None = None) -> None:
+    """Scan an array of counts in place, asynchronously; its last number becomes their sum.
 
     Raises
     ------
@@ -222,6 +220,13 @@ def scan_in_place(
     count = len(counts) - 1
     if count == 0:
         gpu.clear(counts, counts.stream)
-        return 0
-    Scan(gpu, count, empty=empty).run(counts.address, count, counts.address, counts.dtype)
-    return int(counts.part(count, 1).host()[0])
+    else:
+        Scan(gpu, count, empty=empty).run(counts.address, count, counts.address, counts.dtype)
+
+
+def scan_in_place(
+    gpu: Gpu, counts: DeviceArray, empty: Callable[..., DeviceArray] | None = None
+) -> int:
+    """Scan an array of counts as `scan` does, and wait for the sum; returns it."""
+    scan(gpu, counts, empty)
+    return int(counts.part(len(counts) - 1, 1).host()[0])

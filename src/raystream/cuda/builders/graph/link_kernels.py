@@ -8,19 +8,21 @@ import numpy as np
 
 from raystream.cuda.builders.graph.sharing import (
     LINK,
+    LinkTable,
     final_link,
     put_candidate,
     share_slot,
 )
 from raystream.jit.atomics import atomic_max
 from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, range_kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import WORD
 from raystream.structures.graph.cells import NODE_BYTES, ROPE_BYTES, split_of
 from raystream.structures.graph.face_subtrees import (
     PENDING_BYTES,
+    RopeTree,
     count_raw_nodes,
     find_axes,
     propagate_marks,
@@ -47,23 +49,22 @@ class Raw(NamedTuple):
 
     Attributes
     ----------
-    nodes : uint64
-        Address of three uint64 each: the node of the tree, later replaced by the link to it, and
-        its raw links.
-    heights : uint64
-        Address of a byte each: 1 if it links to no raw node, else 1 more than the highest of them.
-    tops : uint64
-        Address of the greatest height, uint32.
-    ends : uint64
-        Address of the ends of the CPU's batches, uint64.
+    nodes : DeviceArray of shape (R, 3), uint64
+        The node of the tree, later replaced by the link to it, and its raw links.
+    heights : DeviceArray of shape (R,), uint8
+        1 if it links to no raw node, else 1 more than the highest of them.
+    tops : DeviceArray of shape (1,), uint32
+        The greatest height.
+    ends : DeviceArray of uint64
+        The ends of the CPU's batches.
     first : uint64
         The first candidate among them.
     """
 
-    nodes: np.uint64
-    heights: np.uint64
-    tops: np.uint64
-    ends: np.uint64
+    nodes: DeviceArray
+    heights: DeviceArray
+    tops: DeviceArray
+    ends: DeviceArray
     first: np.uint64
 
 
@@ -72,16 +73,16 @@ class CandidateOrder(NamedTuple):
 
     Attributes
     ----------
-    rows : uint64
-        Address of the nodes' rows, uint32.
+    rows : DeviceArray of shape (M,), uint32
+        The nodes' rows.
     row_count : uint64
-    before : uint64
-        Address of the number of link nodes before each row and face, uint32.
+    before : DeviceArray of shape (6 * row_count + 1,), uint32
+        The number of link nodes before each row and face.
     """
 
-    rows: np.uint64
+    rows: DeviceArray
     row_count: np.uint64
-    before: np.uint64
+    before: DeviceArray
 
 
 @device
@@ -94,15 +95,13 @@ def _is_marked(is_covered, node, face):
     return load(np.uint8, is_covered + node * _SIX + face) == _YES
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def find_node_axes(i, first, nodes, axes):
     """Find the axes of the splits below node first + i, whose children are done."""
     find_axes(nodes, first + i, axes)
 
 
-@RangeKernel
-@kernel
+@range_kernel(tree=RopeTree)
 def count_raw(sector, leaves, tree, is_covered, counts):
     """Count the raw nodes of a sector, and mark subtrees that a face covers."""
     pending = scratch(PENDING_BYTES)
@@ -110,8 +109,7 @@ def count_raw(sector, leaves, tree, is_covered, counts):
     store(counts + sector * BYTES_64, np.uint64(count))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def spread_covered(i, first, nodes, is_covered):
     """Mark the subtrees that the link nodes of node first + i need, if it is covered."""
     propagate_marks(nodes, first + i, is_covered)
@@ -124,8 +122,7 @@ def _makes_node(nodes, node, face, is_covered):
     return axis != _LEAF and axis != face >> ONE_U64 and _is_marked(is_covered, node, face)
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def mark_covered(i, nodes, by_row, row_count, is_covered, marks):
     """Mark link nodes in the CPU's order: last rows first, six faces per row."""
     row = row_count - ONE_U64 - i // _SIX
@@ -141,8 +138,7 @@ def _candidate(node, face, order):
     return np.uint64(load(np.uint32, order.before + at * WORD))
 
 
-@RangeKernel
-@kernel
+@range_kernel(order=CandidateOrder, table=LinkTable)
 def put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
     """Write the links to node first + i, or the contents of link nodes that it needs."""
     node = first + i
@@ -165,8 +161,7 @@ def put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
             put_candidate(table, candidate, plane_bits, axis, less, more)
 
 
-@RangeKernel
-@kernel
+@range_kernel(order=CandidateOrder, table=LinkTable)
 def share_covered(i, first, nodes, is_covered, order, covered, table):
     """Find the slots of the link nodes of node first + i."""
     node = first + i
@@ -183,8 +178,7 @@ def _height(raw, link):
     return np.uint64(load(np.uint8, raw.heights + (link ^ _RAW_BIT)))
 
 
-@RangeKernel
-@kernel
+@range_kernel(tree=RopeTree, raw=Raw)
 def fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
     """Write the raw nodes of a sector, their heights, and its raw links."""
     pending = scratch(PENDING_BYTES)
@@ -220,8 +214,7 @@ def _resolved(raw, link):
     return link
 
 
-@RangeKernel
-@kernel
+@range_kernel(raw=Raw, table=LinkTable)
 def put_raw(i, height, nodes, raw, table):
     """Write the content of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) != height:
@@ -235,8 +228,7 @@ def put_raw(i, height, nodes, raw, table):
     put_candidate(table, _raw_candidate(raw, i), plane_bits, axis, below, above)
 
 
-@RangeKernel
-@kernel
+@range_kernel(raw=Raw, table=LinkTable)
 def share_raw(i, height, raw, table):
     """Find the slot of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) == height:
@@ -244,8 +236,7 @@ def share_raw(i, height, raw, table):
         store(raw.nodes + i * _RAW_BYTES, LINK | slot)
 
 
-@RangeKernel
-@kernel
+@range_kernel(raw=Raw, table=LinkTable)
 def place_links(sector, links, raw, table, rows):
     """Write a sector's links; planes with no sector behind them move to infinity."""
     row = rows + sector * SECTOR_BYTES

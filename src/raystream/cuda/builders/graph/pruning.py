@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.kdtree.grow import GrownTree, as_numbers
+from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, TWO_U64, ZERO_U64
-from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import WORD
@@ -56,24 +55,23 @@ class ListBudget(NamedTuple):
 
     Attributes
     ----------
-    rows : uint64
-        Address of the CPU's rows of the nodes, uint32.
-    sizes : uint64
-        Address of the new lists' sizes by those rows, uint64.
+    rows : DeviceArray of shape (M,), uint32
+        The CPU's rows of the nodes.
+    sizes : DeviceArray of shape (M + 1,), uint64
+        The new lists' sizes by those rows.
     total : uint64
         The sum of the sizes once they are scanned, else 0.
     room : uint64
         Maximum of the sum.
     """
 
-    rows: np.uint64
-    sizes: np.uint64
+    rows: DeviceArray
+    sizes: DeviceArray
     total: np.uint64
     room: np.uint64
 
 
-@RangeKernel
-@kernel
+@range_kernel(costs=Costs, chosen=Chosen)
 def place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     """Copy a leaf's list to its range of `ids`."""
     axis, count = split_at(nodes, node)
@@ -86,8 +84,7 @@ def place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     put_leaf(node, boxes, costs, chosen, to, count)
 
 
-@RangeKernel
-@kernel
+@range_kernel(costs=Costs, chosen=Chosen, budget=ListBudget)
 def weigh(i, first, nodes, boxes, costs, chosen, budget):
     """Turn node first + i into a leaf if that pays off; its children have been weighed.
 
@@ -107,8 +104,7 @@ def weigh(i, first, nodes, boxes, costs, chosen, budget):
         store(at, size)
 
 
-@RangeKernel
-@kernel
+@range_kernel(chosen=Chosen)
 def cut(node, nodes, chosen):
     """Turn a split into a leaf if that was chosen."""
     axis, _ = split_at(nodes, node)
@@ -147,23 +143,18 @@ def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
     lists = gpu.empty("lists", count, np.uint64)
     prices = gpu.empty("prices", count, np.float64)
     chosen = Chosen(*(one.address for one in (leaf_counts, lists, sizes, prices)))
-    used = gpu.empty("sizes of new lists", count + 1, np.uint64)
-    gpu.clear(used, used.stream)
-    nodes, boxes, typed = tree.nodes.address, tree.boxes.address, as_numbers(costs)
-    levels = list(zip(tree.levels, tree.levels[1:], strict=False))
+    used = gpu.zeros("sizes of new lists", count + 1, np.uint64)
+    cells, decision = (tree.nodes, tree.boxes), (Costs(*map(float, costs)), chosen)
 
     def weigh_all(total: int) -> None:
-        places = tree.ids.address, numbers.places.address, ids.address
-        place_list.launch(gpu, count, (nodes, boxes, *places, typed, chosen))
-        rows, sizes = numbers.rows.address, used.address
-        budget = ListBudget(rows, sizes, np.uint64(total), np.uint64(room))
-        for first, end in reversed(levels):
-            given = np.uint64(first), nodes, boxes, typed, chosen, budget
-            weigh.launch(gpu, end - first, given)
+        places = tree.ids, numbers.places, ids
+        place_list.launch(gpu, count, (*cells, *places, *decision))
+        budget = ListBudget(numbers.rows, used, np.uint64(total), np.uint64(room))
+        tree.launch_by_level(gpu, (weigh, (*cells, *decision, budget)), upward=True)
 
     weigh_all(0)
     total = scan_in_place(gpu, used)
     if total > room:
         weigh_all(total)
-    cut.launch(gpu, count, (nodes, chosen))
+    cut.launch(gpu, count, (tree.nodes, chosen))
     return Lists(ids, lists, sizes)

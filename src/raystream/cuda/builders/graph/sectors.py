@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.graph.pruning import Lists
+from raystream.cuda.builders.kdtree.blocks import copy_list
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, ONE_U64, THREE_U64, ZERO_U64
-from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.cuda.radix_sort import sort_pairs
-from raystream.jit.cuda.scan import Scan, scan_in_place
+from raystream.jit.cuda.scan import scan, scan_in_place
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, WORD
 from raystream.structures.graph.bins import leaf_at
@@ -28,7 +28,6 @@ from raystream.structures.graph.morton_order import (
 
 _LANES = np.uint64(4)
 _BLOCK_IDS = np.uint64(16)
-_ABSENT = np.int32(-1)
 _ROWS = np.uint64(SECTOR_ROWS)
 
 
@@ -56,8 +55,7 @@ class Ordered(NamedTuple):
     by_row: DeviceArray
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     """Write the cells of the children of node first + i, if it is a remaining split."""
     node = first + i
@@ -70,8 +68,7 @@ def place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     store(marks + np.uint64(load(np.uint32, old_rows + node * WORD)) * WORD, np.uint32(1))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
     """Write the rows of a split's children, which are in the order of their parents."""
     if node == ZERO_U64:
@@ -88,16 +85,14 @@ def place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
         store(by_row + row * WORD, np.uint32(child + side))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def mark_leaf(row, nodes, by_row, marks):
     """Mark a row whose node is a leaf."""
     found = is_leaf(nodes, np.uint64(load(np.uint32, by_row + row * WORD)))
     store(marks + row * WORD, np.uint32(ONE_U64 if found else ZERO_U64))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
     """List the leaf in a row with its Morton code."""
     node = np.uint64(load(np.uint32, by_row + row * WORD))
@@ -107,8 +102,7 @@ def list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
         store(leaves + to * WORD, np.uint32(node))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def number_sector(sector, leaves, sizes, sectors, block_counts):
     """Write a leaf's sector, and count its blocks."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
@@ -117,8 +111,7 @@ def number_sector(sector, leaves, sizes, sectors, block_counts):
     store(block_counts + sector * WORD, np.uint32((count + THREE_U64) // _LANES))
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
     """Write a sector's row, except for its links, and its triangle list."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
@@ -126,14 +119,10 @@ def write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
     first = np.uint64(load(np.uint32, firsts + sector * WORD))
     fill_sector(rows + sector * SECTOR_BYTES, boxes + leaf * BOX_BYTES, first, count)
     source = load(np.uint64, lists + leaf * BYTES_64)
-    to = prim_ids + first * _BLOCK_IDS
-    for k in range((count + THREE_U64) // _LANES * _LANES):
-        prim_id = load(np.int32, source + k * WORD) if k < count else _ABSENT
-        store(to + k * WORD, prim_id)
+    copy_list(source, count, prim_ids + first * _BLOCK_IDS)
 
 
-@RangeKernel
-@kernel
+@range_kernel()
 def fill_bin(row, nodes, sectors, x, y, z, y_count, z_count, bins):
     """Find the sector at a bin's low corner; z varies fastest."""
     yz = row // z_count
@@ -165,30 +154,25 @@ def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
     CudaError
         If device memory runs out.
     """
-    count, nodes, boxes = len(tree.nodes), tree.nodes.address, tree.boxes.address
-    is_in = gpu.empty("nodes that are left", count, np.uint8)
-    marks = gpu.empty("marks", count + 1, np.uint32)
-    for one in (is_in, marks):
-        gpu.clear(one, one.stream)
+    count, nodes, boxes = len(tree.nodes), tree.nodes, tree.boxes
+    is_in = gpu.zeros("nodes that are left", count, np.uint8)
+    marks = gpu.zeros("marks", count + 1, np.uint32)
     is_in.part(0, 1).fill(np.ones(1, np.uint8))
     ropes = gpu.empty("ropes", (count, 6), np.int32)
     ropes.part(0, 6).fill(np.full(6, -1, np.int32))
-    for first, end in zip(tree.levels, tree.levels[1:], strict=False):
-        given = nodes, is_in.address, numbers.rows.address, boxes, ropes.address, marks.address
-        place_cells.launch(gpu, end - first, (np.uint64(first), *given))
+    old = nodes, is_in, numbers.rows
+    tree.launch_by_level(gpu, (place_cells, (*old, boxes, ropes, marks)))
     sector_count = scan_in_place(gpu, marks) + 1
     node_count = 2 * sector_count - 1
     rows = gpu.empty("rows of nodes", count, np.uint32)
     by_row = gpu.empty("nodes by row", node_count, np.uint32)
-    old = nodes, is_in.address, numbers.rows.address, marks.address
-    place_nodes.launch(gpu, count, (*old, rows.address, by_row.address))
+    place_nodes.launch(gpu, count, (*old, marks, rows, by_row))
     before = gpu.empty("leaves before rows", node_count + 1, np.uint32)
-    mark_leaf.launch(gpu, node_count, (nodes, by_row.address, before.address))
-    Scan(gpu, node_count).run(before.address, node_count, before.address, np.uint32)
+    mark_leaf.launch(gpu, node_count, (nodes, by_row, before))
+    scan(gpu, before)
     codes = gpu.empty("codes", sector_count, np.uint64)
     leaves = gpu.empty("leaves", sector_count, np.uint32)
-    listed = by_row.address, before.address, codes.address, leaves.address
-    list_leaf.launch(gpu, node_count, (nodes, boxes, *listed))
+    list_leaf.launch(gpu, node_count, (nodes, boxes, by_row, before, codes, leaves))
     _, leaves = sort_pairs(gpu, codes, leaves, CODE_BITS)
     return Ordered(leaves, gpu.empty("sectors", count, np.uint32), ropes, rows, by_row)
 
@@ -210,6 +194,5 @@ def number_sectors(gpu: Gpu, ordered: Ordered, lists: Lists) -> tuple[DeviceArra
     """
     count = len(ordered.leaves)
     firsts = gpu.empty("first blocks", count + 1, np.uint32)
-    given = ordered.leaves.address, lists.sizes.address, ordered.sectors.address
-    number_sector.launch(gpu, count, (*given, firsts.address))
+    number_sector.launch(gpu, count, (ordered.leaves, lists.sizes, ordered.sectors, firsts))
     return firsts, scan_in_place(gpu, firsts)

@@ -14,9 +14,9 @@ import numpy as np
 
 from raystream.jit.atomics import atomic_max, compare_and_swap
 from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.simd import load, store
 from raystream.structures.clip import WORD
 from raystream.structures.graph.hash_consing import first_slot
@@ -29,31 +29,64 @@ _ROW = np.uint64(16)
 _FREE = np.uint32(0)
 
 
-class Table(NamedTuple):
-    """A hash table of link nodes on a device.
+class LinkTable(NamedTuple):
+    """A hash table of C candidates for link nodes, on a device.
 
     Attributes
     ----------
-    contents : uint64
-        Address of the two words of each candidate, uint64; see `GraphArrays.rows`.
-    owners : uint64
-        Address of the slots, uint32: the candidate that claimed it, plus 1, or 0.
-    leasts : uint64
-        Address of the complement of the least candidate of each slot, uint32.
-    ranks : uint64
-        Address of the number of distinct nodes before each candidate, uint32.
+    contents : DeviceArray of shape (C, 2), uint64
+        The two words of each candidate; see `GraphArrays.rows`.
+    owners : DeviceArray of shape (S,), uint32
+        For each slot the candidate that claimed it, plus 1, or 0. S is a power of two; at least
+        half of the slots stay free.
+    leasts : DeviceArray of shape (S,), uint32
+        The complement of the least candidate of each slot.
+    ranks : DeviceArray of shape (C + 1,), uint32
+        The number of distinct nodes before each candidate.
     mask : uint64
-        Number of slots minus 1; at least half of them stay free.
+        S - 1.
     first_row : uint64
         Row of the first link node in the graph.
     """
 
-    contents: np.uint64
-    owners: np.uint64
-    leasts: np.uint64
-    ranks: np.uint64
+    contents: DeviceArray
+    owners: DeviceArray
+    leasts: DeviceArray
+    ranks: DeviceArray
     mask: np.uint64
     first_row: np.uint64
+
+    @classmethod
+    def empty(cls, gpu: Gpu, candidate_count: int, first_row: int) -> LinkTable:
+        """Allocate a table whose slots are free.
+
+        Raises
+        ------
+        ValueError
+            If there are more rows than links can address.
+        CudaError
+            If device memory runs out: it takes 28 to 36 bytes per candidate.
+        """
+        if first_row + candidate_count > MAX_ROWS or candidate_count > 1 << 29:
+            raise ValueError(f"a graph of {candidate_count:,} link nodes is too large")
+        slot_count = 1 << (2 * candidate_count).bit_length()
+        return cls(
+            gpu.empty("link nodes", (candidate_count, 2), np.uint64),
+            gpu.zeros("table of link nodes", slot_count, np.uint32),
+            gpu.zeros("least link nodes", slot_count, np.uint32),
+            gpu.zeros("ranks of link nodes", candidate_count + 1, np.uint32),
+            np.uint64(slot_count - 1),
+            np.uint64(first_row),
+        )
+
+    def rank(self, gpu: Gpu) -> int:
+        """Assign rows to the nodes once all candidates are in; returns the number of nodes."""
+        mark_first.launch(gpu, len(self.owners), (self,))
+        return scan_in_place(gpu, self.ranks)
+
+    def write(self, gpu: Gpu, rows: DeviceArray) -> None:
+        """Launch the kernel that writes the link nodes to the rows of a graph."""
+        write_link_node.launch(gpu, len(self.owners), (self, rows))
 
 
 @device
@@ -95,8 +128,7 @@ def _least(table, slot):
     return np.uint64(load(np.uint32, table.leasts + slot * WORD)) ^ LOW_32
 
 
-@RangeKernel
-@kernel
+@range_kernel(table=LinkTable)
 def mark_first(slot, table):
     """Mark the first candidate of a slot."""
     if load(np.uint32, table.owners + slot * WORD) != _FREE:
@@ -113,8 +145,7 @@ def final_link(table, link):
     return LINK | (table.first_row + rank)
 
 
-@RangeKernel
-@kernel
+@range_kernel(table=LinkTable)
 def write_link_node(slot, table, rows):
     """Write the link node of a slot."""
     owner = np.uint64(load(np.uint32, table.owners + slot * WORD))
@@ -125,55 +156,3 @@ def write_link_node(slot, table, rows):
     to = rows + (final_link(table, LINK | slot) ^ LINK) * _ROW
     store(to, one)
     store(to + BYTES_64, below | above << BITS_32)
-
-
-class LinkTable:
-    """The memory of a `Table`, and the launches that number and write its nodes.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    candidate_count : int
-    first_row : int
-        Row of the first link node.
-
-    Raises
-    ------
-    ValueError
-        If there are more rows than links can address.
-    CudaError
-        If device memory runs out: it takes 28 to 36 bytes per candidate.
-    """
-
-    def __init__(self, gpu: Gpu, candidate_count: int, first_row: int) -> None:
-        if first_row + candidate_count > MAX_ROWS or candidate_count > 1 << 29:
-            raise ValueError(f"a graph of {candidate_count:,} link nodes is too large")
-        self.gpu, self.candidate_count = gpu, candidate_count
-        self.slot_count = 1 << (2 * candidate_count).bit_length()
-        self._contents = gpu.empty("link nodes", (candidate_count, 2), np.uint64)
-        self._owners = gpu.empty("table of link nodes", self.slot_count, np.uint32)
-        self._leasts = gpu.empty("least link nodes", self.slot_count, np.uint32)
-        self._ranks = gpu.empty("ranks of link nodes", candidate_count + 1, np.uint32)
-        for one in (self._owners, self._leasts, self._ranks):
-            gpu.clear(one, one.stream)
-        self.at = Table(
-            self._contents.address,
-            self._owners.address,
-            self._leasts.address,
-            self._ranks.address,
-            np.uint64(self.slot_count - 1),
-            np.uint64(first_row),
-        )
-
-    def rank(self) -> int:
-        """Assign rows to the nodes once all candidates are in; returns the number of nodes."""
-        count, ranks = self.candidate_count, self._ranks
-        if count == 0:
-            return 0
-        mark_first.launch(self.gpu, self.slot_count, (self.at,))
-        Scan(self.gpu, count).run(ranks.address, count, ranks.address, np.uint32)
-        return int(ranks.part(count, 1).host()[0])
-
-    def write(self, rows: DeviceArray) -> None:
-        """Launch the kernel that writes the link nodes to the rows of a graph."""
-        write_link_node.launch(self.gpu, self.slot_count, (self.at, rows.address))

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import time
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
+from raystream.cuda.builders.device_resident import RebuiltOnDevice, Resident
 from raystream.cuda.builders.graph import sectors
 from raystream.cuda.builders.graph.linker import link_sectors
 from raystream.cuda.builders.graph.pruning import prune
 from raystream.cuda.builders.graph.sectors import Ordered, number_sectors, order_sectors
-from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
+from raystream.cuda.builders.kdtree.blocks import empty_lists, filled_blocks, prim_ids_of
 from raystream.cuda.builders.kdtree.grow import GrownTree, grow_tree
 from raystream.cuda.builders.kdtree.numbering import number_nodes
-from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.graph.bins import bin_corners, choose_bin_counts
 from raystream.structures.graph.build import graph_box, tree_settings_of
 from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays
@@ -28,57 +24,21 @@ from raystream.structures.graph.options import Graph
 from raystream.structures.graph.structure import GraphStructure, addresses_of, settings_of
 
 
-class _Built(NamedTuple):
-    """A graph on a device; see `GraphArrays`. Open sides are at infinity."""
-
-    rows: DeviceArray
-    sector_count: int
-    blocks: DeviceArray
-    bins: DeviceArray
-
-
 class DeviceGraph(RebuiltOnDevice, GraphStructure):
     """A graph in device memory, copied to the host when first needed there.
 
-    Parameters
-    ----------
-    triangles : Triangles
-    gpu : Gpu
-    built : _Built
-    options : Graph
-    started : float
-        When the build began, by `time.perf_counter`.
+    There open sides are at infinity.
     """
 
+    _host_class = GraphStructure
     _host_names = ("graph", "blocks", "_rows", "view", "arrays")
+    _sector_count: int
 
-    def __init__(
-        self,
-        triangles: Triangles,
-        gpu: Gpu,
-        built: _Built,
-        options: Graph,
-        started: float,
-    ) -> None:
-        self.triangles, self.gpu, self.options = triangles, gpu, options
-        self._built = built
-        arrays = built.rows, built.blocks, built.bins
-        addresses = [one.address for one in arrays]
-        self.resident = Resident(addresses_of(triangles, built.bins.shape, *addresses), arrays)
-        byte_count = sum(one.nbytes for one in arrays)
-        self.report = finish(gpu, byte_count, started)
-
-    @cached_property
-    def _on_host(self) -> GraphStructure:
-        """The same graph with its arrays in host memory."""
-        made, built = GraphStructure.__new__(GraphStructure), self._built
-        rows = built.rows.host()
-        _close_sides(rows[: SECTOR_ROWS * built.sector_count], graph_box(self.triangles))
-        # A block's prim_ids are its last four words.
-        prim_ids = np.ascontiguousarray(built.blocks.host()[:, -4:]).view(np.int32)
-        graph = GraphArrays(rows, built.sector_count, prim_ids, built.bins.host())
-        made._set(self.triangles, graph, self.options, 0.0)
-        return made
+    def _host_arguments(self) -> tuple[GraphArrays]:
+        given, blocks, bins = self.resident.arrays
+        rows = given.host()
+        _close_sides(rows[: SECTOR_ROWS * self._sector_count], graph_box(self.triangles))
+        return (GraphArrays(rows, self._sector_count, prim_ids_of(blocks), bins.host()),)
 
 
 def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:
@@ -128,16 +88,16 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
     rows = gpu.empty(
         "rows", (SECTOR_ROWS * sector_count + linked.node_count, NODE_WORDS), np.uint32
     )
-    prim_ids = gpu.empty("triangles of blocks", (block_count, 4), np.int32)
+    prim_ids = empty_lists(gpu, block_count)
     given = ordered.leaves, tree.boxes, lists.lists, lists.sizes, firsts, rows, prim_ids
-    addresses = tuple(one.address for one in given)
-    sectors.write_sector.launch(gpu, sector_count, addresses)
+    sectors.write_sector.launch(gpu, sector_count, given)
     linked.write(gpu, rows)
     bins = _fill_bins(gpu, triangles, tree, ordered)
-    blocks = gpu.empty("blocks", (block_count, BLOCK_FLOATS), np.float32)
-    of_blocks = prim_ids.address, corners.address, blocks.address
-    FILL_BLOCK.launch(gpu, block_count, of_blocks)
-    return DeviceGraph(triangles, gpu, _Built(rows, sector_count, blocks, bins), options, started)
+    arrays = rows, filled_blocks(gpu, prim_ids, corners), bins
+    addresses = addresses_of(triangles, bins.shape, *(one.address for one in arrays))
+    made = DeviceGraph(gpu, triangles, options, Resident(addresses, arrays), started)
+    made._sector_count = sector_count
+    return made
 
 
 def _fill_bins(gpu: Gpu, triangles: Triangles, tree: GrownTree, ordered: Ordered) -> DeviceArray:
@@ -146,9 +106,7 @@ def _fill_bins(gpu: Gpu, triangles: Triangles, tree: GrownTree, ordered: Ordered
     counts = choose_bin_counts(len(ordered.leaves), box)
     bins = gpu.empty("bins", counts, np.uint32)
     places = [gpu.upload("corners of bins", one) for one in bin_corners(box, counts)]
-    of_places = tuple(one.address for one in places)
-    of_tree = tree.nodes.address, ordered.sectors.address
     _, y_count, z_count = map(np.uint64, counts)
-    given = *of_tree, *of_places, y_count, z_count, bins.address
+    given = tree.nodes, ordered.sectors, *places, y_count, z_count, bins
     sectors.fill_bin.launch(gpu, bins.size, given)
     return bins

@@ -13,9 +13,9 @@ import numpy as np
 
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, THREE_U64, TWO_U64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
-from raystream.jit.cuda.scan import Scan
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda.scan import scan
 from raystream.jit.simd import load, store
 from raystream.structures.clip import WORD
 from raystream.structures.kdtree.build import subtree_size
@@ -25,43 +25,28 @@ _NODE = np.uint64(8)
 _LEAF = np.uint64(LEAF_AXIS)
 
 
-class Numbering(NamedTuple):
-    """Addresses of the CPU's numbers of nodes, a uint32 for each.
+class Numbers(NamedTuple):
+    """The CPU's numbers of nodes: arrays of shape (M,), uint32.
 
     Attributes
     ----------
-    splits : uint64
+    splits : DeviceArray
         Number of splits in its subtree.
-    rooms : uint64
+    rooms : DeviceArray
         References in its subtree, those of each leaf rounded up to blocks of four.
-    firsts : uint64
+    firsts : DeviceArray
         The CPU's row of a split's child below the plane.
-    rows : uint64
+    rows : DeviceArray
         The CPU's row of the node itself.
-    places : uint64
+    places : DeviceArray
         Rooms of all leaves that the CPU lists before its subtree's; not set for large cells.
     """
-
-    splits: np.uint64
-    rooms: np.uint64
-    firsts: np.uint64
-    rows: np.uint64
-    places: np.uint64
-
-
-class Numbers(NamedTuple):
-    """The arrays of a `Numbering`, each of shape (M,), uint32."""
 
     splits: DeviceArray
     rooms: DeviceArray
     firsts: DeviceArray
     rows: DeviceArray
     places: DeviceArray
-
-    @property
-    def at(self) -> Numbering:
-        """Their addresses."""
-        return Numbering(*(one.address for one in self))
 
 
 @device
@@ -81,8 +66,7 @@ def _put(numbers, i, number):
     store(numbers + i * WORD, np.uint32(number))
 
 
-@RangeKernel
-@kernel
+@range_kernel(numbering=Numbers)
 def count_below(i, first, nodes, numbering):
     """Count the splits and references below node first + i; its children are done."""
     node = first + i
@@ -103,57 +87,56 @@ def _is_large(nodes, node, sizes, most):
 
 
 @device
-def _note_subtree(node, numbering, marks, rooms):
+def _visit_subtrees(node, nodes, sizes, most, visit, to):
+    """Visit the subtrees directly below a large cell, or the root; returns whether it is large."""
+    if not _is_large(nodes, node, sizes, most):
+        if node == ZERO_U64:
+            visit(node, to)
+        return False
+    _, child = split_at(nodes, node)
+    for side in range(TWO_U64):
+        if not _is_large(nodes, child + side, sizes, most):
+            visit(child + side, to)
+    return True
+
+
+@device
+def _note_subtree(node, to):
+    """Store the rows and the room of a subtree."""
+    numbering, marks, rooms = to
     store(marks + node * BYTES_64, _get(numbering.splits, node) << ONE_U64)
     store(rooms + node * BYTES_64, _get(numbering.rooms, node))
 
 
-@RangeKernel
-@kernel
+@range_kernel(numbering=Numbers)
 def mark_large(node, nodes, sizes, most, numbering, marks, rooms):
     """Mark a large cell (2**32), and store rows and room of subtrees directly below it."""
-    if not _is_large(nodes, node, sizes, most):
-        if node == ZERO_U64:
-            _note_subtree(node, numbering, marks, rooms)
-        return
-    store(marks + node * BYTES_64, ONE_U64 << BITS_32)
-    _, child = split_at(nodes, node)
-    for side in range(TWO_U64):
-        part = child + side
-        if not _is_large(nodes, part, sizes, most):
-            _note_subtree(part, numbering, marks, rooms)
+    if _visit_subtrees(node, nodes, sizes, most, _note_subtree, (numbering, marks, rooms)):
+        store(marks + node * BYTES_64, ONE_U64 << BITS_32)
 
 
 @device
-def _begin_subtree(node, marks, rooms, count, numbering):
+def _begin_subtree(node, to):
     """Write where a subtree begins: after large cells and earlier subtrees."""
+    marks, rooms, count, numbering = to
     large_count = load(np.uint64, marks + count * BYTES_64) >> BITS_32
     before = load(np.uint64, marks + node * BYTES_64) & LOW_32
     _put(numbering.firsts, node, ONE_U64 + (large_count << ONE_U64) + before)
     _put(numbering.places, node, load(np.uint64, rooms + node * BYTES_64))
 
 
-@RangeKernel
-@kernel
+@range_kernel(numbering=Numbers)
 def begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
     """Write the first rows of large cells, and where the subtrees below them begin."""
     if node == ZERO_U64:
         _put(numbering.rows, node, ZERO_U64)
-    if not _is_large(nodes, node, sizes, most):
-        if node == ZERO_U64:
-            _begin_subtree(node, marks, rooms, count, numbering)
-        return
-    before = load(np.uint64, marks + node * BYTES_64) >> BITS_32
-    _put(numbering.firsts, node, ONE_U64 + (before << ONE_U64))
-    _, child = split_at(nodes, node)
-    for side in range(TWO_U64):
-        part = child + side
-        if not _is_large(nodes, part, sizes, most):
-            _begin_subtree(part, marks, rooms, count, numbering)
+    to = marks, rooms, count, numbering
+    if _visit_subtrees(node, nodes, sizes, most, _begin_subtree, to):
+        before = load(np.uint64, marks + node * BYTES_64) >> BITS_32
+        _put(numbering.firsts, node, ONE_U64 + (before << ONE_U64))
 
 
-@RangeKernel
-@kernel
+@range_kernel(numbering=Numbers)
 def number_children(i, first, nodes, sizes, most, numbering):
     """Write the rows and places of the children of node first + i, and their first rows."""
     node = first + i
@@ -189,22 +172,13 @@ def number_nodes(gpu: Gpu, tree: GrownTree, triangle_count: int) -> Numbers:
     """
     count = len(tree.nodes)
     numbers = Numbers(*(gpu.empty(name, count, np.uint32) for name in Numbers._fields))
-    nodes, sizes = tree.nodes.address, tree.sizes.address
-    most = np.uint64(subtree_size(triangle_count))
-    levels = list(zip(tree.levels, tree.levels[1:], strict=False))
-    for first, end in reversed(levels):
-        count_below.launch(gpu, end - first, (np.uint64(first), nodes, numbers.at))
-    marks = gpu.empty("large cells", count + 1, np.uint64)
-    rooms = gpu.empty("rooms of subtrees", count + 1, np.uint64)
-    shared, begins = (nodes, sizes, most), (marks.address, rooms.address)
+    tree.launch_by_level(gpu, (count_below, (tree.nodes, numbers)), upward=True)
+    marks = gpu.zeros("large cells", count + 1, np.uint64)
+    rooms = gpu.zeros("rooms of subtrees", count + 1, np.uint64)
+    cells = tree.nodes, tree.sizes, np.uint64(subtree_size(triangle_count))
+    mark_large.launch(gpu, count, (*cells, numbers, marks, rooms))
     for one in (marks, rooms):
-        gpu.clear(one, one.stream)
-    mark_large.launch(gpu, count, (*shared, numbers.at, *begins))
-    scan = Scan(gpu, count)
-    for at in begins:
-        scan.run(at, count, at, np.uint64)
-    begun = *begins, np.uint64(count), numbers.at
-    begin_rows.launch(gpu, count, (*shared, *begun))
-    for first, end in levels:
-        number_children.launch(gpu, end - first, (np.uint64(first), *shared, numbers.at))
+        scan(gpu, one)
+    begin_rows.launch(gpu, count, (*cells, marks, rooms, np.uint64(count), numbers))
+    tree.launch_by_level(gpu, (number_children, (*cells, numbers)))
     return numbers

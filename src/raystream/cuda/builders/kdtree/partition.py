@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.kdtree.planes import cell_range
+from raystream.cuda.builders.kdtree.planes import Choices, Level, References, cell_range
 from raystream.jit.atomics import atomic_add_aggregated
 from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, TWO_U64, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, range_kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
@@ -26,37 +26,37 @@ _TRIANGLE = np.uint64(36)
 
 
 class Counts(NamedTuple):
-    """Addresses of counts, and after a scan of prefix sums: a uint64 each, and one for the total.
+    """Counts, after a scan their prefix sums: a uint64 each, and one for the total.
 
     Attributes
     ----------
-    parts : uint64
+    parts : DeviceArray of shape (R + 1,), uint64
         Of references: parts below the plane, times 2**32, plus parts above it.
-    cells : uint64
+    cells : DeviceArray of shape (C + 1,), uint64
         Of cells: 2**32 for one that is split, the number of its references for a leaf.
     """
 
-    parts: np.uint64
-    cells: np.uint64
+    parts: DeviceArray
+    cells: DeviceArray
 
 
 class Made(NamedTuple):
-    """Addresses of a finished level.
+    """A finished level.
 
     Attributes
     ----------
-    nodes : uint64
+    nodes : DeviceArray of shape (C, 2), int32
         Of cells, as `kdtree.layout.KdArrays.nodes`; a leaf's first word is the index of its first
         reference in `ids`.
-    sizes : uint64
-        Of cells: the number of their references, uint32.
-    ids : uint64
-        prim_ids of all leaves, int32.
+    sizes : DeviceArray of shape (C,), uint32
+        The number of the cells' references.
+    ids : DeviceArray, int32
+        prim_ids of all leaves.
     """
 
-    nodes: np.uint64
-    sizes: np.uint64
-    ids: np.uint64
+    nodes: DeviceArray
+    sizes: DeviceArray
+    ids: DeviceArray
 
 
 class GrownTriangles(NamedTuple):
@@ -64,15 +64,14 @@ class GrownTriangles(NamedTuple):
 
     Attributes
     ----------
-    corners : uint64
-        Address of their corners.
+    corners : DeviceArray of shape (F, 3, 3), float32
     bound : float64
         See `structures.clip`.
     overlap : int64
         See `kdtree.subtree.BuildSettings`.
     """
 
-    corners: np.uint64
+    corners: DeviceArray
     bound: np.float64
     overlap: np.int64
 
@@ -85,8 +84,7 @@ def _choice(choices, cell):
     return axis, load(np.float32, choices.positions + at)
 
 
-@RangeKernel
-@kernel
+@range_kernel(refs=References, choices=Choices)
 def count_cut(i, refs, choices):
     """Count reference i if its cell's plane cuts its box."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
@@ -98,8 +96,7 @@ def count_cut(i, refs, choices):
         atomic_add_aggregated(choices.cut_counts + cell * WORD, np.uint32(1))
 
 
-@RangeKernel
-@kernel
+@range_kernel(level=Level, choices=Choices, counts=Counts)
 def confirm(cell, level, choices, counts):
     """Split a cell only if there is room for its parts, and count it."""
     begin, end = cell_range(level, cell)
@@ -123,8 +120,7 @@ def _part(i, refs, choices, triangles, below, above):
     return split_reference(box, triangle, triangles, axis * WORD, position, below, above)
 
 
-@RangeKernel
-@kernel
+@range_kernel(refs=References, choices=Choices, triangles=GrownTriangles, counts=Counts)
 def count_parts(i, refs, choices, triangles, counts):
     """Count the parts of reference i."""
     below, above = scratch(24), scratch(24)
@@ -150,8 +146,7 @@ def _places(level, counts, cell):
     return below + above, below_end + above, below_end + above_end
 
 
-@RangeKernel
-@kernel
+@range_kernel(level=Level, choices=Choices, counts=Counts, made=Made, parts=Level)
 def make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
     """Write a cell's node and, if it is split, its two child cells."""
     begin, end = cell_range(level, cell)
@@ -189,8 +184,15 @@ def _put_reference(parts, to, cell, box, prim_id):
     store(parts.cells + to * WORD, np.uint32(cell))
 
 
-@RangeKernel
-@kernel
+@range_kernel(
+    refs=References,
+    level=Level,
+    choices=Choices,
+    triangles=GrownTriangles,
+    counts=Counts,
+    made=Made,
+    parts=References,
+)
 def place_parts(i, refs, level, choices, triangles, counts, made, first_id, parts):
     """Write the parts of reference i to their cells' ranges, or reference i to its leaf's list."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
@@ -215,8 +217,7 @@ def place_parts(i, refs, level, choices, triangles, counts, made, first_id, part
         _put_reference(parts, all_below + own_above, child + ONE_U64, above, prim_id)
 
 
-@RangeKernel
-@kernel
+@range_kernel(bound=np.float32, refs=References)
 def make_reference(i, corners, prim_ids, bound, refs):
     """Write the reference of the triangle in row i of `prim_ids`: its grown box."""
     prim_id = load(np.int32, prim_ids + i * WORD)

@@ -19,8 +19,8 @@ import numpy as np
 
 from raystream.jit.atomics import atomic_add_aggregated, atomic_max
 from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_F32, ZERO_U64
-from raystream.jit.cpu import device, kernel
-from raystream.jit.cuda import RangeKernel
+from raystream.jit.cpu import device
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.split import (
@@ -28,6 +28,7 @@ from raystream.structures.kdtree.split import (
     BIN_SHARE,
     LEAF,
     MOST_EXACT,
+    Costs,
     axis_of,
     bin_of,
     find_in_bins,
@@ -50,80 +51,118 @@ BIN_BYTES = 3 * int(_AXIS_BYTES)
 
 
 class References(NamedTuple):
-    """Addresses of a level's references, cell after cell.
+    """A level's references, cell after cell.
 
     Attributes
     ----------
-    boxes : uint64
-        Six float32 each.
-    ids : uint64
-        prim_ids, int32.
-    cells : uint64
-        The cell of each, uint32: its row in the level.
+    boxes : DeviceArray of shape (R, 6), float32
+    ids : DeviceArray of shape (R,), int32
+        prim_ids.
+    cells : DeviceArray of shape (R,), uint32
+        The cell of each: its row in the level.
     """
 
-    boxes: np.uint64
-    ids: np.uint64
-    cells: np.uint64
+    boxes: DeviceArray
+    ids: DeviceArray
+    cells: DeviceArray
+
+    @classmethod
+    def allocate(cls, gpu: Gpu, count: int) -> References:
+        """Allocate them for `count` references."""
+        return cls(
+            gpu.pooled("boxes of references", (count, 6), np.float32),
+            gpu.pooled("references", count, np.int32),
+            gpu.pooled("cells of references", count, np.uint32),
+        )
 
 
 class Level(NamedTuple):
-    """Addresses of a level's cells, with a row for each.
+    """A level's cells, with a row for each.
 
     Attributes
     ----------
-    boxes : uint64
-        Six float32 each.
-    begins : uint64
-        The first reference of each, then the number of references, uint32.
-    bads : uint64
-        Bad splits above them, uint32.
-    rooms : uint64
-        Maximum number of references in their leaves, uint64.
+    boxes : DeviceArray of shape (C, 6), float32
+    begins : DeviceArray of shape (C + 1,), uint32
+        The first reference of each, then the number of references.
+    bads : DeviceArray of shape (C,), uint32
+        Bad splits above them.
+    rooms : DeviceArray of shape (C,), uint64
+        Maximum number of references in their leaves.
     """
 
-    boxes: np.uint64
-    begins: np.uint64
-    bads: np.uint64
-    rooms: np.uint64
+    boxes: DeviceArray
+    begins: DeviceArray
+    bads: DeviceArray
+    rooms: DeviceArray
+
+    @classmethod
+    def allocate(cls, gpu: Gpu, count: int) -> Level:
+        """Allocate them for `count` cells."""
+        return cls(
+            gpu.pooled("boxes of cells", (count, 6), np.float32),
+            gpu.pooled("references of cells", count + 1, np.uint32),
+            gpu.pooled("bad splits", count, np.uint32),
+            gpu.pooled("rooms of cells", count, np.uint64),
+        )
 
 
 class Tried(NamedTuple):
-    """Addresses of candidate planes and of bins.
+    """Candidate planes, and bins.
 
     Attributes
     ----------
-    costs, positions, axes : uint64
-        The best plane of each reference: float64, float32, uint32.
-    bins : uint64
+    costs, positions, axes : DeviceArray of shape (R,), float64, float32, uint32
+        The best plane of each reference.
+    bins : DeviceArray of uint8
         See `BIN_BYTES`; initially zero.
     """
 
-    costs: np.uint64
-    positions: np.uint64
-    axes: np.uint64
-    bins: np.uint64
+    costs: DeviceArray
+    positions: DeviceArray
+    axes: DeviceArray
+    bins: DeviceArray
+
+    @classmethod
+    def allocate(cls, gpu: Gpu, count: int) -> Tried:
+        """Allocate them for `count` references."""
+        # A level with at most so many references has no cell with more.
+        slots = count // int(MOST_EXACT) + 1 if count > int(MOST_EXACT) else 0
+        bins = gpu.pooled("bins", slots * BIN_BYTES, np.uint8)
+        gpu.clear(bins, bins.stream)
+        return cls(
+            gpu.pooled("costs of planes", count, np.float64),
+            gpu.pooled("planes", count, np.float32),
+            gpu.pooled("axes of planes", count, np.uint32),
+            bins,
+        )
 
 
 class Choices(NamedTuple):
-    """Addresses of the planes chosen for a level's cells, with a number for each.
+    """The planes chosen for a level's cells.
 
     Attributes
     ----------
-    axes : uint64
-        0 to 2, or 3 for a leaf, uint32.
-    positions : uint64
-        float32.
-    bads : uint64
-        Bad splits above its parts, uint32.
-    cut_counts : uint64
-        References that the plane cuts, uint32; initially zero.
+    axes : DeviceArray of shape (C,), uint32
+        0 to 2, or 3 for a leaf.
+    positions : DeviceArray of shape (C,), float32
+    bads : DeviceArray of shape (C,), uint32
+        Bad splits above its parts.
+    cut_counts : DeviceArray of shape (C,), uint32
+        References that the plane cuts; initially zero.
     """
 
-    axes: np.uint64
-    positions: np.uint64
-    bads: np.uint64
-    cut_counts: np.uint64
+    axes: DeviceArray
+    positions: DeviceArray
+    bads: DeviceArray
+    cut_counts: DeviceArray
+
+    @classmethod
+    def allocate(cls, gpu: Gpu, count: int) -> Choices:
+        """Allocate them for `count` cells."""
+        types = np.uint32, np.float32, np.uint32, np.uint32
+        made = cls(*(gpu.pooled("choices", count, dtype) for dtype in types))
+        gpu.clear(made.cut_counts, made.cut_counts.stream)
+        return made
 
 
 @device
@@ -219,8 +258,7 @@ def _is_better(cost, axis, position, best_cost, best_axis, best_position):
     return position < best_position
 
 
-@RangeKernel
-@kernel
+@range_kernel(refs=References, level=Level, costs=Costs, tried=Tried)
 def try_planes(i, refs, level, costs, max_leaf_size, tried):
     """Try the planes of reference i, or bin it."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
@@ -268,8 +306,7 @@ def _best_of_bins(begin, end, cell, costs, tried):
     return best_axis, best_position, best_cost
 
 
-@RangeKernel
-@kernel
+@range_kernel(level=Level, costs=Costs, tried=Tried, choices=Choices)
 def choose_plane(cell, level, costs, max_leaf_size, tried, choices):
     """Choose the plane of a cell, or make it a leaf."""
     begin, end = cell_range(level, cell)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from functools import cached_property
 
 import numpy as np
 
 from raystream.core.triangles import Triangles
-from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
+from raystream.cuda.builders.device_resident import RebuiltOnDevice, Resident
+from raystream.cuda.builders.kdtree.blocks import prim_ids_of
 from raystream.cuda.builders.kdtree.grow import grow_tree
 from raystream.cuda.builders.kdtree.numbering import number_nodes
 from raystream.cuda.builders.kdtree.write_tree import WrittenTree, write_tree
-from raystream.cuda.structures import Resident
 from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu
 from raystream.structures.kdtree.layout import KdArrays
@@ -22,56 +21,32 @@ from raystream.structures.kdtree.structure import KdTreeStructure, settings_of
 
 
 class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
-    """A kd-tree in device memory, copied to the host when first needed there.
+    """A kd-tree in device memory, copied to the host when first needed there."""
 
-    Parameters
-    ----------
-    triangles : Triangles
-    gpu : Gpu
-    written : WrittenTree
-    options : KdTree
-    started : float
-        When the build began, by `time.perf_counter`.
-    """
-
+    _host_class = KdTreeStructure
     _host_names = ("tree", "blocks", "packed", "extended", "view", "arrays")
 
-    def __init__(
-        self,
-        triangles: Triangles,
-        gpu: Gpu,
-        written: WrittenTree,
-        options: KdTree,
-        started: float,
-    ) -> None:
-        self.triangles, self.gpu, self.options = triangles, gpu, options
-        self._written = written
-        arrays = tuple(one for one in written if one is not None)
-        extended = written.extended
-        (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
-        tree = KdAddresses(
-            written.nodes.address,
-            None,
-            extended.address if extended is not None else NULL,
-            written.blocks.address,
-            np.uint64(0),
-            np.uint64(TRAVERSALS.index(options.traversal)),
-            (low_x, low_y, low_z),
-            (high_x, high_y, high_z),
-        )
-        self.resident = Resident(tree, arrays)
-        byte_count = sum(one.nbytes for one in arrays)
-        self.report = finish(gpu, byte_count, started)
+    def _host_arguments(self) -> tuple[KdArrays]:
+        nodes, blocks, *_ = self.resident.arrays
+        return (KdArrays(nodes.host(), prim_ids_of(blocks)),)
 
-    @cached_property
-    def _on_host(self) -> KdTreeStructure:
-        """The same tree with its arrays in host memory."""
-        made = KdTreeStructure.__new__(KdTreeStructure)
-        # A block's prim_ids are its last four words.
-        prim_ids = np.ascontiguousarray(self._written.blocks.host()[:, -4:]).view(np.int32)
-        tree = KdArrays(self._written.nodes.host(), prim_ids)
-        made._set(self.triangles, tree, self.options, 0.0)
-        return made
+
+def _resident(triangles: Triangles, written: WrittenTree, traversal: str) -> Resident:
+    """A tree and its addresses."""
+    arrays = tuple(one for one in written if one is not None)
+    extended = written.extended
+    (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
+    tree = KdAddresses(
+        written.nodes.address,
+        None,
+        extended.address if extended is not None else NULL,
+        written.blocks.address,
+        np.uint64(0),
+        np.uint64(TRAVERSALS.index(traversal)),
+        (low_x, low_y, low_z),
+        (high_x, high_y, high_z),
+    )
+    return Resident(tree, arrays)
 
 
 def build_kdtree(gpu: Gpu, triangles: Triangles, options: KdTree) -> KdTreeStructure:
@@ -108,4 +83,5 @@ def build_kdtree(gpu: Gpu, triangles: Triangles, options: KdTree) -> KdTreeStruc
     tree = grow_tree(gpu, triangles, corners, settings)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
     written = write_tree(gpu, tree, numbers, corners, options.traversal == "backtrack")
-    return DeviceKdTree(triangles, gpu, written, options, started)
+    resident = _resident(triangles, written, options.traversal)
+    return DeviceKdTree(gpu, triangles, options, resident, started)

@@ -6,14 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
+from raystream.cuda.builders.kdtree.blocks import copy_list, empty_lists, filled_blocks
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
-from raystream.jit.constants import ONE_U64, THREE_U64, TWO_U64, ZERO_U64
-from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
+from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
 from raystream.jit.simd import load, store
-from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.clip import HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
@@ -21,7 +19,6 @@ _NODE = np.uint64(8)
 _RECORD = np.uint64(32)
 _OWN_AT = np.uint64(24)
 _LEAF = np.uint64(LEAF_AXIS)
-_ABSENT = np.int32(-1)
 
 
 class WrittenTree(NamedTuple):
@@ -41,8 +38,7 @@ class WrittenTree(NamedTuple):
     extended: DeviceArray | None
 
 
-@RangeKernel
-@kernel
+@range_kernel(numbering=Numbers)
 def write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
     """Write a node to its row, and a leaf's triangles to its blocks."""
     axis, number = split_at(nodes, node)
@@ -56,13 +52,10 @@ def write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
     place = np.uint64(load(np.uint32, numbering.places + node * WORD))
     store(to, np.uint32(place >> TWO_U64))
     store(to + WORD, np.uint32(number << TWO_U64 | axis))
-    source, ids = tree_ids + np.uint64(first) * WORD, prim_ids + place * WORD
-    for k in range((number + THREE_U64) & ~THREE_U64):
-        store(ids + k * WORD, load(np.int32, source + k * WORD) if k < number else _ABSENT)
+    copy_list(tree_ids + np.uint64(first) * WORD, number, prim_ids + place * WORD)
 
 
-@RangeKernel
-@kernel
+@range_kernel(numbering=Numbers)
 def extend_children(i, first, nodes, numbering, extended):
     """Write the bounds of the children of node first + i that are splits, given its own."""
     node = first + i
@@ -112,14 +105,10 @@ def write_tree(
     count = len(tree.nodes)
     block_count = int(numbers.rooms.part(0, 1).host()[0]) // 4
     nodes = gpu.empty("nodes", (count, 2), np.int32)
-    prim_ids = gpu.empty("triangles of blocks", (block_count, 4), np.int32)
-    blocks = gpu.empty("blocks", (block_count, BLOCK_FLOATS), np.float32)
-    source = tree.nodes.address, tree.ids.address, numbers.at
-    write_tree_node.launch(gpu, count, (*source, nodes.address, prim_ids.address))
-    of_blocks = prim_ids.address, corners.address, blocks.address
-    FILL_BLOCK.launch(gpu, block_count, of_blocks)
+    prim_ids = empty_lists(gpu, block_count)
+    write_tree_node.launch(gpu, count, (tree.nodes, tree.ids, numbers, nodes, prim_ids))
     extended = _extended(gpu, tree, numbers) if is_extended else None
-    return WrittenTree(nodes, blocks, extended)
+    return WrittenTree(nodes, filled_blocks(gpu, prim_ids, corners), extended)
 
 
 def _extended(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> DeviceArray:
@@ -129,7 +118,5 @@ def _extended(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> DeviceArray:
         root = np.array([-np.inf] * 3 + [np.inf] * 3 + [0.0] * 2, np.float32)
         # The root is in row 0, which the compact layout stores in place of a parent.
         extended.part(0, 8).fill(root)
-    for first, end in zip(tree.levels, tree.levels[1:], strict=False):
-        given = np.uint64(first), tree.nodes.address, numbers.at, extended.address
-        extend_children.launch(gpu, end - first, given)
+    tree.launch_by_level(gpu, (extend_children, (tree.nodes, numbers, extended)))
     return extended
