@@ -211,7 +211,7 @@ def test_other_layouts_are_packed_on_the_device(gpu, tracer, oracle, rays, launc
         hits = tracer.first_hit(there[0], there[1], t_max=there[2])
         expected = oracle.first_hit(arrays[0], arrays[1], t_max=arrays[2])
         assert_same(hits.host(), expected, *COLUMNS)
-        assert [query for query, _ in launches][-2:] == ["_pack", "first_hit"], name
+        assert [query for query, _ in launches][-2:] == ["pack_row", "first_hit"], name
 
 
 def test_all_queries_have_brute_forces_bits(gpu, case, oracle, rays):
@@ -243,7 +243,7 @@ def test_float64_has_the_cpus_bits(gpu, case, rays, structure, launches):
         # Limits in float64 are read where they are; those in float32 are packed.
         is_packed = name in ("crossed", "columns", "crossed limits")
         is_packed |= getattr(arrays[2], "dtype", None) == np.float32
-        assert ("_pack" in [query for query, _ in launches]) == is_packed, name
+        assert ("pack_row" in [query for query, _ in launches]) == is_packed, name
         launches.clear()
     there = given(gpu, rays, CudaArray)
     hits = tracer.first_hit(*there)

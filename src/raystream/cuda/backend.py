@@ -86,7 +86,7 @@ class CudaBackend(Backend):
         is_plain = isinstance(structure.triangles, Triangles)
         self._is_plain = is_plain and structure.precision == "float32"
         self._staging_streams = StagingStreams(gpu)
-        self._points: DevicePoints | None = None
+        self._points = DevicePoints(gpu, structure, self._scene.resident, self.rays_at_once)
         usual_limits(gpu)  # now, so that no query waits for them
 
     def run(
@@ -142,9 +142,6 @@ class CudaBackend(Backend):
         self, batch: PointBatch, out: NearestArrays, progress: Progress | None = None
     ) -> None:
         """Find the triangles nearest to points in host memory; see `Backend.find_nearest`."""
-        if self._points is None:
-            resident = self._scene.resident
-            self._points = DevicePoints(self.gpu, self.structure, resident, self.rays_at_once)
         self._points.find(batch, out, progress)
 
     def bands_on_device(self, context: RenderContext) -> CudaBands | None:

@@ -8,7 +8,30 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.jit.cuda import DeviceArray
 
 
-class DeviceHits:
+class _HitColumns:
+    """The columns of hits on a device, and their scene."""
+
+    def __init__(
+        self,
+        t: DeviceArray,
+        u: DeviceArray,
+        v: DeviceArray,
+        prim_id: DeviceArray,
+        status: DeviceArray,
+        triangles: Any,
+        instance_id: DeviceArray | None,
+    ) -> None:
+        self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
+        self.instance_id, self._triangles = instance_id, triangles
+
+    def _copies(self) -> tuple[Any, ...]:
+        """Copies of t, u, v, prim_id, status and, after the scene, of instance_id."""
+        columns = self.t, self.u, self.v, self.prim_id, self.status
+        instance_id = None if self.instance_id is None else self.instance_id.host()
+        return *(one.host() for one in columns), self._triangles, instance_id
+
+
+class DeviceHits(_HitColumns):
     """The nearest hit of each ray, in the rays' leading shape S, on the rays' device.
 
     Libraries that view the arrays keep them alive. The device may fill them after the query
@@ -28,19 +51,6 @@ class DeviceHits:
         A `RayStatus` for each ray.
     """
 
-    def __init__(
-        self,
-        t: DeviceArray,
-        u: DeviceArray,
-        v: DeviceArray,
-        prim_id: DeviceArray,
-        status: DeviceArray,
-        triangles: Any,
-        instance_id: DeviceArray | None = None,
-    ) -> None:
-        self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
-        self.instance_id, self._triangles = instance_id, triangles
-
     def host(self) -> Hits:
         """Copy the hits to NumPy arrays; this waits for the device.
 
@@ -49,16 +59,14 @@ class DeviceHits:
         CudaError
             If the query failed there.
         """
-        t, u, v = self.t.host(), self.u.host(), self.v.host()
-        prim_id, status, held = self.prim_id.host(), self.status.host(), self._triangles
-        instance_id = None if self.instance_id is None else self.instance_id.host()
-        return Hits(t, u, v, prim_id, status, held, None, instance_id)
+        t, u, v, prim_id, status, triangles, instance_id = self._copies()
+        return Hits(t, u, v, prim_id, status, triangles, None, instance_id)
 
     def __repr__(self) -> str:
         return f"DeviceHits(shape={self.t.shape})"
 
 
-class DeviceMultiHits:
+class DeviceMultiHits(_HitColumns):
     """The hits of each ray by increasing distance, on the rays' device.
 
     For the lifetime of the arrays see `DeviceHits`.
@@ -74,20 +82,9 @@ class DeviceMultiHits:
         See `MultiHits`.
     """
 
-    def __init__(
-        self,
-        ray_splits: DeviceArray,
-        t: DeviceArray,
-        u: DeviceArray,
-        v: DeviceArray,
-        prim_id: DeviceArray,
-        status: DeviceArray,
-        triangles: Any,
-        instance_id: DeviceArray | None = None,
-    ) -> None:
+    def __init__(self, ray_splits: DeviceArray, *columns: Any) -> None:
+        super().__init__(*columns)
         self.ray_splits = ray_splits
-        self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
-        self.instance_id, self._triangles = instance_id, triangles
 
     def host(self) -> MultiHits:
         """Copy the hits to NumPy arrays; this waits for the device.
@@ -97,10 +94,9 @@ class DeviceMultiHits:
         CudaError
             If the query failed there.
         """
-        hits = self.t.host(), self.u.host(), self.v.host(), self.prim_id.host()
-        splits, status, held = self.ray_splits.host(), self.status.host(), self._triangles
-        instance_id = None if self.instance_id is None else self.instance_id.host()
-        return MultiHits(splits, *hits, status, held, instance_id)
+        t, u, v, prim_id, status, triangles, instance_id = self._copies()
+        splits = self.ray_splits.host()
+        return MultiHits(splits, t, u, v, prim_id, status, triangles, instance_id)
 
     def __repr__(self) -> str:
         return f"DeviceMultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

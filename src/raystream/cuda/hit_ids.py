@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.core.instanced_triangles import InstancedTriangles
 from raystream.jit.constants import SHIFT_32, SHIFT_64
-from raystream.jit.cuda import DeviceArray, Gpu, StreamScope, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, StreamScope, gpu_kernel
 from raystream.jit.simd import load, store
 from raystream.programs.hits import interval_of
 
@@ -35,7 +35,7 @@ class InstanceIds(NamedTuple):
     halvings: np.uint64
 
 
-@range_kernel(instances=InstanceIds)
+@gpu_kernel(instances=InstanceIds)
 def split_ids(i, instances, numbers, instance_ids):
     """Replace a number by its prim_id, and write its instance; see `HitIds.split`."""
     at = i << SHIFT_32
@@ -52,7 +52,7 @@ def split_ids(i, instances, numbers, instance_ids):
     store(instance_ids + at, np.int32(found))
 
 
-@range_kernel(first=np.int32)
+@gpu_kernel(first=np.int32)
 def halve_ids(i, first, numbers):
     """Replace a number by its prim_id, from `first` on two numbers each; see `HitIds.split`."""
     at = numbers + (i << SHIFT_32)

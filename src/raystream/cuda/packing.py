@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 from raystream.jit.constants import BYTES_64
-from raystream.jit.cuda import DeviceView, StreamScope, range_kernel
+from raystream.jit.cuda import DeviceView, StreamScope, gpu_kernel
 from raystream.jit.simd import load, store
 
 #: Most dimensions of an array after adjacent ones have been merged.
 DIRECTIONS = 4
 
 
-_Sizes = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+_SIZES = (np.uint64,) * DIRECTIONS
 
 
-@range_kernel(lengths=_Sizes, strides=_Sizes)
+@gpu_kernel(lengths=_SIZES, strides=_SIZES)
 def pack_row(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
     """Copy one row for `pack`."""
     rest = i

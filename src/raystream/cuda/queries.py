@@ -202,59 +202,63 @@ class FirstHit(DeviceQuery):
         sink.status[rows] = copies[1]
 
 
-class AnyHit(DeviceQuery):
+class _OneNumber(DeviceQuery):
+    """A query with a number for each ray.
+
+    Attributes
+    ----------
+    column : str
+        The numbers' attribute in a sink.
+    numbers : DeviceArray of shape (N,)
+    """
+
+    column: ClassVar[str]
+    numbers: DeviceArray
+
+    @property
+    def outputs(self) -> tuple[DeviceArray, ...]:
+        return self.numbers, self.status
+
+    def result(self) -> DeviceArray:
+        return self._shaped(self.numbers)
+
+    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
+        getattr(sink, self.column)[rows], sink.status[rows] = copies
+
+
+class AnyHit(_OneNumber):
     """Whether each ray hits anything; with a filter, whether it has a nearest hit."""
 
-    goal = "first"
+    goal, column = "first", "seen"
 
     def launch(self) -> Steps[None]:
         if self.query.on_hit is None:
-            self.seen = self.scope.empty("answers", len(self.rays), np.bool_)
+            self.numbers = self.scope.empty("answers", len(self.rays), np.bool_)
             self.status = self._cleared("status", np.uint8)
-            kernel, to = self.scene.kernels.any_hit, self.seen.address
-            self.rays.launch(kernel, to, status=self.status.address)
+            kernel = self.scene.kernels.any_hit
+            self.rays.launch(kernel, self.numbers.address, status=self.status.address)
             return
         nearest = FirstHit(self.query, self.rays)
         yield from nearest.launch()
         self.status = nearest.status
-        self.seen = self.scope.empty("answers", len(self.rays), np.bool_)
-        to_seen = nearest.hits.addresses.prim_id, self.seen
+        self.numbers = self.scope.empty("answers", len(self.rays), np.bool_)
+        to_seen = nearest.hits.addresses.prim_id, self.numbers
         self.scope.launch(note_hits, len(self.rays), to_seen)
 
-    @property
-    def outputs(self) -> tuple[DeviceArray, ...]:
-        return self.seen, self.status
 
-    def result(self) -> DeviceArray:
-        return self._shaped(self.seen)
-
-    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
-        sink.seen[rows], sink.status[rows] = copies
-
-
-class CountHits(DeviceQuery):
+class CountHits(_OneNumber):
     """The number of hits of each ray."""
 
-    goal = "count"
+    goal, column = "count", "counts"
 
     def launch(self) -> Steps[None]:
         program = self._program()
         self.status = self._cleared("status", np.uint8)
         if program is None:
-            self.counts = self._count(self.query.limit)
+            self.numbers = self._count(self.query.limit)
         else:
-            self.counts = self._cleared("counts", np.int64)
-            yield from program.count_into(self.counts)
-
-    @property
-    def outputs(self) -> tuple[DeviceArray, ...]:
-        return self.counts, self.status
-
-    def result(self) -> DeviceArray:
-        return self._shaped(self.counts)
-
-    def store(self, copies: Sequence[NDArray[Any]], sink: Sink, rows: slice) -> None:
-        sink.counts[rows], sink.status[rows] = copies
+            self.numbers = self._cleared("counts", np.int64)
+            yield from program.count_into(self.numbers)
 
 
 class MultiHit(DeviceQuery):

@@ -18,7 +18,7 @@ import numpy as np
 from raystream.core.triangles import Triangles
 from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.simd import f32x8, load, maximum, scratch, store
 from raystream.structures.bvh.builder.binary_tree import LINK_BYTES, Link
@@ -114,7 +114,7 @@ def _spread_bits(number):
     return (number | (number << np.uint64(2))) & np.uint64(0x1249249249249249)
 
 
-@range_kernel(frame=KeyFrame)
+@gpu_kernel(frame=KeyFrame)
 def make_key(i, corners, prim_ids, frame, keys, values):
     """Write the key of the triangle in row i of `prim_ids`, and its prim_id."""
     prim_id = load(np.int32, prim_ids + (i << SHIFT_32))
@@ -129,7 +129,7 @@ def make_key(i, corners, prim_ids, frame, keys, values):
     store(values + (i << SHIFT_32), np.uint32(prim_id))
 
 
-@range_kernel(nodes=Nodes)
+@gpu_kernel(nodes=Nodes)
 def make_leaf(i, corners, values, nodes):
     """Write row i of the tree: a leaf of one triangle."""
     box = nodes.boxes + i * np.uint64(REF_BYTES)

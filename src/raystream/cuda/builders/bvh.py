@@ -7,8 +7,6 @@ import time
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.binary_tree import Nodes, make_leaves
 from raystream.cuda.builders.clusters import merge_clusters
@@ -125,7 +123,7 @@ def build_bvh(gpu: Gpu, triangles: Triangles, options: Bvh) -> BvhStructure:
     if len(triangles.prim_ids) == 0:
         return BvhStructure(triangles, options)
     started = time.perf_counter()
-    corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
+    corners = gpu.upload("corners", triangles.corners)
     nodes = Nodes.allocate(gpu, len(triangles.prim_ids), options.max_leaf_size)
     make_leaves(gpu, triangles, corners, nodes)
     try:

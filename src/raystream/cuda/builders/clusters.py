@@ -22,14 +22,14 @@ from raystream.jit.constants import (
     SHIFT_64,
     ZERO_U64,
 )
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import f32x8, load, maximum, store
 from raystream.structures.bvh.builder.prim_refs import FIRST_AT, REF_BYTES, half_area
 
 #: Search radius: how far before and after a cluster its match may be. With 16 and 32 the trees are
 #: no better, and take more rounds.
-RADIUS = 8
+_RADIUS = np.uint64(8)
 
 #: Rounds between readbacks of the cluster count. If they merged less than this share of the
 #: clusters, the next round pairs them by position: a last resort, since it makes worse trees.
@@ -51,7 +51,7 @@ class ClusterList(NamedTuple):
     cluster_count: DeviceArray
 
 
-@range_kernel(nodes=Nodes)
+@gpu_kernel(nodes=Nodes)
 def begin_cluster(i, nodes, boxes):
     """Make a cluster of leaf i."""
     at = boxes + i * np.uint64(REF_BYTES)
@@ -59,8 +59,8 @@ def begin_cluster(i, nodes, boxes):
     store(at + np.uint64(FIRST_AT), np.int32(i))
 
 
-@range_kernel(clusters=ClusterList, by_place=bool)
-def find_match(i, clusters, radius, by_place, matches):
+@gpu_kernel(clusters=ClusterList, by_place=bool)
+def find_match(i, clusters, by_place, matches):
     """Find the cluster near cluster i whose common box with it is smallest.
 
     Ties go to the cluster whose index differs in lower bits: so all clusters rank pairs alike,
@@ -75,8 +75,8 @@ def find_match(i, clusters, radius, by_place, matches):
     else:
         own = load(f32x8, clusters.boxes + i * np.uint64(REF_BYTES))
         least = INF_F32
-        first = i - min(i, radius)
-        last = min(i + radius, count - ONE_U64)
+        first = i - min(i, _RADIUS)
+        last = min(i + _RADIUS, count - ONE_U64)
         for j in range(first, last + ONE_U64):
             if j != i:
                 other = load(f32x8, clusters.boxes + j * np.uint64(REF_BYTES))
@@ -86,7 +86,7 @@ def find_match(i, clusters, radius, by_place, matches):
     store(matches + (i << SHIFT_32), np.uint32(match))
 
 
-@range_kernel(clusters=ClusterList)
+@gpu_kernel(clusters=ClusterList)
 def count_places(i, clusters, matches, places):
     """Count 1 if cluster i remains, and 2**32 if it makes a node, as the first of a pair."""
     place = ZERO_U64
@@ -100,7 +100,7 @@ def count_places(i, clusters, matches, places):
     store(places + (i << SHIFT_64), place)
 
 
-@range_kernel(clusters=ClusterList, nodes=Nodes, to=ClusterList)
+@gpu_kernel(clusters=ClusterList, nodes=Nodes, to=ClusterList)
 def merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
     """Write cluster i, or the node that merges it with its match, at its offset in the scan."""
     count = load(np.uint64, clusters.cluster_count)
@@ -126,7 +126,7 @@ def merge(i, clusters, bound, matches, places, nodes, leaf_count, to):
     store(new + np.uint64(FIRST_AT), np.int32(made))
 
 
-def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
+def merge_clusters(gpu: Gpu, nodes: Nodes) -> int:
     """Write the inner nodes of a tree; returns the root's row.
 
     Parameters
@@ -134,8 +134,6 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
     gpu : Gpu
     nodes : Nodes
         With its leaves, in Morton order.
-    radius : int
-        At least 1.
 
     Notes
     -----
@@ -164,7 +162,7 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
     by_place = False
     while bound > 1:
         for _ in range(_ROUNDS):
-            find_match.launch(gpu, bound, (clusters, np.uint64(radius), by_place, matches))
+            find_match.launch(gpu, bound, (clusters, by_place, matches))
             count_places.launch(gpu, bound, (clusters, matches, places))
             scan.run(places.address, bound, places.address, np.uint64)
             found = np.uint64(bound), matches, places

@@ -19,7 +19,7 @@ import numpy as np
 from raystream.core.triangles import Triangles
 from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.intrinsics import corners_at
@@ -71,21 +71,21 @@ def _prim_id(prim_ids, i):
     return np.uint64(load(np.int32, prim_ids + (i << SHIFT_32)))
 
 
-@range_kernel(lattice=Lattice)
+@gpu_kernel(lattice=Lattice)
 def count_cells(i, lattice, corners, prim_ids, counts):
     """Count the cells of the triangle in row i of `prim_ids`."""
     total = _visit(lattice, corners, _prim_id(prim_ids, i), _pass, ZERO_U64)
     store(counts + (i << SHIFT_64), np.uint64(total))
 
 
-@range_kernel(lattice=Lattice)
+@gpu_kernel(lattice=Lattice)
 def fill_pairs(i, lattice, corners, prim_ids, begins, cells, ids):
     """Write the cells of the triangle in row i of `prim_ids`, starting at begins[i]."""
     begin = load(np.uint64, begins + (i << SHIFT_64))
     _visit(lattice, corners, _prim_id(prim_ids, i), _note, (begin, cells, ids))
 
 
-@range_kernel()
+@gpu_kernel()
 def find_split(i, cells, count, splits):
     """Find the first of the sorted `cells` that is not below i."""
     low, high = ZERO_U64, count

@@ -7,7 +7,7 @@ import numpy as np
 from raystream.cuda.builders.wide import WideTree
 from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.simd import load, store
 from raystream.kernels.leaf_block import BLOCK
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
@@ -20,14 +20,14 @@ _AXIS_BYTES = np.uint64(64)
 _HIGH = np.uint64(32)
 
 
-@range_kernel()
+@gpu_kernel()
 def move_leaves(row, nodes, leaves, block_count, corners):
     """Update the leaves of a node and their boxes."""
     last_block = leaves + block_count * BLOCK
     refit_leaves(nodes + row * np.uint64(NODE_BYTES), corners, leaves, last_block)
 
 
-@range_kernel()
+@gpu_kernel()
 def move_nodes(i, first, nodes):
     """Update the boxes of the inner children of node first + i."""
     refit_node(nodes + (first + i) * np.uint64(NODE_BYTES), nodes)
@@ -39,7 +39,7 @@ def _extent(node, lane, axis):
     return np.float64(load(np.float32, at + _HIGH)) - np.float64(load(np.float32, at))
 
 
-@range_kernel()
+@gpu_kernel()
 def add_costs(i, thread_count, node_count, nodes, costs):
     """Sum the areas of the children of every `thread_count`-th node; a leaf counts per block."""
     total = 0.0

@@ -15,7 +15,7 @@ import numpy as np
 from raystream.cuda.builders.binary_tree import Nodes
 from raystream.jit.constants import BITS_32, LOW_32, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.leaf_block import BLOCK, BLOCK_FLOATS, clear_block, write_triangle
@@ -78,7 +78,7 @@ def _lane(lanes, k):
     return load(np.int32, lanes + (k << SHIFT_32))
 
 
-@range_kernel(nodes=Nodes)
+@gpu_kernel(nodes=Nodes)
 def count_lanes(i, first, nodes, roots, counts):
     """Count the inner children of wide node first + i (1 each) and its leaf blocks (2**32 each)."""
     row = first + i
@@ -94,7 +94,7 @@ def count_lanes(i, first, nodes, roots, counts):
     store(counts + (i << SHIFT_64), found)
 
 
-@range_kernel(nodes=Nodes)
+@gpu_kernel(nodes=Nodes)
 def give_rows(i, first, level_end, first_block, nodes, counts, roots, first_children, blocks):
     """Assign rows to the children of wide node first + i, and write their binary nodes."""
     row = first + i
@@ -141,7 +141,7 @@ def _write_leaf(nodes, root, corners, leaf):
             top += np.uint64(8)
 
 
-@range_kernel(nodes=Nodes)
+@gpu_kernel(nodes=Nodes)
 def write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves):
     """Write a wide node and its leaves."""
     to = wide + row * np.uint64(NODE_BYTES)
@@ -154,6 +154,7 @@ def write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves)
         child = _lane(lanes, k)
         box = nodes.boxes + np.uint64(child) * np.uint64(REF_BYTES)
         if is_leaf(nodes.links, child):
+            # A leaf's link is its first block, and in three bits the number of blocks less 1.
             own = np.int32(_block_count(nodes.boxes, np.uint64(child)))
             link = ~((np.int32(block) << np.int32(3)) | (own - np.int32(1)))
             set_lane(to, k, box, np.int32(link))

@@ -184,5 +184,5 @@ count_rows, write_rows = (loop_of(one, _CHILDREN_BYTES) for one in (count_row, w
 COUNT = RangeKernel(thread_of(count_row, _CHILDREN_BYTES), {"shared": WideAt, "out": type(None)})
 WRITE = RangeKernel(
     thread_of(write_row, _CHILDREN_BYTES),
-    {"shared": WideAt, "out": tuple[bool, np.uint64, np.uint64]},
+    {"shared": WideAt, "out": (bool, np.uint64, np.uint64)},
 )

@@ -1,4 +1,4 @@
-"""Columns of paths, shadow rays and hits in GPU memory."""
+"""Columns of paths and shadow rays in GPU memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cuda import DeviceArray
-from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.rendering.shading.streams import StreamAddresses
 
@@ -71,23 +70,3 @@ class StreamColumns:
         none = np.uint64(0)
         end = (ends, _NUMBER) if has_ends else (t_max, none)
         return RaySource(origins, _ORIGIN, True, directions, _DIRECTION, False, t_min, none, *end)
-
-
-class HitColumns:
-    """Memory for the nearest hits of rays.
-
-    Parameters
-    ----------
-    empty : callable
-        Allocates an array.
-    count : int
-
-    Attributes
-    ----------
-    addresses : HitAddresses
-    """
-
-    def __init__(self, empty: Empty, count: int) -> None:
-        self._memory = empty("hits", (4, count), np.float32)
-        first, step = self._memory.address, np.uint64(4 * count)
-        self.addresses = HitAddresses(*(first + np.uint64(k) * step for k in range(4)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -46,9 +45,7 @@ class CudaBands:
     ) -> None:
         self._max_pixels = min(max_pixels, MAX_PIXELS)
         self._context, self._staging_streams = context, staging_streams
-        self._queries = scene
-        self._lock = threading.Lock()
-        self._scene: RenderScene | None = None
+        self._scene = RenderScene(scene, context)
 
     is_serial = False
 
@@ -83,13 +80,9 @@ class CudaBands:
         CudaError
             If there is no memory, or the device fails.
         """
-        with self._lock:
-            if self._scene is None:
-                self._scene = RenderScene(self._queries, self._context)
-            scene = self._scene
         with self._staging_streams.taken(1) as (staging,):
             staging.begin()
-            band = DeviceBand(scene, staging, rows, sample)
+            band = DeviceBand(self._scene, staging, rows, sample)
             stream = band.camera_paths()
             while stream.count:
                 for stage in stages:

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.cuda.rays import usual_limits
-from raystream.cuda.rendering.columns import HitColumns, StreamColumns
+from raystream.cuda.rendering.columns import StreamColumns
 from raystream.cuda.rendering.kernels import generate_camera_rays
 from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory
 from raystream.jit.cuda import RangeKernel
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.queries import RayScene
 from raystream.rendering.camera_paths import camera_paths
 from raystream.rendering.integrator import RenderContext
@@ -98,14 +99,14 @@ class DeviceStream:
     count : int
         Of paths.
     bounce : int
-    hits : HitColumns, optional
+    hits : HitAddresses, optional
     shadows : ShadowStream, optional
     """
 
     paths: StreamColumns
     count: int
     bounce: int = 0
-    hits: HitColumns | None = None
+    hits: HitAddresses | None = None
     shadows: ShadowStream | None = None
 
 
@@ -148,9 +149,10 @@ class DeviceBand:
         self._limits = limits[0.0].address, limits[np.inf].address
 
     @cached_property
-    def hits(self) -> HitColumns:
-        """Memory for the paths' hits."""
-        return HitColumns(self.empty, self.count)
+    def hits(self) -> HitAddresses:
+        """Memory for the nearest hits of the paths' rays."""
+        self._hits = self.empty("hits", (4, self.count), np.float32)
+        return HitAddresses.of_rows(self._hits.address, self.count)
 
     @cached_property
     def onward(self) -> Slots:
@@ -167,7 +169,7 @@ class DeviceBand:
     def batch(self, stream: DeviceStream) -> ShadingBatch:
         """The paths with their hits, for shading kernels."""
         assert stream.hits is not None
-        places = stream.paths.addresses, stream.hits.addresses
+        places = stream.paths.addresses, stream.hits
         return ShadingBatch(stream.count, *places, self.first_pixel, self.radiance)
 
     def run(self, kernel: RangeKernel, count: int, *arguments: Any) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 
 from raystream.jit.constants import BYTES_32, BYTES_64, INF_F32, ONE_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import range_kernel
+from raystream.jit.cuda import gpu_kernel
 from raystream.jit.simd import load, store
+from raystream.kernels.hits import HitAddresses
 from raystream.rendering.sampling.sampler import PixelSample
 from raystream.rendering.shading.ambient_occlusion import OcclusionOptions
 from raystream.rendering.shading.camera_rays import View
@@ -31,6 +32,9 @@ from raystream.rendering.shading.single_lanes import (
 from raystream.rendering.shading.streams import ShadingBatch, StreamAddresses, StreamCursor
 from raystream.rendering.shading.tables import SceneTables
 from raystream.rendering.shading.whitted import WhittedOptions, shade_whitted_path
+
+#: Types of a batch in device memory.
+_BATCH = ShadingBatch._make((int, StreamAddresses, HitAddresses, int, np.uint64))
 
 #: Bytes of three numbers.
 _3_X_32, _3_X_64 = np.uint64(12), np.uint64(24)
@@ -63,7 +67,7 @@ def _end_slots(slots, i, end):
     store(slots.counts + i * BYTES_32, np.uint32(end.row - i * slots.per_thread))
 
 
-@range_kernel(view=View, first_row=np.int64, sample=PixelSample, paths=StreamAddresses)
+@gpu_kernel(view=View, first_row=np.int64, sample=PixelSample, paths=StreamAddresses)
 def generate_camera_rays(i, view, first_row, sample, paths):
     """Begin path i of a band."""
     width = np.uint64(view.width)
@@ -74,8 +78,8 @@ def generate_camera_rays(i, view, first_row, sample, paths):
         store(paths.colors + i * _3_X_32 + np.uint64(k) * BYTES_32, ONE_F32)
 
 
-@range_kernel(
-    batch=ShadingBatch,
+@gpu_kernel(
+    batch=_BATCH,
     tables=SceneTables,
     lights=LightTables,
     sample=PixelSample,
@@ -92,19 +96,19 @@ def shade_paths(i, batch, tables, lights, sample, bounce, options, onward, rays)
     _end_slots(rays, i, ray_end)
 
 
-@range_kernel(batch=ShadingBatch, tables=SceneTables, lights=PunctualLights)
+@gpu_kernel(batch=_BATCH, tables=SceneTables, lights=PunctualLights)
 def shade_unshadowed(i, batch, tables, lights):
     """Shade the hit of path i by all lights without shadows."""
     unshadowed(i, batch, tables, lights)
 
 
-@range_kernel(batch=ShadingBatch, tables=SceneTables, lights=PunctualLights)
+@gpu_kernel(batch=_BATCH, tables=SceneTables, lights=PunctualLights)
 def shade_facing_ratio(i, batch, tables, lights):
     """Shade the hit of path i by its facing ratio."""
     facing_ratio(i, batch, tables, lights)
 
 
-@range_kernel(batch=ShadingBatch, tables=SceneTables, lights=PunctualLights, rays=SlotAddresses)
+@gpu_kernel(batch=_BATCH, tables=SceneTables, lights=PunctualLights, rays=SlotAddresses)
 def sample_all_lights(i, batch, tables, lights, rays):
     """Shade the hit of path i by all lights, and write shadow rays."""
     none = StreamCursor(batch.paths, ZERO_U64)
@@ -114,8 +118,8 @@ def sample_all_lights(i, batch, tables, lights, rays):
     _end_slots(rays, i, ray_end)
 
 
-@range_kernel(
-    batch=ShadingBatch,
+@gpu_kernel(
+    batch=_BATCH,
     tables=SceneTables,
     sample=PixelSample,
     options=OcclusionOptions,
@@ -138,7 +142,7 @@ def _copy_three(source, to):
         store(to + at, load(np.float32, source + at))
 
 
-@range_kernel(slots=SlotAddresses, to=StreamAddresses)
+@gpu_kernel(slots=SlotAddresses, to=StreamAddresses)
 def compact(slot, slots, to):
     """Move the row of a slot to a stream; `slots.counts` are the scanned counts."""
     i = slot // slots.per_thread
@@ -156,7 +160,7 @@ def compact(slot, slots, to):
     store(to.numbers + row * BYTES_32, load(np.float32, given.numbers + slot * BYTES_32))
 
 
-@range_kernel(rays=StreamAddresses, first_pixel=np.int64)
+@gpu_kernel(rays=StreamAddresses, first_pixel=np.int64)
 def add_unblocked(i, rows, rays, blocked, first_pixel, radiance):
     """Add the light of path i's unblocked shadow rays, in order."""
     for row in range(_row(rows, i), _row(rows, i + ONE_U64)):

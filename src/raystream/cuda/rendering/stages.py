@@ -31,8 +31,8 @@ DeviceStage = Callable[[DeviceStream, DeviceBand], DeviceStream]
 
 def _find_surfaces(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     """Trace the paths' rays."""
-    to = band.hits.addresses
-    band.trace(band.scene.queries.kernels.first_hit, stream.paths, stream.count, False, to)
+    first_hit = band.scene.queries.kernels.first_hit
+    band.trace(first_hit, stream.paths, stream.count, False, band.hits)
     return replace(stream, hits=band.hits)
 
 

@@ -15,7 +15,7 @@ from raystream.jit.cuda.devices import (
     open_gpu,
 )
 from raystream.jit.cuda.gpu import CudaError, Gpu
-from raystream.jit.cuda.range_kernel import RangeKernel, kernels_in, range_kernel
+from raystream.jit.cuda.range_kernel import RangeKernel, gpu_kernel, kernels_in
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.stream_scope import StreamScope
 from raystream.jit.cuda.streams import CudaStream
@@ -37,10 +37,10 @@ __all__ = [
     "driver_version",
     "gpu_count",
     "gpu_facts",
+    "gpu_kernel",
     "is_simulated",
     "kernels_in",
     "open_gpu",
-    "range_kernel",
     "stream_of",
     "view_of",
 ]

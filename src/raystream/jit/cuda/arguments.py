@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numba
@@ -22,10 +22,13 @@ def type_of(arguments: Any) -> Any:
 def with_addresses(arguments: Any) -> Any:
     """Arguments with the addresses of arrays in place of these."""
     if isinstance(arguments, tuple):
-        kind: Any = type(arguments)
-        made = map(with_addresses, arguments)
-        return kind._make(made) if hasattr(kind, "_fields") else kind(made)
+        return _tuple_like(arguments, map(with_addresses, arguments))
     return arguments.address if type(arguments) is DeviceArray else arguments
+
+
+def _tuple_like(given: Any, made: Iterable[Any]) -> Any:
+    kind = type(given)
+    return kind._make(made) if hasattr(kind, "_fields") else kind(made)
 
 
 def kind_of(arguments: Any) -> Any:
@@ -61,11 +64,13 @@ def flat(arguments: Any) -> Iterator[Any]:
 
 
 def example_of(kind: Any) -> Any:
-    """An argument of a type: a number, or a tuple of them by its fields' annotations."""
+    """An argument of a type: a number, or a (named) tuple; also of a tuple of types."""
+    if isinstance(kind, tuple):
+        return _tuple_like(kind, map(example_of, kind))
     if hasattr(kind, "_fields"):
         return kind._make(map(example_of, get_type_hints(kind).values()))
     if get_origin(kind) is tuple:
-        return tuple(map(example_of, get_args(kind)))
+        return example_of(get_args(kind))
     if kind is type(None):
         return None
     return np.uint64(0) if kind is DeviceArray else kind(0)

@@ -193,9 +193,6 @@ def sort_pairs(
     values: DeviceArray,
     bits: int,
     size: TileSize = DEFAULT_TILE,
-    *,
-    empty: Callable[..., DeviceArray] | None = None,
-    stream: Any = None,
 ) -> tuple[DeviceArray, DeviceArray]:
     """Sort pairs by their keys, asynchronously and stably.
 
@@ -209,10 +206,6 @@ def sort_pairs(
     bits : int
         Number of low bits that differ; higher bits must be 0.
     size : TileSize, optional
-    empty : callable, optional
-        Allocates scratch memory [default: `Gpu.empty`].
-    stream : cuda.core.Stream, optional
-        [default: the device's stream]
 
     Returns
     -------
@@ -227,23 +220,22 @@ def sort_pairs(
     (count,) = keys.shape
     if count < 2 or bits < 1:
         return keys, values
-    empty = empty or gpu.empty
     tiles = -(-count // size.numbers)
     counter_count = int(_DIGITS) * tiles
-    found = empty("digits of tiles", counter_count + 1, np.uint32)
-    scan = Scan(gpu, counter_count, size, empty)
+    found = gpu.empty("digits of tiles", counter_count + 1, np.uint32)
+    scan = Scan(gpu, counter_count, size)
     others = (
-        empty("sorted keys", count, keys.dtype),
-        empty("sorted values", count, values.dtype),
+        gpu.empty("sorted keys", count, keys.dtype),
+        gpu.empty("sorted values", count, values.dtype),
     )
     own = keys, values
     count_digits, scatter = sort_kernels(keys.dtype.name, size)
     for shift in range(0, bits, DIGIT_BITS):
         to = found.address
-        count_digits.launch(gpu, tiles, own[0].address, count, shift, tiles, to, stream=stream)
-        scan.run(to, counter_count, to, np.uint32, stream)
+        count_digits.launch(gpu, tiles, own[0].address, count, shift, tiles, to)
+        scan.run(to, counter_count, to, np.uint32)
         addresses = [one.address for one in (*own, *others)]
         more = count, shift, tiles, to
-        scatter.launch(gpu, tiles, *addresses[:2], *more, *addresses[2:], stream=stream)
+        scatter.launch(gpu, tiles, *addresses[:2], *more, *addresses[2:])
         own, others = others, own
     return own

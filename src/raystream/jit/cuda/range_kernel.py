@@ -42,7 +42,8 @@ class RangeKernel:
         `i` is a uint64; arguments are numbers, addresses, None, and (named) tuples of these.
         Arrays on the device are passed as their addresses, integers as int64.
     types : mapping of str to type
-        Those of parameters that are not uint64; see `example`.
+        Those of parameters that are not uint64: NumPy types, named tuples with annotations, or
+        tuples of types. See `example`.
 
     Attributes
     ----------
@@ -118,7 +119,7 @@ class RangeKernel:
         gpu.launch(self._loaded[key], -(-count // _BLOCK_SIZE), _BLOCK_SIZE, values, stream)
 
 
-def range_kernel(**types: Any) -> Callable[[Callable[..., Any]], RangeKernel]:
+def gpu_kernel(**types: Any) -> Callable[[Callable[..., Any]], RangeKernel]:
     """Make a decorator that compiles a function by `jit.cpu.kernel`, and makes a kernel of it.
 
     Parameters

@@ -16,7 +16,7 @@ from raystream.cuda.builders.graph.sharing import (
 from raystream.jit.atomics import atomic_max
 from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, range_kernel
+from raystream.jit.cuda import DeviceArray, gpu_kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import WORD
 from raystream.structures.graph.cells import NODE_BYTES, ROPE_BYTES, split_of
@@ -95,13 +95,13 @@ def _is_marked(is_covered, node, face):
     return load(np.uint8, is_covered + node * _SIX + face) == _YES
 
 
-@range_kernel()
+@gpu_kernel()
 def find_node_axes(i, first, nodes, axes):
     """Find the axes of the splits below node first + i, whose children are done."""
     find_axes(nodes, first + i, axes)
 
 
-@range_kernel(tree=RopeTree)
+@gpu_kernel(tree=RopeTree)
 def count_raw(sector, leaves, tree, is_covered, counts):
     """Count the raw nodes of a sector, and mark subtrees that a face covers."""
     pending = scratch(PENDING_BYTES)
@@ -109,7 +109,7 @@ def count_raw(sector, leaves, tree, is_covered, counts):
     store(counts + sector * BYTES_64, np.uint64(count))
 
 
-@range_kernel()
+@gpu_kernel()
 def spread_covered(i, first, nodes, is_covered):
     """Mark the subtrees that the link nodes of node first + i need, if it is covered."""
     propagate_marks(nodes, first + i, is_covered)
@@ -122,7 +122,7 @@ def _makes_node(nodes, node, face, is_covered):
     return axis != _LEAF and axis != face >> ONE_U64 and _is_marked(is_covered, node, face)
 
 
-@range_kernel()
+@gpu_kernel()
 def mark_covered(i, nodes, by_row, row_count, is_covered, marks):
     """Mark link nodes in the CPU's order: last rows first, six faces per row."""
     row = row_count - ONE_U64 - i // _SIX
@@ -138,7 +138,7 @@ def _candidate(node, face, order):
     return np.uint64(load(np.uint32, order.before + at * WORD))
 
 
-@range_kernel(order=CandidateOrder, table=LinkTable)
+@gpu_kernel(order=CandidateOrder, table=LinkTable)
 def put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
     """Write the links to node first + i, or the contents of link nodes that it needs."""
     node = first + i
@@ -153,7 +153,7 @@ def put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
         if axis == _LEAF:
             sector = np.uint64(load(np.uint32, sectors + node * WORD))
             store(to, np.uint32(sector * _ROWS))
-        elif face >> ONE_U64 == axis:
+        elif face >> ONE_U64 == axis:  # only the child at this face is beside it
             store(to, load(np.uint32, above if face & ONE_U64 == ZERO_U64 else below))
         else:
             candidate = _candidate(node, face, order)
@@ -161,7 +161,7 @@ def put_covered(i, first, nodes, sectors, is_covered, order, covered, table):
             put_candidate(table, candidate, plane_bits, axis, less, more)
 
 
-@range_kernel(order=CandidateOrder, table=LinkTable)
+@gpu_kernel(order=CandidateOrder, table=LinkTable)
 def share_covered(i, first, nodes, is_covered, order, covered, table):
     """Find the slots of the link nodes of node first + i."""
     node = first + i
@@ -178,7 +178,7 @@ def _height(raw, link):
     return np.uint64(load(np.uint8, raw.heights + (link ^ _RAW_BIT)))
 
 
-@range_kernel(tree=RopeTree, raw=Raw)
+@gpu_kernel(tree=RopeTree, raw=Raw)
 def fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
     """Write the raw nodes of a sector, their heights, and its raw links."""
     pending = scratch(PENDING_BYTES)
@@ -186,6 +186,7 @@ def fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
     first, number = load(np.uint64, at), load(np.uint64, at + BYTES_64)
     leaf, to = _leaf_of(leaves, sector), links + sector * RAW_LINKS
     write_raw_nodes(leaf, tree, sectors, covered, first, raw.nodes, to, pending)
+    # Links lead to later nodes, so heights are found from the last node on.
     highest = ZERO_U64
     while number != first:
         number -= ONE_U64
@@ -214,7 +215,7 @@ def _resolved(raw, link):
     return link
 
 
-@range_kernel(raw=Raw, table=LinkTable)
+@gpu_kernel(raw=Raw, table=LinkTable)
 def put_raw(i, height, nodes, raw, table):
     """Write the content of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) != height:
@@ -228,7 +229,7 @@ def put_raw(i, height, nodes, raw, table):
     put_candidate(table, _raw_candidate(raw, i), plane_bits, axis, below, above)
 
 
-@range_kernel(raw=Raw, table=LinkTable)
+@gpu_kernel(raw=Raw, table=LinkTable)
 def share_raw(i, height, raw, table):
     """Find the slot of raw node i, if it has this height."""
     if np.uint64(load(np.uint8, raw.heights + i)) == height:
@@ -236,7 +237,7 @@ def share_raw(i, height, raw, table):
         store(raw.nodes + i * _RAW_BYTES, LINK | slot)
 
 
-@range_kernel(raw=Raw, table=LinkTable)
+@gpu_kernel(raw=Raw, table=LinkTable)
 def place_links(sector, links, raw, table, rows):
     """Write a sector's links; planes with no sector behind them move to infinity."""
     row = rows + sector * SECTOR_BYTES

@@ -14,7 +14,7 @@ import numpy as np
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, TWO_U64, ZERO_U64
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import WORD
@@ -71,7 +71,7 @@ class ListBudget(NamedTuple):
     room: np.uint64
 
 
-@range_kernel(costs=Costs, chosen=Chosen)
+@gpu_kernel(costs=Costs, chosen=Chosen)
 def place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     """Copy a leaf's list to its range of `ids`."""
     axis, count = split_at(nodes, node)
@@ -84,7 +84,7 @@ def place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
     put_leaf(node, boxes, costs, chosen, to, count)
 
 
-@range_kernel(costs=Costs, chosen=Chosen, budget=ListBudget)
+@gpu_kernel(costs=Costs, chosen=Chosen, budget=ListBudget)
 def weigh(i, first, nodes, boxes, costs, chosen, budget):
     """Turn node first + i into a leaf if that pays off; its children have been weighed.
 
@@ -104,7 +104,7 @@ def weigh(i, first, nodes, boxes, costs, chosen, budget):
         store(at, size)
 
 
-@range_kernel(chosen=Chosen)
+@gpu_kernel(chosen=Chosen)
 def cut(node, nodes, chosen):
     """Turn a split into a leaf if that was chosen."""
     axis, _ = split_at(nodes, node)

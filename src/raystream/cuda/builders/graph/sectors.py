@@ -11,7 +11,7 @@ from raystream.cuda.builders.kdtree.blocks import copy_list
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import BYTES_64, ONE_U64, THREE_U64, ZERO_U64
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.cuda.scan import scan, scan_in_place
 from raystream.jit.simd import load, store
@@ -55,7 +55,7 @@ class Ordered(NamedTuple):
     by_row: DeviceArray
 
 
-@range_kernel()
+@gpu_kernel()
 def place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     """Write the cells of the children of node first + i, if it is a remaining split."""
     node = first + i
@@ -68,7 +68,7 @@ def place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     store(marks + np.uint64(load(np.uint32, old_rows + node * WORD)) * WORD, np.uint32(1))
 
 
-@range_kernel()
+@gpu_kernel()
 def place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
     """Write the rows of a split's children, which are in the order of their parents."""
     if node == ZERO_U64:
@@ -85,14 +85,14 @@ def place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
         store(by_row + row * WORD, np.uint32(child + side))
 
 
-@range_kernel()
+@gpu_kernel()
 def mark_leaf(row, nodes, by_row, marks):
     """Mark a row whose node is a leaf."""
     found = is_leaf(nodes, np.uint64(load(np.uint32, by_row + row * WORD)))
     store(marks + row * WORD, np.uint32(ONE_U64 if found else ZERO_U64))
 
 
-@range_kernel()
+@gpu_kernel()
 def list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
     """List the leaf in a row with its Morton code."""
     node = np.uint64(load(np.uint32, by_row + row * WORD))
@@ -102,7 +102,7 @@ def list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
         store(leaves + to * WORD, np.uint32(node))
 
 
-@range_kernel()
+@gpu_kernel()
 def number_sector(sector, leaves, sizes, sectors, block_counts):
     """Write a leaf's sector, and count its blocks."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
@@ -111,7 +111,7 @@ def number_sector(sector, leaves, sizes, sectors, block_counts):
     store(block_counts + sector * WORD, np.uint32((count + THREE_U64) // _LANES))
 
 
-@range_kernel()
+@gpu_kernel()
 def write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
     """Write a sector's row, except for its links, and its triangle list."""
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
@@ -122,7 +122,7 @@ def write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
     copy_list(source, count, prim_ids + first * _BLOCK_IDS)
 
 
-@range_kernel()
+@gpu_kernel()
 def fill_bin(row, nodes, sectors, x, y, z, y_count, z_count, bins):
     """Find the sector at a bin's low corner; z varies fastest."""
     yz = row // z_count

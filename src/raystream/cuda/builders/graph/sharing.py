@@ -15,7 +15,7 @@ import numpy as np
 from raystream.jit.atomics import atomic_max, compare_and_swap
 from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.scan import scan_in_place
 from raystream.jit.simd import load, store
 from raystream.structures.clip import WORD
@@ -128,7 +128,7 @@ def _least(table, slot):
     return np.uint64(load(np.uint32, table.leasts + slot * WORD)) ^ LOW_32
 
 
-@range_kernel(table=LinkTable)
+@gpu_kernel(table=LinkTable)
 def mark_first(slot, table):
     """Mark the first candidate of a slot."""
     if load(np.uint32, table.owners + slot * WORD) != _FREE:
@@ -145,7 +145,7 @@ def final_link(table, link):
     return LINK | (table.first_row + rank)
 
 
-@range_kernel(table=LinkTable)
+@gpu_kernel(table=LinkTable)
 def write_link_node(slot, table, rows):
     """Write the link node of a slot."""
     owner = np.uint64(load(np.uint32, table.owners + slot * WORD))

@@ -76,7 +76,7 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
     if len(triangles.prim_ids) == 0:
         return GraphStructure(triangles, options)
     started = time.perf_counter()
-    corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
+    corners = gpu.upload("corners", triangles.corners)
     settings = tree_settings_of(settings_of(options, len(triangles.prim_ids)))
     tree = grow_tree(gpu, triangles, corners, settings)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))

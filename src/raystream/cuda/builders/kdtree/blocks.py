@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.constants import THREE_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.simd import load, store
 from raystream.kernels.leaf_block import AXIS, BLOCK, BLOCK_FLOATS, BLOCK_SIZE, write_block
 from raystream.structures.clip import WORD
@@ -22,7 +22,7 @@ def copy_list(source, count, to):
         store(to + k * WORD, load(np.int32, source + k * WORD) if k < count else _ABSENT)
 
 
-@range_kernel()
+@gpu_kernel()
 def fill_block(block, prim_ids, corners, blocks):
     """Write a block of `kernels.leaf_block.filled_blocks`."""
     write_block(blocks + block * BLOCK, prim_ids + block * AXIS, corners)

@@ -14,7 +14,7 @@ import numpy as np
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.cuda.scan import scan
 from raystream.jit.simd import load, store
 from raystream.structures.clip import WORD
@@ -66,7 +66,7 @@ def _put(numbers, i, number):
     store(numbers + i * WORD, np.uint32(number))
 
 
-@range_kernel(numbering=Numbers)
+@gpu_kernel(numbering=Numbers)
 def count_below(i, first, nodes, numbering):
     """Count the splits and references below node first + i; its children are done."""
     node = first + i
@@ -108,7 +108,7 @@ def _note_subtree(node, to):
     store(rooms + node * BYTES_64, _get(numbering.rooms, node))
 
 
-@range_kernel(numbering=Numbers)
+@gpu_kernel(numbering=Numbers)
 def mark_large(node, nodes, sizes, most, numbering, marks, rooms):
     """Mark a large cell (2**32), and store rows and room of subtrees directly below it."""
     if _visit_subtrees(node, nodes, sizes, most, _note_subtree, (numbering, marks, rooms)):
@@ -125,7 +125,7 @@ def _begin_subtree(node, to):
     _put(numbering.places, node, load(np.uint64, rooms + node * BYTES_64))
 
 
-@range_kernel(numbering=Numbers)
+@gpu_kernel(numbering=Numbers)
 def begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
     """Write the first rows of large cells, and where the subtrees below them begin."""
     if node == ZERO_U64:
@@ -136,7 +136,7 @@ def begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
         _put(numbering.firsts, node, ONE_U64 + (before << ONE_U64))
 
 
-@range_kernel(numbering=Numbers)
+@gpu_kernel(numbering=Numbers)
 def number_children(i, first, nodes, sizes, most, numbering):
     """Write the rows and places of the children of node first + i, and their first rows."""
     node = first + i
@@ -147,6 +147,7 @@ def number_children(i, first, nodes, sizes, most, numbering):
     _put(numbering.rows, child, row)
     _put(numbering.rows, child + ONE_U64, row + ONE_U64)
     if not _is_large(nodes, node, sizes, most):
+        # Depth first: all rows and leaves below the plane come before those above it.
         place = _get(numbering.places, node)
         _put(numbering.places, child, place)
         _put(numbering.places, child + ONE_U64, place + _get(numbering.rooms, child))

@@ -14,7 +14,7 @@ from raystream.cuda.builders.kdtree.planes import Choices, Level, References, ce
 from raystream.jit.atomics import atomic_add_aggregated
 from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, range_kernel
+from raystream.jit.cuda import DeviceArray, gpu_kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
@@ -84,7 +84,7 @@ def _choice(choices, cell):
     return axis, load(np.float32, choices.positions + at)
 
 
-@range_kernel(refs=References, choices=Choices)
+@gpu_kernel(refs=References, choices=Choices)
 def count_cut(i, refs, choices):
     """Count reference i if its cell's plane cuts its box."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
@@ -96,7 +96,7 @@ def count_cut(i, refs, choices):
         atomic_add_aggregated(choices.cut_counts + cell * WORD, np.uint32(1))
 
 
-@range_kernel(level=Level, choices=Choices, counts=Counts)
+@gpu_kernel(level=Level, choices=Choices, counts=Counts)
 def confirm(cell, level, choices, counts):
     """Split a cell only if there is room for its parts, and count it."""
     begin, end = cell_range(level, cell)
@@ -120,7 +120,7 @@ def _part(i, refs, choices, triangles, below, above):
     return split_reference(box, triangle, triangles, axis * WORD, position, below, above)
 
 
-@range_kernel(refs=References, choices=Choices, triangles=GrownTriangles, counts=Counts)
+@gpu_kernel(refs=References, choices=Choices, triangles=GrownTriangles, counts=Counts)
 def count_parts(i, refs, choices, triangles, counts):
     """Count the parts of reference i."""
     below, above = scratch(24), scratch(24)
@@ -146,7 +146,7 @@ def _places(level, counts, cell):
     return below + above, below_end + above, below_end + above_end
 
 
-@range_kernel(level=Level, choices=Choices, counts=Counts, made=Made, parts=Level)
+@gpu_kernel(level=Level, choices=Choices, counts=Counts, made=Made, parts=Level)
 def make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
     """Write a cell's node and, if it is split, its two child cells."""
     begin, end = cell_range(level, cell)
@@ -161,6 +161,7 @@ def make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
     below = (before >> BITS_32) << ONE_U64
     store(node, position)
     store(node + WORD, np.uint32((first_row + below) << TWO_U64 | axis))
+    # Its room is shared out by the children's numbers of references, as on the CPU.
     below_begin, above_begin, above_end = _places(level, counts, cell)
     room = load(np.uint64, level.rooms + cell * BYTES_64)
     above_room = room_above(room, above_begin - below_begin, above_end - above_begin)
@@ -184,7 +185,7 @@ def _put_reference(parts, to, cell, box, prim_id):
     store(parts.cells + to * WORD, np.uint32(cell))
 
 
-@range_kernel(
+@gpu_kernel(
     refs=References,
     level=Level,
     choices=Choices,
@@ -200,6 +201,7 @@ def place_parts(i, refs, level, choices, triangles, counts, made, first_id, part
     before = load(np.uint64, counts.cells + cell * BYTES_64)
     axis, _ = _choice(choices, cell)
     if axis == LEAF:
+        # A leaf's list is in the order of its references, after those of earlier leaves.
         begin, _ = cell_range(level, cell)
         to = first_id + (before & LOW_32) + i - begin
         store(made.ids + to * WORD, prim_id)
@@ -209,6 +211,7 @@ def place_parts(i, refs, level, choices, triangles, counts, made, first_id, part
     begin, end = cell_range(level, cell)
     own_below, own_above = _before(counts, i)
     child = (before >> BITS_32) << ONE_U64
+    # The cell's parts below come after all parts of earlier cells; its parts above after those.
     if is_below:
         _, all_above = _before(counts, begin)
         _put_reference(parts, own_below + all_above, child, below, prim_id)
@@ -217,7 +220,7 @@ def place_parts(i, refs, level, choices, triangles, counts, made, first_id, part
         _put_reference(parts, all_below + own_above, child + ONE_U64, above, prim_id)
 
 
-@range_kernel(bound=np.float32, refs=References)
+@gpu_kernel(bound=np.float32, refs=References)
 def make_reference(i, corners, prim_ids, bound, refs):
     """Write the reference of the triangle in row i of `prim_ids`: its grown box."""
     prim_id = load(np.int32, prim_ids + i * WORD)

@@ -20,7 +20,7 @@ import numpy as np
 from raystream.jit.atomics import atomic_add_aggregated, atomic_max
 from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.split import (
@@ -125,7 +125,7 @@ class Tried(NamedTuple):
     @classmethod
     def allocate(cls, gpu: Gpu, count: int) -> Tried:
         """Allocate them for `count` references."""
-        # A level with at most so many references has no cell with more.
+        # Only cells of more than `MOST_EXACT` references have bins.
         slots = count // int(MOST_EXACT) + 1 if count > int(MOST_EXACT) else 0
         bins = gpu.pooled("bins", slots * BIN_BYTES, np.uint8)
         gpu.clear(bins, bins.stream)
@@ -213,6 +213,7 @@ def _count_in_bins(box, begin, cell, tried):
         low = load(np.float32, box + axis * WORD)
         high = load(np.float32, box + HIGH + axis * WORD)
         bins = _bins_of(tried, begin, axis)
+        # The lowest position is the greatest of all complements: bins are zero at first.
         atomic_add_aggregated(bins + bin_of(low, along.low, scale) * WORD, np.uint32(1))
         atomic_add_aggregated(bins + _ENDS_AT + bin_of(high, along.low, scale) * WORD, np.uint32(1))
         atomic_max(bins + _LOWEST_AT, np.uint32(_ordered(low) ^ _ALL))
@@ -224,6 +225,7 @@ def _try_plane(position, boxes, begin, end, along, step, costs):
     """Cost of a plane at a position; infinite if it is not inside the cell."""
     if not (position > along.low and position < along.high):
         return np.inf
+    # A box that begins at the plane is above it, one that ends there below.
     begun, ended = ZERO_U64, ZERO_U64
     for i in range(begin, end):
         box = boxes + i * BOX_BYTES + step
@@ -258,7 +260,7 @@ def _is_better(cost, axis, position, best_cost, best_axis, best_position):
     return position < best_position
 
 
-@range_kernel(refs=References, level=Level, costs=Costs, tried=Tried)
+@gpu_kernel(refs=References, level=Level, costs=Costs, tried=Tried)
 def try_planes(i, refs, level, costs, max_leaf_size, tried):
     """Try the planes of reference i, or bin it."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
@@ -306,7 +308,7 @@ def _best_of_bins(begin, end, cell, costs, tried):
     return best_axis, best_position, best_cost
 
 
-@range_kernel(level=Level, costs=Costs, tried=Tried, choices=Choices)
+@gpu_kernel(level=Level, costs=Costs, tried=Tried, choices=Choices)
 def choose_plane(cell, level, costs, max_leaf_size, tried, choices):
     """Choose the plane of a cell, or make it a leaf."""
     begin, end = cell_range(level, cell)

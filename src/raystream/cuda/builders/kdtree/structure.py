@@ -11,9 +11,9 @@ from raystream.cuda.builders.device_resident import RebuiltOnDevice, Resident
 from raystream.cuda.builders.kdtree.blocks import prim_ids_of
 from raystream.cuda.builders.kdtree.grow import grow_tree
 from raystream.cuda.builders.kdtree.numbering import number_nodes
-from raystream.cuda.builders.kdtree.write_tree import WrittenTree, write_tree
+from raystream.cuda.builders.kdtree.write_tree import write_tree
 from raystream.jit.constants import NULL
-from raystream.jit.cuda import Gpu
+from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.structures.kdtree.layout import KdArrays
 from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
@@ -31,16 +31,15 @@ class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
         return (KdArrays(nodes.host(), prim_ids_of(blocks)),)
 
 
-def _resident(triangles: Triangles, written: WrittenTree, traversal: str) -> Resident:
+def _resident(triangles: Triangles, arrays: tuple[DeviceArray, ...], traversal: str) -> Resident:
     """A tree and its addresses."""
-    arrays = tuple(one for one in written if one is not None)
-    extended = written.extended
+    nodes, blocks, *extended = arrays
     (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
     tree = KdAddresses(
-        written.nodes.address,
+        nodes.address,
         None,
-        extended.address if extended is not None else NULL,
-        written.blocks.address,
+        extended[0].address if extended else NULL,
+        blocks.address,
         np.uint64(0),
         np.uint64(TRAVERSALS.index(traversal)),
         (low_x, low_y, low_z),
@@ -78,10 +77,10 @@ def build_kdtree(gpu: Gpu, triangles: Triangles, options: KdTree) -> KdTreeStruc
     if len(triangles.prim_ids) == 0:
         return KdTreeStructure(triangles, options)
     started = time.perf_counter()
-    corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
+    corners = gpu.upload("corners", triangles.corners)
     settings = settings_of(options, len(triangles.prim_ids))
     tree = grow_tree(gpu, triangles, corners, settings)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
-    written = write_tree(gpu, tree, numbers, corners, options.traversal == "backtrack")
-    resident = _resident(triangles, written, options.traversal)
+    arrays = write_tree(gpu, tree, numbers, corners, options.traversal == "backtrack")
+    resident = _resident(triangles, arrays, options.traversal)
     return DeviceKdTree(gpu, triangles, options, resident, started)

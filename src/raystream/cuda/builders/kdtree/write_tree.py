@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from raystream.cuda.builders.kdtree.blocks import copy_list, empty_lists, filled_blocks
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.numbering import Numbers, split_at
 from raystream.jit.constants import ONE_U64, TWO_U64, ZERO_U64
-from raystream.jit.cuda import DeviceArray, Gpu, range_kernel
+from raystream.jit.cuda import DeviceArray, Gpu, gpu_kernel
 from raystream.jit.simd import load, store
 from raystream.structures.clip import HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
@@ -21,24 +19,7 @@ _OWN_AT = np.uint64(24)
 _LEAF = np.uint64(LEAF_AXIS)
 
 
-class WrittenTree(NamedTuple):
-    """`kdtree.layout.KdArrays` in device memory.
-
-    Attributes
-    ----------
-    nodes : DeviceArray of shape (M, 2), int32
-    blocks : DeviceArray of shape (B, 40), float32
-        The leaves' triangles; see `kernels.leaf_block`.
-    extended : DeviceArray of shape (S, 8), float32, or None
-        See `kdtree.foley_layout.extend`.
-    """
-
-    nodes: DeviceArray
-    blocks: DeviceArray
-    extended: DeviceArray | None
-
-
-@range_kernel(numbering=Numbers)
+@gpu_kernel(numbering=Numbers)
 def write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
     """Write a node to its row, and a leaf's triangles to its blocks."""
     axis, number = split_at(nodes, node)
@@ -55,7 +36,7 @@ def write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
     copy_list(tree_ids + np.uint64(first) * WORD, number, prim_ids + place * WORD)
 
 
-@range_kernel(numbering=Numbers)
+@gpu_kernel(numbering=Numbers)
 def extend_children(i, first, nodes, numbering, extended):
     """Write the bounds of the children of node first + i that are splits, given its own."""
     node = first + i
@@ -83,7 +64,7 @@ def extend_children(i, first, nodes, numbering, extended):
 
 def write_tree(
     gpu: Gpu, tree: GrownTree, numbers: Numbers, corners: DeviceArray, is_extended: bool
-) -> WrittenTree:
+) -> tuple[DeviceArray, ...]:
     """Launch the kernels that write a tree.
 
     Parameters
@@ -97,6 +78,15 @@ def write_tree(
     is_extended : bool
         Whether to write the bounds that backtracking reads.
 
+    Returns
+    -------
+    nodes : DeviceArray of shape (M, 2), int32
+        See `kdtree.layout.KdArrays`.
+    blocks : DeviceArray of shape (B, 40), float32
+        The leaves' triangles; see `kernels.leaf_block`.
+    extended : DeviceArray of shape (S, 8), float32
+        If there are bounds; see `kdtree.foley_layout.extend`.
+
     Raises
     ------
     CudaError
@@ -107,8 +97,8 @@ def write_tree(
     nodes = gpu.empty("nodes", (count, 2), np.int32)
     prim_ids = empty_lists(gpu, block_count)
     write_tree_node.launch(gpu, count, (tree.nodes, tree.ids, numbers, nodes, prim_ids))
-    extended = _extended(gpu, tree, numbers) if is_extended else None
-    return WrittenTree(nodes, filled_blocks(gpu, prim_ids, corners), extended)
+    extended = [_extended(gpu, tree, numbers)] if is_extended else []
+    return nodes, filled_blocks(gpu, prim_ids, corners), *extended
 
 
 def _extended(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> DeviceArray:
