@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numba
@@ -12,6 +12,17 @@ from raystream.jit.cuda.device_array import DeviceArray
 
 #: Integers from here on are uint64, others int64.
 _LEAST_UNSIGNED = 2**63
+
+
+#: How values other than NumPy's numbers are passed.
+_CONVERTED: dict[Any, Callable[[Any], Any]] = {
+    type(None): lambda _: np.uint64(0),
+    bool: np.uint8,
+    np.bool_: np.uint8,
+    float: np.float64,
+    int: lambda one: kind_of(one)(one),
+    DeviceArray: lambda one: one.address,
+}
 
 
 def type_of(arguments: Any) -> Any:
@@ -47,18 +58,13 @@ def flat(arguments: Any) -> Iterator[Any]:
     None becomes a null pointer, which is never dereferenced.
     """
     for one in arguments:
-        if one is None:
-            yield np.uint64(0)
+        kind = type(one)
+        if kind is np.uint64 or kind is np.float32:  # most are
+            yield one
         elif isinstance(one, tuple):
             yield from flat(one)
-        elif isinstance(one, bool | np.bool_):
-            yield np.uint8(one)
-        elif type(one) is float:
-            yield np.float64(one)
-        elif type(one) is int:
-            yield kind_of(one)(one)
-        elif type(one) is DeviceArray:
-            yield one.address
+        elif kind in _CONVERTED:
+            yield _CONVERTED[kind](one)
         else:
             yield one
 
