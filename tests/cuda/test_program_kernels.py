@@ -97,6 +97,10 @@ def divides(hit):
     return own_options(hit.t) > 1.0
 
 
+def compiled_of(program):
+    return program.kernel.compiled(program.typical(), CAPABILITIES[0])
+
+
 @pytest.mark.parametrize(
     ("function", "options"),
     [
@@ -108,8 +112,8 @@ def divides(hit):
 )
 def test_programs_compile(function, options):
     program = DeviceProgram(function, **options)
-    assert program.reason_on(CAPABILITIES[0]) is None
-    compiled = program.compiled(CAPABILITIES[0])
+    assert program.reason_against(CAPABILITIES[0]) is None
+    compiled = compiled_of(program)
     assert f".target sm_{CAPABILITIES[0][0]}{CAPABILITIES[0][1]}" in compiled.ptx
     body = compiled.ptx[compiled.ptx.index(".visible .entry") :]
     assert len(re.findall(r"\.param \.\w+", body[: body.index("{")])) == 1 + len(
@@ -151,7 +155,7 @@ def test_the_larger_of_two_numbers_is_the_processors():
         payload[0] = max(payload[0], hit.t)
 
     program = DeviceProgram(larger, "trace", record=(np.dtype("f4"), 1))
-    ptx = program.compiled(CAPABILITIES[0]).ptx
+    ptx = compiled_of(program).ptx
     assert "setp.gt.f32" in ptx
     assert not re.search(r"\bmax\.", ptx)
 
@@ -167,7 +171,7 @@ def test_functions_have_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr(ptx_cache, "kernel_folder", lambda: tmp_path)
     texts = set()
     for limit in (1, 2, 1):
-        texts.add(DeviceProgram(below(limit), "count").compiled(CAPABILITIES[0]).ptx)
+        texts.add(compiled_of(DeviceProgram(below(limit), "count")).ptx)
     assert len(texts) == len(list(tmp_path.iterdir())) == 2
 
 

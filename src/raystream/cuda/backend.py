@@ -107,7 +107,7 @@ class CudaBackend(Backend):
         if query.kind is Kind.ANY_HIT or not self._is_plain:
             return False
         goal, record = QUERIES[query.kind].goal, record_of(sink.records)
-        if DeviceProgram.of(query.on_hit, goal, record).reason_against(self.gpu):
+        if DeviceProgram.of(query.on_hit, goal, record).reason_against(self.gpu.capability):
             return False
         if query.kind is not Kind.MULTI_HIT:
             self._trace(query, rays, sink, progress)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.programs.records import is_aligned
-from raystream.jit.cuda import Compiled, Gpu, UserKernel
+from raystream.jit.cuda import UserKernel
 from raystream.jit.cuda.arguments import example_of
 from raystream.jit.fingerprint import fingerprint
 from raystream.jit.from_source import kernel_from_source
@@ -126,16 +126,8 @@ class DeviceProgram:
             _GOALS[self._goal],
         )
 
-    def compiled(self, capability: tuple[int, int]) -> Compiled:
-        """PTX; needs no device. See `UserKernel.compiled`."""
-        return self.kernel.compiled(self.typical(), capability)
-
-    def reason_against(self, gpu: Gpu) -> str | None:
-        """Why it has to run on the CPU; None if it runs on the device."""
-        return self.reason_on(gpu.capability)
-
-    def reason_on(self, capability: tuple[int, int]) -> str | None:
-        """The same for a compute capability; needs no device."""
+    def reason_against(self, capability: tuple[int, int]) -> str | None:
+        """Why it has to run on the CPU; None if it runs on GPUs of a compute capability."""
         if self._has_host_addresses:
             return "its constants are addresses on the host"
         if self._record is not None and not is_aligned(self._record[0]):

@@ -47,4 +47,4 @@ def reason_against(
         result = as_payload(payload, getattr(payload, "shape", (0,)))
         record = record_of(as_records(result, result.shape))
     program = DeviceProgram(function, "first" if is_filter else "trace", record=record)
-    return program.reason_on(capability)
+    return program.reason_against(capability)

@@ -61,7 +61,7 @@ class ProgramRounds(NamedTuple):
             If it does not run on the device.
         """
         program = DeviceProgram.of(query.on_hit, goal, record)
-        reason = program.reason_against(launcher.scene.gpu)
+        reason = program.reason_against(launcher.scene.gpu.capability)
         if reason is not None:
             raise TypeError(
                 f"{program.name}: cannot run on the GPU, where the rays are: {reason}; "
