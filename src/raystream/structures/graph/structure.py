@@ -30,6 +30,7 @@ from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.text_format import dump_graph
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
 from raystream.structures.kdtree.layout import default_depth
+from raystream.structures.saved import solid_mask
 
 
 class GraphStructure(Structure):
@@ -111,7 +112,7 @@ class GraphStructure(Structure):
         Parameters
         ----------
         path : str or path
-            Replaced atomically. `text_format.load_graph` reads it.
+            Replaced atomically. The format is described in `text_format`.
         """
         with atomic_write(path) as file, file.open("w", encoding="ascii", newline="\n") as text:
             dump_graph(text, self.graph, self.triangles.corners)
@@ -130,7 +131,7 @@ class GraphStructure(Structure):
     ) -> GraphStructure:
         """Make a graph from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        graph = check_graph(arrays, triangles.bounds, triangles.prim_ids, len(triangles))
+        graph = check_graph(arrays, triangles.bounds, solid_mask(triangles))
         structure = cls.__new__(cls)
         structure._set(triangles, graph, options, started)
         return structure

@@ -32,7 +32,7 @@ from raystream.structures.grid.refine import refine
 from raystream.structures.grid.statistics import statistics, trace_cost
 from raystream.structures.grid.traversal import traverse
 from raystream.structures.grid.update import move_lists
-from raystream.structures.saved import take
+from raystream.structures.saved import solid_mask, take
 
 #: Cells and triangles per call of a compiled loop: 0.2 s at worst. With 2**22, calls of 52 rays
 #: took a tenth of the time in a hall with a few very long lists.
@@ -157,8 +157,7 @@ class GridStructure(Structure):
         lattice = _saved_lattice(arrays, counts, triangles)._replace(is_exact=options.is_exact)
         if list(lattice.counts) != counts:
             raise ValueError("the number of cells does not fit the bounding box")
-        solid = np.zeros(len(triangles), np.bool_)
-        solid[triangles.prim_ids] = True
+        solid = solid_mask(triangles)
         lists = check_lists(arrays, "", lattice.cell_count, solid)
         found = np.zeros(len(triangles), np.bool_)
         found[lists.references] = True

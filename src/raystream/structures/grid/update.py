@@ -17,6 +17,7 @@ from raystream.jit.threads import parallel_for
 from raystream.structures.grid.build import ListOutput, find_layers, list_triangles
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
+from raystream.structures.saved import solid_mask
 
 #: Triangles, and cells, per call of a kernel.
 _TRIANGLE_CHUNK = 1 << 14
@@ -44,7 +45,7 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
     MemoryError
         If there is not enough memory.
     """
-    was, now = _solid(old), _solid(new)
+    was, now = solid_mask(old), solid_mask(new)
     moved = np.empty(len(now), np.bool_)
     arrays = _flat(old.corners), _flat(new.corners), was, now, moved
 
@@ -94,12 +95,6 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
 
     parallel_for(sort, cell_count, _CELL_CHUNK)
     return result
-
-
-def _solid(triangles: Triangles) -> NDArray[np.bool_]:
-    solid = np.zeros(len(triangles), np.bool_)
-    solid[triangles.prim_ids] = True
-    return solid
 
 
 def _flat(corners: NDArray[np.float32]) -> NDArray[Any]:

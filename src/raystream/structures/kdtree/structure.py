@@ -23,6 +23,7 @@ from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.state import STACK_BYTES
 from raystream.structures.kdtree.subtree import BuildSettings
 from raystream.structures.kdtree.traversal import traverse
+from raystream.structures.saved import solid_mask
 
 
 class KdTreeStructure(Structure):
@@ -135,20 +136,9 @@ class KdTreeStructure(Structure):
             return dict.fromkeys(("nodes", "leaves", "empty leaves", "references", "depth"), 0.0)
         found = measure(self.tree.nodes, self.triangles.bounds)
         node_bytes = sum(array.nbytes for name, array in self.arrays.items() if name != "blocks")
-        cost = self.options.traversal_cost * found.splits_per_ray
-        cost += self.options.intersection_cost * found.tests_per_ray
-        return {
-            "nodes": float(node_count),
-            "leaves": float(found.leaf_count),
-            "empty leaves": float(found.empty_count),
-            "references": float(found.reference_count),
-            "depth": float(found.depth),
-            "bytes per node": node_bytes / node_count,
-            "splits per ray": found.splits_per_ray,
-            "leaves per ray": found.leaves_per_ray,
-            "tests per ray": found.tests_per_ray,
-            "cost": cost,
-        }
+        cost = self.options.traversal_cost * found["splits per ray"]
+        cost += self.options.intersection_cost * found["tests per ray"]
+        return {**found, "bytes per node": node_bytes / node_count, "cost": cost}
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The tree."""
@@ -160,7 +150,7 @@ class KdTreeStructure(Structure):
     ) -> KdTreeStructure:
         """Make a kd-tree from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        tree = check_arrays(arrays, triangles.prim_ids, len(triangles))
+        tree = check_arrays(arrays, solid_mask(triangles))
         structure = cls.__new__(cls)
         structure._set(triangles, tree, options, started)
         return structure
