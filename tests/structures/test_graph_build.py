@@ -13,7 +13,7 @@ from conftest import assert_same_bits
 from graphs import View, assert_links, assert_nodes, assert_sound
 from meshes import cube, dented_sphere, grid_floor, soup
 from raystream.core.triangles import Triangles
-from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
+from raystream.structures.graph.build import build_graph, graph_box
 from raystream.structures.graph.cells import find_cells
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.layout import NODE_BIT, VOID, GraphArrays
@@ -29,18 +29,10 @@ from raystream.structures.saved import solid_mask
 from strategies import meshes
 
 
-def settings_with(
-    crossing_cost=8.0,
-    intersection_cost=1.0,
-    link_cost=2.4,
-    empty_bonus=0.0,
-    max_depth=64,
-    max_leaf_size=1,
-):
-    """Settings with few triangles in a sector, to show what `Graph`'s defaults would hide."""
-    return GraphSettings(
-        crossing_cost, intersection_cost, link_cost, empty_bonus, max_depth, max_leaf_size
-    )
+def settings_with(**options):
+    """Options with few triangles in a sector, to show what `Graph`'s defaults would hide."""
+    few = {"crossing_cost": 8.0, "link_cost": 2.4, "max_depth": 64, "max_leaf_size": 1}
+    return rs.Graph(**(few | options))
 
 
 FINE = settings_with(crossing_cost=1.0, link_cost=0.3)
@@ -77,8 +69,8 @@ MESHES = {
     [
         FINE,
         settings_with(),
-        settings_with(0.01, 1.0, 0.003, 0.5),
-        settings_with(1.0, 1.0, 0.3, 0.2, 7, 3),
+        settings_with(crossing_cost=0.01, link_cost=0.003),
+        settings_with(crossing_cost=1.0, link_cost=0.3, max_depth=7, max_leaf_size=3),
     ],
 )
 def test_graphs_are_sound(mesh, settings, rng):
@@ -92,7 +84,7 @@ def test_graphs_are_sound(mesh, settings, rng):
 @pytest.mark.parametrize("case", CASES)
 def test_hard_scenes(case, rng):
     triangles = CASES[case](rng).scene.triangles
-    arrays = build_graph(triangles, settings_with(4.0, 1.0, 1.0))
+    arrays = build_graph(triangles, settings_with(crossing_cost=4.0, link_cost=1.0))
     assert_sound(arrays, triangles, rng)
     assert_same(check(arrays._asdict(), triangles), arrays)
 
@@ -102,7 +94,9 @@ def test_hard_scenes(case, rng):
 def test_any_small_scene(mesh, crossing_cost):
     (vertices, faces), _, _ = mesh
     triangles = triangles_of(vertices, faces)
-    arrays = build_graph(triangles, settings_with(crossing_cost, 1.0, 0.3 * crossing_cost))
+    arrays = build_graph(
+        triangles, settings_with(crossing_cost=crossing_cost, link_cost=0.3 * crossing_cost)
+    )
     if len(triangles.prim_ids):
         assert_sound(arrays, triangles, np.random.default_rng(0))
     assert_same(check(arrays._asdict(), triangles), arrays)
@@ -124,7 +118,9 @@ def test_no_triangles():
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("settings", [settings_with(), settings_with(0.01, 1.0, 0.003, 0.5)])
+@pytest.mark.parametrize(
+    "settings", [settings_with(), settings_with(crossing_cost=0.01, link_cost=0.003)]
+)
 def test_a_graph_does_not_depend_on_the_number_of_threads(settings):
     triangles = triangles_of(*soup(20_000, 1, 0.02))
     graphs, figures = [], []
@@ -164,7 +160,7 @@ def test_references_are_bounded():
     third = ends[:, 1] + rng.normal(size=(6000, 3)) * 1e-3
     corners = np.concatenate([ends, third[:, None]], axis=1)
     triangles = triangles_of(corners.reshape(-1, 3), np.arange(18_000).reshape(-1, 3))
-    settings = settings_with(1e-6, 1.0, 1e-7)
+    settings = settings_with(crossing_cost=1e-6, link_cost=1e-7)
     arrays = build_graph(triangles, settings)
     found = statistics(arrays, settings)
     assert found["references"] <= MAX_REFERENCES * len(triangles) + 1024
@@ -239,7 +235,7 @@ def test_splits_that_did_not_pay_are_taken_back():
 @pytest.mark.parametrize("mesh", ["soup", "closed"])
 def test_taking_splits_back_costs_less(mesh, monkeypatch):
     triangles = triangles_of(*MESHES[mesh])
-    settings = settings_with(2.0, 1.0, 0.0)
+    settings = settings_with(crossing_cost=2.0, link_cost=0.0)
     pruned = statistics(build_graph(triangles, settings), settings)
     monkeypatch.setattr("raystream.structures.graph.build.prune", lambda tree, *_: tree)
     whole = statistics(build_graph(triangles, settings), settings)
@@ -250,7 +246,7 @@ def test_taking_splits_back_costs_less(mesh, monkeypatch):
 
 def test_figures_are_those_of_the_sectors():
     triangles = triangles_of(*soup(100, 4))
-    settings = settings_with(3.0, 1.0, 0.9)
+    settings = settings_with(crossing_cost=3.0, link_cost=0.9)
     arrays = build_graph(triangles, settings)
     view, found = View(arrays), statistics(arrays, settings)
     x, y, z = (view.high.astype(float) - view.low).T

@@ -103,7 +103,5 @@ def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:
     def make(lattice: Lattice, most: int, _: str) -> DeviceLists:
         return build_lists(gpu, triangles, corners, lattice, most)
 
-    lattice, lists = choose_and_build(
-        triangles, options.counts, options.min_resolution, options.levels, options.is_exact, make
-    )
+    lattice, lists = choose_and_build(triangles, options, make)
     return DeviceGrid(triangles, gpu, lattice, lists, corners, options, started)

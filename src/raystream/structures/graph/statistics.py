@@ -9,8 +9,8 @@ from raystream.jit.constants import BYTES_32, ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.jit.threads import parallel_for
-from raystream.structures.graph.build import GraphSettings
 from raystream.structures.graph.layout import NODE_BIT, SECTOR_ROWS, VOID, GraphArrays
+from raystream.structures.graph.options import Graph
 
 _CHUNK = 1 << 12
 
@@ -131,14 +131,14 @@ def _sum_areas(graph: GraphArrays, depth: int) -> NDArray[np.float64]:
     return parts.sum(axis=0)
 
 
-def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
+def statistics(graph: GraphArrays, options: Graph) -> dict[str, float]:
     """Measure a graph.
 
     Parameters
     ----------
     graph : GraphArrays
-    settings : GraphSettings
-        Costs of steps.
+    options : Graph
+        With the costs of steps.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
         "link nodes per ray": passed / (2.0 * whole),
         "tests per ray": tests / whole,
     }
-    costs = settings.crossing_cost, settings.link_cost, settings.intersection_cost
+    costs = options.crossing_cost, options.link_cost, options.intersection_cost
     return {
         "sectors": float(count),
         "empty sectors": float(np.count_nonzero(sizes == 0)),

@@ -39,8 +39,10 @@ class KdArrays(NamedTuple):
     prim_ids: NDArray[np.int32]
 
 
-def default_depth(triangle_count: int) -> int:
-    """Default maximum depth (Pharr and Humphreys 2004)."""
+def depth_limit(max_depth: int | None, triangle_count: int) -> int:
+    """The option `max_depth`, or its default (Pharr and Humphreys 2004)."""
+    if max_depth is not None:
+        return max_depth
     return min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
 
 

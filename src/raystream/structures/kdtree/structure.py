@@ -16,7 +16,7 @@ from raystream.kernels.leaf_block import filled_blocks
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.kdtree.build import build_arrays
 from raystream.structures.kdtree.foley_layout import LEAF_BIT, FoleyArrays, extend, pack
-from raystream.structures.kdtree.layout import KdArrays, check_arrays, default_depth, measure
+from raystream.structures.kdtree.layout import KdArrays, check_arrays, depth_limit, measure
 from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import OVERLAPS, TRAVERSALS, KdTree
 from raystream.structures.kdtree.split import Costs
@@ -158,9 +158,7 @@ class KdTreeStructure(Structure):
 
 def settings_of(options: KdTree, triangle_count: int) -> BuildSettings:
     """The build settings of some options."""
-    max_depth = options.max_depth
-    if max_depth is None:
-        max_depth = default_depth(triangle_count)
+    max_depth = depth_limit(options.max_depth, triangle_count)
     costs = Costs(options.traversal_cost, options.intersection_cost, options.empty_bonus)
     overlap = OVERLAPS.index(options.overlap)
     return BuildSettings(costs, max_depth, options.max_leaf_size, overlap)
