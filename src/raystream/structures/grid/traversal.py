@@ -6,22 +6,11 @@ from raystream.jit.constants import INF_F32, NULL, ONE_U64
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.kernels.search import is_full, wants_any
-from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
 from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
 from raystream.structures.grid.dda import begin_walk, cell_end, step_walk
-
-
-@device
-def clip_to_grid(grid, ray, t_min, t_max):
-    """Clip a ray's interval to the grid's box; empty if t_in > t_out.
-
-    Every triangle's box is inside the grid's, so every hit is in its interval.
-    """
-    low, high = grid.low, grid.high
-    t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
-    return max(t_min, t_in), min(t_max, t_out)
+from raystream.structures.plane_distances import scene_interval
 
 
 @device
@@ -58,7 +47,7 @@ def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
 @device
 def traverse(grid, ray, search, stack):
     """Visit the cells along a ray; see `kernels.queries.ray_queries` for the arguments."""
-    t_in, t_last = clip_to_grid(grid, ray, search.t_min, search.t_far)
+    t_in, t_last = scene_interval(grid, ray, search.t_min, search.t_far)
     if grid.splits == NULL or not (t_in <= t_last):
         return search
     cells = coarse_cells(grid)
